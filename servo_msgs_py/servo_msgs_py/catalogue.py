@@ -1,0 +1,373 @@
+"""The table of firmware variables (``variables.toml``) as typed objects."""
+
+from __future__ import annotations
+
+import math
+import sys
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from servo_msgs_py.units import frac_lsb, to_raw
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["AXES", "Catalogue", "CatalogueError", "Flag", "Scale", "Value", "Variable", "axis_name"]
+
+AXES: Final = 2
+"""Axes of one board."""
+
+Value = float | int | list[float] | list[int] | bytes
+"""A decoded variable: a number, one number per axis, or the bytes of a block."""
+
+
+class CatalogueError(ValueError):
+    """The table of variables is not well formed; the message says where and why."""
+
+
+@dataclass(frozen=True)
+class _RawType:
+    """How a type of the table lies in the memory of the board (little endian)."""
+
+    size: int
+    signed: bool
+    tsa: int  # FreeMASTER base type byte, 111 S TT ZZ
+    fractional: bool = False
+
+    @property
+    def low(self) -> int:
+        return -(1 << (8 * self.size - 1)) if self.signed else 0
+
+    @property
+    def high(self) -> int:
+        return (1 << (8 * self.size - (1 if self.signed else 0))) - 1
+
+
+_RAW_TYPES: Final[Mapping[str, _RawType]] = {
+    "uint16": _RawType(2, False, 0xE1),
+    "uint32": _RawType(4, False, 0xE2),
+    "int16": _RawType(2, True, 0xF1),
+    "int32": _RawType(4, True, 0xF2),
+    "frac16": _RawType(2, True, 0xF5, fractional=True),
+    "frac32": _RawType(4, True, 0xF6, fractional=True),
+    "enum": _RawType(2, False, 0xE1),
+    "flags": _RawType(2, False, 0xE1),
+    "block": _RawType(1, False, 0xE0),
+}
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Unit of a quantity and the value of its full scale (fractions) or of one raw unit (integers)."""
+
+    name: str
+    unit: str
+    full_scale: float | None
+    lsb: float | None
+
+
+@dataclass(frozen=True)
+class Flag:
+    """One bit of a flag word, in words for people."""
+
+    name: str
+    bit: int
+    cause: str
+    remedy: str
+
+    @property
+    def mask(self) -> int:
+        return 1 << self.bit
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One firmware variable.
+
+    Attributes
+    ----------
+    name : str
+        Name on the wire and, with dots as slashes, of its topic.
+    path : str
+        C path below ``servo_t``.
+    type : str
+        Type word of the table: ``frac16``, ``int32``, ``enum`` ...
+    count : int
+        Elements; more than one for arrays with one element per axis.
+    lsb : float
+        SI value of one raw unit.
+    unit : str
+        SI unit; empty for pure numbers.
+    full_scale : float or None
+        SI value of 1.0, fractional types only.
+    access : str
+        ``ro`` or ``rw``.
+    minimum, maximum : float
+        Limits of a written value, SI.
+    enum, flags : str or None
+        Name of the enumeration or of the flag set.
+    """
+
+    name: str
+    path: str
+    type: str
+    count: int
+    lsb: float
+    unit: str
+    full_scale: float | None
+    access: str
+    minimum: float
+    maximum: float
+    description: str
+    enum: str | None = None
+    flags: str | None = None
+
+    @property
+    def raw_type(self) -> _RawType:
+        return _RAW_TYPES[self.type]
+
+    @property
+    def element_size(self) -> int:
+        """Bytes of one element; 1 for blocks."""
+        return self.raw_type.size
+
+    @property
+    def size(self) -> int:
+        """Bytes of the whole variable; 0 for blocks, whose size only the board knows."""
+        return 0 if self.type == "block" else self.element_size * self.count
+
+    @property
+    def writable(self) -> bool:
+        return self.access == "rw"
+
+    def decode_raw(self, data: bytes) -> list[int]:
+        """Integers, one per element, from the bytes read from the board.
+
+        Raises
+        ------
+        ValueError
+            If the number of bytes is not that of the variable.
+        """
+        if self.type != "block" and len(data) != self.size:
+            raise ValueError(f"{self.name}: {len(data)} bytes read, {self.size} expected")
+        step, signed = self.element_size, self.raw_type.signed
+        return [int.from_bytes(data[k : k + step], "little", signed=signed) for k in range(0, len(data), step)]
+
+    def encode_raw(self, raw: Sequence[int]) -> bytes:
+        """Bytes for the board from one integer per element.
+
+        Raises
+        ------
+        ValueError
+            If the number of elements is wrong or one does not fit the type.
+        """
+        self._check_count(len(raw))
+        low, high = self.raw_type.low, self.raw_type.high
+        for value in raw:
+            if not low <= value <= high:
+                raise ValueError(f"{self.name}: {value} does not fit {self.type} ({low} .. {high})")
+        return b"".join(int(v).to_bytes(self.element_size, "little", signed=self.raw_type.signed) for v in raw)
+
+    def scale(self, raw: int) -> float | int:
+        """SI value of one raw number; whole numbers stay whole where one raw unit is 1."""
+        return raw if self.lsb == 1.0 else raw * self.lsb
+
+    def to_raw(self, value: float) -> int:
+        """Raw number of one SI value.
+
+        Raises
+        ------
+        ValueError
+            If the value is not finite or outside the limits of the variable.
+        """
+        if not math.isfinite(value):
+            raise ValueError(f"{self.name}: {value!r} is not a finite number")
+        if not self.minimum <= value <= self.maximum:
+            unit = f" {self.unit}" if self.unit else ""
+            raise ValueError(f"{self.name}: {value:g} is outside {self.minimum:g} .. {self.maximum:g}{unit}")
+        return to_raw(value, self.lsb, self.raw_type.low, self.raw_type.high)
+
+    def decode(self, data: bytes) -> Value:
+        """SI value (list for arrays, bytes for blocks) from the bytes read from the board."""
+        if self.type == "block":
+            return data
+        values = [self.scale(raw) for raw in self.decode_raw(data)]
+        return values[0] if self.count == 1 else values
+
+    def encode(self, value: float | Sequence[float]) -> bytes:
+        """Bytes for the board from an SI value (a sequence for arrays).
+
+        Raises
+        ------
+        ValueError
+            If a value is not finite or outside the limits, or the number of elements is wrong.
+        """
+        values = [value] if isinstance(value, (int, float)) else list(value)
+        self._check_count(len(values))
+        return self.encode_raw([self.to_raw(v) for v in values])
+
+    def _check_count(self, count: int) -> None:
+        if self.type == "block":
+            raise ValueError(f"{self.name}: a block can only be read")
+        if count != self.count:
+            raise ValueError(f"{self.name}: {count} values given, {self.count} expected")
+
+
+def axis_name(axis: int) -> str:
+    """Name of an axis in variable names: ``axis1`` for index 0."""
+    return f"axis{axis + 1}"
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """All variables, enumerations and flag sets of one table."""
+
+    variables: Mapping[str, Variable]
+    enums: Mapping[str, Mapping[str, int]]
+    flags: Mapping[str, tuple[Flag, ...]]
+    bits: Mapping[str, Mapping[str, int]]
+    scales: Mapping[str, Scale]
+    hash: int
+
+    @classmethod
+    def load(cls, path: Path | None = None) -> Catalogue:
+        """Read a table.
+
+        Parameters
+        ----------
+        path : Path, optional
+            Another table than the packaged one.
+
+        Raises
+        ------
+        CatalogueError
+            If the table is not well formed.
+        OSError
+            If the file cannot be read.
+        """
+        source = path or Path(__file__).with_name("variables.toml")
+        try:
+            table = tomllib.loads(source.read_text(encoding="utf-8"))
+        except tomllib.TOMLDecodeError as error:
+            raise CatalogueError(f"{source}: {error}") from error
+        try:
+            return cls.parse(table)
+        except CatalogueError as error:
+            raise CatalogueError(f"{source}: {error}") from None
+
+    @classmethod
+    def parse(cls, table: Mapping[str, Any]) -> Catalogue:
+        """Build a catalogue from the parsed table; see `load`."""
+        scales = {
+            name: Scale(name, entry["unit"], entry.get("full_scale"), entry.get("lsb"))
+            for name, entry in table.get("scales", {}).items()
+        }
+        enums = {name: dict(entries) for name, entries in table.get("enums", {}).items()}
+        flags = {
+            name: tuple(Flag(n, e["bit"], e["cause"], e.get("remedy", "")) for n, e in entries.items())
+            for name, entries in table.get("flags", {}).items()
+        }
+        bits = {name: dict(entries) for name, entries in table.get("bits", {}).items()}
+        variables: dict[str, Variable] = {}
+        for entry in _expand(table):
+            variable = _variable(entry, scales, enums, flags)
+            if variable.name in variables:
+                raise CatalogueError(f"{variable.name}: named twice")
+            variables[variable.name] = variable
+        return cls(variables, enums, flags, bits, scales, _hash(variables, enums, flags))
+
+    def __getitem__(self, name: str) -> Variable:
+        """Variable by name; a `KeyError` names the closest ones."""
+        try:
+            return self.variables[name]
+        except KeyError:
+            import difflib
+
+            near = difflib.get_close_matches(name, self.variables, n=3)
+            hint = f"; did you mean {', '.join(near)}?" if near else ""
+            raise KeyError(f"no variable {name!r}{hint}") from None
+
+    def label(self, enum: str, raw: int) -> str:
+        """Name of an enumeration value, or the number itself when it has none."""
+        return next((name for name, value in self.enums[enum].items() if value == raw), str(raw))
+
+    def active(self, flags: str, raw: int) -> list[Flag]:
+        """Flags that are set in a flag word."""
+        return [flag for flag in self.flags[flags] if raw & flag.mask]
+
+    def snapshot_variables(self) -> list[Variable]:
+        """Variables that lie in the telemetry block, in the order of the table."""
+        return [v for v in self.variables.values() if v.path.startswith("snapshot.")]
+
+
+def _expand(table: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Entries of the table in order, each ``axis_variable`` once per axis."""
+    entries = [dict(entry) for entry in table.get("variable", [])]
+    for axis in range(AXES):
+        for entry in table.get("axis_variable", []):
+            expanded = dict(entry)
+            expanded["name"] = f"{axis_name(axis)}.{entry['name']}"
+            expanded["path"] = str(entry["path"]).replace("{i}", str(axis))
+            entries.append(expanded)
+    return entries
+
+
+def _variable(
+    entry: Mapping[str, Any],
+    scales: Mapping[str, Scale],
+    enums: Mapping[str, Mapping[str, int]],
+    flags: Mapping[str, tuple[Flag, ...]],
+) -> Variable:
+    name = str(entry.get("name", "?"))
+    unknown = set(entry) - {
+        "name", "path", "type", "count", "scale", "access", "minimum", "maximum", "description", "enum", "flags",
+    }  # fmt: skip
+    if unknown:
+        raise CatalogueError(f"{name}: unknown key {', '.join(sorted(unknown))}")
+    missing = {"name", "path", "type", "description"} - set(entry)
+    if missing:
+        raise CatalogueError(f"{name}: {', '.join(sorted(missing))} missing")
+    type_ = str(entry["type"])
+    if type_ not in _RAW_TYPES:
+        raise CatalogueError(f"{name}: unknown type {type_!r}; known are {', '.join(_RAW_TYPES)}")
+    raw = _RAW_TYPES[type_]
+    if "scale" in entry and entry["scale"] not in scales:
+        raise CatalogueError(f"{name}: unknown scale {entry['scale']!r}")
+    scale = scales[entry["scale"]] if "scale" in entry else Scale("", "", None, 1.0)
+    if raw.fractional != (scale.full_scale is not None):
+        raise CatalogueError(f"{name}: a fraction needs a scale with full_scale, an integer one with lsb")
+    lsb = frac_lsb(scale.full_scale, 8 * raw.size) if scale.full_scale is not None else scale.lsb
+    assert lsb is not None
+    for kind, known in (("enum", enums), ("flags", flags)):
+        if (type_ == kind) != (kind in entry) or (kind in entry and entry[kind] not in known):
+            raise CatalogueError(f"{name}: type {kind!r} needs a key {kind!r} that names one of the table's {kind}")
+    access = str(entry.get("access", "ro"))
+    if access not in ("ro", "rw"):
+        raise CatalogueError(f"{name}: access is {access!r}, not 'ro' or 'rw'")
+    low, high = raw.low * lsb, raw.high * lsb
+    if type_ == "enum":
+        low, high = min(enums[entry["enum"]].values()), max(enums[entry["enum"]].values())
+    minimum, maximum = float(entry.get("minimum", low)), float(entry.get("maximum", high))
+    if not low - lsb <= minimum <= maximum <= high + lsb:
+        raise CatalogueError(f"{name}: limits {minimum:g} .. {maximum:g} do not fit {low:g} .. {high:g}")
+    return Variable(
+        name, str(entry["path"]), type_, int(entry.get("count", 1)), lsb, scale.unit, scale.full_scale, access,
+        minimum, maximum, str(entry["description"]), entry.get("enum"), entry.get("flags"),
+    )  # fmt: skip
+
+
+def _hash(
+    variables: Mapping[str, Variable],
+    enums: Mapping[str, Mapping[str, int]],
+    flags: Mapping[str, tuple[Flag, ...]],
+) -> int:
+    """CRC-32 of everything that changes what a number on the wire means; texts for people do not count."""
+    lines = [f"{v.name} {v.type} {v.count} {v.lsb!r} {v.unit} {v.access} {v.enum} {v.flags}" for v in variables.values()]
+    lines += [f"{name} {sorted(entries.items(), key=lambda e: e[1])}" for name, entries in sorted(enums.items())]
+    lines += [f"{name} {[(f.name, f.bit) for f in entries]}" for name, entries in sorted(flags.items())]
+    return zlib.crc32("\n".join(lines).encode())

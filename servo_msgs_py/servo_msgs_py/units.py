@@ -1,0 +1,98 @@
+"""Fractional formats of the firmware and SI units.
+
+The controller computes in Q1.15 and Q1.31 fractions of a full scale (DRM 4.1, 4.2); everything else computes in SI.
+These functions are the only place where one becomes the other.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+__all__ = [
+    "COUNTS_PER_TURN",
+    "PERIOD_NS",
+    "SLOW_PERIODS",
+    "counts_to_rad",
+    "frac_lsb",
+    "rad_to_counts",
+    "rpm",
+    "to_raw",
+    "unwrap_u32",
+]
+
+COUNTS_PER_TURN: Final = 4000
+"""Counts per mechanical turn of a 1000-line encoder (DRM 2.4.1)."""
+
+PERIOD_NS: Final = 62_500
+"""Length of one PWM period, 16 kHz [ns]."""
+
+SLOW_PERIODS: Final = 8
+"""PWM periods per slow loop (0.5 ms, DRM 2.3.2)."""
+
+
+def frac_lsb(full_scale: float, bits: int) -> float:
+    """Value of one least significant bit of a signed fraction.
+
+    Parameters
+    ----------
+    full_scale : float
+        Value of 1.0, in the unit of the quantity.
+    bits : int
+        Word length: 16 (Q1.15) or 32 (Q1.31).
+    """
+    return math.ldexp(full_scale, 1 - bits)
+
+
+def to_raw(value: float, lsb: float, low: int, high: int) -> int:
+    """Round an SI value to the nearest raw number.
+
+    Parameters
+    ----------
+    value : float
+        Finite value in the unit of `lsb`.
+    lsb : float
+        SI value of one raw unit.
+    low, high : int
+        Smallest and largest number that the raw type can hold.
+
+    Raises
+    ------
+    ValueError
+        If `value` is not finite or lies more than one raw unit outside the range. One unit of grace lets the full
+        scale itself, which a signed fraction misses by one bit, become the largest number.
+    """
+    if not math.isfinite(value):
+        raise ValueError(f"{value!r} is not a finite number")
+    raw = round(value / lsb)
+    if not low - 1 <= raw <= high + 1:
+        raise ValueError(f"{value:g} is outside {low * lsb:g} .. {high * lsb:g}")
+    return min(max(raw, low), high)
+
+
+def counts_to_rad(counts: int) -> float:
+    """Encoder counts [1] to shaft angle [rad]."""
+    return counts * (2.0 * math.pi / COUNTS_PER_TURN)
+
+
+def rad_to_counts(angle: float) -> int:
+    """Shaft angle [rad] to the nearest encoder count [1]."""
+    return round(angle * (COUNTS_PER_TURN / (2.0 * math.pi)))
+
+
+def rpm(speed: float) -> float:
+    """Speed [rad/s] in turns per minute."""
+    return speed * (30.0 / math.pi)
+
+
+def unwrap_u32(raw: int, previous: int) -> int:
+    """Extend a 32-bit counter to an unbounded integer.
+
+    Parameters
+    ----------
+    raw : int
+        New reading, 0 .. 2^32 - 1.
+    previous : int
+        Last extended value; the new one lies within +-2^31 of it.
+    """
+    return previous + ((raw - previous + 0x8000_0000) & 0xFFFF_FFFF) - 0x8000_0000
