@@ -1,0 +1,36 @@
+#include "control/path.h"
+
+#define ONE_COUNT (INT64_C(1) << PATH_BITS)
+
+static path_position_t scaled(path_position_t x, uint16_t omega_n_ts)
+{
+    return asr64(x * omega_n_ts + INT64_C(0x8000), 16);
+}
+
+void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t omega_n_ts)
+{
+    /* In steady motion y(k) - y(k-1) = omega_n Ts m and the ramp leads the output by 2 m. */
+    path->output = position * ONE_COUNT;
+    path->filter = step * 65536 / omega_n_ts;
+    path->ramp = path->output + 2 * path->filter;
+}
+
+void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts)
+{
+    const path_position_t distance = target * ONE_COUNT - path->ramp;
+    if (distance > step_limit) {
+        path->ramp += step_limit;
+    } else if (distance < -step_limit) {
+        path->ramp -= step_limit;
+    } else {
+        path->ramp += distance;
+    }
+    /* E40 */
+    path->filter += scaled(path->ramp - 2 * path->filter - path->output, omega_n_ts);
+    path->output += scaled(path->filter, omega_n_ts);
+}
+
+int32_t path_position(const path_t *path)
+{
+    return (int32_t)asr64(path->output + ONE_COUNT / 2, PATH_BITS);
+}

@@ -1,0 +1,27 @@
+/* path.h - shaping of position set-points: speed-limited ramp, then the second-order filter (DRM 2.6, E38..E40). */
+#ifndef SERVO_CONTROL_PATH_H
+#define SERVO_CONTROL_PATH_H
+
+#include "math/frac.h"
+
+/* Positions in counts with 24 fraction bits. With 16 the filter would stop several counts short of its target. */
+#define PATH_BITS 24
+typedef int64_t path_position_t;
+
+typedef struct {
+    path_position_t ramp;   /* x(k) */
+    path_position_t filter; /* m(k) */
+    path_position_t output; /* y(k) */
+} path_t;
+
+/* Start at a position [counts] in steady motion with `step` [counts with 24 fraction bits per slow tick]; omega_n_ts is
+ * omega_n Ts in Q0.16, not zero. */
+void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t omega_n_ts);
+
+/* One slow tick towards `target` [counts], the ramp moving at most `step_limit` (24 fraction bits). */
+void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts);
+
+/* Output in whole counts, rounded. */
+int32_t path_position(const path_t *path);
+
+#endif

@@ -1,0 +1,117 @@
+/* frac.h - Q1.15 and Q1.31 fractions with the rounding and saturation of the DSC's arithmetic unit.
+ *
+ * frac16_t is the fraction raw / 2^15, frac32_t is raw / 2^31; both cover [-1, 1). Nothing here depends on the width of
+ * `int`: products are widened before they are formed, and right shifts of negative numbers go through asr16/32/64.
+ */
+#ifndef SERVO_MATH_FRAC_H
+#define SERVO_MATH_FRAC_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef int16_t frac16_t;
+typedef int32_t frac32_t;
+
+/* A gain between -128 and 128 with a fixed scale: raw / 2^24. */
+typedef int32_t gain_t;
+#define GAIN_BITS 24
+
+#define FRAC16_MAX INT16_MAX
+#define FRAC16_MIN INT16_MIN
+#define FRAC32_MAX INT32_MAX
+#define FRAC32_MIN INT32_MIN
+
+/* Shift right and round towards minus infinity. C99 leaves the right shift of a negative number to the compiler; this
+ * form is defined everywhere, and compilers make one instruction of it. */
+static inline int32_t asr32(int32_t x, unsigned n)
+{
+    return (x < 0) ? (int32_t)~(~x >> n) : (int32_t)(x >> n);
+}
+
+static inline int64_t asr64(int64_t x, unsigned n)
+{
+    return (x < 0) ? ~(~x >> n) : (x >> n);
+}
+
+/* Saturate to the range of the narrower type. */
+static inline int16_t sat16(int32_t x)
+{
+    if (x > INT16_MAX) {
+        return INT16_MAX;
+    }
+    if (x < INT16_MIN) {
+        return INT16_MIN;
+    }
+    return (int16_t)x;
+}
+
+static inline int32_t sat32(int64_t x)
+{
+    if (x > INT32_MAX) {
+        return INT32_MAX;
+    }
+    if (x < INT32_MIN) {
+        return INT32_MIN;
+    }
+    return (int32_t)x;
+}
+
+/* Limit to [-limit, limit]; limit >= 0. */
+static inline frac16_t f16_limit(int32_t x, frac16_t limit)
+{
+    if (x > limit) {
+        return limit;
+    }
+    if (x < -(int32_t)limit) {
+        return (frac16_t)-limit;
+    }
+    return (frac16_t)x;
+}
+
+static inline frac32_t f32_limit(int64_t x, frac32_t limit)
+{
+    if (x > limit) {
+        return limit;
+    }
+    if (x < -(int64_t)limit) {
+        return -limit;
+    }
+    return (frac32_t)x;
+}
+
+static inline frac16_t f16_add(frac16_t a, frac16_t b) { return sat16((int32_t)a + b); }
+static inline frac16_t f16_sub(frac16_t a, frac16_t b) { return sat16((int32_t)a - b); }
+static inline frac16_t f16_neg(frac16_t a) { return sat16(-(int32_t)a); }
+static inline frac16_t f16_abs(frac16_t a) { return (a < 0) ? f16_neg(a) : a; }
+
+static inline frac32_t f32_add(frac32_t a, frac32_t b) { return sat32((int64_t)a + b); }
+static inline frac32_t f32_sub(frac32_t a, frac32_t b) { return sat32((int64_t)a - b); }
+static inline frac32_t f32_abs(frac32_t a) { return (a < 0) ? sat32(-(int64_t)a) : a; }
+
+/* Angles wrap: the sum of two angles in [-pi, pi) is taken modulo 2 pi. */
+static inline frac16_t f16_add_wrap(frac16_t a, frac16_t b) { return (frac16_t)(uint16_t)((uint16_t)a + (uint16_t)b); }
+static inline frac16_t f16_sub_wrap(frac16_t a, frac16_t b) { return (frac16_t)(uint16_t)((uint16_t)a - (uint16_t)b); }
+static inline int32_t i32_sub_wrap(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
+static inline int32_t i32_add_wrap(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
+
+/* Rounded product; (-1) x (-1) saturates (DSC: MPYR with saturation). */
+static inline frac16_t f16_mul(frac16_t a, frac16_t b) { return sat16(asr32((int32_t)a * b + INT32_C(0x4000), 15)); }
+
+/* Full product Q1.15 x Q1.15 -> Q1.31; (-1) x (-1) saturates (DSC: MPY). */
+static inline frac32_t f32_mul16(frac16_t a, frac16_t b)
+{
+    const int32_t product = (int32_t)a * b;
+    return (product == INT32_C(0x40000000)) ? FRAC32_MAX : product * 2;
+}
+
+/* Widen without loss, and round back. */
+static inline frac32_t f32_from_f16(frac16_t a) { return (frac32_t)a * INT32_C(65536); }
+static inline frac16_t f16_from_f32(frac32_t a) { return sat16((int32_t)asr64((int64_t)a + INT32_C(0x8000), 16)); }
+
+/* gain x fraction, rounded, saturated. */
+static inline frac32_t f32_gain(frac32_t x, gain_t gain)
+{
+    return sat32(asr64((int64_t)x * gain + (INT64_C(1) << (GAIN_BITS - 1)), GAIN_BITS));
+}
+
+#endif
