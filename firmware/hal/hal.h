@@ -1,0 +1,103 @@
+/* hal.h - what a board gives to the servo, at the meaning of the peripherals.
+ *
+ * Raw ADC codes, compare duties, timer counts and captures, bytes: never "position" or "speed". One port implements
+ * these functions per board (the MC56F84789 with registers, the virtual board on a motor model). Every call carries
+ * the board it is for, so that many boards can live in one process.
+ *
+ * A port calls these entry points of the application (app/servo.h) at the instants of DRM F34:
+ *   servo_m1_isr      t1, after the three conversions of motor 1
+ *   servo_m2_isr      t3, at the end of the scan
+ *   servo_edge_isr    on the captured encoder B edge of an axis, when the interrupt is armed
+ *   servo_background  again and again, below every interrupt
+ */
+#ifndef SERVO_HAL_H
+#define SERVO_HAL_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define HAL_AXES 2
+
+typedef struct hal hal_t; /* the port's own context; the application only passes it on */
+
+/* The two phases whose shunts are sampled; the third current is their negative sum (DRM 2.3.2). */
+typedef enum {
+    PHASE_PAIR_AB = 0,
+    PHASE_PAIR_BC = 1,
+    PHASE_PAIR_CA = 2,
+} phase_pair_t;
+
+/* One parallel conversion: 12-bit right-aligned codes (0..4095) of the first and second phase of a pair. A positive
+ * current into the motor raises the code above mid-scale. */
+typedef struct {
+    uint16_t first;
+    uint16_t second;
+} adc_pair_t;
+
+/* Encoder counter and free-running time stamp (bus clock / 128), both latched by the same B edge (DRM F17). */
+typedef struct {
+    uint16_t count;
+    uint16_t time;
+} edge_capture_t;
+
+/* ---- analogue inputs ------------------------------------------------------------------------------------------ */
+
+/* Choose the pair that the next conversions of `axis` take; both the currents and the offsets follow it. */
+void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair);
+
+/* Codes sampled at the low-side centre of `axis` (phase currents). */
+adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis);
+
+/* Codes sampled at the high-side centre of `axis` (amplifier offsets: no current in the shunts). */
+adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis);
+
+/* Newest code of the bus divider (36.3 V full scale, DRM E46). */
+uint16_t hal_adc_bus(hal_t *hal);
+
+/* ---- inverter -------------------------------------------------------------------------------------------------- */
+
+/* High-side duties of the phases in Q1.15 (0..32767 is 0..100 %); loaded at the next half cycle of the axis. */
+void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c);
+
+/* Let the six switches of `axis` follow the duties, or open all of them at once. */
+void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on);
+
+/* True while the hardware over-current latch of `axis` holds its outputs off. */
+bool hal_break_active(hal_t *hal, uint16_t axis);
+
+/* Release the latch; it latches again at once if the current is still too high. */
+void hal_break_clear(hal_t *hal, uint16_t axis);
+
+/* ---- encoder timers (DRM 2.4, F10) ---------------------------------------------------------------------------- */
+
+/* TMRx0: quadrature count, 0..3999 upwards, 0..-3999 (two's complement) downwards, reload 0 (F12). */
+uint16_t hal_encoder_count(hal_t *hal, uint16_t axis);
+void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
+
+/* TMRx2: emulated index pulses; only ever counts up (F13). */
+uint16_t hal_index_count(hal_t *hal, uint16_t axis);
+
+/* Clear the capture flags of TMRx0/1/3 and arm the B-edge interrupt; the next B edge is latched, later ones are not. */
+void hal_capture_arm(hal_t *hal, uint16_t axis);
+
+/* If a B edge has been latched since arming: store it, disarm the interrupt and return true. A second call before the
+ * next arming returns false. */
+bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture);
+
+/* TMRx3: time since the last latched B edge in units of bus clock / 128; HAL_EDGE_AGE_OVERFLOW once 16 bits are not
+ * enough (F19). */
+#define HAL_EDGE_AGE_OVERFLOW UINT32_C(0x10000)
+uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
+
+/* ---- serial line and watchdog ---------------------------------------------------------------------------------- */
+
+/* Take one received byte; false when there is none. */
+bool hal_serial_get(hal_t *hal, uint8_t *byte);
+
+/* Hand one byte to the transmitter; false when it is still busy. */
+bool hal_serial_put(hal_t *hal, uint8_t byte);
+
+/* Service the watchdog: called once per slow tick, after both fast loops have reported. */
+void hal_watchdog_service(hal_t *hal);
+
+#endif

@@ -1,0 +1,58 @@
+#include "sensing/mt_speed.h"
+
+/* counts x factor / interval as a fraction with 31 bits: two 32-bit divisions instead of one of 64 bits. */
+static frac32_t ratio(int16_t counts, uint32_t factor, uint16_t interval)
+{
+    const uint32_t magnitude = (uint32_t)((counts < 0) ? -(int32_t)counts : (int32_t)counts);
+    const uint32_t scaled = magnitude * factor;
+    const uint32_t whole = scaled / interval;
+    if (whole > UINT32_C(0xFFFF)) {
+        return (counts < 0) ? FRAC32_MIN : FRAC32_MAX;
+    }
+    const uint32_t part = ((scaled % interval) << 15) / interval;
+    const int32_t result = (int32_t)((whole << 15) | part);
+    return (counts < 0) ? -result : result;
+}
+
+void mt_speed_reset(mt_speed_t *mt)
+{
+    mt->last.count = 0;
+    mt->last.time = 0;
+    mt->primed = false;
+    mt->fresh = false;
+    mt->interval = 0;
+    mt->edge_speed = 0;
+    mt->speed = 0;
+}
+
+void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encoder_config_t *encoder,
+                   edge_capture_t capture)
+{
+    const uint16_t interval = (uint16_t)(capture.time - mt->last.time);
+    if (mt->primed && interval != 0U) {
+        const int16_t counts = encoder_difference(encoder, capture.count, mt->last.count);
+        mt->edge_speed = ratio(counts, config->speed_per_ratio, interval);
+        mt->interval = interval;
+    }
+    mt->last = capture;
+    mt->primed = true;
+    mt->fresh = true;
+    mt->speed = mt->edge_speed;
+}
+
+void mt_speed_slow(mt_speed_t *mt, uint32_t age)
+{
+    if (mt->fresh) {
+        mt->fresh = false; /* measured within this loop: nothing is stagnant */
+        return;
+    }
+    if (age >= HAL_EDGE_AGE_OVERFLOW) {
+        /* Below 0.36 rpm: standstill. The next edge starts a new measurement, its interval would be ambiguous. */
+        mt->primed = false;
+        mt->edge_speed = 0;
+        mt->speed = 0;
+    } else if (age > mt->interval) {
+        /* F19: had the shaft kept its speed, an edge would have come after M2. */
+        mt->speed = (frac32_t)((int64_t)mt->edge_speed * mt->interval / (int32_t)age);
+    }
+}
