@@ -1,0 +1,48 @@
+/* axis_config.h - what the controller believes about one axis and about the board, as integers.
+ *
+ * The numbers come from servo.toml through tune.py (servo_config_gen.c): gains from bandwidths and motor data, limits
+ * from volts and amperes. The core never sees a floating-point number.
+ */
+#ifndef SERVO_CONFIG_AXIS_CONFIG_H
+#define SERVO_CONFIG_AXIS_CONFIG_H
+
+#include "control/current_loop.h"
+#include "hal/hal.h"
+#include "sensing/encoder.h"
+#include "sensing/mt_speed.h"
+#include "sensing/rotor_search.h"
+
+typedef struct {
+    current_loop_config_t current_loop;
+    encoder_config_t encoder;
+    mt_speed_config_t mt_speed;
+    rotor_search_config_t rotor_search;
+
+    pi_gains_t speed;           /* speed fraction -> current fraction */
+    int32_t position_gain;      /* speed fraction (31 bits) per count: K_v (DRM E44) */
+    uint16_t path_omega_n_ts;   /* omega_n Ts of E40, 16 fraction bits */
+    int32_t path_step_per_speed; /* counts per slow tick at full-scale speed, 16 fraction bits */
+
+    frac16_t torque_constant;   /* 3/2 p psi_m over 1 N m/A */
+    frac16_t i_q_limit;         /* default of the writable limit */
+    frac32_t speed_limit;       /* default of the writable limit */
+    frac32_t acceleration_limit; /* default of the writable limit: speed per slow tick */
+
+    frac16_t u_dc_most;  /* over-voltage */
+    frac16_t u_dc_least; /* under-voltage */
+    uint16_t offset_tolerance;  /* ADC codes that an amplifier offset may lie off mid-scale */
+    frac16_t offset_duty_least; /* shortest high side during which an offset sample is true */
+
+    uint16_t settle_ticks;    /* slow ticks in INIT until the bus filter has settled */
+    frac32_t stop_speed;      /* below it a withdrawn drive may coast */
+    uint16_t stop_ticks_most; /* slow ticks after the ramp's end until the outputs go off at any speed */
+} axis_config_t;
+
+typedef struct {
+    axis_config_t axis[HAL_AXES];
+    uint16_t host_timeout; /* default of the writable time-out, slow ticks */
+} servo_config_t;
+
+extern const servo_config_t servo_config;
+
+#endif
