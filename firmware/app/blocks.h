@@ -1,0 +1,57 @@
+/* blocks.h - the memory that host and board share: telemetry, commands, parameters (servo_msgs_py/variables.toml). */
+#ifndef SERVO_APP_BLOCKS_H
+#define SERVO_APP_BLOCKS_H
+
+#include "hal/hal.h"
+#include "math/frac.h"
+
+typedef struct {
+    int32_t position;     /* counts */
+    int32_t position_ref; /* counts */
+    frac32_t speed;
+    frac32_t speed_ref;
+    frac16_t i_q;
+    frac16_t i_d;
+    frac16_t i_q_ref;
+    frac16_t u_d;
+    frac16_t u_q;
+    frac16_t theta_e;
+    uint16_t state;
+    uint16_t substate;
+    uint16_t faults;
+    uint16_t limits;
+} axis_snapshot_t;
+
+/* All of it from one slow tick. */
+typedef struct {
+    uint32_t tick;
+    uint32_t applied_tick;
+    uint16_t applied_count;
+    frac16_t u_dc;
+    axis_snapshot_t axis[HAL_AXES];
+} snapshot_t;
+
+/* Written by the host at any time; latched at the start of a slow tick. */
+typedef struct {
+    int32_t position[HAL_AXES];
+    frac32_t speed[HAL_AXES];
+    frac16_t i_q[HAL_AXES];
+    uint16_t mode[HAL_AXES];
+    uint16_t enable[HAL_AXES];
+    uint16_t quick_stop[HAL_AXES];
+    uint16_t clear_faults[HAL_AXES];
+} command_block_t;
+
+typedef struct {
+    frac32_t speed_limit[HAL_AXES];
+    frac32_t acceleration_limit[HAL_AXES];
+    frac16_t i_q_limit[HAL_AXES];
+    uint16_t host_timeout; /* slow ticks */
+} parameter_block_t;
+
+/* What the controller believes about the motors, for the host's conversions. */
+typedef struct {
+    frac16_t torque_constant[HAL_AXES];
+} belief_block_t;
+
+#endif

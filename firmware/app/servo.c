@@ -1,0 +1,220 @@
+#include "app/servo.h"
+
+#include <stddef.h>
+
+#include "app/variables.h"
+#include "drive/motion.h"
+
+#define MOTOR_1 0
+#define MOTOR_2 1
+
+/* ---- the host's requests ------------------------------------------------------------------------------------------ */
+
+static void hold(void *context, bool on)
+{
+    servo_t *servo = (servo_t *)context;
+    servo->held = on;
+}
+
+static void written(void *context, uint16_t offset, uint16_t size)
+{
+    servo_t *servo = (servo_t *)context;
+    const uint16_t begin = (uint16_t)offsetof(servo_t, command);
+    if (offset >= begin && (uint32_t)offset + size <= begin + sizeof servo->command) {
+        latch_mark(&servo->marks, (uint16_t)(offset - begin), size);
+    }
+}
+
+static void write_to_all(servo_t *servo, uint16_t *field, uint16_t value)
+{
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        field[i] = value;
+    }
+    const uint16_t offset = (uint16_t)((uint8_t *)field - (uint8_t *)&servo->command);
+    latch_mark(&servo->marks, offset, (uint16_t)(HAL_AXES * sizeof field[0]));
+}
+
+static uint8_t put_u32(uint8_t *to, uint32_t value)
+{
+    for (uint16_t k = 0; k < 4U; k++) {
+        to[k] = (uint8_t)(value >> (8U * k));
+    }
+    return 4;
+}
+
+static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uint16_t size, uint8_t *result,
+                           uint16_t *result_size)
+{
+    servo_t *servo = (servo_t *)context;
+    (void)args;
+    (void)size;
+    *result_size = 0;
+    switch (code) {
+    case COMMAND_QUICK_STOP:
+        hold(servo, true);
+        write_to_all(servo, servo->command.quick_stop, 1);
+        hold(servo, false);
+        return 0;
+    case COMMAND_CLEAR_FAULTS:
+        hold(servo, true);
+        write_to_all(servo, servo->command.clear_faults, 1);
+        hold(servo, false);
+        return 0;
+    case COMMAND_IDENTIFY:
+        *result_size = put_u32(result, servo->catalogue_hash);
+        *result_size = (uint16_t)(*result_size + put_u32(result + 4, servo->snapshot.tick));
+        return 0;
+    default:
+        return 1; /* unknown to the application */
+    }
+}
+
+/* ---- start ---------------------------------------------------------------------------------------------------------- */
+
+void servo_init(servo_t *servo, hal_t *hal)
+{
+    servo->catalogue_hash = CATALOGUE_HASH;
+    servo->hal = hal;
+    servo->snapshot = (snapshot_t){0};
+    servo->command = (command_block_t){0};
+    servo->parameter.host_timeout = servo_config.host_timeout;
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        const axis_config_t *config = &servo_config.axis[i];
+        axis_init(&servo->axis[i], config, hal, i);
+        servo->parameter.speed_limit[i] = config->speed_limit;
+        servo->parameter.acceleration_limit[i] = config->acceleration_limit;
+        servo->parameter.i_q_limit[i] = config->i_q_limit;
+        servo->belief.torque_constant[i] = config->torque_constant;
+    }
+    servo->tick = 0;
+    servo->slow_tick = false;
+    servo->applied_tick = 0;
+    servo->applied_count = 0;
+    servo->held = false;
+    latch_reset(&servo->marks);
+    servo->host_requests = 0;
+    servo->host_silence = 0;
+    servo->host_seen = false;
+
+    const freemaster_app_t app = {
+        .context = servo,
+        .memory = (uint8_t *)servo,
+        .memory_size = (uint32_t)offsetof(servo_t, hal),
+        .tsa = &servo_variables,
+        .name = "servo",
+        .description = "dual-axis PMSM servo",
+        .version = "servo FreeMASTER 4",
+        .build = "reproducible",
+        .hold = hold,
+        .written = written,
+        .command = app_command,
+    };
+    freemaster_init(&servo->freemaster, &app);
+}
+
+/* ---- parts of the interrupts ------------------------------------------------------------------------------------------ */
+
+static void latch_commands(servo_t *servo)
+{
+    if (servo->held) {
+        latch_skip(servo->axis);
+    } else if (latch_apply(&servo->marks, &servo->command, &servo->parameter, servo->axis)) {
+        servo->applied_tick = servo->tick;
+        servo->applied_count++;
+    }
+}
+
+/* A host that has spoken and falls silent stops both axes; a board that never had one is not supervised. */
+static void supervise_host(servo_t *servo)
+{
+    const uint16_t requests = (uint16_t)servo->freemaster.statistics.requests;
+    if (requests != servo->host_requests) {
+        servo->host_requests = requests;
+        servo->host_silence = 0;
+        servo->host_seen = true;
+    } else if (servo->host_silence < UINT16_MAX) {
+        servo->host_silence++;
+    }
+    if (servo->host_seen && servo->host_silence >= servo->parameter.host_timeout) {
+        for (uint16_t i = 0; i < HAL_AXES; i++) {
+            axis_stop_with(&servo->axis[i], FAULT_HOST_SILENT);
+        }
+    }
+}
+
+static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
+{
+    view->position = axis->feedback.position;
+    view->position_ref = motion_position_ref(axis);
+    view->speed = axis->feedback.speed;
+    view->speed_ref = axis->motion.speed_ref;
+    view->i_q = axis->current.q;
+    view->i_d = axis->current.d;
+    view->i_q_ref = axis->current_ref.q;
+    view->u_d = axis->voltage.d;
+    view->u_q = axis->voltage.q;
+    view->theta_e = axis->feedback.theta_e;
+    view->state = (uint16_t)axis->sm.state;
+    view->substate = (uint16_t)axis->substate;
+    view->faults = axis->faults;
+    view->limits = axis->active_limits;
+}
+
+static void publish_snapshot(servo_t *servo)
+{
+    if (servo->held) {
+        return;
+    }
+    snapshot_t *snapshot = &servo->snapshot;
+    snapshot->tick = servo->tick;
+    snapshot->applied_tick = servo->applied_tick;
+    snapshot->applied_count = servo->applied_count;
+    snapshot->u_dc = servo->axis[MOTOR_1].u_dc;
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        publish_axis(&servo->axis[i], &snapshot->axis[i]);
+    }
+}
+
+/* ---- the timing diagram (DRM F34) --------------------------------------------------------------------------------------- */
+
+/* t0 the ADC has taken the currents of motor 1 and the offsets of motor 2; t1: */
+void servo_m1_isr(servo_t *servo)
+{
+    servo->tick++;
+    servo->slow_tick = (servo->tick % SERVO_SLOW_PERIODS) == 0U;
+    if (servo->slow_tick) {
+        latch_commands(servo);
+        supervise_host(servo);
+        axis_slow(&servo->axis[MOTOR_2]);
+    }
+    axis_fast(&servo->axis[MOTOR_1]);
+}
+
+/* t2 the ADC has taken the currents of motor 2 and the offsets of motor 1; t3: */
+void servo_m2_isr(servo_t *servo)
+{
+    if (servo->slow_tick) {
+        axis_slow(&servo->axis[MOTOR_1]);
+    }
+    axis_fast(&servo->axis[MOTOR_2]);
+    if (servo->slow_tick) {
+        publish_snapshot(servo);
+        hal_watchdog_service(servo->hal);
+    }
+}
+
+void servo_edge_isr(servo_t *servo, uint16_t axis) { axis_edge(&servo->axis[axis]); }
+
+void servo_break_isr(servo_t *servo, uint16_t axis) { axis_break(&servo->axis[axis]); }
+
+void servo_background(servo_t *servo) { freemaster_poll(&servo->freemaster, servo->hal); }
+
+uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size)
+{
+    return freemaster_read(&servo->freemaster, address, data, size);
+}
+
+uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size)
+{
+    return freemaster_write(&servo->freemaster, address, data, NULL, size);
+}

@@ -1,0 +1,54 @@
+/* servo.h - the application: two axes, the timing diagram, the host's view.
+ *
+ * All state of one board hangs off one servo_t that the caller owns. A port calls the entry points at the instants that
+ * hal/hal.h names.
+ */
+#ifndef SERVO_APP_SERVO_H
+#define SERVO_APP_SERVO_H
+
+#include "app/blocks.h"
+#include "app/latch.h"
+#include "comm/freemaster.h"
+#include "drive/axis.h"
+#include "hal/hal.h"
+
+/* PWM periods per slow loop: 0.5 ms (DRM 2.3.2). */
+#define SERVO_SLOW_PERIODS 8
+
+typedef struct {
+    uint32_t catalogue_hash;
+    snapshot_t snapshot;
+    command_block_t command;
+    parameter_block_t parameter;
+    belief_block_t belief;
+
+    hal_t *hal;
+    axis_t axis[HAL_AXES];
+    uint32_t tick; /* PWM periods since reset */
+    bool slow_tick;
+    uint32_t applied_tick;
+    uint16_t applied_count;
+    volatile bool held; /* the server is copying: neither latch commands nor publish a snapshot */
+    latch_marks_t marks;
+    uint16_t host_requests; /* valid frames seen by the last supervision */
+    uint16_t host_silence;  /* slow ticks since then */
+    bool host_seen;         /* there has been a host at all */
+    freemaster_t freemaster;
+} servo_t;
+
+void servo_init(servo_t *servo, hal_t *hal);
+
+/* Interrupts: t1 and t3 of DRM F34, a latched encoder edge, the hardware over-current break. */
+void servo_m1_isr(servo_t *servo);
+void servo_m2_isr(servo_t *servo);
+void servo_edge_isr(servo_t *servo, uint16_t axis);
+void servo_break_isr(servo_t *servo, uint16_t axis);
+
+/* Below all interrupts, again and again. */
+void servo_background(servo_t *servo);
+
+/* The host's view without a serial line: as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. */
+uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
+uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
+
+#endif

@@ -1,0 +1,121 @@
+/* axis.c - what every state of an axis has in common: measuring, supervising, withdrawing and clearing. */
+#include "drive/axis.h"
+
+#include "drive/axis_states.h"
+
+#define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
+#define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
+
+void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index)
+{
+    axis->config = config;
+    axis->hal = hal;
+    axis->index = index;
+    axis->source = &encoder_feedback;
+    axis->faults = 0;
+    axis->limits.speed = config->speed_limit;
+    axis->limits.acceleration = config->acceleration_limit;
+    axis->limits.i_q = config->i_q_limit;
+    axis->command = (axis_command_t){0};
+    axis->feedback = (feedback_t){0};
+    axis->search = (rotor_search_t){0};
+    axis->motion = (motion_state_t){0};
+    axis->calibrated = false;
+    axis->u_dc_filter = 0;
+    axis->u_dc = 0;
+    current_sense_reset(&axis->sense);
+    hal_pwm_enable(hal, index, false);
+    hal_adc_select(hal, index, axis->sense.pair);
+    axis->source->reset(axis);
+    axis_states_init(axis);
+}
+
+void axis_raise(axis_t *axis, uint16_t faults)
+{
+    if (faults != 0U) {
+        axis->faults = (uint16_t)(axis->faults | faults);
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT);
+    }
+}
+
+void axis_stop_with(axis_t *axis, uint16_t faults)
+{
+    if (axis->requested) {
+        axis->requested = false;
+        axis->stop_faults = (uint16_t)(axis->stop_faults | faults);
+    }
+}
+
+static void filter_bus(axis_t *axis)
+{
+    const frac32_t sample = (frac32_t)((uint32_t)hal_adc_bus(axis->hal) << (BUS_CODE_SHIFT + 16));
+    axis->u_dc_filter += asr32(sample - axis->u_dc_filter, U_DC_FILTER_SHIFT);
+    axis->u_dc = f16_from_f32(axis->u_dc_filter);
+}
+
+/* Faults whose cause is there now. */
+static uint16_t present_faults(const axis_t *axis)
+{
+    uint16_t faults = 0;
+    if (axis->u_dc > axis->config->u_dc_most) {
+        faults = (uint16_t)(faults | FAULT_OVER_VOLTAGE);
+    }
+    if (axis->u_dc < axis->config->u_dc_least && axis->sm.state != STATE_INIT) {
+        faults = (uint16_t)(faults | FAULT_UNDER_VOLTAGE); /* in INIT the filter still settles */
+    }
+    if (hal_break_active(axis->hal, axis->index)) {
+        faults = (uint16_t)(faults | FAULT_OVER_CURRENT);
+    }
+    return faults;
+}
+
+void axis_fast(axis_t *axis)
+{
+    filter_bus(axis);
+    axis->source->fast(axis);
+    axis_raise(axis, present_faults(axis) & (uint16_t)~axis->faults);
+    axis->loop = LOOP_FAST;
+    sm_step(&axis->sm, axis);
+}
+
+/* A written enable asks for the drive, a written 0 withdraws it; a fault forgets it. */
+static void take_requests(axis_t *axis)
+{
+    const axis_command_t *command = &axis->command;
+    if (axis->sm.state == STATE_FAULT) {
+        axis->requested = false;
+        axis->stop_faults = 0;
+    } else if (command->fresh_enable) {
+        axis->requested = command->enable && axis->stop_faults == 0U;
+    }
+    if (command->clear_faults && axis->sm.state == STATE_FAULT) {
+        hal_break_clear(axis->hal, axis->index);
+        axis->faults = present_faults(axis);
+        if (axis->faults == 0U) {
+            axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT_CLEAR);
+        }
+    }
+}
+
+void axis_slow(axis_t *axis)
+{
+    axis->active_limits = axis->command.clipped ? LIMIT_SETPOINT : 0U;
+    if (!axis->source->slow(axis)) {
+        axis_raise(axis, FAULT_ENCODER);
+    }
+    take_requests(axis);
+    if (axis->stop_faults != 0U && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {
+        axis_raise(axis, axis->stop_faults); /* ramped down: now the reason becomes a fault */
+        axis->stop_faults = 0;
+    }
+    axis->loop = LOOP_SLOW;
+    sm_step(&axis->sm, axis);
+}
+
+void axis_edge(axis_t *axis) { axis->source->edge(axis); }
+
+void axis_break(axis_t *axis)
+{
+    hal_pwm_enable(axis->hal, axis->index, false);
+    axis_raise(axis, FAULT_OVER_CURRENT);
+}

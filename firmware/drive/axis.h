@@ -1,0 +1,118 @@
+/* axis.h - one motor: its state machines, feedback, controllers, limits and faults (DRM 4.4, 4.5).
+ *
+ * The same code drives every axis; what differs is in the axis_config_t. The application calls axis_slow and axis_fast
+ * at the instants of DRM F34 and hands on the commands that it has latched for the tick.
+ */
+#ifndef SERVO_DRIVE_AXIS_H
+#define SERVO_DRIVE_AXIS_H
+
+#include "config/axis_config.h"
+#include "control/path.h"
+#include "drive/current_sense.h"
+#include "drive/feedback.h"
+#include "drive/state_machine.h"
+#include "hal/hal.h"
+
+typedef enum {
+    LOOP_FAST,
+    LOOP_SLOW,
+} axis_loop_t;
+
+/* What the host asks of an axis, latched once per slow tick. The `fresh_` marks tell what was written since the last
+ * tick: a set-point or an enable takes effect by being written, never by standing in memory. */
+typedef struct {
+    int32_t position; /* counts */
+    frac32_t speed;
+    frac16_t i_q;
+    uint16_t mode; /* control_mode_t */
+    bool enable;
+    bool quick_stop;
+    bool clear_faults;
+    bool fresh_position;
+    bool fresh_speed;
+    bool fresh_i_q;
+    bool fresh_mode;
+    bool fresh_enable;
+    bool fresh_quick_stop;
+    bool clipped; /* a set-point had to be clipped */
+} axis_command_t;
+
+typedef struct {
+    frac32_t speed;
+    frac32_t acceleration; /* speed per slow tick */
+    frac16_t i_q;
+} axis_limits_t;
+
+/* What the shaft is being made to do while the axis spins. */
+typedef enum {
+    MOTION_POSITION, /* follow the shaped position set-point */
+    MOTION_SPEED,    /* follow the ramped speed set-point */
+    MOTION_TORQUE,   /* follow the current set-point within the speed limit */
+    MOTION_STOP,     /* ramp down at the limit; then hold */
+} motion_t;
+
+typedef struct {
+    motion_t motion;
+    int32_t target;       /* position set-point, counts */
+    frac32_t speed_target;
+    frac16_t i_q_target;
+    path_t path;
+    frac32_t speed_ramp;
+    pi_state_t speed_pi;
+    frac32_t speed_ref;
+    uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
+} motion_state_t;
+
+typedef struct axis {
+    const axis_config_t *config;
+    hal_t *hal;
+    uint16_t index;
+
+    sm_t sm;
+    substate_t substate;
+    axis_loop_t loop; /* which of a sub-state's two functions runs */
+
+    axis_command_t command;
+    axis_limits_t limits;
+    bool requested;         /* the drive is wanted: enable was written and nothing has withdrawn it */
+    uint16_t stop_faults;   /* faults to raise once the axis has been ramped down */
+    uint16_t faults;        /* captured faults */
+    uint16_t active_limits; /* LIMIT_ bits of the last slow tick */
+    uint16_t ticks;         /* slow ticks in this state */
+
+    const feedback_source_t *source;
+    encoder_feedback_t encoder;
+    feedback_t feedback;
+
+    current_sense_t sense;
+    frac32_t u_dc_filter;
+    frac16_t u_dc; /* filtered bus voltage */
+    bool calibrated;
+    rotor_search_t search;
+    current_loop_t current_loop;
+    dq_t current_ref;
+    dq_t current;
+    dq_t voltage;
+    bool voltage_limited;
+    motion_state_t motion;
+} axis_t;
+
+void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index);
+
+/* Every PWM period, after the conversions of this axis. */
+void axis_fast(axis_t *axis);
+
+/* Every slow tick; `axis->command` and `axis->limits` hold what is valid for this tick. */
+void axis_slow(axis_t *axis);
+
+/* Edge and break interrupts. */
+void axis_edge(axis_t *axis);
+void axis_break(axis_t *axis);
+
+/* Capture faults: the outputs go off with the next call of the state machine. */
+void axis_raise(axis_t *axis, uint16_t faults);
+
+/* Ramp down, then raise `faults` (host silence). */
+void axis_stop_with(axis_t *axis, uint16_t faults);
+
+#endif

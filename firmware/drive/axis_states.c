@@ -1,0 +1,110 @@
+/* axis_states.c - main states FAULT, INIT, STOP, RUN and their transitions (DRM 4.5). */
+#include "drive/axis_states.h"
+
+#define DUTY_HALF INT16_C(16384)
+
+void axis_zero_voltage(axis_t *axis, bool outputs_on)
+{
+    axis->sense.duty = (abc_t){DUTY_HALF, DUTY_HALF, DUTY_HALF};
+    hal_pwm_duty(axis->hal, axis->index, DUTY_HALF, DUTY_HALF, DUTY_HALF);
+    hal_pwm_enable(axis->hal, axis->index, outputs_on);
+    current_loop_reset(&axis->current_loop);
+    axis->current_ref = (dq_t){0, 0};
+    axis->current = (dq_t){0, 0};
+    axis->voltage = (dq_t){0, 0};
+    axis->voltage_limited = false;
+    axis->motion.motion = MOTION_STOP;
+    axis->motion.speed_ref = 0;
+}
+
+static bool slow_loop(const axis_t *axis) { return axis->loop == LOOP_SLOW; }
+
+/* ---- states --------------------------------------------------------------------------------------------------- */
+
+static void state_fault(axis_t *axis) { hal_pwm_enable(axis->hal, axis->index, false); }
+
+static void state_init(axis_t *axis)
+{
+    if (!slow_loop(axis)) {
+        return;
+    }
+    axis->ticks++;
+    if (axis->ticks >= axis->config->settle_ticks) {
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_INIT_DONE);
+    }
+}
+
+static void state_stop(axis_t *axis)
+{
+    if (slow_loop(axis) && axis->requested) {
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_START);
+    }
+}
+
+static void state_run(axis_t *axis)
+{
+    run_state_step(axis);
+    if (slow_loop(axis) && !axis->requested) {
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_STOP);
+    }
+}
+
+/* ---- transitions ---------------------------------------------------------------------------------------------- */
+
+static void off(axis_t *axis)
+{
+    axis_zero_voltage(axis, false);
+    axis->requested = false;
+}
+
+static void fault_init(axis_t *axis) { axis->ticks = 0; }
+
+static void init_stop(axis_t *axis) { axis->ticks = 0; }
+
+static void stop_init(axis_t *axis) { axis->ticks = 0; }
+
+static void stop_run(axis_t *axis)
+{
+    /* The seed switches the outputs on here; CALIB, which follows at once, wants them off. They stay off. */
+    run_state_enter(axis);
+    axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_RUN_ACK);
+}
+
+static void run_stop(axis_t *axis)
+{
+    if (axis->requested) {
+        /* Wanted again before the stop was through. */
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl & (uint16_t)~SM_CTRL_STOP);
+    } else if (run_state_may_leave(axis)) {
+        axis_zero_voltage(axis, false);
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_STOP_ACK);
+    }
+}
+
+static const sm_states_t states = {state_fault, state_init, state_stop, state_run};
+
+static const sm_transitions_t transitions = {
+    .fault_init = fault_init,
+    .init_fault = off,
+    .init_stop = init_stop,
+    .stop_fault = off,
+    .stop_init = stop_init,
+    .stop_run = stop_run,
+    .run_fault = off,
+    .run_stop = run_stop,
+};
+
+void axis_states_init(axis_t *axis)
+{
+    axis->sm.states = &states;
+    axis->sm.transitions = &transitions;
+    axis->sm.ctrl = SM_CTRL_NONE;
+    axis->sm.state = STATE_INIT;
+    axis->substate = SUBSTATE_CALIB;
+    axis->loop = LOOP_SLOW;
+    axis->requested = false;
+    axis->stop_faults = 0;
+    axis->active_limits = 0;
+    axis->ticks = 0;
+    axis_zero_voltage(axis, false);
+}

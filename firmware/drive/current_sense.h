@@ -1,0 +1,40 @@
+/* current_sense.h - three-shunt current reconstruction, offsets, bus voltage (DRM 2.3.2, 4.2, F31, F32). */
+#ifndef SERVO_DRIVE_CURRENT_SENSE_H
+#define SERVO_DRIVE_CURRENT_SENSE_H
+
+#include "control/transforms.h"
+#include "hal/hal.h"
+
+#define SENSE_PHASES 3
+
+/* Samples per phase pair that the offset calibration averages, as a power of two. */
+#define SENSE_CALIBRATION_BITS 8
+
+typedef struct {
+    uint32_t offset[SENSE_PHASES]; /* code of zero current, 16 fraction bits */
+    uint32_t sum[SENSE_PHASES];
+    uint16_t samples;
+    phase_pair_t pair; /* pair that the conversions now waiting belong to */
+    abc_t duty;        /* duties under which they were taken */
+} current_sense_t;
+
+void current_sense_reset(current_sense_t *sense);
+
+/* The pair whose low sides conduct longest in a sector of the SVM. */
+phase_pair_t current_sense_pair(uint16_t sector);
+
+/* Phase currents from the codes of the present pair; the third is their negative sum. */
+abc_t current_sense_read(const current_sense_t *sense, adc_pair_t codes);
+
+/* Calibration with the outputs off. Feed one sample per PWM period; the function asks for the next pair through
+ * `sense->pair`. True when all offsets are measured. */
+bool current_sense_calibrate(current_sense_t *sense, adc_pair_t codes);
+
+/* True when every offset lies within `tolerance` codes of mid-scale. */
+bool current_sense_offsets_plausible(const current_sense_t *sense, uint16_t tolerance);
+
+/* Follow slow drift from a sample at the high-side centre. The sample is true only when the high side of its phase
+ * conducted long enough, so phases below `duty_least` are left alone. */
+void current_sense_track(current_sense_t *sense, adc_pair_t codes, frac16_t duty_least);
+
+#endif

@@ -1,0 +1,55 @@
+#include "drive/feedback.h"
+
+#include "drive/axis.h"
+
+static void encoder_source_reset(axis_t *axis)
+{
+    encoder_reset(&axis->encoder.position, hal_encoder_count(axis->hal, axis->index),
+                  hal_index_count(axis->hal, axis->index));
+    mt_speed_reset(&axis->encoder.speed);
+    hal_capture_arm(axis->hal, axis->index);
+}
+
+static void encoder_source_fast(axis_t *axis)
+{
+    axis->feedback.theta_e = encoder_theta_e(&axis->config->encoder, hal_encoder_count(axis->hal, axis->index));
+}
+
+static void encoder_source_edge(axis_t *axis)
+{
+    edge_capture_t capture;
+    if (hal_capture_take(axis->hal, axis->index, &capture)) {
+        mt_speed_edge(&axis->encoder.speed, &axis->config->mt_speed, &axis->config->encoder, capture);
+    }
+}
+
+static bool encoder_source_slow(axis_t *axis)
+{
+    /* Read first, then arm: clearing the flags would throw away an edge whose interrupt still waits. */
+    encoder_source_edge(axis);
+    const uint32_t age = hal_edge_age(axis->hal, axis->index);
+    mt_speed_slow(&axis->encoder.speed, age);
+    hal_capture_arm(axis->hal, axis->index);
+
+    const bool consistent =
+        encoder_update(&axis->encoder.position, &axis->config->encoder, hal_encoder_count(axis->hal, axis->index),
+                       hal_index_count(axis->hal, axis->index));
+    axis->feedback.speed = axis->encoder.speed.speed;
+    axis->feedback.position = axis->encoder.position.position;
+    axis->feedback.still = age >= HAL_EDGE_AGE_OVERFLOW;
+    return consistent;
+}
+
+static void encoder_source_align(axis_t *axis, frac16_t theta_e)
+{
+    const uint16_t count = (uint16_t)encoder_count_at(&axis->config->encoder, theta_e);
+    hal_encoder_preset(axis->hal, axis->index, count);
+    encoder_preset(&axis->encoder.position, &axis->config->encoder, count);
+    /* The next captured count does not follow from the last one. */
+    mt_speed_reset(&axis->encoder.speed);
+    hal_capture_arm(axis->hal, axis->index);
+}
+
+const feedback_source_t encoder_feedback = {
+    encoder_source_reset, encoder_source_fast, encoder_source_slow, encoder_source_edge, encoder_source_align,
+};

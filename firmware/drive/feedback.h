@@ -1,0 +1,37 @@
+/* feedback.h - where an axis takes its angle and speed from.
+ *
+ * A source fills the same three numbers whatever it measures: the encoder today, an observer for a sensorless axis. The
+ * controllers know only `feedback_t`.
+ */
+#ifndef SERVO_DRIVE_FEEDBACK_H
+#define SERVO_DRIVE_FEEDBACK_H
+
+#include "sensing/encoder.h"
+#include "sensing/mt_speed.h"
+
+struct axis;
+
+typedef struct {
+    frac16_t theta_e; /* electrical angle at the sampling instant, fast loop */
+    frac32_t speed;   /* mechanical, slow loop */
+    int32_t position; /* multi-turn counts, slow loop */
+    bool still;       /* no movement seen for the source's own longest interval */
+} feedback_t;
+
+typedef struct {
+    void (*reset)(struct axis *axis);
+    void (*fast)(struct axis *axis);               /* theta_e */
+    bool (*slow)(struct axis *axis);               /* speed, position, still; false: the source contradicts itself */
+    void (*edge)(struct axis *axis);               /* edge interrupt */
+    void (*align)(struct axis *axis, frac16_t theta_e); /* the rotor stands at theta_e */
+} feedback_source_t;
+
+/* State of the encoder source. */
+typedef struct {
+    encoder_t position;
+    mt_speed_t speed;
+} encoder_feedback_t;
+
+extern const feedback_source_t encoder_feedback;
+
+#endif

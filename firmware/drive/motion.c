@@ -1,0 +1,212 @@
+#include "drive/motion.h"
+
+/* ---- conversions ------------------------------------------------------------------------------------------------ */
+
+/* Speed as path steps: counts with 24 fraction bits per slow tick. path_step_per_speed has 16, the speed 31. */
+static path_position_t step_of(const axis_t *axis, frac32_t speed)
+{
+    return asr64((int64_t)speed * axis->config->path_step_per_speed, 31 - (PATH_BITS - 16));
+}
+
+/* How far the shaft trails its position set-point at this speed: the position controller is a plain gain. */
+static int32_t lag_of(const axis_t *axis, frac32_t speed) { return speed / axis->config->position_gain; }
+
+/* ---- entering a motion ------------------------------------------------------------------------------------------ */
+
+static void enter_position(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    if (m->motion == MOTION_POSITION) {
+        return;
+    }
+    const frac32_t speed = axis->feedback.speed;
+    path_reset(&m->path, i32_add_wrap(axis->feedback.position, lag_of(axis, speed)), step_of(axis, speed),
+               axis->config->path_omega_n_ts);
+    m->motion = MOTION_POSITION;
+}
+
+static void enter_speed(axis_t *axis)
+{
+    if (axis->motion.motion != MOTION_SPEED) {
+        axis->motion.speed_ramp = axis->feedback.speed;
+        axis->motion.motion = MOTION_SPEED;
+    }
+}
+
+static void enter_stop(axis_t *axis)
+{
+    if (axis->motion.motion != MOTION_STOP) {
+        axis->motion.speed_ramp = axis->feedback.speed;
+        axis->motion.stop_ticks = 0;
+        axis->motion.motion = MOTION_STOP;
+    }
+}
+
+static void hold(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    path_reset(&m->path, axis->feedback.position, 0, axis->config->path_omega_n_ts);
+    m->target = axis->feedback.position;
+    m->motion = MOTION_POSITION;
+}
+
+/* ---- commands --------------------------------------------------------------------------------------------------- */
+
+static bool mode_matches(motion_t motion, uint16_t mode)
+{
+    return (motion == MOTION_POSITION && mode == CONTROL_MODE_POSITION) ||
+           (motion == MOTION_SPEED && mode == CONTROL_MODE_SPEED) ||
+           (motion == MOTION_TORQUE && mode == CONTROL_MODE_TORQUE);
+}
+
+/* A new mode without a set-point brings the axis to rest, or without current in torque mode. */
+static void take_mode(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    if (mode_matches(m->motion, axis->command.mode)) {
+        return;
+    }
+    if (axis->command.mode == CONTROL_MODE_SPEED) {
+        m->speed_target = 0;
+        enter_speed(axis);
+    } else if (axis->command.mode == CONTROL_MODE_TORQUE) {
+        m->i_q_target = 0;
+        m->motion = MOTION_TORQUE;
+    } else {
+        enter_stop(axis);
+    }
+}
+
+static void take_commands(axis_t *axis)
+{
+    const axis_command_t *command = &axis->command;
+    motion_state_t *m = &axis->motion;
+    if (!axis->requested || command->quick_stop) {
+        const bool holds = axis->requested && m->motion == MOTION_POSITION && !command->fresh_quick_stop;
+        if (!holds) {
+            enter_stop(axis);
+        }
+        return;
+    }
+    if (command->fresh_mode) {
+        take_mode(axis);
+    }
+    if (command->fresh_position && command->mode == CONTROL_MODE_POSITION) {
+        enter_position(axis);
+        m->target = command->position;
+    }
+    if (command->fresh_speed && command->mode == CONTROL_MODE_SPEED) {
+        enter_speed(axis);
+        m->speed_target = command->speed;
+    }
+    if (command->fresh_i_q && command->mode == CONTROL_MODE_TORQUE) {
+        m->motion = MOTION_TORQUE;
+        m->i_q_target = command->i_q;
+    }
+}
+
+/* ---- controllers ------------------------------------------------------------------------------------------------ */
+
+static frac32_t limited_speed(axis_t *axis, int64_t speed)
+{
+    const frac32_t limited = f32_limit(speed, axis->limits.speed);
+    if (limited != speed) {
+        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_SPEED);
+    }
+    return limited;
+}
+
+/* F26: proportional only, because no overshoot is allowed (E42..E45). */
+static frac32_t position_controller(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    path_step(&m->path, m->target, step_of(axis, axis->limits.speed), axis->config->path_omega_n_ts);
+    const int64_t error = m->path.output - ((int64_t)axis->feedback.position * (INT64_C(1) << PATH_BITS));
+    const frac32_t error_q8 = sat32(asr64(error, PATH_BITS - 8));
+    return limited_speed(axis, asr64((int64_t)error_q8 * axis->config->position_gain, 8));
+}
+
+static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
+{
+    return f32_add(from, f32_limit((int64_t)to - from, step));
+}
+
+static frac16_t speed_controller(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
+    const frac32_t i_q = pi_step(&m->speed_pi, &axis->config->speed, error, 0, f32_from_f16(axis->limits.i_q));
+    if (m->speed_pi.excess != 0) {
+        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_CURRENT);
+    }
+    return f16_from_f32(i_q);
+}
+
+/* Torque within the speed limit: near it the proportional part of the speed controller takes the current back. */
+static frac16_t torque_controller(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const gain_t kp = axis->config->speed.kp;
+    const frac32_t most = f32_gain(f32_sub(axis->limits.speed, axis->feedback.speed), kp);
+    const frac32_t least = f32_gain(f32_sub(-axis->limits.speed, axis->feedback.speed), kp);
+    int64_t i_q = f32_from_f16(f16_limit(m->i_q_target, axis->limits.i_q));
+    if (i_q > most || i_q < least) {
+        i_q = (i_q > most) ? most : least;
+        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_SPEED);
+    }
+    const frac16_t result = f16_limit(f16_from_f32(sat32(i_q)), axis->limits.i_q);
+    m->speed_ref = axis->feedback.speed;
+    pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
+    return result;
+}
+
+void motion_start(axis_t *axis)
+{
+    pi_reset(&axis->motion.speed_pi, 0);
+    axis->motion.speed_target = 0;
+    axis->motion.i_q_target = 0;
+    axis->motion.speed_ref = 0;
+    hold(axis);
+}
+
+void motion_step(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    take_commands(axis);
+    axis->current_ref.d = 0; /* E23 */
+    switch (m->motion) {
+    case MOTION_TORQUE:
+        axis->current_ref.q = torque_controller(axis);
+        return;
+    case MOTION_SPEED:
+        m->speed_ramp = ramp(m->speed_ramp, limited_speed(axis, m->speed_target), axis->limits.acceleration);
+        m->speed_ref = m->speed_ramp;
+        break;
+    case MOTION_STOP:
+        m->speed_ramp = ramp(m->speed_ramp, 0, axis->limits.acceleration);
+        m->speed_ref = m->speed_ramp;
+        if (m->speed_ramp == 0) {
+            m->stop_ticks++;
+            if (axis->requested) {
+                hold(axis);
+            }
+        }
+        break;
+    default:
+        m->speed_ref = position_controller(axis);
+        break;
+    }
+    axis->current_ref.q = speed_controller(axis);
+}
+
+bool motion_stopped(const axis_t *axis)
+{
+    const motion_state_t *m = &axis->motion;
+    const bool slow = f32_abs(axis->feedback.speed) <= axis->config->stop_speed;
+    return m->motion == MOTION_STOP && m->speed_ramp == 0 && (slow || m->stop_ticks >= axis->config->stop_ticks_most);
+}
+
+int32_t motion_position_ref(const axis_t *axis)
+{
+    return (axis->motion.motion == MOTION_POSITION) ? path_position(&axis->motion.path) : axis->feedback.position;
+}

@@ -1,0 +1,208 @@
+/* run_states.c - the sub-states of RUN, each with a fast and a slow function, and their transitions (DRM 4.5, F37). */
+#include "drive/axis_states.h"
+#include "drive/motion.h"
+
+/* ---- common ----------------------------------------------------------------------------------------------------- */
+
+static void choose_pair(axis_t *axis, phase_pair_t pair)
+{
+    axis->sense.pair = pair;
+    hal_adc_select(axis->hal, axis->index, pair);
+}
+
+static void track_offsets(axis_t *axis)
+{
+    current_sense_track(&axis->sense, hal_adc_offsets(axis->hal, axis->index), axis->config->offset_duty_least);
+}
+
+/* Current control with the d axis at `theta_e`. */
+static void drive(axis_t *axis, frac16_t theta_e, frac16_t omega_e)
+{
+    const abc_t current = current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
+    const frac16_t u_dc = sat16((int32_t)hal_adc_bus(axis->hal) * 8); /* unfiltered: it is the ripple that counts */
+    const current_loop_output_t out = current_loop_step(&axis->current_loop, &axis->config->current_loop, current,
+                                                        axis->current_ref, theta_e, omega_e, u_dc);
+    const abc_t duty = out.modulation.duty;
+    hal_pwm_duty(axis->hal, axis->index, duty.a, duty.b, duty.c);
+    axis->sense.duty = duty;
+    choose_pair(axis, current_sense_pair(out.modulation.sector));
+    axis->current = out.current;
+    axis->voltage = out.voltage;
+    axis->voltage_limited = axis->voltage_limited || out.limited;
+}
+
+static void enter(axis_t *axis, substate_t substate)
+{
+    axis->substate = substate;
+    axis->ticks = 0;
+}
+
+/* ---- transitions ------------------------------------------------------------------------------------------------ */
+
+static void calib_ready(axis_t *axis)
+{
+    axis_zero_voltage(axis, true);
+    enter(axis, SUBSTATE_READY);
+}
+
+static void ready_align(axis_t *axis)
+{
+    rotor_search_start(&axis->search, axis->feedback.position);
+    enter(axis, SUBSTATE_ALIGN);
+}
+
+static void align_ready(axis_t *axis)
+{
+    axis_zero_voltage(axis, true);
+    enter(axis, SUBSTATE_READY);
+}
+
+static void align_spin(axis_t *axis)
+{
+    axis_zero_voltage(axis, true);
+    axis->source->align(axis, rotor_search_angle(&axis->search));
+    motion_start(axis);
+    enter(axis, SUBSTATE_SPIN);
+}
+
+static void spin_freewheel(axis_t *axis)
+{
+    axis_zero_voltage(axis, false);
+    enter(axis, SUBSTATE_FREEWHEEL);
+}
+
+static void freewheel_align(axis_t *axis)
+{
+    axis_zero_voltage(axis, true);
+    ready_align(axis);
+}
+
+static void freewheel_ready(axis_t *axis)
+{
+    axis_zero_voltage(axis, true);
+    enter(axis, SUBSTATE_READY);
+}
+
+/* ---- CALIB: offsets of the current amplifiers, outputs off -------------------------------------------------------- */
+
+static void calib_fast(axis_t *axis)
+{
+    if (!axis->calibrated) {
+        axis->calibrated = current_sense_calibrate(&axis->sense, hal_adc_currents(axis->hal, axis->index));
+        choose_pair(axis, axis->sense.pair);
+    }
+}
+
+static void calib_slow(axis_t *axis)
+{
+    if (!axis->calibrated) {
+        return;
+    }
+    if (current_sense_offsets_plausible(&axis->sense, axis->config->offset_tolerance)) {
+        calib_ready(axis);
+    } else {
+        axis_raise(axis, FAULT_CURRENT_OFFSET);
+    }
+}
+
+/* ---- READY: 50 % on every phase, outputs on (electrically a winding short; the seed wants it) ---------------------- */
+
+static void ready_fast(axis_t *axis) { (void)axis; }
+
+static void ready_slow(axis_t *axis)
+{
+    track_offsets(axis);
+    if (axis->requested) {
+        ready_align(axis);
+    }
+}
+
+/* ---- ALIGN: where is the rotor? ----------------------------------------------------------------------------------- */
+
+static void align_fast(axis_t *axis)
+{
+    if (axis->search.phase == ROTOR_SEARCH_PULL) {
+        drive(axis, rotor_search_angle(&axis->search), 0);
+    }
+}
+
+static void align_slow(axis_t *axis)
+{
+    track_offsets(axis);
+    const rotor_search_phase_t before = axis->search.phase;
+    rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
+    axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
+    if (!axis->requested) {
+        align_ready(axis);
+    } else if (axis->search.phase == ROTOR_SEARCH_FAILED) {
+        axis_raise(axis, FAULT_ROTOR_SEARCH);
+    } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
+        align_spin(axis);
+    } else if (before == ROTOR_SEARCH_PULL && axis->search.phase == ROTOR_SEARCH_REST) {
+        axis_zero_voltage(axis, true); /* the shorted windings brake the twitch */
+    }
+}
+
+/* ---- SPIN: field-oriented control ---------------------------------------------------------------------------------- */
+
+static void spin_fast(axis_t *axis)
+{
+    drive(axis, axis->feedback.theta_e, f16_from_f32(axis->feedback.speed));
+}
+
+static void spin_slow(axis_t *axis)
+{
+    track_offsets(axis);
+    motion_step(axis);
+    if (axis->voltage_limited) {
+        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
+        axis->voltage_limited = false;
+    }
+    if (!axis->requested && motion_stopped(axis)) {
+        spin_freewheel(axis);
+    }
+}
+
+/* ---- FREEWHEEL: outputs off until the rotor is still --------------------------------------------------------------- */
+
+static void freewheel_fast(axis_t *axis) { (void)axis; }
+
+static void freewheel_slow(axis_t *axis)
+{
+    if (!axis->feedback.still) {
+        return;
+    }
+    if (axis->requested) {
+        freewheel_align(axis);
+    } else {
+        freewheel_ready(axis);
+    }
+}
+
+/* ---- the table ------------------------------------------------------------------------------------------------------ */
+
+/* STARTUP belongs to a sensorless source. No source that is built in leads there; its row coasts, which is safe. */
+static const axis_function_t run_table[6][2] = {
+    [SUBSTATE_CALIB] = {calib_fast, calib_slow},
+    [SUBSTATE_READY] = {ready_fast, ready_slow},
+    [SUBSTATE_ALIGN] = {align_fast, align_slow},
+    [SUBSTATE_SPIN] = {spin_fast, spin_slow},
+    [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow},
+    [SUBSTATE_STARTUP] = {freewheel_fast, freewheel_slow},
+};
+
+void run_state_step(axis_t *axis) { run_table[axis->substate][axis->loop](axis); }
+
+void run_state_enter(axis_t *axis)
+{
+    axis_zero_voltage(axis, false);
+    current_sense_reset(&axis->sense);
+    axis->calibrated = false;
+    choose_pair(axis, axis->sense.pair);
+    enter(axis, SUBSTATE_CALIB);
+}
+
+bool run_state_may_leave(const axis_t *axis)
+{
+    return axis->substate == SUBSTATE_CALIB || axis->substate == SUBSTATE_READY;
+}

@@ -1,0 +1,55 @@
+/* state_machine.h - the main state machine of one axis (DRM 4.4, F36).
+ *
+ * FAULT -> INIT -> STOP <-> RUN, steered by flags; every transition has a function of its own, called before the state
+ * changes. One machine serves every axis: the owner comes along as a pointer.
+ */
+#ifndef SERVO_DRIVE_STATE_MACHINE_H
+#define SERVO_DRIVE_STATE_MACHINE_H
+
+#include <stdint.h>
+
+#include "config/contract_gen.h"
+
+struct axis;
+
+typedef void (*axis_function_t)(struct axis *axis);
+
+/* Control flags (DRM 4.4). */
+#define SM_CTRL_NONE UINT16_C(0x00)
+#define SM_CTRL_FAULT UINT16_C(0x01)
+#define SM_CTRL_FAULT_CLEAR UINT16_C(0x02)
+#define SM_CTRL_INIT_DONE UINT16_C(0x04)
+#define SM_CTRL_STOP UINT16_C(0x08)
+#define SM_CTRL_START UINT16_C(0x10)
+#define SM_CTRL_STOP_ACK UINT16_C(0x20)
+#define SM_CTRL_RUN_ACK UINT16_C(0x40)
+
+typedef struct {
+    axis_function_t fault;
+    axis_function_t init;
+    axis_function_t stop;
+    axis_function_t run;
+} sm_states_t;
+
+typedef struct {
+    axis_function_t fault_init;
+    axis_function_t init_fault;
+    axis_function_t init_stop;
+    axis_function_t stop_fault;
+    axis_function_t stop_init; /* the seed names it; none of its flags leads here */
+    axis_function_t stop_run;
+    axis_function_t run_fault;
+    axis_function_t run_stop;
+} sm_transitions_t;
+
+typedef struct {
+    const sm_states_t *states;
+    const sm_transitions_t *transitions;
+    uint16_t ctrl; /* control flags */
+    state_t state;
+} sm_t;
+
+/* Call the function of the present state, then make at most one transition. */
+void sm_step(sm_t *sm, struct axis *axis);
+
+#endif
