@@ -48,9 +48,7 @@ class Scales:
             assert value is not None, name
             return value
 
-        return cls(
-            full("bus_voltage"), full("stator_voltage"), full("current"), full("speed"), full("torque_per_amp")
-        )
+        return cls(full("bus_voltage"), full("stator_voltage"), full("current"), full("speed"), full("torque_per_amp"))
 
 
 def fixed(name: str, value: float, fraction_bits: int, low: int, high: int) -> int:
@@ -150,6 +148,9 @@ def axis_literal(axis: Axis, board: Mapping[str, float], s: Scales) -> str:
         ("current_loop.omega_l_q", gain("omega_l_q", omega_e * axis("motor.l_q") * s.i / s.u_s)),
         ("current_loop.omega_psi", gain("omega_psi", omega_e * psi / s.u_s)),
         ("current_loop.angle_step", gain("angle_step", omega_e * ts_fast / math.pi)),
+        ("current_loop.dead_time.duty", frac16("dead_time", board["dead_time"] * board["pwm_frequency"])),
+        ("current_loop.dead_time.v_drop", frac16("switch_drop", board["switch_drop"] / s.u_dc)),
+        ("current_loop.dead_time.slope", gain("sign_current", s.i / axis("sensing.sign_current"))),
         ("current_loop.modulation_limit", frac16("modulation_limit", math.sqrt(0.75) * board["voltage_use"])),
         ("encoder.counts", uint16("counts", counts)),
         ("encoder.pole_pairs", uint16("pole_pairs", p)),

@@ -2,6 +2,7 @@
 #ifndef SERVO_CONTROL_CURRENT_LOOP_H
 #define SERVO_CONTROL_CURRENT_LOOP_H
 
+#include "control/dead_time.h"
 #include "control/pi.h"
 #include "control/svm.h"
 
@@ -12,6 +13,7 @@ typedef struct {
     gain_t omega_l_q;  /* the same with L_q: DRM E20/E21 write one L_s, the rotor has two */
     gain_t omega_psi;  /* omega_e psi_m */
     gain_t angle_step; /* electrical angle per PWM period at full-scale speed */
+    dead_time_config_t dead_time;
     frac16_t modulation_limit; /* longest voltage over 2/3 u_dc; below sqrt(3)/2 so that two low sides stay measurable */
 } current_loop_config_t;
 

@@ -21,6 +21,9 @@ void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t o
 /* One slow tick towards `target` [counts], the ramp moving at most `step_limit` (24 fraction bits). */
 void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts);
 
+/* True when the output is within half a count of `target` and no longer on its way. */
+bool path_at_rest(const path_t *path, int32_t target);
+
 /* Output in whole counts, rounded. */
 int32_t path_position(const path_t *path);
 

@@ -7,6 +7,8 @@ static void encoder_source_reset(axis_t *axis)
     encoder_reset(&axis->encoder.position, hal_encoder_count(axis->hal, axis->index),
                   hal_index_count(axis->hal, axis->index));
     mt_speed_reset(&axis->encoder.speed);
+    axis->encoder.edge_waits = false;
+    axis->encoder.found = false;
     hal_capture_arm(axis->hal, axis->index);
 }
 
@@ -19,14 +21,19 @@ static void encoder_source_edge(axis_t *axis)
 {
     edge_capture_t capture;
     if (hal_capture_take(axis->hal, axis->index, &capture)) {
-        mt_speed_edge(&axis->encoder.speed, &axis->config->mt_speed, &axis->config->encoder, capture);
+        axis->encoder.edge = capture;
+        axis->encoder.edge_waits = true;
     }
 }
 
 static bool encoder_source_slow(axis_t *axis)
 {
-    /* Read first, then arm: clearing the flags would throw away an edge whose interrupt still waits. */
+    /* Read first, then arm: clearing the flags would throw away an edge whose interrupt is still pending. */
     encoder_source_edge(axis);
+    if (axis->encoder.edge_waits) {
+        axis->encoder.edge_waits = false;
+        mt_speed_edge(&axis->encoder.speed, &axis->config->mt_speed, &axis->config->encoder, axis->encoder.edge);
+    }
     const uint32_t age = hal_edge_age(axis->hal, axis->index);
     mt_speed_slow(&axis->encoder.speed, age);
     hal_capture_arm(axis->hal, axis->index);
@@ -44,9 +51,16 @@ static void encoder_source_align(axis_t *axis, frac16_t theta_e)
 {
     const uint16_t count = (uint16_t)encoder_count_at(&axis->config->encoder, theta_e);
     hal_encoder_preset(axis->hal, axis->index, count);
-    encoder_preset(&axis->encoder.position, &axis->config->encoder, count);
+    if (axis->encoder.found) {
+        encoder_preset(&axis->encoder.position, &axis->config->encoder, count); /* turns survive a new alignment */
+    } else {
+        encoder_reset(&axis->encoder.position, count, hal_index_count(axis->hal, axis->index));
+        axis->encoder.found = true;
+    }
+    axis->feedback.position = axis->encoder.position.position;
     /* The next captured count does not follow from the last one. */
     mt_speed_reset(&axis->encoder.speed);
+    axis->encoder.edge_waits = false;
     hal_capture_arm(axis->hal, axis->index);
 }
 

@@ -26,10 +26,14 @@ typedef struct {
     void (*align)(struct axis *axis, frac16_t theta_e); /* the rotor stands at theta_e */
 } feedback_source_t;
 
-/* State of the encoder source. */
+/* State of the encoder source. The edge interrupt has the lowest priority and may be cut in two by the slow loop, so it
+ * only leaves the latched edge here; the slow loop computes. */
 typedef struct {
     encoder_t position;
     mt_speed_t speed;
+    edge_capture_t edge;
+    volatile bool edge_waits;
+    bool found; /* the rotor has been found before: positions count from there (E41) */
 } encoder_feedback_t;
 
 extern const feedback_source_t encoder_feedback;

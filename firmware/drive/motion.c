@@ -1,5 +1,9 @@
 #include "drive/motion.h"
 
+/* A shaft that rests this close to its target is left alone. Closer than the encoder can tell, the integral part of the
+ * speed controller would hunt against the friction for ever. */
+#define REST_COUNTS 1
+
 /* ---- conversions ------------------------------------------------------------------------------------------------ */
 
 /* Speed as path steps: counts with 24 fraction bits per slow tick. path_step_per_speed has 16, the speed 31. */
@@ -121,6 +125,12 @@ static frac32_t position_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     path_step(&m->path, m->target, step_of(axis, axis->limits.speed), axis->config->path_omega_n_ts);
+    if (path_at_rest(&m->path, m->target)) {
+        const int32_t off = i32_sub_wrap(m->target, axis->feedback.position);
+        if (off <= REST_COUNTS && off >= -REST_COUNTS) {
+            return 0;
+        }
+    }
     const int64_t error = m->path.output - ((int64_t)axis->feedback.position * (INT64_C(1) << PATH_BITS));
     const frac32_t error_q8 = sat32(asr64(error, PATH_BITS - 8));
     return limited_speed(axis, asr64((int64_t)error_q8 * axis->config->position_gain, 8));

@@ -367,7 +367,9 @@ def _hash(
     flags: Mapping[str, tuple[Flag, ...]],
 ) -> int:
     """CRC-32 of everything that changes what a number on the wire means; texts for people do not count."""
-    lines = [f"{v.name} {v.type} {v.count} {v.lsb!r} {v.unit} {v.access} {v.enum} {v.flags}" for v in variables.values()]
+    lines = [
+        f"{v.name} {v.type} {v.count} {v.lsb!r} {v.unit} {v.access} {v.enum} {v.flags}" for v in variables.values()
+    ]
     lines += [f"{name} {sorted(entries.items(), key=lambda e: e[1])}" for name, entries in sorted(enums.items())]
     lines += [f"{name} {[(f.name, f.bit) for f in entries]}" for name, entries in sorted(flags.items())]
     return zlib.crc32("\n".join(lines).encode())
