@@ -64,8 +64,8 @@ static void apply_axis(const latch_marks_t *marks, command_block_t *block, axis_
     command->fresh_quick_stop = (marks->axes[LATCH_QUICK_STOP] & bit) != 0U;
 
     command->enable = block->enable[i] == 1U;
-    if (command->fresh_enable && command->enable) {
-        block->quick_stop[i] = 0; /* a new enable releases the quick stop */
+    if (command->fresh_enable && command->enable && !command->fresh_quick_stop) {
+        block->quick_stop[i] = 0; /* a later enable releases the quick stop */
     }
     if (command->fresh_mode) {
         command->mode = block->mode[i];

@@ -61,8 +61,10 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
         hold(servo, false);
         return 0;
     case COMMAND_IDENTIFY:
+        hold(servo, true);
         *result_size = put_u32(result, servo->catalogue_hash);
         *result_size = (uint16_t)(*result_size + put_u32(result + 4, servo->snapshot.tick));
+        hold(servo, false);
         return 0;
     default:
         return 1; /* unknown to the application */
@@ -135,7 +137,9 @@ static void supervise_host(servo_t *servo)
     } else if (servo->host_silence < UINT16_MAX) {
         servo->host_silence++;
     }
-    if (servo->host_seen && servo->host_silence >= servo->parameter.host_timeout) {
+    const uint16_t least = (uint16_t)PARAM_HOST_TIMEOUT_MIN;
+    const uint16_t timeout = (servo->parameter.host_timeout < least) ? least : servo->parameter.host_timeout;
+    if (servo->host_seen && servo->host_silence >= timeout) {
         for (uint16_t i = 0; i < HAL_AXES; i++) {
             axis_stop_with(&servo->axis[i], FAULT_HOST_SILENT);
         }
@@ -200,6 +204,7 @@ void servo_m2_isr(servo_t *servo)
     if (servo->slow_tick) {
         publish_snapshot(servo);
         hal_watchdog_service(servo->hal);
+        servo->slow_tick = false; /* until M1 says so again: without M1 the watchdog starves */
     }
 }
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import update
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -77,30 +78,105 @@ def uint16(name: str, value: float) -> int:
     return fixed(name, value, 0, 0, 65535)
 
 
+KEYS: Mapping[str, tuple[str, ...]] = {
+    "board": (
+        "pwm_frequency", "slow_divider", "timer_clock", "over_voltage", "under_voltage", "host_timeout", "dead_time",
+        "switch_drop", "voltage_use",
+    ),
+    "motor": ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia"),
+    "encoder": ("lines",),
+    "limits": ("current", "speed", "acceleration"),
+    "control": (
+        "current_bandwidth", "speed_bandwidth", "speed_ratio", "anti_windup", "position_gain", "path_current_use",
+    ),
+    "rotor_search": ("current", "ramp_time", "hold_time", "rest_time", "move_counts", "interval", "time_most"),
+    "timing": ("settle", "stop_speed", "stop_most"),
+    "sensing": ("sign_current", "offset_tolerance", "offset_duty"),
+}  # fmt: skip
+"""Every group and its keys; a group must have these and no others."""
+
+
+def check_group(where: str, group: str, entries: Mapping[str, Any]) -> dict[str, float]:
+    """A group with exactly its keys, all of them positive numbers.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first entry that is missing, unknown or not a positive number.
+    """
+    if group not in KEYS:
+        raise ConfigError(f"{where} is no group of the configuration; known are {', '.join(KEYS)}")
+    for key in entries.keys() - set(KEYS[group]):
+        raise ConfigError(f"{where}.{key} is unknown; known are {', '.join(KEYS[group])}")
+    for key in KEYS[group]:
+        if key not in entries:
+            raise ConfigError(f"{where}.{key} is missing")
+        value = entries[key]
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0:
+            raise ConfigError(f"{where}.{key} = {value!r}: a positive number is needed")
+    return {key: float(value) for key, value in entries.items()}
+
+
+def check_board(entries: Mapping[str, Any], s: Scales) -> dict[str, float]:
+    """The [board] group; its timing is fixed by the contract.
+
+    Raises
+    ------
+    ConfigError
+        If an entry cannot work.
+    """
+    board = check_group("board", "board", entries)
+    for key, wanted in (("pwm_frequency", 1e9 / PERIOD_NS), ("slow_divider", SLOW_PERIODS)):
+        if board[key] != wanted:
+            raise ConfigError(f"board.{key} = {board[key]:g}: firmware and contract are written for {wanted:g}")
+    if not board["under_voltage"] < board["over_voltage"] < s.u_dc:
+        raise ConfigError(
+            f"board: under_voltage {board['under_voltage']:g} V < over_voltage {board['over_voltage']:g} V"
+            f" < full scale {s.u_dc:g} V does not hold"
+        )
+    if board["voltage_use"] > 1.0:
+        raise ConfigError(f"board.voltage_use = {board['voltage_use']:g}: at most 1, the end of linear modulation")
+    return board
+
+
 @dataclass(frozen=True)
 class Axis:
-    """One axis of the configuration with its groups merged; numbers checked to be positive."""
+    """One axis of the configuration with its groups merged and checked."""
 
     name: str
     groups: Mapping[str, Mapping[str, float]]
 
     @classmethod
     def of(cls, table: Mapping[str, Any], name: str) -> Axis:
-        groups: dict[str, dict[str, float]] = {k: dict(v) for k, v in table["defaults"].items()}
+        if name not in table:
+            raise ConfigError(f"[{name}.motor] is missing")
+        merged: dict[str, dict[str, Any]] = {k: dict(v) for k, v in table.get("defaults", {}).items()}
         for group, entries in table[name].items():
-            groups.setdefault(group, {}).update(entries)
-        for group, entries in groups.items():
-            for key, value in entries.items():
-                if not isinstance(value, (int, float)) or not math.isfinite(value) or value <= 0:
-                    raise ConfigError(f"{name}.{group}.{key} = {value!r}: a positive number is needed")
-        return cls(name, groups)
+            merged.setdefault(group, {}).update(entries)
+        for group in KEYS.keys() - {"board"}:
+            merged.setdefault(group, {})
+        axis = cls(name, {group: check_group(f"{name}.{group}", group, e) for group, e in sorted(merged.items())})
+        axis.check()
+        return axis
+
+    def check(self) -> None:
+        """What a single number cannot tell.
+
+        Raises
+        ------
+        ConfigError
+            If an entry cannot work.
+        """
+        if 4.0 * self("encoder.lines") != COUNTS_PER_TURN:
+            raise ConfigError(f"{self.name}.encoder.lines: the contract counts {COUNTS_PER_TURN} per turn, 4 per line")
+        if self("motor.pole_pairs") % 1.0 != 0.0:
+            raise ConfigError(f"{self.name}.motor.pole_pairs = {self('motor.pole_pairs'):g}: a whole number is needed")
+        if self("control.anti_windup") >= 1.0:
+            raise ConfigError(f"{self.name}.control.anti_windup: Kc of DRM E35 lies between 0 and 1")
 
     def __call__(self, path: str) -> float:
         group, key = path.split(".")
-        try:
-            return float(self.groups[group][key])
-        except KeyError:
-            raise ConfigError(f"{self.name}.{path} is missing") from None
+        return self.groups[group][key]
 
 
 def current_pi(axis: Axis, inductance: float, s: Scales, ts: float) -> tuple[float, float]:
@@ -132,8 +208,6 @@ def axis_literal(axis: Axis, board: Mapping[str, float], s: Scales) -> str:
     k_t = 1.5 * p * psi
     i_limit, v_limit = axis("limits.current"), axis("limits.speed")
     kc = axis("control.anti_windup")
-    if kc >= 1.0:
-        raise ConfigError(f"{axis.name}.control.anti_windup = {kc:g}: Kc of E35 lies between 0 and 1")
     acceleration = k_t * i_limit * axis("control.path_current_use") / axis("motor.inertia")
     omega_n = math.e * acceleration / v_limit  # E40: a speed step v asks for at most v omega_n / e
     search = axis.groups["rotor_search"]
@@ -176,13 +250,31 @@ def axis_literal(axis: Axis, board: Mapping[str, float], s: Scales) -> str:
         ("offset_tolerance", uint16("offset_tolerance", axis("sensing.offset_tolerance"))),
         ("offset_duty_least", frac16("offset_duty", axis("sensing.offset_duty"))),
         ("settle_ticks", uint16("settle", axis("timing.settle") / ts)),
+        ("search_ticks_most", uint16("time_most", search["time_most"] / ts)),
         ("stop_speed", frac32("stop_speed", axis("timing.stop_speed") / s.speed)),
         ("stop_ticks_most", uint16("stop_most", axis("timing.stop_most") / ts)),
     ]
     return "\n".join(f"            .{name} = {value}," for name, value in fields)
 
 
-def source(table: Mapping[str, Any], scales: Scales) -> str:
+def check_limits(axis: Axis, catalogue: Catalogue) -> None:
+    """Defaults must lie within what the contract lets a host write.
+
+    Raises
+    ------
+    ConfigError
+        If one does not.
+    """
+    for key, name in (("current", "i_q_limit"), ("speed", "speed_limit"), ("acceleration", "acceleration_limit")):
+        variable, value = catalogue[f"param.{name}"], axis(f"limits.{key}")
+        if not variable.minimum <= value <= variable.maximum:
+            raise ConfigError(
+                f"{axis.name}.limits.{key} = {value:g} is outside the contract's"
+                f" {variable.minimum:g} .. {variable.maximum:g} {variable.unit}"
+            )
+
+
+def source(table: Mapping[str, Any], catalogue: Catalogue) -> str:
     """Text of ``servo_config_gen.c``.
 
     Raises
@@ -190,9 +282,15 @@ def source(table: Mapping[str, Any], scales: Scales) -> str:
     ConfigError
         If the configuration cannot work.
     """
-    board = table["board"]
+    scales = Scales.of(catalogue)
+    for name in table.keys() - {"board", "defaults", *AXES}:
+        raise ConfigError(f"[{name}] is unknown; known are board, defaults, {', '.join(AXES)}")
+    board = check_board(table.get("board", {}), scales)
     ts = board["slow_divider"] / board["pwm_frequency"]
-    axes = "\n".join(f"        {{\n{axis_literal(Axis.of(table, name), board, scales)}\n        }}," for name in AXES)
+    axis_list = [Axis.of(table, name) for name in AXES]
+    for axis in axis_list:
+        check_limits(axis, catalogue)
+    axes = "\n".join(f"        {{\n{axis_literal(axis, board, scales)}\n        }}," for axis in axis_list)
     return f"""/* Generated by `make generate` from config/servo.toml; edit that file instead. */
 #include "config/axis_config.h"
 
@@ -215,8 +313,8 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     try:
         table = tomllib.loads(args.config.read_text(encoding="utf-8"))
-        text = source(table, Scales.of(Catalogue.load()))
-    except (OSError, tomllib.TOMLDecodeError, ConfigError, KeyError) as error:
+        text = source(table, Catalogue.load())
+    except (OSError, tomllib.TOMLDecodeError, ConfigError) as error:
         print(f"{args.config}: {error}", file=sys.stderr)
         return 1
     stale = update([(args.output, text)], check=args.check)

@@ -9,10 +9,10 @@ static path_position_t scaled(path_position_t x, uint16_t omega_n_ts)
 
 void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t omega_n_ts)
 {
-    /* In steady motion y(k) - y(k-1) = omega_n Ts m and the ramp leads the output by 2 m. */
+    /* In steady motion y(k) - y(k-1) = omega_n Ts m and x(k) = y(k-1) + 2 m; the ramp kept here is x(k-1). */
     path->output = position * ONE_COUNT;
     path->filter = step * 65536 / omega_n_ts;
-    path->ramp = path->output + 2 * path->filter;
+    path->ramp = path->output + 2 * path->filter - step;
 }
 
 void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts)

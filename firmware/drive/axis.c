@@ -73,7 +73,10 @@ void axis_fast(axis_t *axis)
 {
     filter_bus(axis);
     axis->source->fast(axis);
-    axis_raise(axis, present_faults(axis) & (uint16_t)~axis->faults);
+    axis->faults = (uint16_t)(axis->faults | present_faults(axis));
+    if (axis->sm.state != STATE_FAULT) {
+        axis_raise(axis, axis->faults);
+    }
     axis->loop = LOOP_FAST;
     sm_step(&axis->sm, axis);
 }
@@ -116,6 +119,7 @@ void axis_edge(axis_t *axis) { axis->source->edge(axis); }
 
 void axis_break(axis_t *axis)
 {
+    /* The hardware has opened the switches. The fast loop sees its latch and raises the fault; here, above every other
+     * interrupt, nothing else may be touched. */
     hal_pwm_enable(axis->hal, axis->index, false);
-    axis_raise(axis, FAULT_OVER_CURRENT);
 }

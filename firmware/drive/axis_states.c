@@ -57,7 +57,11 @@ static void off(axis_t *axis)
     axis->requested = false;
 }
 
-static void fault_init(axis_t *axis) { axis->ticks = 0; }
+static void fault_init(axis_t *axis)
+{
+    axis->source->resync(axis);
+    axis->ticks = 0;
+}
 
 static void init_stop(axis_t *axis) { axis->ticks = 0; }
 

@@ -159,7 +159,11 @@ static frac16_t torque_controller(axis_t *axis)
     const gain_t kp = axis->config->speed.kp;
     const frac32_t most = f32_gain(f32_sub(axis->limits.speed, axis->feedback.speed), kp);
     const frac32_t least = f32_gain(f32_sub(-axis->limits.speed, axis->feedback.speed), kp);
-    int64_t i_q = f32_from_f16(f16_limit(m->i_q_target, axis->limits.i_q));
+    const frac16_t wanted = f16_limit(m->i_q_target, axis->limits.i_q);
+    if (wanted != m->i_q_target) {
+        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_CURRENT);
+    }
+    int64_t i_q = f32_from_f16(wanted);
     if (i_q > most || i_q < least) {
         i_q = (i_q > most) ? most : least;
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_SPEED);

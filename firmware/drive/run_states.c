@@ -15,6 +15,13 @@ static void track_offsets(axis_t *axis)
     current_sense_track(&axis->sense, hal_adc_offsets(axis->hal, axis->index), axis->config->offset_duty_least);
 }
 
+/* Currents in the rotor frame while nothing is controlled. */
+static void measure(axis_t *axis)
+{
+    const abc_t current = current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
+    axis->current = park(clarke(current), sin_cos(axis->feedback.theta_e));
+}
+
 /* Current control with the d axis at `theta_e`. */
 static void drive(axis_t *axis, frac16_t theta_e, frac16_t omega_e)
 {
@@ -107,7 +114,7 @@ static void calib_slow(axis_t *axis)
 
 /* ---- READY: 50 % on every phase, outputs on (electrically a winding short; the seed wants it) ---------------------- */
 
-static void ready_fast(axis_t *axis) { (void)axis; }
+static void ready_fast(axis_t *axis) { measure(axis); }
 
 static void ready_slow(axis_t *axis)
 {
@@ -131,10 +138,11 @@ static void align_slow(axis_t *axis)
     track_offsets(axis);
     const rotor_search_phase_t before = axis->search.phase;
     rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
+    axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
     if (!axis->requested) {
         align_ready(axis);
-    } else if (axis->search.phase == ROTOR_SEARCH_FAILED) {
+    } else if (axis->search.phase == ROTOR_SEARCH_FAILED || axis->ticks > axis->config->search_ticks_most) {
         axis_raise(axis, FAULT_ROTOR_SEARCH);
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
         align_spin(axis);
@@ -165,10 +173,11 @@ static void spin_slow(axis_t *axis)
 
 /* ---- FREEWHEEL: outputs off until the rotor is still --------------------------------------------------------------- */
 
-static void freewheel_fast(axis_t *axis) { (void)axis; }
+static void freewheel_fast(axis_t *axis) { measure(axis); }
 
 static void freewheel_slow(axis_t *axis)
 {
+    track_offsets(axis);
     if (!axis->feedback.still) {
         return;
     }

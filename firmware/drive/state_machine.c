@@ -11,11 +11,20 @@ static bool take(sm_t *sm, uint16_t flag)
     return true;
 }
 
-/* Requests that do not outlive a fault: the drive never starts again by itself. */
-static void go_to_fault(sm_t *sm)
+/* Call a state's function; a fault, from before or from within, ends in FAULT at once. No request outlives it: the drive
+ * never starts again by itself. */
+static bool run_unless_fault(sm_t *sm, struct axis *axis, axis_function_t state, axis_function_t to_fault)
 {
+    if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
+        state(axis);
+    }
+    if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
+        return true;
+    }
+    to_fault(axis);
     sm->ctrl = SM_CTRL_NONE;
     sm->state = STATE_FAULT;
+    return false;
 }
 
 static void step_fault(sm_t *sm, struct axis *axis)
@@ -31,11 +40,10 @@ static void step_fault(sm_t *sm, struct axis *axis)
 
 static void step_init(sm_t *sm, struct axis *axis)
 {
-    sm->states->init(axis);
-    if (take(sm, SM_CTRL_FAULT)) {
-        sm->transitions->init_fault(axis);
-        go_to_fault(sm);
-    } else if (take(sm, SM_CTRL_INIT_DONE)) {
+    if (!run_unless_fault(sm, axis, sm->states->init, sm->transitions->init_fault)) {
+        return;
+    }
+    if (take(sm, SM_CTRL_INIT_DONE)) {
         sm->transitions->init_stop(axis);
         sm->state = STATE_STOP;
     }
@@ -43,11 +51,10 @@ static void step_init(sm_t *sm, struct axis *axis)
 
 static void step_stop(sm_t *sm, struct axis *axis)
 {
-    sm->states->stop(axis);
-    if (take(sm, SM_CTRL_FAULT)) {
-        sm->transitions->stop_fault(axis);
-        go_to_fault(sm);
-    } else if ((sm->ctrl & SM_CTRL_START) != 0U) {
+    if (!run_unless_fault(sm, axis, sm->states->stop, sm->transitions->stop_fault)) {
+        return;
+    }
+    if ((sm->ctrl & SM_CTRL_START) != 0U) {
         sm->transitions->stop_run(axis);
         if (take(sm, SM_CTRL_RUN_ACK)) {
             (void)take(sm, SM_CTRL_START);
@@ -58,11 +65,10 @@ static void step_stop(sm_t *sm, struct axis *axis)
 
 static void step_run(sm_t *sm, struct axis *axis)
 {
-    sm->states->run(axis);
-    if (take(sm, SM_CTRL_FAULT)) {
-        sm->transitions->run_fault(axis);
-        go_to_fault(sm);
-    } else if ((sm->ctrl & SM_CTRL_STOP) != 0U) {
+    if (!run_unless_fault(sm, axis, sm->states->run, sm->transitions->run_fault)) {
+        return;
+    }
+    if ((sm->ctrl & SM_CTRL_STOP) != 0U) {
         sm->transitions->run_stop(axis);
         if (take(sm, SM_CTRL_STOP_ACK)) {
             (void)take(sm, SM_CTRL_STOP);

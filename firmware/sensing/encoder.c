@@ -67,8 +67,9 @@ bool encoder_update(encoder_t *encoder, const encoder_config_t *config, uint16_t
         }
         encoder->pending = 0;
     } else {
+        const int32_t half = config->counts / 2;
         const int32_t from_zero = (int16_t)count;
-        if (from_zero < config->counts / 2 && from_zero > -(config->counts / 2)) {
+        if (from_zero < half && from_zero > -half) {
             encoder->pending = 0; /* far from the compare values: the shaft did turn back */
         }
     }
@@ -79,6 +80,13 @@ bool encoder_update(encoder_t *encoder, const encoder_config_t *config, uint16_t
     /* E41 in counts */
     encoder->position = i32_sub_wrap(counts_of(encoder, config, count), encoder->count_init);
     return encoder->position == encoder->integral;
+}
+
+void encoder_resync(encoder_t *encoder, const encoder_config_t *config)
+{
+    encoder->count_init = i32_sub_wrap(counts_of(encoder, config, encoder->count), encoder->integral);
+    encoder->position = encoder->integral;
+    encoder->pending = 0;
 }
 
 void encoder_preset(encoder_t *encoder, const encoder_config_t *config, uint16_t count)

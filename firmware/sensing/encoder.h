@@ -35,6 +35,9 @@ void encoder_reset(encoder_t *encoder, uint16_t count, uint16_t index);
 /* One slow loop. False when the index pulses and the count disagree about the turns. */
 bool encoder_update(encoder_t *encoder, const encoder_config_t *config, uint16_t count, uint16_t index);
 
+/* After a disagreement: believe the wrapped differences, which need no index. */
+void encoder_resync(encoder_t *encoder, const encoder_config_t *config);
+
 /* The counter has been preset to `count`: the position stays what it was. */
 void encoder_preset(encoder_t *encoder, const encoder_config_t *config, uint16_t count);
 

@@ -21,6 +21,7 @@ void mt_speed_reset(mt_speed_t *mt)
     mt->primed = false;
     mt->fresh = false;
     mt->interval = 0;
+    mt->waited = 0;
     mt->edge_speed = 0;
     mt->speed = 0;
 }
@@ -29,11 +30,14 @@ void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encode
                    edge_capture_t capture)
 {
     const uint16_t interval = (uint16_t)(capture.time - mt->last.time);
-    if (mt->primed && interval != 0U) {
+    if (mt->primed && interval != 0U && interval >= mt->waited) {
         const int16_t counts = encoder_difference(encoder, capture.count, mt->last.count);
         mt->edge_speed = ratio(counts, config->speed_per_ratio, interval);
         mt->interval = interval;
+    } else {
+        mt->edge_speed = 0; /* no earlier edge, or the 16-bit timer has gone round since it: next to standstill */
     }
+    mt->waited = 0;
     mt->last = capture;
     mt->primed = true;
     mt->fresh = true;
@@ -46,6 +50,7 @@ void mt_speed_slow(mt_speed_t *mt, uint32_t age)
         mt->fresh = false; /* measured within this loop: nothing is stagnant */
         return;
     }
+    mt->waited = age;
     if (age >= HAL_EDGE_AGE_OVERFLOW) {
         /* Below 0.36 rpm: standstill. The next edge starts a new measurement, its interval would be ambiguous. */
         mt->primed = false;

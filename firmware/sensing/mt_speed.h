@@ -14,13 +14,14 @@ typedef struct {
     bool primed;         /* `last` is young enough to measure from */
     bool fresh;          /* an edge was latched since the last slow loop */
     uint16_t interval;   /* M2 of the last speed */
+    uint32_t waited;     /* age of the last edge at the last slow loop that saw no new one */
     frac32_t edge_speed; /* speed between the last two latched edges */
     frac32_t speed;      /* the result */
 } mt_speed_t;
 
 void mt_speed_reset(mt_speed_t *mt);
 
-/* A B edge was latched (edge interrupt). */
+/* A B edge was latched. */
 void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encoder_config_t *encoder,
                    edge_capture_t capture);
 

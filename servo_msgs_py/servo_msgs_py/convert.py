@@ -1,0 +1,270 @@
+"""Variables of the firmware to ROS messages and back.
+
+Pure functions: they need the message classes, but no node and no rclpy. Everything is SI except the raw integers of
+`AppliedCommand`, which are exact so that a twin can replay them bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
+from servo_msgs_py.topics import COMMAND_COLUMNS, COMMAND_VARIABLES
+
+__all__ = [
+    "AppliedCommand",
+    "applied_from_message",
+    "applied_message",
+    "columns",
+    "diagnostic_array",
+    "diagnostic_status",
+    "flag_texts",
+    "from_stamp",
+    "joint_state",
+    "joint_state_from_values",
+    "row",
+    "snapshot_message",
+    "snapshot_table",
+    "state_label",
+    "to_stamp",
+]
+
+_NS: Final = 1_000_000_000
+
+
+# ---- time
+def to_stamp(nanoseconds: int) -> Time:
+    """ROS time stamp of a time since the epoch [ns]."""
+    return Time(sec=nanoseconds // _NS, nanosec=nanoseconds % _NS)
+
+
+def from_stamp(stamp: Time) -> int:
+    """Time since the epoch [ns] of a ROS time stamp."""
+    return int(stamp.sec) * _NS + int(stamp.nanosec)
+
+
+# ---- joint states
+def joint_state(
+    joints: Sequence[str],
+    stamp_ns: int,
+    position: Sequence[float],
+    velocity: Sequence[float] = (),
+    effort: Sequence[float] = (),
+) -> JointState:
+    """Joint states; an array is empty or exactly as long as `joints`.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Joint names.
+    stamp_ns : int
+        Time of the sample since the epoch [ns].
+    position, velocity, effort : sequence of float
+        [rad], [rad/s], [N m].
+
+    Raises
+    ------
+    ValueError
+        If a length is wrong or a number is not finite.
+    """
+    message = JointState(name=list(joints))
+    message.header.stamp = to_stamp(stamp_ns)
+    for field, values in (("position", position), ("velocity", velocity), ("effort", effort)):
+        if len(values) not in (0, len(joints)):
+            raise ValueError(f"{field}: {len(values)} values for {len(joints)} joints")
+        if not all(map(math.isfinite, values)):
+            raise ValueError(f"{field}: {list(values)} holds a number that is not finite")
+        setattr(message, field, array("d", values))
+    return message
+
+
+def joint_state_from_values(
+    joints: Sequence[str],
+    stamp_ns: int,
+    values: Mapping[str, Value],
+    torque_constants: Sequence[float] | None = None,
+) -> JointState:
+    """Joint states of one sample: position [rad], velocity [rad/s], effort = torque constant times i_q [N m].
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Joint names in the order of the axes.
+    stamp_ns : int
+        Time of the sample since the epoch [ns].
+    values : mapping
+        Variable name to SI value; needs ``axisN.position``, ``axisN.speed`` and ``axisN.i_q``.
+    torque_constants : sequence of float, optional
+        Per axis [N m/A]; without them `effort` stays empty.
+    """
+    axes = [axis_name(axis) for axis in range(len(joints))]
+    effort: list[float] = []
+    if torque_constants is not None:
+        effort = [k * _number(values[f"{a}.i_q"]) for k, a in zip(torque_constants, axes, strict=True)]
+    return joint_state(
+        joints,
+        stamp_ns,
+        [_number(values[f"{a}.position"]) for a in axes],
+        [_number(values[f"{a}.speed"]) for a in axes],
+        effort,
+    )
+
+
+def _number(value: Value) -> float:
+    if isinstance(value, (int, float)):
+        return float(value)
+    raise ValueError(f"{value!r} is not a single number")
+
+
+# ---- tables of telemetry
+def columns(variables: Iterable[Variable]) -> list[str]:
+    """Column names of a telemetry table; the elements of an array get an index: ``cmd.position[0]``."""
+    return [
+        variable.name if variable.count == 1 else f"{variable.name}[{k}]"
+        for variable in variables
+        for k in range(variable.count)
+    ]
+
+
+def row(variables: Iterable[Variable], values: Mapping[str, Value]) -> list[float]:
+    """One row of a telemetry table, SI, in the order of `columns`."""
+    numbers: list[float] = []
+    for variable in variables:
+        value = values[variable.name]
+        if isinstance(value, list):
+            numbers.extend(value)
+        else:
+            numbers.append(_number(value))
+    return numbers
+
+
+def snapshot_message(names: Sequence[str], rows: Sequence[Sequence[float]]) -> Float64MultiArray:
+    """Table of telemetry, row-major, one row per sample.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Column names; they travel in ``layout.dim[1].label``, separated by commas.
+    rows : sequence of sequence of float
+        SI values.
+    """
+    width = len(names)
+    flat = array("d")
+    for values in rows:
+        if len(values) != width:
+            raise ValueError(f"a row has {len(values)} values for {width} columns")
+        flat.extend(values)
+    message = Float64MultiArray(data=flat)
+    message.layout.dim = [
+        MultiArrayDimension(label="sample", size=len(rows), stride=len(flat)),
+        MultiArrayDimension(label=",".join(names), size=width, stride=width),
+    ]
+    return message
+
+
+def snapshot_table(message: Float64MultiArray) -> tuple[list[str], NDArray[np.float64]]:
+    """Column names and the table (samples by columns) of a message made by `snapshot_message`.
+
+    Raises
+    ------
+    ValueError
+        If the layout and the data do not fit.
+    """
+    dimensions = message.layout.dim
+    names = dimensions[1].label.split(",") if len(dimensions) == 2 else []
+    if len(dimensions) != 2 or len(names) != dimensions[1].size:
+        raise ValueError("not a telemetry table: two dimensions wanted, the second one labelled with all columns")
+    shape = dimensions[0].size, dimensions[1].size
+    data = np.asarray(message.data, dtype=np.float64)
+    if data.size != shape[0] * shape[1]:
+        raise ValueError(f"a table of {shape[0]} by {shape[1]} with {data.size} numbers")
+    return names, data.reshape(shape)
+
+
+# ---- commands that took effect
+@dataclass(frozen=True)
+class AppliedCommand:
+    """A write to a command variable that took effect in the firmware.
+
+    Attributes
+    ----------
+    variable : str
+        One of `COMMAND_VARIABLES`.
+    tick : int
+        PWM periods since reset at which it took effect, extended past 32 bits as the tick of the telemetry is.
+    raw : tuple of int
+        Firmware integers per axis; 0 for an axis that was not written.
+    mask : int
+        Bit per written axis; bit 0 is axis 1.
+    """
+
+    variable: str
+    tick: int
+    raw: tuple[int, int]
+    mask: int
+
+
+def applied_message(applied: AppliedCommand) -> Float64MultiArray:
+    """Message of `COMMANDS_APPLIED`; every integer below 2^53 is exact in it."""
+    width = len(COMMAND_COLUMNS)
+    numbers = [COMMAND_VARIABLES.index(applied.variable), applied.tick, *applied.raw, applied.mask]
+    message = Float64MultiArray(data=array("d", numbers))
+    message.layout.dim = [MultiArrayDimension(label=",".join(COMMAND_COLUMNS), size=width, stride=width)]
+    return message
+
+
+def applied_from_message(message: Float64MultiArray) -> AppliedCommand:
+    """Read a message of `COMMANDS_APPLIED`.
+
+    Raises
+    ------
+    ValueError
+        If it has another form.
+    """
+    if len(message.data) != len(COMMAND_COLUMNS) or not all(float(x).is_integer() for x in message.data):
+        raise ValueError(f"commands_applied: {len(COMMAND_COLUMNS)} whole numbers wanted, got {list(message.data)}")
+    index, tick, raw1, raw2, mask = (int(x) for x in message.data)
+    if not (0 <= index < len(COMMAND_VARIABLES) and 0 < mask < 1 << AXES):
+        raise ValueError(f"commands_applied: variable {index} or mask {mask} does not exist")
+    return AppliedCommand(COMMAND_VARIABLES[index], tick, (raw1, raw2), mask)
+
+
+# ---- states and diagnostics in words
+def state_label(catalogue: Catalogue, state: int, substate: int) -> str:
+    """State of an axis in one word: ``STOP``, ``FAULT`` or, while the outputs may be on, ``RUN/SPIN``."""
+    name = catalogue.label("state_t", state)
+    return f"{name}/{catalogue.label('substate_t', substate)}" if name == "RUN" else name
+
+
+def flag_texts(catalogue: Catalogue, flags: str, raw: int) -> list[str]:
+    """Set flags of a flag word as sentences with cause and, where there is one, remedy."""
+    return [
+        f"{flag.name}: {flag.cause}" + (f" ({flag.remedy})" if flag.remedy else "")
+        for flag in catalogue.active(flags, raw)
+    ]
+
+
+def diagnostic_status(
+    name: str, level: bytes, message: str, hardware_id: str, values: Mapping[str, object]
+) -> DiagnosticStatus:
+    """Status of one subsystem (REP 107); `name` is ``node: subsystem``."""
+    pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    return DiagnosticStatus(name=name, level=level, message=message, hardware_id=hardware_id, values=pairs)
+
+
+def diagnostic_array(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
+    """Message of ``/diagnostics``."""
+    message = DiagnosticArray(status=list(statuses))
+    message.header.stamp = to_stamp(stamp_ns)
+    return message

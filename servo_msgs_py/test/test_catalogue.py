@@ -1,0 +1,204 @@
+"""The table of variables: what it promises, and that a wrong table is named and not guessed at."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_msgs_py.catalogue import AXES, Catalogue, CatalogueError, axis_name
+
+CATALOGUE = Catalogue.load()
+
+SMALL: dict[str, Any] = {
+    "scales": {"volt": {"full_scale": 36.3, "unit": "V"}, "turn": {"lsb": 0.5, "unit": "rad"}},
+    "enums": {"mode_t": {"A": 0, "B": 1}},
+    "flags": {"faults": {"HOT": {"bit": 3, "cause": "too hot", "remedy": "wait"}}},
+    "variable": [
+        {"name": "u", "path": "snapshot.u", "type": "frac16", "scale": "volt", "description": "bus"},
+        {
+            "name": "cmd.x", "path": "command.x", "type": "int32", "count": 2, "scale": "turn", "access": "rw",
+            "minimum": -10.0, "maximum": 10.0, "description": "set-points",
+        },
+    ],
+    "axis_variable": [
+        {"name": "mode", "path": "a[{i}].mode", "type": "enum", "enum": "mode_t", "description": "mode"},
+        {"name": "faults", "path": "a[{i}].faults", "type": "flags", "flags": "faults", "description": "faults"},
+    ],
+}  # fmt: skip
+
+
+def small(**changes: Any) -> Catalogue:
+    """`SMALL` with changes to the entry of ``u``; None removes a key."""
+    table = copy.deepcopy(SMALL)
+    entry = table["variable"][0]
+    entry.update(changes)
+    table["variable"][0] = {key: value for key, value in entry.items() if value is not None}
+    return Catalogue.parse(table)
+
+
+# ---- the packaged table
+def test_every_variable_is_described_and_finite() -> None:
+    for variable in CATALOGUE.variables.values():
+        assert variable.description and variable.lsb > 0.0
+        assert -math.inf < variable.minimum <= variable.maximum < math.inf
+        assert variable.name == variable.name.lower()
+
+
+def test_the_variables_that_the_whole_project_relies_on() -> None:
+    per_axis = "position position_ref speed speed_ref i_q i_d i_q_ref u_d u_q theta_e state substate faults limits".split()
+    wanted = {f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in [*per_axis, "torque_constant"]}
+    wanted |= {"tick", "applied_tick", "applied_count", "u_dc", "catalogue_hash", "snapshot"}
+    assert wanted <= set(CATALOGUE.variables)
+
+
+def test_only_commands_and_parameters_can_be_written() -> None:
+    writable = {name.split(".")[0] for name, v in CATALOGUE.variables.items() if v.writable}
+    assert writable == {"cmd", "param"}
+
+
+def test_numbers_of_states_are_those_of_the_seed() -> None:
+    assert CATALOGUE.enums["state_t"] == {"FAULT": 0, "INIT": 1, "STOP": 2, "RUN": 3}
+    substates = CATALOGUE.enums["substate_t"]
+    assert [substates[n] for n in ("CALIB", "READY", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP")] == list(range(6))
+    assert CATALOGUE.enums["control_mode_t"] == {"POSITION": 0, "SPEED": 1, "TORQUE": 2}
+
+
+def test_flags_have_a_bit_each_and_faults_a_remedy() -> None:
+    for flags in CATALOGUE.flags.values():
+        assert len({f.bit for f in flags}) == len(flags)
+        assert all(0 <= f.bit < 16 and f.cause for f in flags)
+    assert all(fault.remedy for fault in CATALOGUE.flags["faults"])
+
+
+def test_bus_voltage_of_the_seed() -> None:
+    assert CATALOGUE["u_dc"].to_raw(24.0) == 21665  # DRM E47
+    assert CATALOGUE["u_dc"].decode((21665).to_bytes(2, "little")) == pytest.approx(24.0, abs=1e-3)
+
+
+def test_one_turn_is_4000_counts() -> None:
+    assert CATALOGUE["cmd.position"].encode([2.0 * math.pi, -2.0 * math.pi]) == (4000).to_bytes(4, "little") + (
+        -4000
+    ).to_bytes(4, "little", signed=True)
+
+
+@given(st.sampled_from(sorted(n for n, v in CATALOGUE.variables.items() if v.size)), st.data())
+def test_bytes_to_si_and_back(name: str, data: st.DataObject) -> None:
+    variable = CATALOGUE[name]
+    raw = [data.draw(st.integers(variable.raw_type.low, variable.raw_type.high)) for _ in range(variable.count)]
+    stored = variable.encode_raw(raw)
+    assert len(stored) == variable.size and variable.decode_raw(stored) == raw
+    values = variable.decode(stored)
+    values = values if isinstance(values, list) else [values]
+    for number, value in zip(raw, values, strict=True):
+        if variable.minimum <= value <= variable.maximum:
+            assert variable.to_raw(value) == number
+
+
+def test_a_wrong_name_gets_suggestions() -> None:
+    with pytest.raises(KeyError, match=r"axis1\.posittion.*axis1\.position"):
+        CATALOGUE["axis1.posittion"]
+
+
+def test_snapshot_variables_all_lie_in_the_snapshot() -> None:
+    names = [v.name for v in CATALOGUE.snapshot_variables()]
+    assert names[:4] == ["tick", "applied_tick", "applied_count", "u_dc"]
+    assert "axis2.limits" in names and "cmd.position" not in names
+
+
+# ---- values
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([math.nan, 0.0], "finite"),
+        ([0.0, math.inf], "finite"),
+        ([10.5, 0.0], r"10\.5 is outside -10 \.\. 10 rad"),
+        ([0.0], "1 values given, 2 expected"),
+        ([0.0, 0.0, 0.0], "3 values given"),
+        (0.0, "1 values given"),
+    ],
+)
+def test_wrong_values_are_refused(value: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        small()["cmd.x"].encode(value)
+
+
+def test_raw_numbers_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="does not fit frac16"):
+        small()["u"].encode_raw([40_000])
+    with pytest.raises(ValueError, match="3 bytes read, 2 expected"):
+        small()["u"].decode_raw(b"abc")
+
+
+def test_a_block_is_bytes_and_cannot_be_written() -> None:
+    block = CATALOGUE["snapshot"]
+    assert block.size == 0 and block.decode(b"\x01\x02") == b"\x01\x02"
+    with pytest.raises(ValueError, match="only be read"):
+        block.encode([1.0])
+
+
+def test_labels_and_flags() -> None:
+    catalogue = small()
+    assert catalogue.label("mode_t", 1) == "B" and catalogue.label("mode_t", 9) == "9"
+    assert [f.name for f in catalogue.active("faults", 0b1000)] == ["HOT"]
+    assert catalogue.active("faults", 0b0111) == []
+
+
+def test_axis_variables_are_expanded() -> None:
+    assert [n for n in small().variables if n.endswith("mode")] == ["axis1.mode", "axis2.mode"]
+    assert small()["axis2.mode"].path == "a[1].mode"
+
+
+# ---- the hash
+def test_texts_do_not_change_the_hash() -> None:
+    assert small(description="another text").hash == small().hash
+
+
+@pytest.mark.parametrize("changes", [{"type": "frac32"}, {"access": "rw"}, {"name": "v"}, {"count": 2}])
+def test_everything_that_changes_the_meaning_changes_the_hash(changes: dict[str, Any]) -> None:
+    assert small(**changes).hash != small().hash
+
+
+def test_a_scale_changes_the_hash() -> None:
+    table = copy.deepcopy(SMALL)
+    table["scales"]["volt"]["full_scale"] = 36.0
+    assert Catalogue.parse(table).hash != small().hash
+
+
+# ---- wrong tables
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"type": "float"}, "unknown type 'float'"),
+        ({"scale": "ampere"}, "unknown scale 'ampere'"),
+        ({"scale": "turn"}, "a fraction needs a scale with full_scale"),
+        ({"scale": None}, "a fraction needs a scale with full_scale"),
+        ({"type": "int32"}, "an integer one with lsb"),
+        ({"access": "write"}, "access is 'write'"),
+        ({"colour": "red"}, "unknown key colour"),
+        ({"path": None}, "path missing"),
+        ({"description": None}, "description missing"),
+        ({"type": "enum", "scale": None}, "needs a key 'enum'"),
+        ({"type": "enum", "scale": None, "enum": "nothing_t"}, "needs a key 'enum'"),
+        ({"minimum": 5.0, "maximum": 4.0}, "limits 5 .. 4"),
+        ({"maximum": 40.0}, "do not fit"),
+        ({"name": "axis1.mode"}, "axis1.mode: named twice"),
+    ],
+)
+def test_a_wrong_table_is_named(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(CatalogueError, match=message):
+        small(**changes)
+
+
+def test_a_broken_file_is_named_with_its_path(tmp_path: Path) -> None:
+    path = tmp_path / "broken.toml"
+    path.write_text("[[variable]\n", encoding="utf-8")
+    with pytest.raises(CatalogueError, match=r"broken\.toml"):
+        Catalogue.load(path)
+    path.write_text('[[variable]]\nname = "x"\n', encoding="utf-8")
+    with pytest.raises(CatalogueError, match=r"broken\.toml: x: .* missing"):
+        Catalogue.load(path)

@@ -1,0 +1,53 @@
+"""Names and qualities of service that other programs rely on."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from servo_msgs_py import topics
+from servo_msgs_py.catalogue import Catalogue
+
+_TOPIC = re.compile(r"[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
+
+
+def test_names_are_relative_except_diagnostics() -> None:
+    names = {name: value for name, value in vars(topics).items() if name.isupper() and isinstance(value, str)}
+    assert names.pop("DIAGNOSTICS") == "/diagnostics"
+    assert all(_TOPIC.fullmatch(value) for value in names.values())
+    assert len(set(names.values())) == len(names)
+
+
+def test_every_variable_has_a_valid_topic_of_its_own() -> None:
+    names = list(Catalogue.load().variables)
+    built = {topics.variable_topic(name) for name in names} | {topics.residual_topic(name) for name in names}
+    assert len(built) == 2 * len(names)
+    assert all(_TOPIC.fullmatch(topic) for topic in built)
+    assert topics.variable_topic("axis1.i_q") == "var/axis1/i_q"
+    assert topics.joint_position_topic("axis2") == "axis2/position"
+
+
+def test_command_variables_exist_can_be_written_and_hold_one_element_per_axis() -> None:
+    catalogue = Catalogue.load()
+    for name in topics.COMMAND_VARIABLES:
+        variable = catalogue[name]
+        assert variable.writable and variable.count == 2, name
+    commands = {name for name in catalogue.variables if name.startswith("cmd.")}
+    assert commands == set(topics.COMMAND_VARIABLES)
+
+
+def test_telemetry_is_deep_and_reliable() -> None:
+    qos = topics.telemetry_qos()
+    assert qos.depth >= 50 and qos.reliability == ReliabilityPolicy.RELIABLE
+
+
+def test_latched_topics_serve_late_subscribers() -> None:
+    qos = topics.latched_qos()
+    assert (qos.depth, qos.durability) == (1, DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def test_the_names_need_no_ros() -> None:
+    code = "import sys; sys.modules['rclpy'] = None; import servo_msgs_py.topics, servo_msgs_py.catalogue"
+    subprocess.run([sys.executable, "-c", code], check=True)

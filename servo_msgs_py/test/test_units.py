@@ -1,0 +1,84 @@
+"""Fractional formats and counters against values that the seeds or a calculator give."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_msgs_py import units
+
+
+def test_bus_voltage_of_the_seed() -> None:
+    """DRM E46, E47: 24 V of 36.3 V is 21665."""
+    lsb = units.frac_lsb(36.3, 16)
+    assert units.to_raw(24.0, lsb, -32768, 32767) == 21665
+
+
+def test_lsb_is_a_power_of_two_of_the_full_scale() -> None:
+    assert units.frac_lsb(1.0, 16) == 2.0**-15
+    assert units.frac_lsb(8.0, 32) == 2.0**-28
+
+
+def test_full_scale_itself_becomes_the_largest_number() -> None:
+    lsb = units.frac_lsb(5.0, 16)
+    assert units.to_raw(5.0, lsb, -32768, 32767) == 32767
+    assert units.to_raw(-5.0, lsb, -32768, 32767) == -32768
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_no_number_is_refused(value: float) -> None:
+    with pytest.raises(ValueError, match="finite"):
+        units.to_raw(value, 1.0, -10, 10)
+
+
+@pytest.mark.parametrize("value", [12.0, -12.0, 1e300])
+def test_out_of_range_is_refused_and_not_clipped(value: float) -> None:
+    with pytest.raises(ValueError, match="outside"):
+        units.to_raw(value, 1.0, -10, 10)
+
+
+@given(st.integers(-32768, 32767), st.floats(1e-3, 1e6))
+def test_raw_to_si_and_back(raw: int, full_scale: float) -> None:
+    lsb = units.frac_lsb(full_scale, 16)
+    assert units.to_raw(raw * lsb, lsb, -32768, 32767) == raw
+
+
+@given(st.floats(-1e5, 1e5))
+def test_rounding_is_to_the_nearest(value: float) -> None:
+    lsb = 0.25
+    raw = units.to_raw(value, lsb, -(2**31), 2**31 - 1)
+    assert abs(raw * lsb - value) <= lsb / 2
+
+
+def test_a_turn_has_4000_counts() -> None:
+    assert units.rad_to_counts(2.0 * math.pi) == 4000
+    assert units.counts_to_rad(-1000) == pytest.approx(-math.pi / 2)
+
+
+@given(st.integers(-(2**31), 2**31 - 1))
+def test_counts_survive_the_way_over_radians(counts: int) -> None:
+    assert units.rad_to_counts(units.counts_to_rad(counts)) == counts
+
+
+def test_rpm() -> None:
+    assert units.rpm(2.0 * math.pi) == pytest.approx(60.0)
+
+
+@pytest.mark.parametrize(
+    ("raw", "previous", "expected"),
+    [
+        (5, 0, 5),
+        (0, 0xFFFF_FFFF, 0x1_0000_0000),
+        (0xFFFF_FFFF, 0x1_0000_0000, 0xFFFF_FFFF),
+        (0x8000_0000 - 1, 0, 0x8000_0000 - 1),
+    ],
+)
+def test_unwrap_examples(raw: int, previous: int, expected: int) -> None:
+    assert units.unwrap_u32(raw, previous) == expected
+
+
+@given(st.integers(-(2**60), 2**60), st.integers(-(2**31), 2**31 - 1))
+def test_unwrap_follows_any_step_within_half_the_range(previous: int, step: int) -> None:
+    assert units.unwrap_u32((previous + step) & 0xFFFF_FFFF, previous) == previous + step
