@@ -7,8 +7,7 @@ typedef struct {
     uint16_t element;
 } field_t;
 
-#define FIELD(name)                                                                                                    \
-    {(uint16_t)offsetof(command_block_t, name), (uint16_t)sizeof(((command_block_t *)0)->name[0])}
+#define FIELD(name) {(uint16_t)offsetof(command_block_t, name), (uint16_t)sizeof(((command_block_t *)0)->name[0])}
 
 static const field_t fields[LATCH_FIELDS] = {
     [LATCH_POSITION] = FIELD(position),
@@ -88,8 +87,7 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
     axis->limits.speed = clip(parameter->speed_limit[i], PARAM_SPEED_LIMIT_MIN, PARAM_SPEED_LIMIT_MAX, &clipped);
     axis->limits.acceleration =
         clip(parameter->acceleration_limit[i], PARAM_ACCELERATION_LIMIT_MIN, PARAM_ACCELERATION_LIMIT_MAX, &clipped);
-    axis->limits.i_q =
-        (frac16_t)clip(parameter->i_q_limit[i], PARAM_I_Q_LIMIT_MIN, PARAM_I_Q_LIMIT_MAX, &clipped);
+    axis->limits.i_q = (frac16_t)clip(parameter->i_q_limit[i], PARAM_I_Q_LIMIT_MIN, PARAM_I_Q_LIMIT_MAX, &clipped);
     axis->command.clipped = axis->command.clipped || clipped;
 }
 

@@ -11,10 +11,7 @@ void current_loop_reset(current_loop_t *loop)
 }
 
 /* DC-bus ripple compensation: the voltage as a part of the bus that is there now, u / (2/3 u_dc). */
-static frac16_t over_bus(frac16_t u, int32_t reciprocal)
-{
-    return sat16(asr32(u * reciprocal + INT32_C(0x2000), 14));
-}
+static frac16_t over_bus(frac16_t u, int32_t reciprocal) { return sat16(asr32(u * reciprocal + INT32_C(0x2000), 14)); }
 
 current_loop_output_t current_loop_step(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
                                         dq_t reference, frac16_t theta_e, frac16_t omega_e, frac16_t u_dc)

@@ -14,7 +14,7 @@ typedef struct {
     gain_t omega_psi;  /* omega_e psi_m */
     gain_t angle_step; /* electrical angle per PWM period at full-scale speed */
     dead_time_config_t dead_time;
-    frac16_t modulation_limit; /* longest voltage over 2/3 u_dc; below sqrt(3)/2 so that two low sides stay measurable */
+    frac16_t modulation_limit; /* longest voltage over 2/3 u_dc; sqrt(3)/2 would leave a low side too short to sample */
 } current_loop_config_t;
 
 typedef struct {
@@ -23,10 +23,10 @@ typedef struct {
 } current_loop_t;
 
 typedef struct {
-    dq_t current;     /* measured */
-    dq_t voltage;     /* what was asked of the inverter */
+    dq_t current; /* measured */
+    dq_t voltage; /* what was asked of the inverter */
     svm_t modulation; /* duties and sector */
-    bool limited;     /* the voltage is at its limit */
+    bool limited; /* the voltage is at its limit */
 } current_loop_output_t;
 
 void current_loop_reset(current_loop_t *loop);

@@ -35,7 +35,4 @@ bool path_at_rest(const path_t *path, int32_t target)
     return path->ramp == target * ONE_COUNT && path_position(path) == target;
 }
 
-int32_t path_position(const path_t *path)
-{
-    return (int32_t)asr64(path->output + ONE_COUNT / 2, PATH_BITS);
-}
+int32_t path_position(const path_t *path) { return (int32_t)asr64(path->output + ONE_COUNT / 2, PATH_BITS); }

@@ -47,10 +47,7 @@ static bool encoder_source_slow(axis_t *axis)
     return consistent;
 }
 
-static void encoder_source_resync(axis_t *axis)
-{
-    encoder_resync(&axis->encoder.position, &axis->config->encoder);
-}
+static void encoder_source_resync(axis_t *axis) { encoder_resync(&axis->encoder.position, &axis->config->encoder); }
 
 static void encoder_source_align(axis_t *axis, frac16_t theta_e)
 {
@@ -70,6 +67,6 @@ static void encoder_source_align(axis_t *axis, frac16_t theta_e)
 }
 
 const feedback_source_t encoder_feedback = {
-    encoder_source_reset, encoder_source_fast, encoder_source_slow, encoder_source_edge,
-    encoder_source_resync, encoder_source_align,
+    encoder_source_reset, encoder_source_fast,   encoder_source_slow,
+    encoder_source_edge,  encoder_source_resync, encoder_source_align,
 };

@@ -23,7 +23,7 @@ typedef struct {
     void (*fast)(struct axis *axis);               /* theta_e */
     bool (*slow)(struct axis *axis);               /* speed, position, still; false: the source contradicts itself */
     void (*edge)(struct axis *axis);               /* edge interrupt */
-    void (*resync)(struct axis *axis);             /* a fault has been cleared: contradictions of the past are settled */
+    void (*resync)(struct axis *axis); /* a fault has been cleared: contradictions of the past are settled */
     void (*align)(struct axis *axis, frac16_t theta_e); /* the rotor stands at theta_e */
 } feedback_source_t;
 

@@ -153,10 +153,7 @@ static void align_slow(axis_t *axis)
 
 /* ---- SPIN: field-oriented control ---------------------------------------------------------------------------------- */
 
-static void spin_fast(axis_t *axis)
-{
-    drive(axis, axis->feedback.theta_e, f16_from_f32(axis->feedback.speed));
-}
+static void spin_fast(axis_t *axis) { drive(axis, axis->feedback.theta_e, f16_from_f32(axis->feedback.speed)); }
 
 static void spin_slow(axis_t *axis)
 {

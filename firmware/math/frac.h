@@ -23,15 +23,9 @@ typedef int32_t gain_t;
 
 /* Shift right and round towards minus infinity. C99 leaves the right shift of a negative number to the compiler; this
  * form is defined everywhere, and compilers make one instruction of it. */
-static inline int32_t asr32(int32_t x, unsigned n)
-{
-    return (x < 0) ? (int32_t)~(~x >> n) : (int32_t)(x >> n);
-}
+static inline int32_t asr32(int32_t x, unsigned n) { return (x < 0) ? (int32_t)~(~x >> n) : (int32_t)(x >> n); }
 
-static inline int64_t asr64(int64_t x, unsigned n)
-{
-    return (x < 0) ? ~(~x >> n) : (x >> n);
-}
+static inline int64_t asr64(int64_t x, unsigned n) { return (x < 0) ? ~(~x >> n) : (x >> n); }
 
 /* Saturate to the range of the narrower type. */
 static inline int16_t sat16(int32_t x)

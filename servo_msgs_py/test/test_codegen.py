@@ -7,8 +7,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from servo_msgs_py import codegen
 from servo_msgs_py.catalogue import Catalogue
+
+from servo_msgs_py import codegen
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CATALOGUE = Catalogue.load()
@@ -20,7 +21,7 @@ def test_committed_files_are_up_to_date() -> None:
         assert path.read_text(encoding="utf-8") == text, f"{path.name} is out of date: run `make generate`"
 
 
-def test_generation_writes_then_agrees_then_notices_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_generation_writes_then_agrees_then_sees_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for folder in ("config", "app"):
         (tmp_path / folder).mkdir()
     arguments = ["--firmware", str(tmp_path)]

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from servo_msgs_py import convert
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.topics import COMMAND_VARIABLES
 from std_msgs.msg import Float64MultiArray
+
+from servo_msgs_py import convert
 
 CATALOGUE = Catalogue.load()
 JOINTS = ["axis1", "axis2"]
@@ -133,7 +134,9 @@ def test_state_labels() -> None:
 
 def test_faults_come_with_cause_and_remedy() -> None:
     texts = convert.flag_texts(CATALOGUE, "faults", 0b10)
-    assert len(texts) == 1 and texts[0].startswith("UNDER_VOLTAGE: ") and "24 V supply" in texts[0]
+    assert len(texts) == 1
+    assert texts[0].startswith("UNDER_VOLTAGE: ")
+    assert "24 V supply" in texts[0]
     assert convert.flag_texts(CATALOGUE, "faults", 0) == []
 
 

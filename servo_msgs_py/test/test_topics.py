@@ -7,8 +7,9 @@ import subprocess
 import sys
 
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from servo_msgs_py import topics
 from servo_msgs_py.catalogue import Catalogue
+
+from servo_msgs_py import topics
 
 _TOPIC = re.compile(r"[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
 
@@ -33,14 +34,15 @@ def test_command_variables_exist_can_be_written_and_hold_one_element_per_axis() 
     catalogue = Catalogue.load()
     for name in topics.COMMAND_VARIABLES:
         variable = catalogue[name]
-        assert variable.writable and variable.count == 2, name
+        assert (variable.writable, variable.count) == (True, 2), name
     commands = {name for name in catalogue.variables if name.startswith("cmd.")}
     assert commands == set(topics.COMMAND_VARIABLES)
 
 
 def test_telemetry_is_deep_and_reliable() -> None:
     qos = topics.telemetry_qos()
-    assert qos.depth >= 50 and qos.reliability == ReliabilityPolicy.RELIABLE
+    assert qos.depth >= 50
+    assert qos.reliability == ReliabilityPolicy.RELIABLE
 
 
 def test_latched_topics_serve_late_subscribers() -> None:

@@ -1,0 +1,106 @@
+# The everyday commands; `make` lists them. Nothing is installed outside the folder $(VENV).
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip
+INSTALL := $(PIP) install --quiet --no-build-isolation --constraint constraints.txt
+PACKAGES := servo_msgs_py servo_bridge servo_twin
+
+# Serial port or pyserial URL of a real board, and its speed; without PORT there is a virtual board.
+PORT ?=
+BAUD ?=
+# Tests publish commands: they keep away from the nodes of whoever runs them.
+TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 90 + 10 )))
+
+NATIVE := $(shell find firmware servo_twin/native -name '*.[ch]') servo_twin/setup.py \
+          $(wildcard servo_twin/servo_twin/_build_native.py)
+METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
+              pyproject.toml setup.py setup.cfg package.xml resource/* scripts/* config/* launch/*)))
+COMPILE := echo "compiling firmware and virtual board" && cd servo_twin && \
+           ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
+C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE)))
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.SUFFIXES:
+.PHONY: help setup demo up test lint format build generate clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200 (up); PYTHON=python3.12 (setup); PYTEST_ARGS=... (test)"
+
+setup: $(VENV)/.native ## virtual environment with everything that runs
+	@echo "ready: $(BIN)"
+
+demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/demo.rrd, out/demo.png
+	@$(BIN)/servo-up --demo --out out
+
+up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board
+	@$(BIN)/servo-up $(if $(PORT),--port '$(PORT)') $(if $(BAUD),--baud '$(BAUD)')
+
+test: $(VENV)/.native $(VENV)/.dev ## every check and every test
+	@lint=0; $(MAKE) --no-print-directory lint || lint=$$?; \
+	echo "== pytest"; $(BIN)/python -m pytest $(PYTEST_ARGS) || exit $$?; \
+	if [ $$lint -ne 0 ]; then echo "the tests pass, but make lint fails (above)"; fi; exit $$lint
+
+lint: $(VENV)/.dev ## ruff, mypy and clang-format, changing nothing
+	@status=0; \
+	echo "== ruff"; $(BIN)/ruff check --quiet || status=1; $(BIN)/ruff format --quiet --diff || status=1; \
+	echo "== mypy"; $(BIN)/mypy || status=1; \
+	echo "== clang-format"; $(BIN)/clang-format --dry-run -Werror $(C_FILES) || status=1; \
+	exit $$status
+
+format: $(VENV)/.dev ## lay out Python and C sources
+	$(BIN)/ruff check --quiet --fix --select I
+	$(BIN)/ruff format
+	$(BIN)/clang-format -i $(C_FILES)
+
+build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
+
+generate: $(VENV)/.packages ## rewrite the committed generated files
+	$(BIN)/python -m servo_msgs_py.codegen
+	$(BIN)/python firmware/config/tune.py
+
+clean: ## remove everything that the other targets made
+	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(foreach package,$(PACKAGES),$(package)/build $(package)/*.egg-info) servo_twin/servo_twin/*.so
+	find $(PACKAGES) firmware tests -type d -name __pycache__ -prune -exec rm -rf {} +
+
+demo test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+test: export ROS_DOMAIN_ID := $(TEST_DOMAIN_ID)
+
+# ---- how the environment is made -------------------------------------------------------------------------------------
+# The stamps make a second run quick. A sourced ROS lends its rclpy to the environment; without one it comes as wheels.
+
+$(VENV)/.created:
+	@python=$$(sh .ci/check-tools) && \
+	echo "[1/4] virtual environment $(VENV) with $$python" && \
+	"$$python" -m venv --clear $(if $(ROS_DISTRO),--system-site-packages) $(VENV)
+	@$(PIP) install --quiet --constraint constraints.txt pip setuptools cffi
+	@touch $@
+
+$(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
+	@echo "[2/4] servo_msgs_py and ROS 2 Jazzy"
+	@if [ -n "$(ROS_DISTRO)" ] && $(BIN)/python -c 'import rclpy' 2>/dev/null; then \
+	  echo "      rclpy of the sourced ROS 2 $(ROS_DISTRO)"; $(INSTALL) --editable ./servo_msgs_py; \
+	else $(INSTALL) --editable './servo_msgs_py[ros]'; fi
+	@echo "[3/4] servo_bridge"
+	@$(INSTALL) --editable ./servo_bridge
+	@echo "[4/4] servo_twin: rerun, matplotlib, and the C of firmware and virtual board"
+	@$(INSTALL) --editable './servo_twin[viewer]'
+	@# An editable install leaves data files out: the ament index, launch files and what `ros2 run` starts.
+	@for package in $(PACKAGES); do \
+	  (cd $$package && ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done
+	@touch $@
+
+# Installing servo_twin has just compiled it; this is for every later change of the C sources.
+$(VENV)/.native: $(VENV)/.packages $(NATIVE)
+	@$(if $(filter $(VENV)/.packages,$?),,$(COMPILE))
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.packages pyproject.toml
+	@echo "[dev] tools for tests and checks"
+	@$(INSTALL) --group dev
+	@touch $@

@@ -1,0 +1,45 @@
+"""Build of the ROS package servo_bridge, with colcon or with pip."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "servo_bridge"
+SHARE = f"share/{PACKAGE}"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="ROS 2 node and command line for the servo board on a serial port",
+    license="Apache-2.0",
+    author="servo contributors",
+    maintainer="servo contributors",
+    maintainer_email="maintainers@servo.example",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    # Spelt out, an editable install is a plain path entry. The import hook that setuptools writes otherwise loses to
+    # the folder of the same name when the current directory is the root of the repository.
+    package_dir={"": "."},
+    package_data={"": ["*.toml", "py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (SHARE, ["package.xml"]),
+        (f"{SHARE}/launch", sorted(glob("launch/*.launch.py"))),
+        (f"{SHARE}/config", sorted(glob("config/*.yaml"))),
+        # pip puts console scripts into bin/, where `ros2 run` and launch do not look.
+        (f"lib/{PACKAGE}", sorted(glob("scripts/*"))),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10",
+    install_requires=["numpy", "pyserial", "servo_msgs_py", 'tomli; python_version < "3.11"'],
+    extras_require={
+        "ros": ["servo_msgs_py[ros]"],
+        "test": ["pytest", "hypothesis"],
+    },
+    entry_points={
+        "console_scripts": [
+            "servo_bridge = servo_bridge.node:main",
+            "servo-tool = servo_bridge.tool:main",
+            "servo-demo = servo_bridge.demo:main",
+        ],
+    },
+)

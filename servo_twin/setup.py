@@ -1,0 +1,50 @@
+"""Build of the ROS package servo_twin, with colcon or with pip."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "servo_twin"
+SHARE = f"share/{PACKAGE}"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Virtual board, digital twin and viewer of the servo",
+    license="Apache-2.0",
+    author="servo contributors",
+    maintainer="servo contributors",
+    maintainer_email="maintainers@servo.example",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    # Spelt out, an editable install is a plain path entry. The import hook that setuptools writes otherwise loses to
+    # the folder of the same name when the current directory is the root of the repository.
+    package_dir={"": "."},
+    package_data={"": ["*.toml", "py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (SHARE, ["package.xml"]),
+        (f"{SHARE}/launch", sorted(glob("launch/*.launch.py"))),
+        (f"{SHARE}/config", sorted(glob("config/*.yaml"))),
+        # pip puts console scripts into bin/, where `ros2 run` and launch do not look.
+        (f"lib/{PACKAGE}", sorted(glob("scripts/*"))),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10",
+    install_requires=["cffi", "numpy", "servo_msgs_py", 'tomli; python_version < "3.11"'],
+    extras_require={
+        "ros": ["servo_msgs_py[ros]"],
+        "test": ["pytest", "hypothesis"],
+        # The nodes and experiments run without; there is no rerun for Python 3.10.
+        "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
+    },
+    cffi_modules=["servo_twin/_build_native.py:ffi"],
+    entry_points={
+        "console_scripts": [
+            "servo_twin = servo_twin.node:main",
+            "servo_viewer = servo_twin.viewer_node:main",
+            "virtual_board = servo_twin.virtual_board:main",
+            "servo-sim = servo_twin.cli:main",
+            "servo-up = servo_twin.up:main",
+        ],
+    },
+)

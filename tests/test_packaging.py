@@ -1,0 +1,349 @@
+"""What makes a checkout a set of packages: names, versions, pins, executables, and that colcon builds it."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("servo_msgs_py", "servo_bridge", "servo_twin")
+EXECUTABLES = {
+    "servo_bridge": ("servo_bridge", "servo-demo", "servo-tool"),
+    "servo_twin": ("servo-sim", "servo-up", "servo_twin", "servo_viewer", "virtual_board"),
+}
+EXECUTABLE_NAMES = [(package, name) for package, names in EXECUTABLES.items() for name in names]
+PYTHONS = ("3.10", "3.11", "3.12", "3.13")
+FOLDERS = {".ci", "firmware", "servo_bridge", "servo_msgs_py", "servo_twin", "tests"}
+
+# Dependencies point one way: what each package may import of its neighbours.
+NEIGHBOURS = {"servo_msgs_py": set(), "servo_bridge": {"servo_msgs_py"}, "servo_twin": {"servo_msgs_py"}}
+# Modules whose name is not the rosdep key in package.xml, and modules that have no key.
+MODULES_OF_KEY = {"python3-serial": {"serial"}, "python3-cffi": {"cffi"}}
+WITHOUT_KEY = {"servo_msgs_py": {"tomli"}, "servo_bridge": {"tomli"}, "servo_twin": {"pyarrow", "rerun", "tomli"}}
+
+HOSTS = {"www.apache.org", "download.ros.org", "www.w3.org", "docs.ros.org", "localhost", "127.0.0.1"}
+UNWANTED = {
+    "a path of one machine": re.compile(r"/(?:[h]ome|[r]oot|[w]ork|[U]sers)/\w"),
+    "a choice of package index": re.compile(r"--(?:extra-)?index[-]url|--find[-]links|--trusted[-]host"),
+    "something left open": re.compile(r"\b(?:[T]ODO|[F]IXME|[X]XX|[H]ACK)\b"),
+}
+
+
+def clean_environment() -> dict[str, str]:
+    """Without what an outer make hands to an inner one."""
+    return {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")}
+
+
+def run(*command: str | Path, cwd: Path = ROOT, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(word) for word in command],
+        cwd=cwd,
+        env=clean_environment() if env is None else env,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+
+
+def git_files(*options: str) -> list[str]:
+    """Files of the checkout: known to git, or new and not ignored."""
+    if shutil.which("git") is None or not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+    listing = run("git", "ls-files", "-z", *(options or ("--cached", "--others", "--exclude-standard")))
+    assert listing.returncode == 0, listing.stderr
+    return [name for name in listing.stdout.split("\0") if name and (ROOT / name).exists()]
+
+
+def setup_arguments(package: str) -> dict[str, Any]:
+    """Literal arguments of ``setup()`` in a package's setup.py."""
+    tree = ast.parse((ROOT / package / "setup.py").read_text())
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup"]
+    arguments = {}
+    for keyword in calls[0].keywords:
+        try:
+            arguments[str(keyword.arg)] = ast.literal_eval(keyword.value)
+        except ValueError:
+            continue
+    return arguments
+
+
+def entry_points(package: str) -> dict[str, str]:
+    scripts = setup_arguments(package).get("entry_points", {}).get("console_scripts", [])
+    return dict(re.split(r"\s*=\s*", script) for script in scripts)
+
+
+def pins(python: str) -> dict[str, str]:
+    """Pinned version of each package for one version of Python."""
+    found: dict[str, str] = {}
+    for line in (ROOT / "constraints.txt").read_text().splitlines():
+        if not line or line.startswith("#"):
+            continue
+        pin = Requirement(line)
+        assert re.fullmatch(r"==[\w.]+", str(pin.specifier)), f"not one version: {line}"
+        if pin.marker is None or pin.marker.evaluate({"python_version": python}):
+            name = canonicalize_name(pin.name)
+            assert name not in found, f"pinned twice for Python {python}: {name}"
+            found[name] = str(pin.specifier)[2:]
+    return found
+
+
+def requirements() -> Iterator[tuple[str, Requirement]]:
+    """Everything that the packages and the tools ask for, with where it is asked."""
+    for package in PACKAGES:
+        arguments = setup_arguments(package)
+        texts = list(arguments["install_requires"])
+        for extra in arguments["extras_require"].values():
+            texts += extra
+        texts += tomllib.loads((ROOT / package / "pyproject.toml").read_text())["build-system"]["requires"]
+        yield from ((package, Requirement(text)) for text in texts)
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text())["dependency-groups"]
+    yield from (("pyproject.toml", Requirement(text)) for text in groups["dev"])
+
+
+@pytest.fixture
+def prefix() -> Path:
+    """The environment that `make setup` made, if the tests run in it."""
+    prefix = Path(sys.prefix)
+    for package in PACKAGES:
+        try:
+            record = metadata.distribution(package)
+        except metadata.PackageNotFoundError:
+            pytest.skip(f"{package} is not installed in {prefix}: `make setup`")
+        assert str(record.locate_file("")).startswith(str(prefix))
+    return prefix
+
+
+# ---- the commands ---------------------------------------------------------------------------------------------------
+
+
+def test_make_without_a_target_lists_every_target() -> None:
+    listing = run("make")
+    assert listing.returncode == 0, listing.stderr
+    listed = re.findall(r"^  make (\w+)  +\S", listing.stdout, re.MULTILINE)
+    phony = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert phony is not None
+    assert sorted(listed) == sorted(phony[1].split())
+    assert {"setup", "demo", "up", "test"} <= set(listed)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "command"),
+    [
+        (("demo",), "servo-up --demo --out out"),
+        (("up",), "servo-up"),
+        (("up", "PORT=/dev/ttyUSB0", "BAUD=1000000"), "servo-up --port '/dev/ttyUSB0' --baud '1000000'"),
+    ],
+)
+def test_make_starts(arguments: tuple[str, ...], command: str) -> None:
+    plan = run("make", "--dry-run", *arguments)
+    assert plan.returncode == 0, plan.stderr
+    assert plan.stdout.splitlines()[-1].split() == f".venv/bin/{command}".split()
+
+
+def test_missing_tools_are_named_with_the_command_that_installs_them(tmp_path: Path) -> None:
+    for tool in ("sh", "readlink", "uname", "make"):
+        (tmp_path / tool).symlink_to(str(shutil.which(tool)))
+    check = str(ROOT / ".ci" / "check-tools")
+    (tmp_path / "python3").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    (tmp_path / "python3").chmod(0o755)
+    without_gcc = run(tmp_path / "sh", check, env={"PATH": str(tmp_path)})
+    assert without_gcc.returncode == 1
+    assert re.search(r"sudo apt-get install\b.* gcc\b", without_gcc.stderr)
+    (tmp_path / "python3").unlink()
+    without_python = run(tmp_path / "sh", check, env={"PATH": str(tmp_path)})
+    assert without_python.returncode == 1
+    assert re.search(r"sudo apt-get install python3 python3-venv python3-dev\b", without_python.stderr)
+
+
+def test_tools_of_this_machine_are_enough() -> None:
+    found = run("sh", ROOT / ".ci" / "check-tools")
+    assert found.returncode == 0, found.stderr
+    assert Path(found.stdout.strip()).exists()
+
+
+def test_the_script_of_continuous_integration_is_valid() -> None:
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
+    assert run("bash", "-n", ROOT / ".ci" / "run").returncode == 0
+
+
+# ---- names and versions ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_agrees_with_setup_py(package: str) -> None:
+    manifest = ET.parse(ROOT / package / "package.xml").getroot()
+    arguments = setup_arguments(package)
+    for tag, keyword in (("version", "version"), ("description", "description"), ("license", "license")):
+        assert manifest.findtext(tag) == arguments[keyword]
+    assert manifest.findtext("maintainer") == arguments["maintainer"]
+    assert manifest.findtext("name") == package
+    assert manifest.findtext("export/build_type") == "ament_python"
+    assert (ROOT / package / "resource" / package).is_file()
+
+
+def test_one_version_for_all() -> None:
+    versions = {str(path): ET.parse(path).findtext("version") for path in ROOT.glob("*/package.xml")}
+    assert len(versions) == len(PACKAGES) + 1
+    build = (ROOT / "firmware" / "CMakeLists.txt").read_text()
+    project = re.search(r"^project\(.* VERSION (\S+) ", build, re.MULTILINE)
+    assert project is not None
+    assert {project[1]} == set(versions.values()), versions
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_import_is_declared(package: str) -> None:
+    manifest = ET.parse(ROOT / package / "package.xml").getroot()
+    keys = {str(element.text) for element in manifest if element.tag in ("build_depend", "exec_depend", "depend")}
+    declared = set().union(*(MODULES_OF_KEY.get(key, {key.removeprefix("python3-")}) for key in keys))
+    allowed = (declared - set(PACKAGES)) | NEIGHBOURS[package] | WITHOUT_KEY[package] | {package}
+    undeclared = set()
+    for path in sorted((ROOT / package / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            for name in (name.split(".")[0] for name in names):
+                if name not in allowed and name not in sys.stdlib_module_names:
+                    undeclared.add(f"{path.relative_to(ROOT)}: {name}")
+    assert not undeclared
+
+
+# ---- versions of others ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_constraints_serve_every_requirement(python: str) -> None:
+    pinned = pins(python)
+    for where, requirement in requirements():
+        name = canonicalize_name(requirement.name)
+        if name in map(canonicalize_name, PACKAGES):
+            continue
+        if requirement.marker is not None and not requirement.marker.evaluate({"python_version": python}):
+            continue
+        assert name in pinned, f"{where} asks for {name}"
+        assert requirement.specifier.contains(pinned[name]), f"{where} asks for {requirement}"
+
+
+def test_constraints_cover_every_installed_distribution(prefix: Path) -> None:
+    pinned = pins(f"{sys.version_info.major}.{sys.version_info.minor}")
+    ours = {canonicalize_name(package) for package in PACKAGES}
+    others = {}
+    folders = sorted({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
+    assert all(folder.startswith(str(prefix)) for folder in folders)
+    for distribution in metadata.distributions(path=folders):
+        # The ROS wheels carry the metadata of their colcon build beside their own; that has no installer.
+        if (distribution.read_text("INSTALLER") or "").strip() == "pip":
+            others[canonicalize_name(distribution.metadata["Name"])] = distribution.version
+    others = {name: version for name, version in others.items() if name not in ours}
+    assert len(others) > 20
+    assert {name: version for name, version in others.items() if pinned.get(name) != version} == {}
+
+
+# ---- executables ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("package", EXECUTABLES)
+def test_ros_executables_are_the_console_scripts(package: str) -> None:
+    scripts = entry_points(package)
+    assert sorted(scripts) == sorted(EXECUTABLES[package])
+    files = {path.name: path for path in (ROOT / package / "scripts").iterdir()}
+    assert sorted(files) == sorted(scripts)
+    for name, target in scripts.items():
+        module, function = target.split(":")
+        assert f"from {module} import {function};" in files[name].read_text()
+        assert os.access(files[name], os.X_OK)
+
+
+@pytest.mark.parametrize(("package", "name"), EXECUTABLE_NAMES)
+def test_executable_is_installed_and_can_be_loaded(prefix: Path, package: str, name: str) -> None:
+    (script,) = metadata.distribution(package).entry_points.select(group="console_scripts", name=name)
+    assert script.value == entry_points(package)[name]
+    assert callable(script.load())
+    assert os.access(prefix / "bin" / name, os.X_OK)
+    assert os.access(prefix / "lib" / package / name, os.X_OK)
+
+
+def test_ros_executable_runs_in_the_environment_it_was_installed_into(prefix: Path) -> None:
+    # No activated environment: the interpreter is found beside the script, not on the path.
+    env = {**clean_environment(), "PATH": os.defpath}
+    answer = run(prefix / "lib" / "servo_bridge" / "servo-tool", "--help", env=env)
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("package", EXECUTABLES)
+def test_launch_and_configuration_files_are_installed(prefix: Path, package: str) -> None:
+    share = prefix / "share"
+    assert (share / "ament_index" / "resource_index" / "packages" / package).exists()
+    for pattern in ("package.xml", "launch/*.launch.py", "config/*.yaml"):
+        for path in (ROOT / package).glob(pattern):
+            installed = share / package / path.relative_to(ROOT / package)
+            assert installed.read_bytes() == path.read_bytes()
+
+
+# ---- the checkout ---------------------------------------------------------------------------------------------------
+
+
+def test_top_level_folders() -> None:
+    assert {name.split("/")[0] for name in git_files() if "/" in name} == FOLDERS
+
+
+def test_nothing_is_committed_that_is_ignored() -> None:
+    assert git_files("--cached", "--ignored", "--exclude-standard") == []
+
+
+def test_no_file_mentions_what_it_should_not() -> None:
+    findings = []
+    for name in git_files():
+        try:
+            text = (ROOT / name).read_text(encoding="utf-8")
+        except UnicodeDecodeError:  # a picture
+            continue
+        for what, pattern in UNWANTED.items():
+            findings += [f"{name}: {what}: {match[0]}" for match in pattern.finditer(text)]
+        hosts = re.findall(r"https?://([\w-]+(?:\.[\w-]+)+)", text)
+        findings += [f"{name}: an unexpected host: {host}" for host in hosts if host not in HOSTS]
+    assert findings == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [(), ("--symlink-install",)], ids=["install", "symlink"])
+def test_colcon_builds_the_checkout(prefix: Path, tmp_path: Path, mode: tuple[str, ...]) -> None:
+    colcon = prefix / "bin" / "colcon"
+    if not colcon.exists() or shutil.which("cmake") is None:
+        pytest.skip("colcon or cmake is missing")
+    source = tmp_path / "src"
+    for name in git_files():
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, source / name)
+    build = run(colcon, "--log-base", "log", "build", "--base-paths", source, *mode, cwd=tmp_path)
+    assert build.returncode == 0, build.stdout + build.stderr
+    install = tmp_path / "install"
+    for package, name in EXECUTABLE_NAMES:
+        assert os.access(install / package / "lib" / package / name, os.X_OK)
+    assert (install / "servo_firmware" / "lib" / "libservo_firmware.a").exists()
+
+    program = "import servo_bridge.node, servo_twin._native as native; print(native.__file__)"
+    tool = "install/servo_bridge/lib/servo_bridge/servo-tool --help"
+    command = f'. install/setup.sh && "{sys.executable}" -c "{program}" && {tool}'
+    started = run("bash", "-c", command, cwd=tmp_path)
+    assert started.returncode == 0, started.stderr
+    assert started.stdout.startswith(str(tmp_path)), "the compiled board of the colcon workspace, not of the checkout"
