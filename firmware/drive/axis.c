@@ -49,6 +49,9 @@ void axis_stop_with(axis_t *axis, uint16_t faults)
 static void filter_bus(axis_t *axis)
 {
     const frac32_t sample = (frac32_t)((uint32_t)hal_adc_bus(axis->hal) << (BUS_CODE_SHIFT + 16));
+    if (axis->u_dc_filter == 0) {
+        axis->u_dc_filter = sample; /* from reset: no rise that looks like under-voltage */
+    }
     axis->u_dc_filter += asr32(sample - axis->u_dc_filter, U_DC_FILTER_SHIFT);
     axis->u_dc = f16_from_f32(axis->u_dc_filter);
 }

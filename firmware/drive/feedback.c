@@ -4,8 +4,9 @@
 
 static void encoder_source_reset(axis_t *axis)
 {
-    encoder_reset(&axis->encoder.position, hal_encoder_count(axis->hal, axis->index),
-                  hal_index_count(axis->hal, axis->index));
+    const uint16_t count = hal_encoder_count(axis->hal, axis->index);
+    const uint16_t index = hal_index_count(axis->hal, axis->index);
+    encoder_reset(&axis->encoder.position, count, index);
     mt_speed_reset(&axis->encoder.speed);
     axis->encoder.edge_waits = false;
     axis->encoder.found = false;
@@ -38,9 +39,10 @@ static bool encoder_source_slow(axis_t *axis)
     mt_speed_slow(&axis->encoder.speed, age);
     hal_capture_arm(axis->hal, axis->index);
 
-    const bool consistent =
-        encoder_update(&axis->encoder.position, &axis->config->encoder, hal_encoder_count(axis->hal, axis->index),
-                       hal_index_count(axis->hal, axis->index));
+    /* Count first, then index: every wrap that the count shows then has its pulse. */
+    const uint16_t count = hal_encoder_count(axis->hal, axis->index);
+    const uint16_t index = hal_index_count(axis->hal, axis->index);
+    const bool consistent = encoder_update(&axis->encoder.position, &axis->config->encoder, count, index);
     axis->feedback.speed = axis->encoder.speed.speed;
     axis->feedback.position = axis->encoder.position.position;
     axis->feedback.still = age >= HAL_EDGE_AGE_OVERFLOW;

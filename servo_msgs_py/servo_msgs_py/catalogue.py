@@ -47,6 +47,10 @@ class _RawType:
     def high(self) -> int:
         return (1 << (8 * self.size - (1 if self.signed else 0))) - 1
 
+    def pack(self, raw: int) -> bytes:
+        """One element as the board stores it; an `OverflowError` if it does not fit."""
+        return raw.to_bytes(self.size, "little", signed=self.signed)
+
 
 _RAW_TYPES: Final[Mapping[str, _RawType]] = {
     "uint16": _RawType(2, False, 0xE1),
@@ -171,7 +175,7 @@ class Variable:
         for value in raw:
             if not low <= value <= high:
                 raise ValueError(f"{self.name}: {value} does not fit {self.type} ({low} .. {high})")
-        return b"".join(int(v).to_bytes(self.element_size, "little", signed=self.raw_type.signed) for v in raw)
+        return b"".join(self.raw_type.pack(int(value)) for value in raw)
 
     def scale(self, raw: int) -> float | int:
         """SI value of one raw number; whole numbers stay whole where one raw unit is 1."""

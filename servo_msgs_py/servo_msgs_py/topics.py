@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 JOINT_STATES: Final = "joint_states"
 SNAPSHOT: Final = "snapshot"
 """std_msgs/Float64MultiArray: rows of telemetry, SI; column names, comma separated, in ``layout.dim[1].label``."""
+STAMP_COLUMNS: Final = ("stamp.sec", "stamp.nanosec")
+"""Last two columns of `SNAPSHOT`: ROS time of the row, exact."""
 COMMANDS_APPLIED: Final = "commands_applied"
 """std_msgs/Float64MultiArray: one write that took effect, see `COMMAND_COLUMNS`; raw firmware integers."""
 STATE: Final = "state"

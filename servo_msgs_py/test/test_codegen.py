@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -22,17 +23,27 @@ def test_committed_files_are_up_to_date() -> None:
 
 
 def test_generation_writes_then_agrees_then_sees_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for folder in ("config", "app"):
-        (tmp_path / folder).mkdir()
-    arguments = ["--firmware", str(tmp_path)]
+    for folder in ("firmware/config", "firmware/app", "servo_msgs_py"):
+        (tmp_path / folder).mkdir(parents=True)
+    arguments = ["--firmware", str(tmp_path / "firmware")]
     assert codegen.main([*arguments, "--check"]) == 1
-    assert not list(tmp_path.glob("*/*"))
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
     assert codegen.main(arguments) == 0
     assert codegen.main([*arguments, "--check"]) == 0
-    header = tmp_path / "config" / "contract_gen.h"
+    header = tmp_path / "firmware" / "config" / "contract_gen.h"
     header.write_text(header.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    capsys.readouterr()
     assert codegen.main([*arguments, "--check"]) == 1
-    assert "contract_gen.h is out of date" in capsys.readouterr().err
+    assert re.findall(r"(\S+) is out of date", capsys.readouterr().err) == [str(header)]
+
+
+def test_list_for_people_names_every_variable_with_its_unit() -> None:
+    text = codegen.variable_list(CATALOGUE)
+    for variable in CATALOGUE.variables.values():
+        lines = [line for line in text.splitlines() if f"`{variable.name}`" in line]
+        assert len(lines) == 1, variable.name
+        assert variable.unit in lines[0]
+        assert variable.description in lines[0]
 
 
 def test_a_missing_folder_is_a_clear_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
