@@ -1,0 +1,72 @@
+#include "comm/app_command.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "comm/frame.h"
+#include "comm/status.h"
+
+void app_command_init(app_command_t *command)
+{
+    command->code = 0;
+    command->status = APP_COMMAND_NONE;
+    command->arguments_size = 0;
+    command->result_size = 0;
+}
+
+uint8_t app_command_send(app_command_t *command, payload_reader_t *request)
+{
+    if (command->status == APP_COMMAND_PENDING) {
+        return FM_BUSY;
+    }
+    const uint8_t code = payload_get_u8(request);
+    if (request->missing) {
+        return FM_BAD_SIZE;
+    }
+    if (code == APP_COMMAND_NONE) {
+        return FM_UNKNOWN_COMMAND; /* the vendor accepts FF and stays pending for ever */
+    }
+    const uint16_t size = request->left;
+    if (size > APP_COMMAND_ARGUMENTS_MAX) {
+        return FM_BAD_INDEX;
+    }
+    memcpy(command->arguments, request->data, size);
+    command->arguments_size = size;
+    command->code = code;
+    command->result_size = 0;
+    command->status = APP_COMMAND_PENDING;
+    return FM_OK;
+}
+
+uint8_t app_command_poll(app_command_t *command, app_command_run_t run, void *context)
+{
+    if (command->status == APP_COMMAND_PENDING) {
+        uint16_t size = APP_COMMAND_RESULT_MAX;
+        const uint8_t code =
+            run(context, command->code, command->arguments, command->arguments_size, command->result, &size);
+        command->result_size = size <= APP_COMMAND_RESULT_MAX ? size : (uint16_t)APP_COMMAND_RESULT_MAX;
+        command->status = code <= APP_COMMAND_CODE_MAX ? code : APP_COMMAND_CODE_MAX;
+    }
+    return command->status;
+}
+
+uint8_t app_command_data(const app_command_t *command, payload_reader_t *request, payload_writer_t *reply)
+{
+    const uint32_t size = payload_get_unsigned(request);
+    const uint32_t offset = payload_get_unsigned(request);
+    if (command->status == APP_COMMAND_PENDING) {
+        return FM_BUSY;
+    }
+    if (request->missing) {
+        return FM_BAD_SIZE;
+    }
+    if (size > FRAME_MTU) {
+        return FM_ANSWER_TOO_LONG;
+    }
+    /* Only what this command has produced: the rest of the buffer belongs to earlier ones. */
+    if (size == 0 || offset > command->result_size || size > command->result_size - offset) {
+        return FM_BAD_SIZE;
+    }
+    payload_put_bytes(reply, command->result + (size_t)offset, (uint16_t)size);
+    return FM_OK_VARIABLE;
+}

@@ -1,0 +1,310 @@
+#include "comm/freemaster.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "comm/configuration.h"
+#include "comm/payload.h"
+#include "comm/status.h"
+
+#define SCOPE_INDEX 0u     /* the only scope */
+#define WRITE_MASKED 0x01u /* flag of WRITEMEM; the others are ignored */
+#define SCOPE_BYTES (8 * SCOPE_SLOTS)
+#define MEMORY_SIZE_MAX UINT32_C(0x10000) /* offsets reported by written() have 16 bits */
+
+#if SCOPE_BYTES > 252
+#error "a full scope does not fit into one answer"
+#endif
+
+/* ---- memory ---------------------------------------------------------------------------------------------------- */
+
+/* Variables are copied under hold; strings and table never change, and composing the table takes its time. */
+static void copy_out(freemaster_t *server, const tsa_place_t *place, uint8_t *data)
+{
+    const bool live = place->region == TSA_REGION_VARIABLES;
+    if (live) {
+        server->app.hold(server->app.context, true);
+    }
+    tsa_copy(&server->space, place, data);
+    if (live) {
+        server->app.hold(server->app.context, false);
+    }
+}
+
+/* Write and report the smallest range that contains all written bytes: a mask that selects one element of an array
+ * must not make the others count as freshly written. */
+static void copy_in(freemaster_t *server, const tsa_place_t *place, const uint8_t *data, const uint8_t *mask)
+{
+    uint8_t *memory = server->space.memory + (size_t)place->offset;
+    uint16_t first = 0;
+    uint16_t end = place->size;
+    if (mask != NULL) {
+        while (first < end && mask[first] == 0) {
+            first++;
+        }
+        while (end > first && mask[end - 1u] == 0) {
+            end--;
+        }
+    }
+    if (first == end) {
+        return;
+    }
+    server->app.hold(server->app.context, true);
+    for (uint16_t i = first; i < end; i++) {
+        const unsigned select = mask != NULL ? mask[i] : 0xFFu;
+        memory[i] = (uint8_t)((memory[i] & ~select) | (data[i] & select));
+    }
+    server->app.written(server->app.context, (uint16_t)(place->offset + first), (uint16_t)(end - first));
+    server->app.hold(server->app.context, false);
+}
+
+uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size)
+{
+    tsa_place_t place;
+    if (!tsa_readable(&server->space, address, size, &place)) {
+        return FM_DENIED;
+    }
+    copy_out(server, &place, data);
+    return FM_OK;
+}
+
+uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
+                         uint16_t size)
+{
+    tsa_place_t place;
+    if (!tsa_writable(&server->space, address, size, &place)) {
+        return FM_DENIED;
+    }
+    copy_in(server, &place, data, mask);
+    return FM_OK;
+}
+
+/* ---- commands -------------------------------------------------------------------------------------------------- */
+
+static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    return configuration_get(&server->app, request, reply);
+}
+
+/* Checked in the vendor's order: access first, then the size. */
+static uint8_t read_range(freemaster_t *server, uint32_t address, uint32_t size, payload_writer_t *reply)
+{
+    tsa_place_t place;
+    if (!tsa_readable(&server->space, address, size, &place)) {
+        return FM_DENIED;
+    }
+    uint8_t *room = payload_reserve(reply, size);
+    if (room == NULL) {
+        return FM_ANSWER_TOO_LONG;
+    }
+    copy_out(server, &place, room);
+    return FM_OK;
+}
+
+static uint8_t read_memory(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    const uint32_t address = payload_get_unsigned(request);
+    const uint32_t size = payload_get_unsigned(request);
+    return request->missing ? FM_BAD_SIZE : read_range(server, address, size, reply);
+}
+
+static uint8_t read_memory_from_base(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    const int32_t offset = payload_get_signed(request);
+    const uint32_t size = payload_get_unsigned(request);
+    return request->missing ? FM_BAD_SIZE : read_range(server, TSA_VARIABLES_BASE + (uint32_t)offset, size, reply);
+}
+
+/* Stricter than the vendor: data and mask must have been received, else bytes of older messages would be written. */
+static uint8_t write_memory(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    (void)reply;
+    const uint8_t flags = payload_get_u8(request);
+    const uint32_t address = payload_get_unsigned(request);
+    const uint32_t size = payload_get_unsigned(request);
+    tsa_place_t place;
+    if (request->missing) {
+        return FM_BAD_SIZE;
+    }
+    if (!tsa_writable(&server->space, address, size, &place)) {
+        return FM_DENIED;
+    }
+    const uint8_t *data = payload_take(request, size);
+    const uint8_t *mask = (flags & WRITE_MASKED) != 0 ? payload_take(request, size) : NULL;
+    if (request->missing) {
+        return FM_BAD_SIZE;
+    }
+    copy_in(server, &place, data, mask);
+    return FM_OK;
+}
+
+static uint8_t check_scope(payload_reader_t *request)
+{
+    const uint8_t index = payload_get_u8(request);
+    if (request->missing) {
+        return FM_BAD_SIZE;
+    }
+    return index == SCOPE_INDEX ? FM_OK : FM_BAD_INSTANCE;
+}
+
+static uint8_t set_scope(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    (void)reply;
+    const uint8_t status = check_scope(request);
+    return fm_is_error(status) ? status : scope_configure(&server->scope, &server->space, request);
+}
+
+static uint8_t read_scope(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    uint8_t status = check_scope(request);
+    if (!fm_is_error(status)) {
+        server->app.hold(server->app.context, true); /* one hold for all slots: they are of one moment */
+        status = scope_read(&server->scope, &server->space, reply);
+        server->app.hold(server->app.context, false);
+    }
+    return status;
+}
+
+/* One table; the address 0 behind it ends the client's search. */
+static uint8_t get_tsa_info(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    const uint32_t index = payload_get_unsigned(request);
+    if (request->missing) {
+        return FM_BAD_SIZE;
+    }
+    payload_put_u8(reply, TSA_FLAGS);
+    payload_put_unsigned(reply, index == 0 ? tsa_table_size(server->space.table) : 0);
+    payload_put_unsigned(reply, index == 0 ? TSA_TABLE_BASE : 0);
+    return FM_OK_VARIABLE;
+}
+
+/* Stricter than the vendor, who counts from any address until a 00 happens to come. */
+static uint8_t get_string_length(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    const uint32_t address = payload_get_unsigned(request);
+    uint16_t length = 0;
+    if (request->missing) {
+        return FM_BAD_SIZE;
+    }
+    if (!tsa_string_length(server->space.table, address, &length)) {
+        return FM_DENIED;
+    }
+    payload_put_unsigned(reply, length);
+    return FM_OK_VARIABLE;
+}
+
+static uint8_t send_app_command(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    (void)reply;
+    return app_command_send(&server->app_command, request);
+}
+
+static uint8_t get_app_command_status(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    (void)request;
+    payload_put_u8(reply, app_command_poll(&server->app_command, server->app.command, server->app.context));
+    return FM_OK;
+}
+
+static uint8_t get_app_command_data(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    return app_command_data(&server->app_command, request, reply);
+}
+
+/* ---- dispatch -------------------------------------------------------------------------------------------------- */
+
+/* A handler reads its request, writes the data of its answer and returns the status. */
+typedef struct {
+    uint8_t code;
+    uint8_t (*run)(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply);
+} command_t;
+
+static const command_t commands[] = {
+    {0x20, get_configuration},
+    {0x21, read_memory},
+    {0x22, read_memory_from_base},
+    {0x23, write_memory},
+    {0x26, set_scope},
+    {0x27, read_scope},
+    {0x29, get_tsa_info},
+    {0x2A, get_string_length},
+    {0x30, send_app_command},
+    {0x31, get_app_command_status},
+    {0x32, get_app_command_data},
+};
+#define COMMANDS (sizeof commands / sizeof commands[0])
+
+static uint8_t run_command(freemaster_t *server, payload_writer_t *reply)
+{
+    const frame_receiver_t *frame = &server->receiver;
+    payload_reader_t request = {frame->payload, frame->size, false};
+    for (size_t i = 0; i < COMMANDS; i++) {
+        if (commands[i].code == frame->command) {
+            const uint8_t status = commands[i].run(server, &request, reply);
+            return reply->full && !fm_is_error(status) ? FM_ANSWER_TOO_LONG : status;
+        }
+    }
+    return FM_UNKNOWN_COMMAND;
+}
+
+static void execute(freemaster_t *server)
+{
+    payload_writer_t reply = {frame_data(&server->transmitter), FRAME_DATA_MAX, 0, false};
+    const uint8_t status = run_command(server, &reply);
+    server->statistics.requests++;
+    if (fm_is_error(status)) {
+        server->statistics.refused++;
+    }
+    frame_send(&server->transmitter, status, reply.size);
+}
+
+static void receive(freemaster_t *server, uint8_t byte)
+{
+    switch (frame_receive(&server->receiver, byte)) {
+    case FRAME_NOTHING:
+        break;
+    case FRAME_COMPLETE:
+        execute(server);
+        break;
+    case FRAME_TOO_LONG:
+        server->statistics.too_long++;
+        frame_send(&server->transmitter, FM_REQUEST_TOO_LONG, 0);
+        break;
+    case FRAME_CORRUPT:
+        server->statistics.bad_crc++;
+        frame_send(&server->transmitter, FM_BAD_CHECKSUM, 0);
+        break;
+    case FRAME_ABORTED:
+        server->statistics.aborted++;
+        break;
+    }
+}
+
+void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
+{
+    const freemaster_statistics_t none = {0, 0, 0, 0, 0, 0};
+    server->app = *app;
+    server->space.table = app->tsa;
+    server->space.memory = app->memory;
+    server->space.memory_size = app->memory_size < MEMORY_SIZE_MAX ? app->memory_size : MEMORY_SIZE_MAX;
+    server->statistics = none;
+    frame_receiver_init(&server->receiver);
+    frame_transmitter_init(&server->transmitter);
+    scope_init(&server->scope);
+    app_command_init(&server->app_command);
+}
+
+void freemaster_poll(freemaster_t *server, hal_t *hal)
+{
+    uint8_t byte;
+    while (hal_serial_get(hal, &byte)) {
+        if (frame_is_sending(&server->transmitter)) {
+            server->statistics.bytes_lost++;
+        } else {
+            receive(server, byte);
+        }
+    }
+    while (frame_peek(&server->transmitter, &byte) && hal_serial_put(hal, byte)) {
+        frame_advance(&server->transmitter);
+    }
+}

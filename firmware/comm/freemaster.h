@@ -1,0 +1,67 @@
+/* freemaster.h - FreeMASTER v4 server: lets a client on the serial line read and write the application's variables.
+ *
+ * One scope, application commands, target-side addressing with safety; no recorder, pipes, passwords or sessions:
+ * their commands answer FM_UNKNOWN_COMMAND. A server is one freemaster_t; any number may live side by side.
+ */
+#ifndef COMM_FREEMASTER_H
+#define COMM_FREEMASTER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "comm/app_command.h"
+#include "comm/frame.h"
+#include "comm/scope.h"
+#include "comm/tsa.h"
+#include "hal/hal.h"
+
+/* What the application lends to the server; all pointers are needed and stay valid as long as the server. */
+typedef struct {
+    void *context; /* handed back with every call */
+    uint8_t *memory;
+    uint32_t memory_size; /* at most 65536: offsets of writes have 16 bits */
+    const tsa_table_t *tsa;
+    const char *name, *description, *version, *build;
+
+    /* Freeze the snapshot and the command latch while bytes are copied. Never nested. */
+    void (*hold)(void *context, bool on);
+
+    /* After each accepted write, still inside hold: the smallest range that contains all bytes written (the bytes that
+     * a mask leaves alone at either end do not count, and nothing is reported when none was written). */
+    void (*written)(void *context, uint16_t offset, uint16_t size);
+
+    app_command_run_t command;
+} freemaster_app_t;
+
+/* Counters since start; they wrap. */
+typedef struct {
+    uint32_t requests;   /* frames with a right checksum: the sign of life of a host */
+    uint32_t refused;    /* of these, answered with an error */
+    uint32_t bad_crc;    /* frames with a wrong checksum */
+    uint32_t too_long;   /* frames that did not fit */
+    uint32_t aborted;    /* frames left unfinished */
+    uint32_t bytes_lost; /* bytes that came in while an answer was due */
+} freemaster_statistics_t;
+
+typedef struct {
+    freemaster_app_t app;
+    tsa_space_t space;
+    frame_receiver_t receiver;
+    frame_transmitter_t transmitter;
+    scope_t scope;
+    app_command_t app_command;
+    freemaster_statistics_t statistics;
+} freemaster_t;
+
+void freemaster_init(freemaster_t *server, const freemaster_app_t *app);
+
+/* Move bytes from and to the serial line; carries out at most one request. What is received before its answer has been
+ * handed to the line is dropped: a vendor target would destroy both answers. */
+void freemaster_poll(freemaster_t *server, hal_t *hal);
+
+/* As READMEM and WRITEMEM, without a frame and its limits; 0 or a status code. `mask` may be NULL. */
+uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size);
+uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
+                         uint16_t size);
+
+#endif

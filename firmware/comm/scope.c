@@ -1,0 +1,89 @@
+#include "comm/scope.h"
+
+#include <stddef.h>
+
+#include "comm/status.h"
+
+#define OPERATION_RESET 0x01u
+#define OPERATION_SLOT 0x02u
+#define OPERATION_HEAD 2u /* code and length */
+
+static void reset(scope_t *scope, uint8_t count)
+{
+    for (uint16_t i = 0; i < SCOPE_SLOTS; i++) {
+        scope->slot[i].size = 0;
+    }
+    scope->count = count;
+}
+
+void scope_init(scope_t *scope) { reset(scope, 0); }
+
+/* 01: u8 count. Bytes behind it are ignored; too large a count leaves the old setup. */
+static uint8_t run_reset(scope_t *scope, payload_reader_t *operand)
+{
+    const uint8_t count = payload_get_u8(operand);
+    if (operand->missing || count > SCOPE_SLOTS) {
+        return FM_BAD_SIZE;
+    }
+    reset(scope, count);
+    return FM_OK;
+}
+
+static bool is_variable_size(uint8_t size) { return size == 1 || size == 2 || size == 4 || size == 8; }
+
+/* 02: u8 slot, ADDR, u8 size. Checked in the vendor's order: slot, size, length, access. The address is resolved here
+ * and not in every READSCOPE: the table never changes, and reading holds the control loops' snapshot. */
+static uint8_t run_slot(scope_t *scope, const tsa_space_t *space, payload_reader_t *operand)
+{
+    const uint8_t slot = payload_get_u8(operand);
+    if (!operand->missing && slot >= scope->count) {
+        return FM_BAD_INDEX;
+    }
+    const uint32_t address = payload_get_unsigned(operand);
+    const uint8_t size = payload_get_u8(operand);
+    if (operand->missing || operand->left != 0 || !is_variable_size(size)) {
+        return FM_BAD_SIZE;
+    }
+    return tsa_readable(space, address, size, &scope->slot[slot]) ? FM_OK : FM_DENIED;
+}
+
+uint8_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader_t *operations)
+{
+    uint8_t status = FM_OK;
+    while (!fm_is_error(status) && operations->left >= OPERATION_HEAD) { /* a single left-over byte is ignored */
+        const uint8_t code = payload_get_u8(operations);
+        const uint8_t length = payload_get_u8(operations);
+        const uint8_t *data = payload_take(operations, length);
+        if (data == NULL) {
+            return FM_BAD_SIZE;
+        }
+        payload_reader_t operand = {data, length, false};
+        switch (code) {
+        case OPERATION_RESET:
+            status = run_reset(scope, &operand);
+            break;
+        case OPERATION_SLOT:
+            status = run_slot(scope, space, &operand);
+            break;
+        default:
+            status = FM_UNKNOWN_COMMAND;
+            break;
+        }
+    }
+    return status;
+}
+
+uint8_t scope_read(const scope_t *scope, const tsa_space_t *space, payload_writer_t *reply)
+{
+    if (scope->count == 0) {
+        return FM_NOT_CONFIGURED;
+    }
+    for (uint16_t i = 0; i < scope->count; i++) {
+        uint8_t *room = payload_reserve(reply, scope->slot[i].size);
+        if (room == NULL) {
+            return FM_ANSWER_TOO_LONG;
+        }
+        tsa_copy(space, &scope->slot[i], room);
+    }
+    return FM_OK;
+}

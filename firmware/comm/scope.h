@@ -1,0 +1,25 @@
+/* scope.h - a list of variables that the client reads together, again and again (SETSCOPE, READSCOPE). */
+#ifndef COMM_SCOPE_H
+#define COMM_SCOPE_H
+
+#include <stdint.h>
+
+#include "comm/payload.h"
+#include "comm/tsa.h"
+
+#define SCOPE_SLOTS 24
+
+typedef struct {
+    tsa_place_t slot[SCOPE_SLOTS]; /* size 0: not set, gives no bytes */
+    uint8_t count;                 /* slots in use; 0: off */
+} scope_t;
+
+void scope_init(scope_t *scope);
+
+/* Carry out the operations of a SETSCOPE request up to the first error; what was done before it stays done. */
+uint8_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader_t *operations);
+
+/* Append the values of all slots; the caller holds the application's snapshot. */
+uint8_t scope_read(const scope_t *scope, const tsa_space_t *space, payload_writer_t *reply);
+
+#endif

@@ -1,0 +1,26 @@
+/* status.h - status byte of a FreeMASTER answer.
+ *
+ * Bit 7: error, no data follow. Bit 6: a length byte follows. An answer of known length has neither.
+ */
+#ifndef COMM_STATUS_H
+#define COMM_STATUS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define FM_OK UINT8_C(0x00)               /* success, the client knows how many bytes follow */
+#define FM_OK_VARIABLE UINT8_C(0x40)      /* success, a length byte follows */
+#define FM_UNKNOWN_COMMAND UINT8_C(0x81)  /* also: feature or sub-operation that this server does not have */
+#define FM_BAD_CHECKSUM UINT8_C(0x82)
+#define FM_REQUEST_TOO_LONG UINT8_C(0x83)
+#define FM_ANSWER_TOO_LONG UINT8_C(0x84)
+#define FM_BAD_INDEX UINT8_C(0x85)        /* slot out of range, too many arguments */
+#define FM_BAD_SIZE UINT8_C(0x86)         /* payload or operand of the wrong length */
+#define FM_BUSY UINT8_C(0x87)
+#define FM_NOT_CONFIGURED UINT8_C(0x88)
+#define FM_DENIED UINT8_C(0x89)           /* not in the variable table; unknown configuration key */
+#define FM_BAD_INSTANCE UINT8_C(0x94)     /* no such scope */
+
+static inline bool fm_is_error(uint8_t status) { return (status & 0x80u) != 0; }
+
+#endif

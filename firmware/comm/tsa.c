@@ -1,0 +1,119 @@
+#include "comm/tsa.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#define TYPE_NOT_MAPPED 0xEDu /* first byte of the types of STRUCT, ENUM, CONST, DIR: no memory behind the entry */
+
+#define FIELD_SIZE 4u
+
+/* True if `size` bytes at `address` lie in the `extent` bytes at `base`; no sum that could wrap is formed. */
+static bool inside(uint32_t address, uint32_t size, uint32_t base, uint32_t extent)
+{
+    return address >= base && address - base <= extent && size <= extent - (address - base);
+}
+
+static bool is_mapped(const tsa_table_t *table, const tsa_entry_t *entry)
+{
+    return entry->type < table->strings_size && table->strings[entry->type] != TYPE_NOT_MAPPED;
+}
+
+static bool in_variable(const tsa_space_t *space, uint32_t address, uint32_t size, bool writing)
+{
+    const tsa_table_t *table = space->table;
+    if (!inside(address, size, TSA_VARIABLES_BASE, space->memory_size)) {
+        return false; /* even a wrong table opens nothing beyond the lent memory */
+    }
+    for (uint16_t i = 0; i < table->entries; i++) {
+        const tsa_entry_t *entry = &table->entry[i];
+        const bool allowed = writing ? entry->kind == TSA_KIND_RW : entry->kind != TSA_KIND_NONE;
+        if (allowed && inside(address, size, entry->address, entry->size) && is_mapped(table, entry)) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* The blob holds strings only, so a range without 00 is part of one string. */
+static bool in_string(const tsa_table_t *table, uint32_t address, uint32_t size)
+{
+    return inside(address, size, TSA_STRINGS_BASE, table->strings_size) &&
+           memchr(table->strings + (size_t)(address - TSA_STRINGS_BASE), 0, (size_t)size) == NULL;
+}
+
+static bool fill(tsa_place_t *place, tsa_region_t region, uint32_t offset, uint32_t size)
+{
+    if (size > UINT16_MAX) {
+        return false;
+    }
+    place->offset = offset;
+    place->size = (uint16_t)size;
+    place->region = (uint8_t)region;
+    return true;
+}
+
+bool tsa_readable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place)
+{
+    if (in_variable(space, address, size, false)) {
+        return fill(place, TSA_REGION_VARIABLES, address - TSA_VARIABLES_BASE, size);
+    }
+    if (in_string(space->table, address, size)) {
+        return fill(place, TSA_REGION_STRINGS, address - TSA_STRINGS_BASE, size);
+    }
+    if (inside(address, size, TSA_TABLE_BASE, tsa_table_size(space->table))) {
+        return fill(place, TSA_REGION_TABLE, address - TSA_TABLE_BASE, size);
+    }
+    return false;
+}
+
+bool tsa_writable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place)
+{
+    return in_variable(space, address, size, true) &&
+           fill(place, TSA_REGION_VARIABLES, address - TSA_VARIABLES_BASE, size);
+}
+
+static uint8_t table_byte(const tsa_table_t *table, uint32_t offset)
+{
+    const tsa_entry_t *entry = &table->entry[(size_t)(offset / TSA_WIRE_ENTRY_SIZE)];
+    const unsigned at = (unsigned)(offset % TSA_WIRE_ENTRY_SIZE);
+    const uint32_t field[] = {
+        TSA_STRINGS_BASE + entry->name,
+        TSA_STRINGS_BASE + entry->type,
+        entry->address,
+        (uint32_t)entry->size << 2 | entry->kind,
+    };
+    return (uint8_t)(field[at / FIELD_SIZE] >> (8u * (at % FIELD_SIZE)) & 0xFFu);
+}
+
+void tsa_copy(const tsa_space_t *space, const tsa_place_t *place, uint8_t *data)
+{
+    switch ((tsa_region_t)place->region) {
+    case TSA_REGION_VARIABLES:
+        memcpy(data, space->memory + (size_t)place->offset, place->size);
+        break;
+    case TSA_REGION_STRINGS:
+        memcpy(data, space->table->strings + (size_t)place->offset, place->size);
+        break;
+    case TSA_REGION_TABLE:
+        for (uint16_t i = 0; i < place->size; i++) {
+            data[i] = table_byte(space->table, place->offset + i);
+        }
+        break;
+    }
+}
+
+bool tsa_string_length(const tsa_table_t *table, uint32_t address, uint16_t *length)
+{
+    if (!inside(address, 1, TSA_STRINGS_BASE, table->strings_size)) {
+        return false;
+    }
+    const uint16_t offset = (uint16_t)(address - TSA_STRINGS_BASE);
+    uint16_t end = offset;
+    while (end < table->strings_size && table->strings[end] != 0) {
+        end++;
+    }
+    *length = (uint16_t)(end - offset);
+    return true;
+}
+
+uint32_t tsa_table_size(const tsa_table_t *table) { return TSA_WIRE_ENTRY_SIZE * table->entries; }

@@ -1,0 +1,83 @@
+"""Fixtures of the firmware tests: compilers, and FreeMASTER servers in a harness."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+# The helper modules of this folder can be imported under every import mode of pytest.
+TEST = str(Path(__file__).resolve().parent)
+if TEST not in sys.path:
+    sys.path.insert(0, TEST)
+
+from firmware_compiler import CompileC, CompileProgram, LibraryCompiler, ProgramCompiler  # noqa: E402
+from freemaster_board import CDEF, Board  # noqa: E402
+from freemaster_model import COMM_SOURCES, SERVO, SHEET, Layout  # noqa: E402
+
+
+@pytest.fixture(scope="session")
+def compile_c(tmp_path_factory: pytest.TempPathFactory) -> CompileC:
+    """``compile_c(name, sources, cdef, defines=()) -> (ffi, lib)``: some C files as a library of the host."""
+    return LibraryCompiler(tmp_path_factory.mktemp("lib"))
+
+
+@pytest.fixture(scope="session")
+def compile_program(tmp_path_factory: pytest.TempPathFactory) -> CompileProgram:
+    """``compile_program(name, sources, options=(), defines=(), compiler="gcc") -> path``: an executable.
+
+    Skips the test when the compiler is missing.
+    """
+    return ProgramCompiler(tmp_path_factory.mktemp("program"))
+
+
+@pytest.fixture(scope="session")
+def freemaster_sources(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Layout], list[str | Path]]:
+    """Sources of a FreeMASTER server with its harness for one layout of the address space."""
+    folder = tmp_path_factory.mktemp("layout")
+
+    def sources(layout: Layout) -> list[str | Path]:
+        table = folder / f"{layout.name}.c"
+        table.write_text(layout.c_source(), encoding="ascii")
+        return [*COMM_SOURCES, "test/freemaster_harness.c", table]
+
+    return sources
+
+
+@pytest.fixture(scope="session")
+def new_board(
+    compile_c: CompileC, freemaster_sources: Callable[[Layout], list[str | Path]]
+) -> Callable[[Layout], Board]:
+    """A fresh server for a layout."""
+
+    def build(layout: Layout) -> Board:
+        ffi, lib = compile_c(f"freemaster_{layout.name}", freemaster_sources(layout), CDEF, layout.defines)
+        return Board(ffi, lib, layout)
+
+    return build
+
+
+@pytest.fixture
+def sheet(new_board: Callable[[Layout], Board]) -> Iterator[Board]:
+    """A server with the addresses and the buffer size of the protocol's byte examples."""
+    board = new_board(SHEET)
+    yield board
+    assert board.violations() == 0
+
+
+@pytest.fixture
+def servo(new_board: Callable[[Layout], Board]) -> Iterator[Board]:
+    """A server with the addresses and the buffer size of the product."""
+    board = new_board(SERVO)
+    yield board
+    assert board.violations() == 0
+
+
+@pytest.fixture(scope="module")
+def shared_servo(new_board: Callable[[Layout], Board]) -> Iterator[Board]:
+    """As `servo`, but one for all examples of a property."""
+    board = new_board(SERVO)
+    yield board
+    assert board.violations() == 0

@@ -1,0 +1,103 @@
+"""Compile C sources of the firmware for a test; warnings are errors, as everywhere in the firmware."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import cffi
+import pytest
+
+FIRMWARE = Path(__file__).resolve().parents[1]
+TEST = FIRMWARE / "test"
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+
+Sources = Sequence["str | Path"]
+
+
+class CompileC(Protocol):
+    """Build a host library and load it; see the fixture of the same name."""
+
+    def __call__(self, name: str, sources: Sources, cdef: str, defines: Sequence[str] = ()) -> tuple[cffi.FFI, Any]: ...
+
+
+class CompileProgram(Protocol):
+    """Build an executable; see the fixture of the same name."""
+
+    def __call__(
+        self,
+        name: str,
+        sources: Sources,
+        options: Sequence[str] = (),
+        defines: Sequence[str] = (),
+        compiler: str = "gcc",
+    ) -> Path: ...
+
+
+def run_compiler(output: Path, sources: Sources, options: Sequence[str], compiler: str) -> Path:
+    """Compile and link `sources` (relative ones are relative to the firmware folder) into `output`.
+
+    A missing compiler skips the test, a warning fails it.
+    """
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    command = [compiler, *STRICT, f"-I{FIRMWARE}", f"-I{TEST}", *options]
+    command += [str(FIRMWARE / source) for source in sources]  # an absolute path stays as it is
+    result = subprocess.run([*command, "-o", str(output)], capture_output=True, text=True, check=False)
+    if result.returncode != 0:
+        pytest.fail(f"{' '.join(command)}\n{result.stderr}", pytrace=False)
+    return output
+
+
+def defined(defines: Sequence[str]) -> list[str]:
+    """Compiler options for preprocessor definitions."""
+    return [f"-D{define}" for define in defines]
+
+
+class LibraryCompiler:
+    """``compile_c``: equal requests share one build."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._loaded: dict[tuple[object, ...], tuple[cffi.FFI, Any]] = {}
+
+    def __call__(self, name: str, sources: Sources, cdef: str, defines: Sequence[str] = ()) -> tuple[cffi.FFI, Any]:
+        key = (name, tuple(map(str, sources)), cdef, tuple(defines))
+        if key not in self._loaded:
+            extra = os.environ.get("FIRMWARE_CFLAGS", "").split()  # coverage, for example
+            options = ["-O1", "-g", "-fPIC", "-shared", *extra, *defined(defines)]
+            output = self._folder / f"lib{name}_{len(self._loaded)}.so"
+            path = run_compiler(output, sources, options, os.environ.get("CC", "gcc"))
+            ffi = cffi.FFI()
+            ffi.cdef(cdef)
+            self._loaded[key] = (ffi, ffi.dlopen(str(path)))
+        return self._loaded[key]
+
+
+class ProgramCompiler:
+    """``compile_program``: for the host or, with a cross compiler, for a target."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __call__(
+        self,
+        name: str,
+        sources: Sources,
+        options: Sequence[str] = (),
+        defines: Sequence[str] = (),
+        compiler: str = "gcc",
+    ) -> Path:
+        return run_compiler(self._folder / name, sources, [*options, *defined(defines)], compiler)
+
+
+def has_library(compiler: str, name: str) -> bool:
+    """True if the compiler is there and finds a file of its own, such as ``libasan.so``."""
+    if shutil.which(compiler) is None:
+        return False
+    result = subprocess.run([compiler, f"-print-file-name={name}"], capture_output=True, text=True, check=True)
+    return Path(result.stdout.strip()).is_absolute()

@@ -1,0 +1,113 @@
+"""Python face of the C harness: a FreeMASTER server on a serial line that the test holds in its hands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import cffi
+from freemaster_model import MEMORY_SIZE, Answer, Layout, parse_answer, request
+
+LINE = 4096
+EVENTS = 64
+
+CDEF = f"""
+typedef struct harness harness_t;
+harness_t *harness_new(void);
+void harness_free(harness_t *harness);
+void harness_set_put_room(harness_t *harness, uint16_t bytes);
+void harness_feed(harness_t *harness, const uint8_t *data, uint16_t size);
+void harness_poll(harness_t *harness);
+uint16_t harness_take(harness_t *harness, uint8_t data[{LINE}]);
+uint8_t harness_read(harness_t *harness, uint32_t address, uint8_t *data, uint16_t size);
+uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data, const uint8_t *mask, uint16_t size);
+void harness_memory(const harness_t *harness, uint8_t *data);
+void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
+uint16_t harness_events(harness_t *harness, uint16_t triples[{3 * EVENTS}]);
+uint16_t harness_violations(const harness_t *harness);
+void harness_statistics(const harness_t *harness, uint32_t values[6]);
+"""
+
+EVENT_NAMES = ("hold", "release", "written", "command")
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Counters of the server."""
+
+    requests: int
+    refused: int
+    bad_crc: int
+    too_long: int
+    aborted: int
+    bytes_lost: int
+
+
+class Board:
+    """One server with its application."""
+
+    def __init__(self, ffi: cffi.FFI, lib: Any, layout: Layout) -> None:
+        self._ffi = ffi
+        self._lib = lib
+        self._harness = ffi.gc(lib.harness_new(), lib.harness_free)
+        self.layout = layout
+
+    def feed(self, data: bytes) -> None:
+        """Put bytes on the line to the server."""
+        self._lib.harness_feed(self._harness, data, len(data))
+
+    def poll(self) -> bytes:
+        """Let the server run once; returns what it has sent."""
+        self._lib.harness_poll(self._harness)
+        buffer = self._ffi.new("uint8_t[]", LINE)
+        return bytes(self._ffi.buffer(buffer, self._lib.harness_take(self._harness, buffer)))
+
+    def send(self, wire: bytes) -> bytes:
+        """Everything in one go: bytes in, one poll, bytes out."""
+        self.feed(wire)
+        return self.poll()
+
+    def ask(self, code: int, payload: bytes = b"") -> Answer:
+        """Send a well-formed request and take the answer apart."""
+        return parse_answer(self.send(request(code, payload)))
+
+    def set_put_room(self, size: int) -> None:
+        """Bytes that the transmitter takes in each poll."""
+        self._lib.harness_set_put_room(self._harness, size)
+
+    def read(self, address: int, size: int) -> tuple[int, bytes]:
+        """freemaster_read: status and data."""
+        data = self._ffi.new("uint8_t[]", max(size, 1))
+        status = self._lib.harness_read(self._harness, address, data, size)
+        return int(status), bytes(self._ffi.buffer(data, size))
+
+    def write(self, address: int, data: bytes, mask: bytes | None = None) -> int:
+        """freemaster_write: status."""
+        mask_or_null = self._ffi.NULL if mask is None else mask
+        return int(self._lib.harness_write(self._harness, address, data, mask_or_null, len(data)))
+
+    def memory(self) -> bytes:
+        """The application's memory."""
+        buffer = self._ffi.new("uint8_t[]", MEMORY_SIZE)
+        self._lib.harness_memory(self._harness, buffer)
+        return bytes(self._ffi.buffer(buffer))
+
+    def poke(self, offset: int, data: bytes) -> None:
+        """Let the application change its memory."""
+        self._lib.harness_poke(self._harness, offset, data, len(data))
+
+    def events(self) -> list[tuple[str, int, int]]:
+        """Calls to the application since the last look."""
+        triples = self._ffi.new("uint16_t[]", 3 * EVENTS)
+        count = self._lib.harness_events(self._harness, triples)
+        return [(EVENT_NAMES[triples[3 * i]], triples[3 * i + 1], triples[3 * i + 2]) for i in range(count)]
+
+    def violations(self) -> int:
+        """Calls to the application that broke its rules."""
+        return int(self._lib.harness_violations(self._harness))
+
+    def statistics(self) -> Statistics:
+        """Counters of the server."""
+        values = self._ffi.new("uint32_t[]", len(fields(Statistics)))
+        self._lib.harness_statistics(self._harness, values)
+        return Statistics(*values)

@@ -1,0 +1,206 @@
+#include "freemaster_harness.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#define SCRAMBLE 0xA5u
+
+struct hal {
+    uint8_t in[HARNESS_LINE];
+    uint8_t out[HARNESS_LINE];
+    uint16_t in_at, in_end, out_end;
+    uint16_t put_room, put_left;
+};
+
+struct harness {
+    hal_t hal;
+    freemaster_t server;
+    uint8_t *memory; /* exactly the size told to the server, so that a sanitizer sees every byte too far */
+    bool held;
+    uint16_t violations;
+    uint16_t events;
+    uint16_t event[3 * HARNESS_EVENTS];
+};
+
+bool hal_serial_get(hal_t *hal, uint8_t *byte)
+{
+    if (hal->in_at == hal->in_end) {
+        hal->in_at = 0;
+        hal->in_end = 0;
+        return false;
+    }
+    *byte = hal->in[hal->in_at++];
+    return true;
+}
+
+bool hal_serial_put(hal_t *hal, uint8_t byte)
+{
+    if (hal->put_left == 0 || hal->out_end == HARNESS_LINE) {
+        return false;
+    }
+    hal->put_left--;
+    hal->out[hal->out_end++] = byte;
+    return true;
+}
+
+static void note(harness_t *harness, harness_event_t code, uint16_t offset, uint16_t size)
+{
+    if (harness->events < HARNESS_EVENTS) {
+        uint16_t *event = harness->event + 3 * harness->events++;
+        event[0] = (uint16_t)code;
+        event[1] = offset;
+        event[2] = size;
+    }
+}
+
+/* The memory makes sense only while it is held: bytes copied at any other time are visibly wrong. */
+static void scramble(harness_t *harness)
+{
+    for (uint16_t i = 0; i < fixture_memory_size; i++) {
+        harness->memory[i] ^= SCRAMBLE;
+    }
+}
+
+static void hold(void *context, bool on)
+{
+    harness_t *harness = context;
+    if (harness->held == on) {
+        harness->violations++;
+        return;
+    }
+    harness->held = on;
+    scramble(harness);
+    note(harness, on ? EVENT_HOLD : EVENT_RELEASE, 0, 0);
+}
+
+static void written(void *context, uint16_t offset, uint16_t size)
+{
+    harness_t *harness = context;
+    if (!harness->held || size == 0 || offset >= fixture_memory_size || size > fixture_memory_size - offset) {
+        harness->violations++;
+    }
+    note(harness, EVENT_WRITTEN, offset, size);
+}
+
+/* 0x11 answers the complements of its arguments; any other code nothing, and itself as the result. */
+static uint8_t command(void *context, uint8_t code, const uint8_t *arguments, uint16_t size, uint8_t *result,
+                       uint16_t *result_size)
+{
+    harness_t *harness = context;
+    note(harness, EVENT_COMMAND, code, size);
+    if (harness->held || *result_size < size) {
+        harness->violations++;
+    }
+    if (code != 0x11) {
+        *result_size = 0;
+        return code;
+    }
+    for (uint16_t i = 0; i < size; i++) {
+        result[i] = (uint8_t)(arguments[i] ^ 0xFFu);
+    }
+    *result_size = size;
+    return 0x42;
+}
+
+harness_t *harness_new(void)
+{
+    harness_t *harness = calloc(1, sizeof *harness);
+    if (harness == NULL) {
+        return NULL;
+    }
+    harness->memory = malloc(fixture_memory_size);
+    if (harness->memory == NULL) {
+        free(harness);
+        return NULL;
+    }
+    memcpy(harness->memory, fixture_memory, fixture_memory_size);
+    scramble(harness);
+    harness->hal.put_room = HARNESS_LINE;
+
+    const freemaster_app_t app = {harness,    harness->memory, fixture_memory_size, &fixture_table, "servo",
+                                  "two axes", "4.0",           "2026-01-01",        hold,           written,
+                                  command};
+    memset(&harness->server, 0xEE, sizeof harness->server); /* init must not rely on cleared memory */
+    freemaster_init(&harness->server, &app);
+    return harness;
+}
+
+void harness_free(harness_t *harness)
+{
+    if (harness != NULL) {
+        free(harness->memory);
+        free(harness);
+    }
+}
+
+void harness_set_put_room(harness_t *harness, uint16_t bytes) { harness->hal.put_room = bytes; }
+
+void harness_feed(harness_t *harness, const uint8_t *data, uint16_t size)
+{
+    hal_t *hal = &harness->hal;
+    for (uint16_t i = 0; i < size && hal->in_end < HARNESS_LINE; i++) {
+        hal->in[hal->in_end++] = data[i];
+    }
+}
+
+void harness_poll(harness_t *harness)
+{
+    harness->hal.put_left = harness->hal.put_room;
+    freemaster_poll(&harness->server, &harness->hal);
+    if (harness->held) {
+        harness->violations++;
+    }
+}
+
+uint16_t harness_take(harness_t *harness, uint8_t *data)
+{
+    const uint16_t size = harness->hal.out_end;
+    memcpy(data, harness->hal.out, size);
+    harness->hal.out_end = 0;
+    return size;
+}
+
+uint8_t harness_read(harness_t *harness, uint32_t address, uint8_t *data, uint16_t size)
+{
+    return freemaster_read(&harness->server, address, data, size);
+}
+
+uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data, const uint8_t *mask, uint16_t size)
+{
+    return freemaster_write(&harness->server, address, data, mask, size);
+}
+
+void harness_memory(const harness_t *harness, uint8_t *data)
+{
+    for (uint16_t i = 0; i < fixture_memory_size; i++) {
+        data[i] = (uint8_t)(harness->memory[i] ^ SCRAMBLE);
+    }
+}
+
+void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size)
+{
+    for (uint16_t i = 0; i < size; i++) {
+        harness->memory[offset + i] = (uint8_t)(data[i] ^ SCRAMBLE);
+    }
+}
+
+uint16_t harness_events(harness_t *harness, uint16_t *triples)
+{
+    const uint16_t events = harness->events;
+    memcpy(triples, harness->event, sizeof harness->event);
+    harness->events = 0;
+    return events;
+}
+
+uint16_t harness_violations(const harness_t *harness) { return harness->violations; }
+
+void harness_statistics(const harness_t *harness, uint32_t values[6])
+{
+    const freemaster_statistics_t *statistics = &harness->server.statistics;
+    values[0] = statistics->requests;
+    values[1] = statistics->refused;
+    values[2] = statistics->bad_crc;
+    values[3] = statistics->too_long;
+    values[4] = statistics->aborted;
+    values[5] = statistics->bytes_lost;
+}

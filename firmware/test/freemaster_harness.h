@@ -1,0 +1,47 @@
+/* freemaster_harness.h - a FreeMASTER server on a serial line made of two arrays, with an application that notices when
+ * the server misbehaves. The table of variables comes from a generated source (freemaster_model.py). */
+#ifndef FREEMASTER_HARNESS_H
+#define FREEMASTER_HARNESS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "comm/freemaster.h"
+
+extern const tsa_table_t fixture_table;
+extern const uint8_t fixture_memory[];
+extern const uint16_t fixture_memory_size;
+
+#define HARNESS_EVENTS 64
+
+typedef enum { EVENT_HOLD, EVENT_RELEASE, EVENT_WRITTEN, EVENT_COMMAND } harness_event_t;
+
+typedef struct harness harness_t;
+
+harness_t *harness_new(void);
+void harness_free(harness_t *harness);
+
+/* Bytes that the transmitter takes in each poll from now on. */
+void harness_set_put_room(harness_t *harness, uint16_t bytes);
+
+/* Put bytes on the line to the server; what does not fit is lost. */
+void harness_feed(harness_t *harness, const uint8_t *data, uint16_t size);
+void harness_poll(harness_t *harness);
+
+/* Take what the server has sent since the last call; `data` has room for HARNESS_LINE bytes. */
+#ifndef HARNESS_LINE
+#define HARNESS_LINE 4096
+#endif
+uint16_t harness_take(harness_t *harness, uint8_t *data);
+
+uint8_t harness_read(harness_t *harness, uint32_t address, uint8_t *data, uint16_t size);
+uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data, const uint8_t *mask, uint16_t size);
+
+/* The application's side. */
+void harness_memory(const harness_t *harness, uint8_t *data);
+void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
+uint16_t harness_events(harness_t *harness, uint16_t *triples); /* code, offset, size; emptied by the call */
+uint16_t harness_violations(const harness_t *harness); /* calls out of order seen by the application */
+void harness_statistics(const harness_t *harness, uint32_t values[6]);
+
+#endif
