@@ -1,0 +1,1 @@
+"""FreeMASTER version 4 over a serial line: frames, client and discovery. No ROS, usable alone."""

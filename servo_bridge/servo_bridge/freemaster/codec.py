@@ -1,0 +1,222 @@
+"""FreeMASTER v4 frames: checksum, doubling of the start byte, LEB128 numbers, the answer parser.
+
+Pure functions and one small state machine; nothing here knows about time or ports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from servo_bridge.freemaster.errors import CodecError, Status
+
+__all__ = [
+    "MAX_ANSWER_DATA",
+    "SOB",
+    "Answer",
+    "AnswerParser",
+    "crc8",
+    "decode_sleb",
+    "decode_uleb",
+    "encode_request",
+    "encode_sleb",
+    "encode_uleb",
+]
+
+SOB: Final = 0x2B
+"""Start of block, '+'. Every later byte of this value is sent twice."""
+
+MAX_ANSWER_DATA: Final = 252
+"""Most data bytes in one answer on a serial line."""
+
+_MAX_PAYLOAD: Final = 253  # length 254 is never accepted and 255 is dropped without an answer
+_NUMBER_MASK: Final = (1 << 64) - 1
+
+
+def _crc_table() -> bytes:
+    """CRC-8, polynomial x^8 + x^2 + x + 1, most significant bit first."""
+    table = bytearray()
+    for value in range(256):
+        for _ in range(8):
+            value = (value << 1) ^ (0x107 if value & 0x80 else 0)
+        table.append(value)
+    return bytes(table)
+
+
+_CRC_TABLE: Final = _crc_table()
+
+
+def crc8(data: bytes, crc: int = 0) -> int:
+    """Compute the CRC-8 of `data`, continuing from `crc`."""
+    for byte in data:
+        crc = _CRC_TABLE[crc ^ byte]
+    return crc
+
+
+def encode_request(command: int, payload: bytes = b"") -> bytes:
+    """Build one request as it goes over the line.
+
+    Raises
+    ------
+    CodecError
+        If the command code or the length cannot be sent.
+    """
+    if not 0 <= command <= 0xFF or command == SOB:
+        raise CodecError(f"command code {command:#x} cannot be sent")
+    if len(payload) > _MAX_PAYLOAD:
+        raise CodecError(f"{len(payload)} bytes of payload; at most {_MAX_PAYLOAD} fit a frame")
+    body = bytes((command, len(payload))) + payload
+    body += bytes((crc8(body),))
+    return b"+" + body.replace(b"+", b"++")
+
+
+def encode_uleb(value: int) -> bytes:
+    """Encode unsigned LEB128, shortest form.
+
+    Raises
+    ------
+    CodecError
+        If `value` is negative.
+    """
+    if value < 0:
+        raise CodecError(f"{value} is negative")
+    out = bytearray()
+    while value > 0x7F:
+        out.append(0x80 | (value & 0x7F))
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def encode_sleb(value: int) -> bytes:
+    """Encode signed LEB128, shortest form."""
+    out = bytearray()
+    while not -0x40 <= value < 0x40:
+        out.append(0x80 | (value & 0x7F))
+        value >>= 7
+    out.append(value & 0x7F)
+    return bytes(out)
+
+
+def _leb(data: bytes, start: int) -> tuple[int, int]:
+    """Join the groups of a LEB128 number to one unsigned value, and the index behind it."""
+    value = shift = 0
+    for index in range(start, len(data)):
+        value |= (data[index] & 0x7F) << shift
+        shift += 7
+        if not data[index] & 0x80:
+            return value, index + 1
+    raise CodecError("number is cut off")
+
+
+def decode_uleb(data: bytes, start: int = 0) -> tuple[int, int]:
+    """Decode unsigned LEB128; padded forms are fine and bits beyond 64 are dropped.
+
+    Returns
+    -------
+    value, end : int
+        The number and the index of the byte behind it.
+
+    Raises
+    ------
+    CodecError
+        If the data ends inside the number.
+    """
+    value, end = _leb(data, start)
+    return value & _NUMBER_MASK, end
+
+
+def decode_sleb(data: bytes, start: int = 0) -> tuple[int, int]:
+    """Decode signed LEB128; see `decode_uleb`."""
+    value, end = _leb(data, start)
+    if data[end - 1] & 0x40:
+        value -= 1 << (7 * (end - start))
+    value &= _NUMBER_MASK
+    return (value - (1 << 64) if value >> 63 else value), end
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One intact answer: status byte and data without length and checksum."""
+
+    status: int
+    data: bytes
+
+    @property
+    def is_error(self) -> bool:
+        """Whether the target refused."""
+        return bool(self.status & Status.ERROR_BIT)
+
+
+def _can_start(status: int) -> bool:
+    """Whether a byte behind a start byte can be a status.
+
+    Everything else is line noise or, on single-wire hardware, the echo of a request. Debug builds send frames with
+    status A9 until they have seen their first request; they say nothing.
+    """
+    if status & Status.ERROR_BIT:
+        return status not in (Status.DEBUG_FRAME, 0xFF)
+    return status in (Status.OK, Status.OK_VARIABLE)
+
+
+class AnswerParser:
+    """Finds one answer in a stream of bytes that may start and end anywhere.
+
+    Parameters
+    ----------
+    fixed_size : int
+        Data bytes of a success answer without length byte, known from the request.
+
+    Attributes
+    ----------
+    crc_errors : int
+        Complete frames with a wrong checksum so far.
+    """
+
+    def __init__(self, fixed_size: int = 0) -> None:
+        self._fixed_size = fixed_size
+        self._pending_sob = False
+        self._body: bytearray | None = None  # from the status byte on; None while hunting for a start
+        self.crc_errors = 0
+
+    def feed(self, chunk: bytes) -> Answer | None:
+        """Take received bytes; returns the first intact answer, whose successors in `chunk` are dropped."""
+        for index, segment in enumerate(chunk.split(b"+")):
+            if index:
+                self._pending_sob = not self._pending_sob
+                if not self._pending_sob:
+                    answer = self._take(b"+")
+                    if answer is not None:
+                        return answer
+            if not segment:
+                continue
+            if self._pending_sob:
+                self._pending_sob = False
+                self._body = bytearray() if _can_start(segment[0]) else None
+            answer = self._take(segment)
+            if answer is not None:
+                return answer
+        return None
+
+    def _take(self, data: bytes) -> Answer | None:
+        if self._body is None:
+            return None
+        self._body += data
+        size = self._size_of_body()
+        if size is None or len(self._body) < size:
+            return None
+        body, self._body = bytes(self._body[:size]), None
+        if crc8(body):
+            self.crc_errors += 1
+            return None
+        return Answer(body[0], body[2:-1] if body[0] == Status.OK_VARIABLE else body[1:-1])
+
+    def _size_of_body(self) -> int | None:
+        """Bytes from status to checksum; None while the length byte has not come."""
+        assert self._body is not None
+        status = self._body[0]
+        if status & Status.ERROR_BIT:
+            return 2
+        if status & Status.VARIABLE_BIT:
+            return self._body[1] + 3 if len(self._body) > 1 else None
+        return self._fixed_size + 2

@@ -1,0 +1,234 @@
+"""FreeMASTER v4 commands: what goes into each request and what comes out of its answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from servo_bridge.freemaster.codec import MAX_ANSWER_DATA, decode_uleb, encode_request, encode_uleb
+from servo_bridge.freemaster.errors import CodecError
+
+__all__ = [
+    "COMMAND_IDLE",
+    "COMMAND_RUNNING",
+    "SCOPE_SIZES",
+    "Command",
+    "Request",
+    "ScopeSlot",
+    "TsaTable",
+    "get_command_data",
+    "get_command_status",
+    "get_config",
+    "get_string_length",
+    "get_tsa_info",
+    "parse_config",
+    "parse_size",
+    "parse_tsa_info",
+    "read_memory",
+    "read_scope",
+    "send_command",
+    "set_scope",
+    "write_memory",
+]
+
+SCOPE_SIZES: Final = (1, 2, 4, 8)
+"""Sizes that a scope slot can have [bytes]."""
+
+COMMAND_RUNNING: Final = 0xFE
+COMMAND_IDLE: Final = 0xFF
+
+_OP_SCOPE_RESET: Final = 0x01
+_OP_SCOPE_SLOT: Final = 0x02
+
+
+class Command:
+    """Command codes of version 4."""
+
+    GETCONFIG: Final = 0x20
+    READMEM: Final = 0x21
+    WRITEMEM: Final = 0x23
+    SETSCOPE: Final = 0x26
+    READSCOPE: Final = 0x27
+    GETTSAINFO: Final = 0x29
+    GETSTRLEN: Final = 0x2A
+    SENDAPPCMD: Final = 0x30
+    GETAPPCMDSTS: Final = 0x31
+    GETAPPCMDDATA: Final = 0x32
+
+
+@dataclass(frozen=True)
+class Request:
+    """One request.
+
+    Attributes
+    ----------
+    name : str
+        For error messages.
+    command : int
+        Command code.
+    payload : bytes
+        Payload before doubling.
+    answer_size : int or None
+        Data bytes of the answer; None when it carries its own length.
+    idempotent : bool
+        Whether it may be sent again after a lost answer.
+    frame : bytes
+        The bytes on the line.
+    """
+
+    name: str
+    command: int
+    payload: bytes
+    answer_size: int | None
+    idempotent: bool = True
+    frame: bytes = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frame", encode_request(self.command, self.payload))
+
+    @property
+    def answer_limit(self) -> int:
+        """Bytes on the line of the longest possible answer: every byte but the first doubled."""
+        data = MAX_ANSWER_DATA + 1 if self.answer_size is None else self.answer_size
+        return 2 * (data + 2) + 1
+
+
+@dataclass(frozen=True)
+class ScopeSlot:
+    """One variable of the scope."""
+
+    address: int
+    size: int
+
+
+@dataclass(frozen=True)
+class TsaTable:
+    """Where one table of variables lies; address 0 ends the list of tables."""
+
+    flags: int
+    size: int
+    address: int
+
+    @property
+    def field_size(self) -> int:
+        """Bytes of each of the four fields of an entry.
+
+        Raises
+        ------
+        CodecError
+            If the flags name a width that does not exist.
+        """
+        try:
+            return (2, 4, 8)[self.flags >> 4 & 3]
+        except IndexError:
+            raise CodecError(f"table flags {self.flags:02X} name no width of the entries") from None
+
+
+def get_config(key: str) -> Request:
+    """Ask for a configuration value by its name of up to three characters."""
+    return Request(f"GETCONFIG {key}", Command.GETCONFIG, b"\x00" + key.encode("ascii") + b"\x00", None)
+
+
+def parse_config(key: str, data: bytes) -> bytes:
+    """Take the value from behind the repeated key.
+
+    Raises
+    ------
+    CodecError
+        If the answer is about another key.
+    """
+    prefix = key.encode("ascii") + b"\x00"
+    if not data.startswith(prefix):
+        raise CodecError(f"answer to GETCONFIG {key} is about {data[:4]!r}")
+    return data[len(prefix) :]
+
+
+def read_memory(address: int, size: int) -> Request:
+    """Read `size` bytes."""
+    payload = encode_uleb(address) + encode_uleb(size)
+    return Request(f"READMEM {size} bytes at 0x{address:X}", Command.READMEM, payload, size)
+
+
+def write_memory(address: int, data: bytes, mask: bytes | None = None) -> Request:
+    """Write bytes; with a mask only the bits that are set in it."""
+    if mask is not None and len(mask) != len(data):
+        raise CodecError(f"mask of {len(mask)} bytes for {len(data)} bytes of data")
+    payload = bytes((mask is not None,)) + encode_uleb(address) + encode_uleb(len(data)) + data + (mask or b"")
+    return Request(f"WRITEMEM {len(data)} bytes at 0x{address:X}", Command.WRITEMEM, payload, 0)
+
+
+def set_scope(slots: Sequence[ScopeSlot], *, scope: int = 0, payload_limit: int = MAX_ANSWER_DATA) -> list[Request]:
+    """Set up the scope in as few frames as possible.
+
+    Parameters
+    ----------
+    slots : sequence of ScopeSlot
+        Variables in the order in which the answers will carry them; empty switches the scope off.
+    scope : int
+        Index of the scope.
+    payload_limit : int
+        Largest payload that the target takes [bytes].
+
+    Raises
+    ------
+    CodecError
+        If a slot has a size that the scope cannot carry.
+    """
+    head = bytes((scope,))
+    payloads = [head + bytes((_OP_SCOPE_RESET, 1, len(slots)))]
+    for index, slot in enumerate(slots):
+        if slot.size not in SCOPE_SIZES:
+            raise CodecError(f"{slot.size} bytes do not fit a scope slot; it takes 1, 2, 4 or 8")
+        body = bytes((index,)) + encode_uleb(slot.address) + bytes((slot.size,))
+        operation = bytes((_OP_SCOPE_SLOT, len(body))) + body
+        if len(payloads[-1]) + len(operation) > payload_limit:
+            payloads.append(head)
+        payloads[-1] += operation
+    return [Request(f"SETSCOPE {len(slots)} slots", Command.SETSCOPE, payload, 0) for payload in payloads]
+
+
+def read_scope(size: int, *, scope: int = 0) -> Request:
+    """Read all slots, `size` bytes together."""
+    return Request("READSCOPE", Command.READSCOPE, bytes((scope,)), size)
+
+
+def get_tsa_info(index: int) -> Request:
+    """Ask for the place of table `index`."""
+    return Request(f"GETTSAINFO {index}", Command.GETTSAINFO, encode_uleb(index), None)
+
+
+def parse_tsa_info(data: bytes) -> TsaTable:
+    """Decode the place of a table."""
+    if not data:
+        raise CodecError("empty answer to GETTSAINFO")
+    size, end = decode_uleb(data, 1)
+    address, _ = decode_uleb(data, end)
+    return TsaTable(data[0], size, address)
+
+
+def get_string_length(address: int) -> Request:
+    """Ask for the length of the text at `address`."""
+    return Request(f"GETSTRLEN 0x{address:X}", Command.GETSTRLEN, encode_uleb(address), None)
+
+
+def parse_size(data: bytes) -> int:
+    """Decode an answer that is one number."""
+    return decode_uleb(data)[0]
+
+
+def send_command(code: int, arguments: bytes = b"") -> Request:
+    """Start an application command; never repeated by itself."""
+    if not 0 <= code < COMMAND_IDLE:
+        raise CodecError(f"application command {code} is not 0 .. 254")
+    return Request(f"SENDAPPCMD {code}", Command.SENDAPPCMD, bytes((code,)) + arguments, 0, idempotent=False)
+
+
+def get_command_status() -> Request:
+    """Ask for the result of the last application command."""
+    return Request("GETAPPCMDSTS", Command.GETAPPCMDSTS, b"", 1)
+
+
+def get_command_data(size: int, offset: int = 0) -> Request:
+    """Read result data of the last application command."""
+    return Request("GETAPPCMDDATA", Command.GETAPPCMDDATA, encode_uleb(size) + encode_uleb(offset), None)

@@ -1,0 +1,111 @@
+"""Learn all variables of a target from its own tables.
+
+Per string two requests are needed: with TSA safety a target hands out exactly the characters of one string and nothing
+around it. Strings that several entries share are read once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from servo_bridge.freemaster.client import BoardInfo, Client
+from servo_bridge.freemaster.commands import TsaTable
+from servo_bridge.freemaster.errors import DiscoveryError, Status, StatusError
+from servo_bridge.freemaster.tsa import ByteOrder, Entry, TargetVariable, parse_entries
+
+__all__ = ["Progress", "discover", "read_entries"]
+
+Progress = Callable[[int, int], None]
+"""Called with entries done and entries in all."""
+
+_MAX_TABLES: Final = 256
+_MAX_TABLE_SIZE: Final = 1 << 20
+_MAX_STRING: Final = 1024
+
+
+def discover(client: Client, info: BoardInfo, progress: Progress | None = None) -> list[TargetVariable]:
+    """Read all tables of an identified target.
+
+    Parameters
+    ----------
+    client : Client
+        Client whose `identify` gave `info`.
+    info : BoardInfo
+        Tells the byte order.
+    progress : callable, optional
+        Called now and then; discovery of a large table takes seconds.
+
+    Raises
+    ------
+    DiscoveryError
+        If there is no table.
+    FreemasterError
+        If the line fails.
+    """
+    order: ByteOrder = "big" if info.big_endian else "little"
+    return parse_entries(read_entries(client, order, progress), order)
+
+
+def read_entries(client: Client, order: ByteOrder, progress: Progress | None = None) -> list[Entry]:
+    """Read the entries of all tables with their texts; see `discover`."""
+    rows: list[tuple[int, int, int, int]] = []
+    for table in _tables(client):
+        rows += _rows(client, table, order)
+    if not rows:
+        raise DiscoveryError("the board has no table of variables; its firmware was built without one")
+    strings = _Strings(client)
+    entries: list[Entry] = []
+    for name, type_, address, info in rows:
+        if name:
+            text = strings.read(name)
+            label = f"0x{name:X}" if text is None else text.decode("utf-8", "replace")
+            entries.append(Entry(label, strings.read(type_) or b"", address, info))
+        if progress is not None:
+            progress(len(entries), len(rows))
+    return entries
+
+
+def _tables(client: Client) -> list[TsaTable]:
+    tables: list[TsaTable] = []
+    for index in range(_MAX_TABLES):
+        try:
+            table = client.tsa_table(index)
+        except StatusError as error:
+            if error.code == Status.UNKNOWN_COMMAND:
+                break
+            raise
+        # The address alone ends the list: a target with a dynamic table reports a stale size there.
+        if table.address == 0:
+            break
+        tables.append(table)
+    return tables
+
+
+def _rows(client: Client, table: TsaTable, order: ByteOrder) -> list[tuple[int, int, int, int]]:
+    """Read the four words of every entry of one table."""
+    width = table.field_size
+    count = table.size // (4 * width)
+    if table.size > _MAX_TABLE_SIZE:
+        raise DiscoveryError(f"the board names a table of {table.size} bytes, which cannot be")
+    data = client.read_memory(table.address, count * 4 * width)
+    words = [int.from_bytes(data[k : k + width], order) for k in range(0, len(data), width)]
+    return list(zip(words[0::4], words[1::4], words[2::4], words[3::4], strict=True))
+
+
+class _Strings:
+    """Texts in target memory, each read once."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._known: dict[int, bytes | None] = {0: None}
+
+    def read(self, address: int) -> bytes | None:
+        """Read the text at `address`; None where there is none or where the target will not show it."""
+        if address not in self._known:
+            try:
+                length = min(self._client.string_length(address), _MAX_STRING)
+                self._known[address] = self._client.read_memory(address, length) if length else b""
+            except StatusError:
+                self._known[address] = None
+        return self._known[address]

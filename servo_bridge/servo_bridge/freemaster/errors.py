@@ -1,0 +1,139 @@
+"""What can go wrong between the host and a FreeMASTER target."""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = [
+    "STATUS_TEXT",
+    "AnswerTimeoutError",
+    "CodecError",
+    "CommandUnfinishedError",
+    "DamagedAnswerError",
+    "DiscoveryError",
+    "DisturbedRequestError",
+    "FreemasterError",
+    "Status",
+    "StatusError",
+    "TransportError",
+    "WrongProtocolError",
+    "status_text",
+]
+
+
+class Status:
+    """Status byte of an answer: bit 7 error, bit 6 a length byte follows."""
+
+    OK: Final = 0x00
+    OK_VARIABLE: Final = 0x40
+    UNKNOWN_COMMAND: Final = 0x81
+    CHECKSUM: Final = 0x82
+    REQUEST_TOO_LONG: Final = 0x83
+    ANSWER_TOO_LONG: Final = 0x84
+    BAD_BUFFER: Final = 0x85
+    BAD_SIZE: Final = 0x86
+    BUSY: Final = 0x87
+    NOT_INITIALISED: Final = 0x88
+    ACCESS_DENIED: Final = 0x89
+    PASSWORD_NEEDED: Final = 0x91
+    BAD_INSTANCE: Final = 0x94
+    DEBUG_FRAME: Final = 0xA9
+
+    ERROR_BIT: Final = 0x80
+    VARIABLE_BIT: Final = 0x40
+
+
+STATUS_TEXT: Final = {
+    0x81: "unknown command or feature not built in",
+    0x82: "checksum error in the request",
+    0x83: "request longer than the target's buffer",
+    0x84: "answer does not fit the target's buffer",
+    0x85: "bad buffer or variable index",
+    0x86: "bad size",
+    0x87: "busy",
+    0x88: "not initialised",
+    0x89: "access denied",
+    0x8A: "SFIO not open",
+    0x8B: "SFIO error",
+    0x8C: "pipe error",
+    0x8D: "fast recorder not built in",
+    0x8E: "CAN transport error",
+    0x8F: "CAN transport error",
+    0x90: "float trigger not built in",
+    0x91: "password needed",
+    0x92: "wrong password",
+    0x93: "user resource error",
+    0x94: "bad scope, recorder or pipe index",
+    0x95: "bad operation code",
+    0x96: "bad instance",
+    0x97: "configuration not possible",
+}
+"""Meaning of the error status bytes."""
+
+
+def status_text(code: int) -> str:
+    """Put a status byte into words."""
+    return STATUS_TEXT.get(code, "unknown status")
+
+
+class FreemasterError(Exception):
+    """Base class of everything this package raises on purpose."""
+
+
+class CodecError(FreemasterError, ValueError):
+    """A number or a field inside a payload is cut off or malformed."""
+
+
+class TransportError(FreemasterError):
+    """The port itself is gone or refuses bytes."""
+
+
+class AnswerTimeoutError(FreemasterError):
+    """The target did not send a single byte in time."""
+
+
+class DamagedAnswerError(FreemasterError):
+    """Bytes came back, but no intact answer.
+
+    Attributes
+    ----------
+    received : bytes
+        What came, from the first byte on.
+    """
+
+    def __init__(self, message: str, received: bytes = b"") -> None:
+        super().__init__(message)
+        self.received = received
+
+
+class DisturbedRequestError(DamagedAnswerError):
+    """The target says that requests reach it damaged."""
+
+
+class WrongProtocolError(FreemasterError):
+    """Something answers, but it does not speak FreeMASTER version 4."""
+
+
+class StatusError(FreemasterError):
+    """The target understood the request and refused it.
+
+    Attributes
+    ----------
+    code : int
+        Status byte, 0x81 and up.
+    meaning : str
+        The same in words.
+    """
+
+    def __init__(self, code: int, request: str) -> None:
+        self.code = code
+        self.meaning = status_text(code)
+        super().__init__(f"{request}: the board answers {code:02X}, {self.meaning}")
+
+
+class CommandUnfinishedError(FreemasterError):
+    """An application command has been started and still runs."""
+
+
+class DiscoveryError(FreemasterError):
+    """The target's variable table is missing or makes no sense."""

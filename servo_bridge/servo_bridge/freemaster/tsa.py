@@ -1,0 +1,311 @@
+"""The variable table of a target (TSA): type strings, entries, and numbers from bytes.
+
+Pure: works on the texts and words that `discovery` has read from the target.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final, Literal
+
+from servo_bridge.freemaster.errors import CodecError
+
+__all__ = ["Entry", "EntryKind", "Number", "TargetVariable", "TypeKind", "ValueType", "parse_entries", "parse_type"]
+
+Number = int | float
+ByteOrder = Literal["little", "big"]
+
+_SPECIAL: Final = (0xEC, 0xED)
+_FIXED_POINT: Final = re.compile(rb":(\d{1,3})\.(\d{1,3})\Z")
+_SIZES: Final = (1, 2, 4, 8)
+
+
+class EntryKind(Enum):
+    """Access bits of an entry."""
+
+    NONE = 0
+    READ_ONLY = 1
+    READ_ONLY_FLASH = 2
+    READ_WRITE = 3
+
+
+class TypeKind(Enum):
+    """How the bits of a value are to be read."""
+
+    UNSIGNED = "unsigned"
+    SIGNED = "signed"
+    FLOAT = "float"
+    RAW = "raw"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of a table, texts read; `type_text` is empty when the entry has no type."""
+
+    name: str
+    type_text: bytes
+    address: int
+    info: int
+
+    @property
+    def size(self) -> int:
+        """Bytes of the variable."""
+        return self.info >> 2
+
+    @property
+    def kind(self) -> EntryKind:
+        """Access that the target grants."""
+        return EntryKind(self.info & 3)
+
+    @property
+    def special(self) -> str:
+        """``STRUCT``, ``ENUM``, ``CONST`` ... for entries that are no variables, else empty."""
+        if self.type_text[:1] and self.type_text[0] in _SPECIAL:
+            return self.type_text[1:].removeprefix(b":").decode("latin-1")
+        return ""
+
+
+@dataclass(frozen=True)
+class ValueType:
+    """Type of one element of a variable.
+
+    Attributes
+    ----------
+    kind : TypeKind
+        Reading of the bits.
+    size : int
+        Bytes of one element.
+    fraction_bits : int
+        The value is the integer divided by two to this power.
+    name : str
+        For people: ``u16``, ``q0.15``, ``float`` or the name of the target's own type.
+    labels : tuple of (str, int)
+        Names of enumeration values.
+    """
+
+    kind: TypeKind
+    size: int
+    name: str
+    fraction_bits: int = 0
+    labels: tuple[tuple[str, int], ...] = ()
+
+    def decode(self, data: bytes, order: ByteOrder = "little") -> Number:
+        """Decode one element."""
+        if self.kind is TypeKind.FLOAT:
+            return float(struct.unpack(("<" if order == "little" else ">") + ("f" if self.size == 4 else "d"), data)[0])
+        raw = int.from_bytes(data, order, signed=self.kind is TypeKind.SIGNED)
+        return math.ldexp(raw, -self.fraction_bits) if self.fraction_bits else raw
+
+    def encode(self, value: Number, order: ByteOrder = "little") -> bytes:
+        """Encode one element.
+
+        Raises
+        ------
+        ValueError
+            If the value is not finite, not whole where it has to be, or does not fit.
+        """
+        if not math.isfinite(value):
+            raise ValueError(f"{value!r} is not a finite number")
+        if self.kind is TypeKind.FLOAT:
+            try:
+                return struct.pack(("<" if order == "little" else ">") + ("f" if self.size == 4 else "d"), value)
+            except OverflowError:
+                raise ValueError(f"{value:g} does not fit {self.name}") from None
+        if self.fraction_bits:
+            raw = round(math.ldexp(value, self.fraction_bits))
+        elif isinstance(value, float) and not value.is_integer():
+            raise ValueError(f"{value:g} is not whole, as {self.name} has to be")
+        else:
+            raw = int(value)
+        try:
+            return raw.to_bytes(self.size, order, signed=self.kind is TypeKind.SIGNED)
+        except OverflowError:
+            raise ValueError(f"{value:g} does not fit {self.name}") from None
+
+    def label(self, value: Number) -> str | None:
+        """Find the name of an enumeration value; tables carry negative ones in two's complement."""
+        mask = (1 << 8 * self.size) - 1
+        return next((n for n, v in self.labels if isinstance(value, int) and (v ^ value) & mask == 0), None)
+
+
+@dataclass(frozen=True)
+class TargetVariable:
+    """One variable as the target describes it.
+
+    Attributes
+    ----------
+    name : str
+        Name; members of structures are ``variable.member``.
+    address, size : int
+        Where it lies and how many bytes it has.
+    type : ValueType
+        Type of one element; `TypeKind.RAW` for memory without a type that can be shown as numbers.
+    writable : bool
+        Whether the target lets it be written.
+    order : str
+        Byte order of the target.
+    """
+
+    name: str
+    address: int
+    size: int
+    type: ValueType
+    writable: bool
+    order: ByteOrder = "little"
+    members: tuple[str, ...] = field(default=())
+
+    @property
+    def count(self) -> int:
+        """Elements; 1 for raw memory."""
+        return 1 if self.type.kind is TypeKind.RAW else self.size // self.type.size
+
+    def decode(self, data: bytes) -> Number | list[Number] | bytes:
+        """Decode to a value, a list of values, or the bytes themselves for raw memory."""
+        if len(data) != self.size:
+            raise CodecError(f"{self.name}: {len(data)} bytes read, {self.size} expected")
+        if self.type.kind is TypeKind.RAW:
+            return data
+        step = self.type.size
+        values = [self.type.decode(data[k : k + step], self.order) for k in range(0, step * self.count, step)]
+        return values[0] if self.count == 1 else values
+
+    def encode(self, values: Sequence[Number]) -> bytes:
+        """Encode all elements.
+
+        Raises
+        ------
+        ValueError
+            If the number of elements is wrong or a value does not fit.
+        """
+        if self.type.kind is TypeKind.RAW:
+            raise ValueError(f"{self.name}: memory without a type can only be read")
+        if len(values) != self.count:
+            raise ValueError(f"{self.name}: {len(values)} values given, {self.count} expected")
+        return b"".join(self.type.encode(value, self.order) for value in values)
+
+
+def _storage(bits: int, size: int) -> int:
+    """Find the bytes of a fixed-point element: the smallest word that holds it and of which the variable is made."""
+    word = next((s for s in _SIZES if 8 * s >= bits), 0)
+    if word and size % word == 0:
+        return word
+    return size if size in _SIZES else 0
+
+
+def parse_type(text: bytes, size: int) -> ValueType | None:
+    """Read a base type from a type string.
+
+    Parameters
+    ----------
+    text : bytes
+        Type string without the terminating zero.
+    size : int
+        Bytes of the whole variable.
+
+    Returns
+    -------
+    ValueType or None
+        None when `text` is not a base type, or not one of which a whole number fits into `size`.
+    """
+    if not text or text[0] < 0xE0 or text[0] in _SPECIAL:
+        return None
+    code = text[0]
+    signed, form, width = bool(code & 0x10), code >> 2 & 3, 1 << (code & 3)
+    kind, letter = (TypeKind.SIGNED, "i") if signed else (TypeKind.UNSIGNED, "u")
+    if form == 0:
+        result = ValueType(kind, width, f"{letter}{8 * width}")
+    elif form == 1 and width == 1:
+        match = _FIXED_POINT.match(text[1:])
+        if match is None:
+            return None
+        whole, fraction = int(match[1]), int(match[2])
+        width = _storage(whole + fraction + signed, size)
+        if not width:
+            return None
+        result = ValueType(kind, width, f"{'' if signed else 'u'}q{whole}.{fraction}", fraction)
+    elif form == 1:
+        # FreeMASTER's unsigned fractions keep one whole bit: UQ1.15 beside Q0.15.
+        result = ValueType(kind, width, f"{'q0' if signed else 'uq1'}.{8 * width - 1}", 8 * width - 1)
+    elif form == 2 and width >= 4 and signed:
+        result = ValueType(TypeKind.FLOAT, width, "float" if width == 4 else "double")
+    else:
+        return None
+    return result if size and size % result.size == 0 else None
+
+
+def parse_entries(entries: Sequence[Entry], order: ByteOrder = "little") -> list[TargetVariable]:
+    """Build the variables of a whole table list, in table order, structures followed by their members.
+
+    Unknown entries are skipped; a variable of unknown type is raw memory, or an unsigned number when it has the size
+    of one.
+    """
+    structs, enums = _user_types(entries)
+    variables: list[TargetVariable] = []
+    for entry in entries:
+        if entry.kind is not EntryKind.NONE and not entry.special and entry.size > 0 and entry.name:
+            _expand(variables, entry.name, entry, entry.kind is EntryKind.READ_WRITE, order, structs, enums, ())
+    return variables
+
+
+def _user_types(entries: Sequence[Entry]) -> tuple[dict[bytes, list[Entry]], dict[bytes, ValueType]]:
+    """Collect structures with their members, and enumerations, by name."""
+    structs: dict[bytes, list[Entry]] = {}
+    enums: dict[bytes, tuple[int, list[tuple[str, int]]]] = {}
+    members: list[Entry] | None = None
+    labels: list[tuple[str, int]] | None = None
+    for entry in entries:
+        key = entry.name.encode("utf-8", "replace")
+        if entry.special == "STRUCT":
+            members, labels = structs.setdefault(key, []), None
+        elif entry.special == "ENUM":
+            members, labels = None, enums.setdefault(key, (entry.size, []))[1]
+        elif entry.special == "CONST":
+            if labels is not None:
+                labels.append((entry.name, entry.address))
+        elif entry.kind is EntryKind.NONE and not entry.special:
+            if members is not None:
+                members.append(entry)
+        else:
+            members = labels = None
+    types = {
+        key: ValueType(TypeKind.UNSIGNED, size, key.decode("utf-8", "replace"), labels=tuple(names))
+        for key, (size, names) in enums.items()
+        if size in _SIZES
+    }
+    return structs, types
+
+
+def _expand(
+    out: list[TargetVariable],
+    name: str,
+    entry: Entry,
+    writable: bool,
+    order: ByteOrder,
+    structs: dict[bytes, list[Entry]],
+    enums: dict[bytes, ValueType],
+    inside: tuple[bytes, ...],
+    base: int = 0,
+) -> None:
+    """Append a variable and, when it is one structure, its members."""
+    value_type = parse_type(entry.type_text, entry.size) or enums.get(entry.type_text)
+    if value_type is not None and entry.size % value_type.size:
+        value_type = None
+    members = structs.get(entry.type_text, []) if entry.type_text not in inside else []
+    if value_type is None:
+        label = entry.type_text.decode("utf-8", "replace") if entry.type_text[:1] < b"\xe0" else ""
+        if entry.size in _SIZES and not members:
+            value_type = ValueType(TypeKind.UNSIGNED, entry.size, label or f"u{8 * entry.size}")
+        else:
+            value_type = ValueType(TypeKind.RAW, entry.size, label or "bytes")
+    address = base + entry.address
+    names = tuple(f"{name}.{member.name}" for member in members)
+    out.append(TargetVariable(name, address, entry.size, value_type, writable, order, names))
+    for member, full_name in zip(members, names, strict=True):
+        if member.size > 0 and member.address + member.size <= entry.size:
+            nested = (*inside, entry.type_text)
+            _expand(out, full_name, member, writable, order, structs, enums, nested, address)

@@ -1,0 +1,377 @@
+"""The link to one board: a thread that owns the port, reads telemetry without a pause and does what others ask for.
+
+Jobs go in through a queue and come back through futures; samples and changes of state come out through callbacks, in
+the thread of the link. A lost link fails everything that waits and is set up again by itself; no command is ever sent
+twice because of that, and none to a board that does not match the catalogue.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any, Final
+
+from servo_msgs_py.catalogue import Catalogue, Value, Variable
+
+from servo_bridge.board_clock import TickExtender
+from servo_bridge.freemaster.client import BoardInfo, Client
+from servo_bridge.freemaster.errors import (
+    AnswerTimeoutError,
+    CodecError,
+    CommandUnfinishedError,
+    DamagedAnswerError,
+    FreemasterError,
+    StatusError,
+)
+from servo_bridge.freemaster.line import Line
+from servo_bridge.link_config import TICK, FinalWrite, LinkConfig, Port, WriteResult
+from servo_bridge.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
+from servo_bridge.link_state import LinkState, LinkStatus, status_of
+from servo_bridge.link_statistics import LinkStatistics, StatisticsCollector
+from servo_bridge.scope import Sample, ScopeLayout
+from servo_bridge.scope_reader import BoardResetError, ScopeReader
+from servo_bridge.serial_port import LowLatency, SerialPort
+from servo_bridge.session import BoardVariable, Session, connect, element_bytes
+
+__all__ = [
+    "FinalWrite",
+    "Link",
+    "LinkBusyError",
+    "LinkConfig",
+    "LinkDownError",
+    "LinkState",
+    "LinkStatus",
+    "Port",
+    "Sample",
+    "WriteResult",
+]
+
+_LOG: Final = logging.getLogger(__name__)
+_MAX_DAMAGED: Final = 10
+
+
+class _StopError(Exception):
+    """The owner wants the thread to end."""
+
+
+class Link:
+    """Keeps up the connection to one board.
+
+    Parameters
+    ----------
+    config : LinkConfig
+        How to reach the board.
+    catalogue : Catalogue
+        What its variables mean.
+    on_sample : callable
+        Gets every sample, in the thread of the link; has to be quick.
+    on_state : callable
+        Gets every change of the state, in the thread of the link.
+    open_port : callable
+        Opens a port from URL and baud rate.
+
+    Raises
+    ------
+    ValueError
+        If a telemetry variable is unknown or cannot be carried.
+    """
+
+    def __init__(
+        self,
+        config: LinkConfig,
+        catalogue: Catalogue,
+        *,
+        on_sample: Callable[[Sample], None],
+        on_state: Callable[[LinkStatus], None],
+        open_port: Callable[[str, int], Port] = SerialPort,
+    ) -> None:
+        self._config = config
+        self._catalogue = catalogue
+        self._on_sample = on_sample
+        self._on_state = on_state
+        self._open_port = open_port
+        names = tuple(dict.fromkeys((TICK, *config.telemetry)))
+        unknown = [name for name in names if name not in catalogue.variables]
+        if unknown:
+            raise ValueError(f"the catalogue has no variable {', '.join(unknown)}")
+        self.layout = ScopeLayout([catalogue.variables[name] for name in names])
+        self._queue = JobQueue(config.queue_limit)
+        self._statistics = StatisticsCollector()
+        self._extender = TickExtender()
+        self._reader: ScopeReader | None = None
+        self._status = LinkStatus(LinkState.DISCONNECTED, "not started")
+        self._session: Session | None = None
+        self._low_latency = LowLatency(None, "not open")
+        self._stop = threading.Event()
+        self._final_writes: Sequence[FinalWrite] = ()
+        self._final_done = False
+        self._connected_once = False
+        self._thread = threading.Thread(target=self._run, name="servo link", daemon=True)
+
+    # ---- for the owner, any thread ----------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start the thread; it goes on trying until `close`."""
+        self._thread.start()
+
+    def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool:
+        """Stop the thread and close the port.
+
+        Parameters
+        ----------
+        final_writes : sequence of (str, sequence of float)
+            Written last, in this order, when the link is up; waiting jobs are thrown away.
+        timeout : float
+            Longest wait [s]. The thread needs at most three time-outs of a silent board, or the 5 s of the system when
+            it is opening a network port; it is a daemon and does not keep the process alive.
+
+        Returns
+        -------
+        bool
+            Whether the board has acknowledged all final writes.
+        """
+        self._final_writes = tuple(final_writes)
+        self._stop.set()
+        self._queue.wake()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(timeout)
+        return self._final_done
+
+    @property
+    def status(self) -> LinkStatus:
+        """State with reason and remedy."""
+        return self._status
+
+    @property
+    def board(self) -> BoardInfo | None:
+        """What the connected board says about itself."""
+        session = self._session
+        return None if session is None else session.info
+
+    @property
+    def low_latency(self) -> LowLatency:
+        """Whether the adapter hands over bytes at once."""
+        return self._low_latency
+
+    def statistics(self) -> LinkStatistics:
+        """Figures at this moment."""
+        return self._statistics.report(time.monotonic_ns(), len(self._queue))
+
+    def write(
+        self, name: str, values: Sequence[float], *, first: int = 0, urgent: bool = False, latest_wins: bool = False
+    ) -> Future[WriteResult]:
+        """Write neighbouring elements of a variable, SI.
+
+        Parameters
+        ----------
+        name : str
+            Name in the catalogue.
+        values : sequence of float
+            One per element.
+        first : int
+            Index of the first element.
+        urgent : bool
+            Before everything else that waits.
+        latest_wins : bool
+            Cancels a waiting write of the same elements.
+
+        Returns
+        -------
+        Future
+            Completes when the board has acknowledged. Fails with `LinkDownError`, `LinkBusyError` or `StatusError`.
+
+        Raises
+        ------
+        ValueError
+            If the variable is unknown or read-only, or a value is out of limits; nothing is sent.
+        """
+        variable = self._known(name)
+        raw = [variable.to_raw(value) for value in values]
+        return self.write_raw(name, raw, first=first, urgent=urgent, latest_wins=latest_wins)
+
+    def write_raw(
+        self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False, latest_wins: bool = False
+    ) -> Future[WriteResult]:
+        """Write neighbouring elements of a variable as firmware integers; see `write`."""
+        offset, data = element_bytes(self._known(name), raw, first)
+
+        def run(client: Client) -> WriteResult:
+            assert self._reader is not None
+            exchange = client.write_memory(self._variable(name).address + offset, data)
+            self._statistics.wrote()
+            return WriteResult(name, exchange.request_ns, exchange.response_ns, self._reader.last_tick)
+
+        job = Job(run, key=f"{name} {first} {len(raw)}", write=True)
+        self._queue.put(job, urgent=urgent, latest_wins=latest_wins)
+        return job.done
+
+    def read(self, name: str) -> Future[Value]:
+        """Read a variable, SI; the future fails as that of `write` does."""
+        self._known(name)
+
+        def run(client: Client) -> Value:
+            variable = self._variable(name)
+            return variable.decode(client.read_memory(variable.address, variable.size))
+
+        job = Job(run)
+        self._queue.put(job)
+        return job.done
+
+    def run_command(self, code: int, arguments: bytes = b"", *, urgent: bool = False) -> Future[int]:
+        """Run an application command; the future holds its result. It is sent once and never repeated."""
+        job = Job(lambda client: client.run_command(code, arguments), write=True, retried=False)
+        self._queue.put(job, urgent=urgent)
+        return job.done
+
+    def drop_writes(self) -> int:
+        """Cancel all waiting writes that are not urgent; returns how many."""
+        return self._queue.drop_writes()
+
+    # ---- thread of the link -----------------------------------------------------------------------------------
+
+    def _known(self, name: str) -> Variable:
+        try:
+            return self._catalogue[name]
+        except KeyError as error:
+            raise ValueError(error.args[0]) from None
+
+    def _variable(self, name: str) -> BoardVariable:
+        assert self._session is not None
+        return self._session.variables[name]
+
+    def _run(self) -> None:
+        pause = self._config.backoff_min
+        self._set_status(LinkStatus(LinkState.CONNECTING, f"connecting to {self._config.url}"))
+        while not self._stop.is_set():
+            self._connected_once = False
+            try:
+                self._hold_port()
+            except _StopError:
+                break
+            except Exception as error:
+                self._lost(error)
+            pause = self._config.backoff_min if self._connected_once else min(2 * pause, self._config.backoff_max)
+            self._stop.wait(pause)
+        self._queue.close("the link was closed")
+        self._set_status(LinkStatus(LinkState.DISCONNECTED, "closed"))
+
+    def _hold_port(self) -> None:
+        """Open the port and talk until it is lost; a board that was only reset is connected to anew at once."""
+        port = self._open_port(self._config.url, self._config.baud)
+        self._low_latency = port.low_latency
+        try:
+            while True:
+                try:
+                    self._talk(port)
+                except BoardResetError as error:
+                    if self._session is None:
+                        raise
+                    self._statistics.reset_seen()
+                    self._lost(error)
+        finally:
+            self._session = None
+            port.close()
+
+    def _talk(self, port: Port) -> None:
+        line = Line(
+            port,
+            baud=self._config.baud,
+            latency=self._config.latency,
+            before_request=self._check_stop,
+            statistics=self._statistics.counters,
+        )
+        client = Client(line)
+        session = connect(client, self._catalogue)
+        if session.mismatch is not None:
+            raise session.mismatch
+        reader = ScopeReader(client, self.layout, session.variables, self._extender)
+        first = reader.first()
+        line.before_request = None  # from here on the last words have to get through
+        self._session, self._reader = session, reader
+        self._connected_once = True
+        self._statistics.connected()
+        self._queue.open()
+        name = session.info.name or "board"
+        self._set_status(LinkStatus(LinkState.CONNECTED, f"connected to {name} at {self._config.url}"))
+        self._deliver(first)
+        self._loop(client, reader)
+        self._write_last(client)
+        raise _StopError
+
+    def _loop(self, client: Client, reader: ScopeReader) -> None:
+        """Alternate between one job and one sample until the owner wants to stop."""
+        period = round(1e9 / self._config.rate) if self._config.rate > 0.0 else 0
+        due = time.monotonic_ns() + period
+        timeouts = damaged = 0
+        while not self._stop.is_set():
+            job = self._queue.take((due - time.monotonic_ns()) * 1e-9)
+            if job is not None:
+                self._execute(job, client)
+            if time.monotonic_ns() < due:
+                continue
+            due = max(due + period, time.monotonic_ns())
+            try:
+                sample = reader.next()
+            except AnswerTimeoutError:
+                timeouts += 1
+                if timeouts >= self._config.lost_after:
+                    raise
+                continue
+            except DamagedAnswerError:
+                damaged += 1
+                if damaged >= _MAX_DAMAGED:
+                    raise
+                continue
+            timeouts = damaged = 0
+            if sample is not None:
+                self._deliver(sample)
+
+    def _execute(self, job: Job, client: Client) -> None:
+        try:
+            job.execute(client)
+        except (StatusError, CodecError, CommandUnfinishedError, ValueError):
+            return  # the future tells its owner; the line is in order
+        except (AnswerTimeoutError, DamagedAnswerError):
+            if job.retried:
+                raise
+
+    def _write_last(self, client: Client) -> None:
+        self._queue.close("the link was closed")
+        for name, values in self._final_writes:
+            address, data = self._variable(name).encode(values)
+            client.write_memory(address, data)
+        self._final_done = True
+
+    def _check_stop(self) -> None:
+        if self._stop.is_set():
+            raise _StopError
+
+    def _lost(self, error: Exception) -> None:
+        """Report why there is no link and throw away what waits."""
+        status = status_of(error, self._config.url, self._config.baud, connected=self._connected_once)
+        if not isinstance(error, FreemasterError):
+            _LOG.error("unexpected error in the thread of the link", exc_info=error)
+        self._session = None
+        self._queue.close(status.reason)
+        self._set_status(status)
+
+    def _set_status(self, status: LinkStatus) -> None:
+        if status == self._status:
+            return
+        self._status = status
+        self._call(self._on_state, status)
+
+    def _deliver(self, sample: Sample) -> None:
+        self._statistics.sampled(sample.request_ns, sample.response_ns)
+        self._call(self._on_sample, sample)
+
+    @staticmethod
+    def _call(function: Callable[[Any], None], argument: object) -> None:
+        """Call into the owner's code, whose errors must not end the thread."""
+        try:
+            function(argument)
+        except Exception:
+            _LOG.exception("a callback of the link failed")

@@ -1,0 +1,92 @@
+"""What the owner of a link says to it and hears from it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from servo_bridge.freemaster.line import Transport
+from servo_bridge.serial_port import LowLatency
+
+__all__ = ["TICK", "FinalWrite", "LinkConfig", "Port", "WriteResult"]
+
+TICK: Final = "tick"
+"""Variable that every sample begins with."""
+
+FinalWrite = tuple[str, Sequence[float]]
+"""Name of a variable and its values (SI), one per element."""
+
+
+class Port(Transport, Protocol):
+    """An open port."""
+
+    @property
+    def low_latency(self) -> LowLatency:
+        """Whether the adapter hands over bytes at once."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
+@dataclass(frozen=True)
+class LinkConfig:
+    """How to reach a board and what to read from it.
+
+    Attributes
+    ----------
+    url : str
+        Device path or pyserial URL.
+    baud : int
+        Line speed [bit/s].
+    telemetry : tuple of str
+        Variables of every sample; ``tick`` is put in front when it is missing.
+    rate : float
+        Most samples per second; 0: as many as the line carries.
+    latency : float
+        What board and adapters may add to the time on the line before an answer counts as lost [s].
+    lost_after : int
+        Unanswered requests in a row after which the link counts as lost. So a board that falls silent is noticed
+        within ``lost_after * (latency + 0.03 s + time on the line)``, 0.7 s with the defaults; an unplugged adapter
+        is noticed at once.
+    queue_limit : int
+        Most jobs of each kind that may wait.
+    backoff_min, backoff_max : float
+        Pause before the first and the later attempts to connect again [s].
+    """
+
+    url: str
+    baud: int = 115_200
+    telemetry: tuple[str, ...] = (TICK,)
+    rate: float = 0.0
+    latency: float = 0.2
+    lost_after: int = 3
+    queue_limit: int = 64
+    backoff_min: float = 0.1
+    backoff_max: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.baud <= 0 or self.rate < 0.0 or self.latency <= 0.0 or self.lost_after < 1 or self.queue_limit < 1:
+            raise ValueError("baud, latency, lost_after and queue_limit have to be positive, rate not negative")
+        if not 0.0 < self.backoff_min <= self.backoff_max:
+            raise ValueError("backoff_min has to be positive and not above backoff_max")
+
+
+@dataclass(frozen=True)
+class WriteResult:
+    """An acknowledged write.
+
+    Attributes
+    ----------
+    variable : str
+        What was written.
+    request_ns, response_ns : int
+        Monotonic host time of request and acknowledgement [ns].
+    last_tick : int
+        Extended tick of the last sample before it; it took effect after this tick.
+    """
+
+    variable: str
+    request_ns: int
+    response_ns: int
+    last_tick: int

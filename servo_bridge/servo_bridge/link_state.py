@@ -1,0 +1,103 @@
+"""States of the link and what to tell the user about them. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from servo_bridge.freemaster.errors import (
+    AnswerTimeoutError,
+    DamagedAnswerError,
+    FreemasterError,
+    Status,
+    StatusError,
+    TransportError,
+    WrongProtocolError,
+)
+from servo_bridge.scope_reader import BoardResetError, BoardStoppedError
+from servo_bridge.serial_port import PortError
+from servo_bridge.session import BoardMismatchError
+
+__all__ = ["LinkState", "LinkStatus", "status_of"]
+
+
+class LinkState(Enum):
+    """How things stand with the board."""
+
+    DISCONNECTED = "disconnected"
+    """Not there; may come back by itself."""
+    CONNECTING = "connecting"
+    CONNECTED = "connected"
+    FAILED = "failed"
+    """There is something, but a person has to act before it can be used."""
+
+
+@dataclass(frozen=True)
+class LinkStatus:
+    """State of the link.
+
+    Attributes
+    ----------
+    state : LinkState
+        How things stand.
+    reason : str
+        Why, one line.
+    remedy : str
+        What the user can do, empty when there is nothing to do.
+    """
+
+    state: LinkState
+    reason: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.reason}; {self.remedy}" if self.remedy else self.reason
+
+
+def status_of(error: Exception, url: str, baud: int, *, connected: bool) -> LinkStatus:
+    """Put the error that ended a connection, or the attempt at one, into words.
+
+    Parameters
+    ----------
+    error : Exception
+        What ended it.
+    url : str
+        Port.
+    baud : int
+        Line speed [bit/s].
+    connected : bool
+        Whether the board was connected before.
+    """
+    reason = str(error)
+    if isinstance(error, PortError):
+        state = LinkState.DISCONNECTED if error.missing else LinkState.FAILED
+        return LinkStatus(state, error.reason, error.remedy)
+    if isinstance(error, BoardMismatchError):
+        return LinkStatus(LinkState.FAILED, error.reason, error.remedy)
+    if isinstance(error, WrongProtocolError):
+        return LinkStatus(LinkState.FAILED, f"{url}: {reason}", "give the port and the baud rate of the servo board")
+    if isinstance(error, StatusError):
+        remedy = "flash the firmware of this release"
+        if error.code == Status.PASSWORD_NEEDED:
+            remedy = "flash a firmware without passwords"
+        return LinkStatus(LinkState.FAILED, reason, remedy)
+    if isinstance(error, BoardResetError):
+        return LinkStatus(LinkState.DISCONNECTED, reason, "enable the axes again when it is back")
+    if isinstance(error, BoardStoppedError):
+        return LinkStatus(LinkState.FAILED, reason, "reset the board")
+    if isinstance(error, TransportError):
+        return LinkStatus(LinkState.DISCONNECTED, reason, "plug the adapter in again; the link comes back by itself")
+    if isinstance(error, AnswerTimeoutError):
+        what = "the board stopped answering" if connected else f"nothing answers at {baud} baud"
+        return LinkStatus(
+            LinkState.DISCONNECTED, f"{what} on {url}", "check the supply of the board, its cable and the baud rate"
+        )
+    if isinstance(error, DamagedAnswerError):
+        return LinkStatus(
+            LinkState.DISCONNECTED,
+            f"the line {url} is disturbed: {reason}",
+            "check the cable, its ground and the baud rate",
+        )
+    if isinstance(error, FreemasterError):
+        return LinkStatus(LinkState.FAILED, reason, "flash the firmware of this release")
+    return LinkStatus(LinkState.FAILED, f"internal error: {error!r}", "see the log and report it")

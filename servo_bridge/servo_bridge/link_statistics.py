@@ -1,0 +1,131 @@
+"""Figures of the link: rates, round trips, errors."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+from servo_bridge.freemaster.line import ClientStatistics
+
+__all__ = ["LinkStatistics", "StatisticsCollector"]
+
+_WINDOW_NS: Final = 2_000_000_000
+_ROUND_TRIPS: Final = 2000
+
+
+@dataclass(frozen=True)
+class LinkStatistics:
+    """A look at the link.
+
+    Attributes
+    ----------
+    samples, connections, resets : int
+        Telemetry samples, times connected and board resets since the start.
+    sample_rate : float
+        Samples per second lately.
+    bytes_out_rate, bytes_in_rate : float
+        Bytes per second on the line lately, both directions.
+    timeouts, crc_errors, damaged, retries, refused, stray_bytes : int
+        Unanswered requests, answers with a wrong checksum, answers that were not intact for any reason, repeated
+        requests, requests that the board refused, bytes that nobody had asked for.
+    round_trip_p50, round_trip_p99, round_trip_max : float
+        Time from request to answer of the latest samples [s].
+    writes : int
+        Writes that the board has acknowledged.
+    waiting : int
+        Jobs in the queue.
+    """
+
+    samples: int = 0
+    connections: int = 0
+    resets: int = 0
+    sample_rate: float = 0.0
+    bytes_out_rate: float = 0.0
+    bytes_in_rate: float = 0.0
+    timeouts: int = 0
+    crc_errors: int = 0
+    damaged: int = 0
+    retries: int = 0
+    refused: int = 0
+    stray_bytes: int = 0
+    round_trip_p50: float = 0.0
+    round_trip_p99: float = 0.0
+    round_trip_max: float = 0.0
+    writes: int = 0
+    waiting: int = 0
+
+
+class StatisticsCollector:
+    """Collects in the thread of the link, reports to any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._counters = ClientStatistics()
+        self._marks: deque[tuple[int, int, int, int]] = deque()  # time, samples, bytes out, bytes in
+        self._trips: deque[int] = deque(maxlen=_ROUND_TRIPS)
+        self._samples = 0
+        self._connections = 0
+        self._resets = 0
+        self._writes = 0
+
+    @property
+    def counters(self) -> ClientStatistics:
+        """Counters for the client to add to; they live on when a client is replaced."""
+        return self._counters
+
+    def connected(self) -> None:
+        """Count a connection; rates start anew."""
+        with self._lock:
+            self._connections += 1
+            self._marks.clear()
+
+    def reset_seen(self) -> None:
+        """Count a reset of the board."""
+        with self._lock:
+            self._resets += 1
+
+    def wrote(self) -> None:
+        """Count an acknowledged write."""
+        with self._lock:
+            self._writes += 1
+
+    def sampled(self, request_ns: int, response_ns: int) -> None:
+        """Count a sample."""
+        with self._lock:
+            self._samples += 1
+            self._trips.append(response_ns - request_ns)
+            self._marks.append((response_ns, self._samples, self._counters.bytes_out, self._counters.bytes_in))
+            while response_ns - self._marks[0][0] > _WINDOW_NS:
+                self._marks.popleft()
+
+    def report(self, now_ns: int, waiting: int) -> LinkStatistics:
+        """Figures at this moment.
+
+        Parameters
+        ----------
+        now_ns : int
+            Monotonic time [ns]; rates fall to zero when nothing has come for the length of their window.
+        waiting : int
+            Jobs in the queue.
+        """
+        with self._lock:
+            trips = sorted(self._trips)
+            c = self._counters
+            rates = (0.0, 0.0, 0.0)
+            if len(self._marks) > 1 and now_ns - self._marks[-1][0] < _WINDOW_NS:
+                first, last = self._marks[0], self._marks[-1]
+                span = (last[0] - first[0]) * 1e-9
+                rates = ((last[1] - first[1]) / span, (last[2] - first[2]) / span, (last[3] - first[3]) / span)
+            return LinkStatistics(
+                self._samples, self._connections, self._resets, *rates,
+                c.timeouts, c.crc_errors, c.damaged, c.retries, c.refused, c.stray_bytes,
+                _percentile(trips, 50), _percentile(trips, 99), _percentile(trips, 100),
+                self._writes, waiting,
+            )  # fmt: skip
+
+
+def _percentile(ordered: list[int], percent: int) -> float:
+    """Nearest-rank percentile of sorted times [ns], in seconds."""
+    return ordered[-(-len(ordered) * percent // 100) - 1] * 1e-9 if ordered else 0.0

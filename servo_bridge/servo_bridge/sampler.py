@@ -1,0 +1,60 @@
+"""Reads a few variables again and again from any FreeMASTER target: through the scope where it can, else one by one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from servo_msgs_py.catalogue import Value
+
+from servo_bridge.freemaster.commands import SCOPE_SIZES, Request, ScopeSlot
+from servo_bridge.freemaster.errors import CodecError, StatusError
+from servo_bridge.session import BoardVariable, Session
+
+__all__ = ["Reading", "Sampler"]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Values of all variables of a sampler and when they were read [monotonic ns]."""
+
+    time_ns: int
+    values: tuple[Value, ...]
+
+
+class Sampler:
+    """A list of variables to be read together.
+
+    Attributes
+    ----------
+    simultaneous : bool
+        Whether the values of one reading are from the same moment.
+    """
+
+    def __init__(self, session: Session, variables: Sequence[BoardVariable]) -> None:
+        self._session = session
+        self._variables = tuple(variables)
+        self._request = self._set_up()
+        self.simultaneous = self._request is not None or len(self._variables) == 1
+
+    def _set_up(self) -> Request | None:
+        if self._session.info.scopes == 0 or any(v.size not in SCOPE_SIZES for v in self._variables):
+            return None
+        try:
+            return self._session.client.set_scope([ScopeSlot(v.address, v.size) for v in self._variables])
+        except (StatusError, CodecError):
+            return None  # a scope with fewer slots than asked for
+
+    def read(self) -> Reading:
+        """Read all variables once."""
+        if self._request is None:
+            values = tuple(self._session.read(variable) for variable in self._variables)
+            return Reading(time.monotonic_ns(), values)
+        exchange = self._session.client.exchange(self._request)
+        values_list: list[Value] = []
+        start = 0
+        for variable in self._variables:
+            values_list.append(variable.decode(exchange.data[start : start + variable.size]))
+            start += variable.size
+        return Reading(exchange.response_ns, tuple(values_list))

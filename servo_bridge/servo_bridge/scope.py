@@ -1,0 +1,115 @@
+"""Telemetry samples: which variables they carry and how their bytes are read. Pure."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from servo_msgs_py.catalogue import Value, Variable
+
+from servo_bridge.freemaster.commands import SCOPE_SIZES
+
+__all__ = ["Sample", "ScopeLayout"]
+
+_FORMATS: Final = {(1, False): "B", (2, False): "H", (2, True): "h", (4, False): "I", (4, True): "i"}
+
+
+class ScopeLayout:
+    """Variables of the scope in the order in which a sample carries them.
+
+    Parameters
+    ----------
+    variables : sequence of Variable
+        Without blocks; every one small enough for a slot.
+
+    Raises
+    ------
+    ValueError
+        If one does not fit a slot of the scope.
+    """
+
+    def __init__(self, variables: Sequence[Variable]) -> None:
+        self.variables = tuple(variables)
+        self.names = tuple(v.name for v in variables)
+        for v in variables:
+            if v.size not in SCOPE_SIZES:
+                raise ValueError(f"{v.name} has {v.size} bytes; telemetry takes variables of 1, 2, 4 or 8 bytes")
+        self.size = sum(v.size for v in variables)
+        codes = (_FORMATS[v.element_size, v.raw_type.signed] * v.count for v in variables)
+        self._struct = struct.Struct("<" + "".join(codes))
+        self._slices: dict[str, tuple[Variable, slice]] = {}
+        start = 0
+        for v in variables:
+            self._slices[v.name] = (v, slice(start, start + v.count))
+            start += v.count
+
+    def raw(self, data: bytes) -> tuple[int, ...]:
+        """All elements of all variables as integers."""
+        return self._struct.unpack(data)
+
+    def value(self, name: str, raw: Sequence[int]) -> Value:
+        """SI value of one variable.
+
+        Raises
+        ------
+        KeyError
+            If the sample does not carry it.
+        """
+        variable, where = self._slices[name]
+        values = [variable.scale(number) for number in raw[where]]
+        return values[0] if variable.count == 1 else values
+
+    def raw_of(self, name: str, raw: Sequence[int]) -> int | None:
+        """First element of a variable as integer, None when the sample does not carry it."""
+        found = self._slices.get(name)
+        return None if found is None else raw[found[1].start]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One telemetry sample: all variables from the same tick.
+
+    Attributes
+    ----------
+    tick : int
+        PWM periods since reset, extended past 32 bits.
+    epoch : int
+        Board resets seen before.
+    request_ns, response_ns : int
+        Monotonic host time of request and answer [ns].
+    data : bytes
+        As it came over the line.
+    raw : tuple of int
+        Firmware integers of all elements.
+    layout : ScopeLayout
+        What they are.
+    """
+
+    tick: int
+    epoch: int
+    request_ns: int
+    response_ns: int
+    data: bytes
+    raw: tuple[int, ...]
+    layout: ScopeLayout
+
+    @property
+    def applied_tick(self) -> int | None:
+        """Extended tick at which the last command write took effect, None when it is not in the telemetry."""
+        raw = self.layout.raw_of("applied_tick", self.raw)
+        return None if raw is None else self.tick - ((self.tick - raw) & 0xFFFF_FFFF)
+
+    @property
+    def applied_count(self) -> int | None:
+        """Command writes that took effect, modulo 65536; None when it is not in the telemetry."""
+        return self.layout.raw_of("applied_count", self.raw)
+
+    def value(self, name: str) -> Value:
+        """SI value of one variable; `KeyError` when the sample does not carry it."""
+        return self.layout.value(name, self.raw)
+
+    def values(self) -> dict[str, Value]:
+        """SI values of all variables."""
+        return {name: self.layout.value(name, self.raw) for name in self.layout.names}

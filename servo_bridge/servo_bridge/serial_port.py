@@ -1,0 +1,273 @@
+"""Serial port as the byte transport of the FreeMASTER client.
+
+Any pyserial URL will do: ``/dev/ttyUSB0``, a pty, ``socket://host:port``, ``loop://``. Real files are read with poll(2)
+and absolute deadlines; pyserial itself would set the terminal up again for every other time-out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import grp
+import os
+import select
+import stat
+import termios
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+import serial
+from serial.tools import list_ports
+
+from servo_bridge.freemaster.errors import TransportError
+
+__all__ = ["LowLatency", "PortError", "SerialPort"]
+
+_CHUNK: Final = 4096
+_WRITE_LIMIT_NS: Final = 1_000_000_000
+_SYS_TTY: Final = Path("/sys/class/tty")
+
+
+class PortError(TransportError):
+    """The port cannot be opened.
+
+    Attributes
+    ----------
+    reason, remedy : str
+        What is wrong and what the user can do.
+    missing : bool
+        Whether there is just no device yet, so that waiting may help.
+    """
+
+    def __init__(self, reason: str, remedy: str, *, missing: bool = False) -> None:
+        super().__init__(f"{reason}; {remedy}")
+        self.reason = reason
+        self.remedy = remedy
+        self.missing = missing
+
+
+@dataclass(frozen=True)
+class LowLatency:
+    """Whether the adapter hands over bytes at once.
+
+    Attributes
+    ----------
+    enabled : bool or None
+        None where the port has no such mode.
+    text : str
+        The same for people.
+    """
+
+    enabled: bool | None
+    text: str
+
+
+class SerialPort:
+    """An open port.
+
+    Parameters
+    ----------
+    url : str
+        Device path or pyserial URL.
+    baud : int
+        Line speed [bit/s].
+
+    Raises
+    ------
+    PortError
+        If it cannot be opened.
+    """
+
+    def __init__(self, url: str, baud: int) -> None:
+        self.url = url
+        try:
+            self._serial: Any = serial.serial_for_url(
+                url, baudrate=baud, timeout=0, write_timeout=_WRITE_LIMIT_NS * 1e-9, exclusive=True
+            )
+        except (OSError, ValueError, termios.error) as error:
+            raise _explain(url, baud, error) from error
+        self.low_latency = _set_low_latency(self._serial, url)
+        self._fd = _descriptor(self._serial, url)
+        self._poll = select.poll()
+        if self._fd is not None:
+            os.set_blocking(self._fd, False)
+            self._poll.register(self._fd, select.POLLIN)
+
+    def __enter__(self) -> SerialPort:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the port; more than once does no harm."""
+        self._fd = None
+        with contextlib.suppress(OSError, termios.error):  # gone already: nothing left to close
+            self._serial.close()
+
+    def write(self, data: bytes) -> None:
+        """Hand all bytes to the port.
+
+        Raises
+        ------
+        TransportError
+            If the port is gone or takes no bytes for a second.
+        """
+        if self._fd is None:
+            self._call(self._serial.write, data)
+            return
+        deadline = time.monotonic_ns() + _WRITE_LIMIT_NS
+        view = memoryview(data)
+        while view:
+            try:
+                view = view[os.write(self._fd, view) :]
+            except BlockingIOError:
+                if time.monotonic_ns() >= deadline:
+                    raise TransportError(f"{self.url} takes no more bytes") from None
+                self._wait_for_room(self._fd, deadline)
+            except OSError as error:
+                raise self._lost(error) from error
+
+    def read(self, deadline: int) -> bytes:
+        """Return bytes as soon as there are any, or nothing when `deadline` (monotonic ns) passes first.
+
+        Raises
+        ------
+        TransportError
+            If the port is gone.
+        """
+        if self._fd is None:
+            return self._read_slowly(deadline)
+        while True:
+            left = max(0, deadline - time.monotonic_ns())
+            ready = self._poll.poll(-(-left // 1_000_000))
+            if not ready:
+                return b""
+            if ready[0][1] & select.POLLIN:
+                try:
+                    data = os.read(self._fd, _CHUNK)
+                except BlockingIOError:
+                    continue
+                except OSError as error:
+                    raise self._lost(error) from error
+                if data:
+                    return data
+            raise self._lost(None)
+
+    def _wait_for_room(self, descriptor: int, deadline: int) -> None:
+        room = select.poll()
+        room.register(descriptor, select.POLLOUT)
+        room.poll(max(0, deadline - time.monotonic_ns()) // 1_000_000 + 1)
+
+    def _read_slowly(self, deadline: int) -> bytes:
+        """Read from a port without file descriptor."""
+        left = max(0, deadline - time.monotonic_ns()) * 1e-9
+
+        def read() -> bytes:
+            self._serial.timeout = left
+            data: bytes = self._serial.read(max(1, min(self._serial.in_waiting, _CHUNK)))
+            return data
+
+        result: bytes = self._call(read)
+        return result
+
+    def _call(self, function: Any, *arguments: Any) -> Any:
+        try:
+            return function(*arguments)
+        except (OSError, termios.error) as error:
+            raise self._lost(error) from error
+
+    def _lost(self, error: BaseException | None) -> TransportError:
+        detail = f" ({error})" if error is not None else ""
+        return TransportError(f"the port {self.url} is gone{detail}")
+
+
+def _descriptor(port: Any, url: str) -> int | None:
+    """Find the file descriptor, unless the URL stands for something that must see every byte itself."""
+    if type(port) is serial.Serial or url.startswith("socket://"):
+        return int(port.fileno())
+    return None
+
+
+def _set_low_latency(port: Any, url: str) -> LowLatency:
+    """Ask driver and adapter to hand over every byte at once; FTDI adapters wait 16 ms otherwise."""
+    if type(port) is not serial.Serial:
+        return LowLatency(None, "not a local serial port")
+    try:
+        port.set_low_latency_mode(True)
+        flag = True
+    except (OSError, ValueError, NotImplementedError, AttributeError):
+        flag = False
+    timer = _SYS_TTY / Path(os.path.realpath(url)).name / "device" / "latency_timer"
+    try:
+        if int(timer.read_text()) > 1:
+            timer.write_text("1")
+        milliseconds = int(timer.read_text())
+    except PermissionError:
+        return LowLatency(
+            False, f"the latency timer of the adapter is above 1 ms and not writable; as root: echo 1 > {timer}"
+        )
+    except (OSError, ValueError):
+        return LowLatency(True, "on") if flag else LowLatency(None, "this port has no low-latency mode")
+    return LowLatency(milliseconds <= 1, f"latency timer {milliseconds} ms")
+
+
+def _explain(url: str, baud: int, error: BaseException) -> PortError:
+    """Turn what the system says into a reason and a remedy."""
+    code = error.errno if isinstance(error, OSError) else None
+    text = str(error)
+    if isinstance(error, ValueError):
+        if "protocol" in text or "URL" in text:
+            return PortError(
+                f"{url!r} is not a port",
+                "give a device such as /dev/ttyUSB0, or a pyserial URL such as socket://host:port",
+            )
+        return PortError(f"{url} cannot run at {baud} baud", "choose a rate that the adapter supports, such as 115200")
+    if "://" in url:
+        return PortError(
+            f"{url} cannot be opened ({text})", "check host and port, and that something listens there", missing=True
+        )
+    if code == errno.ENOENT:
+        return PortError(f"there is no port {url}", _known_ports(), missing=True)
+    if code in (errno.EACCES, errno.EPERM):
+        return PortError(f"no permission for {url}", _permission_remedy(url))
+    if code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
+        return PortError(f"another program uses {url}", "stop it, or give another port")
+    if not _is_character_device(url):
+        return PortError(f"{url} is not a serial port", _known_ports())
+    if code in (errno.ENXIO, errno.ENODEV, errno.EIO) or "Input/output error" in text:
+        return PortError(
+            f"there is no device behind {url}", "plug the adapter in again, or give another port", missing=True
+        )
+    if "Inappropriate ioctl" in text or code in (errno.ENOTTY, errno.EINVAL):
+        return PortError(f"{url} is not a serial port", _known_ports())
+    return PortError(f"{url} cannot be opened ({text})", "plug the adapter in again, or give another port")
+
+
+def _is_character_device(path: str) -> bool:
+    try:
+        return stat.S_ISCHR(os.stat(path).st_mode)
+    except OSError:
+        return False
+
+
+def _known_ports() -> str:
+    names = sorted(port.device for port in list_ports.comports())
+    if names:
+        return f"ports of this computer: {', '.join(names)}"
+    return "this computer has no serial port; plug in the adapter, or start a virtual board"
+
+
+def _permission_remedy(path: str) -> str:
+    try:
+        group = grp.getgrgid(os.stat(path).st_gid).gr_name
+    except (OSError, KeyError):
+        group = "dialout"
+    if group == "root":
+        group = "dialout"
+    return f"join its group and log in again: sudo usermod -aG {group} $USER"

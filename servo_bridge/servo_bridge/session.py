@@ -1,0 +1,275 @@
+"""A board that has been identified: its variables, with their meaning where the catalogue knows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from servo_msgs_py.catalogue import Catalogue, Value, Variable
+
+from servo_bridge.freemaster.client import BoardInfo, Client
+from servo_bridge.freemaster.discovery import Progress, discover
+from servo_bridge.freemaster.errors import FreemasterError
+from servo_bridge.freemaster.tsa import Number, TargetVariable, TypeKind, parse_type
+
+__all__ = ["BoardMismatchError", "BoardVariable", "Session", "check_contract", "connect", "element_bytes"]
+
+_HASH: Final = "catalogue_hash"
+_SHOWN: Final = 4
+
+
+class BoardMismatchError(FreemasterError):
+    """The variables of the board are not those of the catalogue; nothing may be commanded.
+
+    Attributes
+    ----------
+    reason, remedy : str
+        What differs and what the user can do.
+    stranger : bool
+        Whether it is no servo board at all.
+    """
+
+    def __init__(self, reason: str, remedy: str, *, stranger: bool = False) -> None:
+        super().__init__(f"{reason}; {remedy}")
+        self.reason = reason
+        self.remedy = remedy
+        self.stranger = stranger
+
+
+def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
+    """Encode neighbouring elements of a variable of the catalogue.
+
+    Parameters
+    ----------
+    variable : Variable
+        What to write.
+    raw : sequence of int
+        Firmware integers, one per element.
+    first : int
+        Index of the first element.
+
+    Returns
+    -------
+    offset, data : int, bytes
+        What to write how far behind the address of the variable.
+
+    Raises
+    ------
+    ValueError
+        If the variable is read-only, an element does not exist, or a number does not fit.
+    """
+    if not variable.writable:
+        raise ValueError(f"{variable.name} can only be read")
+    if not raw or first < 0 or first + len(raw) > variable.count:
+        raise ValueError(f"{variable.name} has {variable.count} element(s), not {first} .. {first + len(raw) - 1}")
+    padded = [0] * first + list(raw) + [0] * (variable.count - first - len(raw))
+    step = variable.element_size
+    return first * step, variable.encode_raw(padded)[first * step : (first + len(raw)) * step]
+
+
+@dataclass(frozen=True)
+class BoardVariable:
+    """A variable on a board.
+
+    Attributes
+    ----------
+    target : TargetVariable
+        What the board says about it.
+    contract : Variable or None
+        What the catalogue says about it, when the board is one of ours; then values are SI.
+    """
+
+    target: TargetVariable
+    contract: Variable | None
+
+    @property
+    def name(self) -> str:
+        """Name on the board."""
+        return self.target.name
+
+    @property
+    def address(self) -> int:
+        """Address on the board."""
+        return self.target.address
+
+    @property
+    def size(self) -> int:
+        """Bytes of all elements."""
+        return self.target.size
+
+    @property
+    def count(self) -> int:
+        """Elements; 1 for raw memory."""
+        return self.target.count
+
+    @property
+    def unit(self) -> str:
+        """SI unit, empty for pure numbers and unknown variables."""
+        return "" if self.contract is None else self.contract.unit
+
+    @property
+    def is_block(self) -> bool:
+        """Whether it is memory without a meaning of its own."""
+        return self.target.type.kind is TypeKind.RAW or (self.contract is not None and self.contract.type == "block")
+
+    def decode(self, data: bytes) -> Value:
+        """Value of all elements; the bytes themselves of a block."""
+        if self.is_block:
+            return data
+        if self.contract is not None:
+            return self.contract.decode(data)
+        return _as_value(self.target.decode(data))
+
+    def encode(self, values: Sequence[Number], first: int = 0) -> tuple[int, bytes]:
+        """Bytes for neighbouring elements.
+
+        Parameters
+        ----------
+        values : sequence of numbers
+            SI where the catalogue knows the variable.
+        first : int
+            Index of the first element.
+
+        Returns
+        -------
+        address, data : int, bytes
+            What to write where.
+
+        Raises
+        ------
+        ValueError
+            If the variable is read-only, an element does not exist, or a value is out of limits.
+        """
+        if not self.target.writable or self.is_block:
+            raise ValueError(f"{self.name} can only be read")
+        if not values or first < 0 or first + len(values) > self.count:
+            raise ValueError(f"{self.name} has {self.count} element(s), not {first} .. {first + len(values) - 1}")
+        if self.contract is not None:
+            return self.encode_raw([self.contract.to_raw(value) for value in values], first)
+        data = b"".join(self.target.type.encode(value, self.target.order) for value in values)
+        return self.address + first * self.target.type.size, data
+
+    def encode_raw(self, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
+        """Bytes for neighbouring elements from firmware integers; see `encode`."""
+        if self.contract is None or not self.target.writable:
+            raise ValueError(f"{self.name} can only be read")
+        offset, data = element_bytes(self.contract, raw, first)
+        return self.address + offset, data
+
+
+@dataclass(frozen=True)
+class Session:
+    """An identified board.
+
+    Attributes
+    ----------
+    client : Client
+        The line to it.
+    info : BoardInfo
+        What it says about itself.
+    variables : mapping
+        Its variables by name.
+    mismatch : BoardMismatchError or None
+        Why the catalogue does not fit it; then values are raw numbers.
+    """
+
+    client: Client
+    info: BoardInfo
+    variables: Mapping[str, BoardVariable]
+    mismatch: BoardMismatchError | None
+
+    def read(self, variable: BoardVariable) -> Value:
+        """Read one variable."""
+        return variable.decode(self.client.read_memory(variable.address, variable.size))
+
+    def write(self, variable: BoardVariable, values: Sequence[Number], first: int = 0) -> None:
+        """Write neighbouring elements of one variable in one frame; see `BoardVariable.encode`."""
+        address, data = variable.encode(values, first)
+        self.client.write_memory(address, data)
+
+
+def connect(client: Client, catalogue: Catalogue, progress: Progress | None = None) -> Session:
+    """Identify a board, read its table of variables and compare it with the catalogue.
+
+    Raises
+    ------
+    FreemasterError
+        If nothing answers, or not in this protocol, or without a table of variables.
+    """
+    info = client.identify()
+    targets = {target.name: target for target in discover(client, info, progress)}
+    mismatch: BoardMismatchError | None = None
+    try:
+        found = targets.get(_HASH)
+        reported = None if found is None or found.size != 4 else client.read_memory(found.address, 4)
+        check_contract(catalogue, info, targets, None if reported is None else int.from_bytes(reported, "little"))
+    except BoardMismatchError as error:
+        mismatch = error
+    contracts = catalogue.variables if mismatch is None else {}
+    variables = {name: BoardVariable(target, contracts.get(name)) for name, target in targets.items()}
+    return Session(client, info, variables, mismatch)
+
+
+def check_contract(
+    catalogue: Catalogue, info: BoardInfo, targets: Mapping[str, TargetVariable], reported_hash: int | None
+) -> None:
+    """Make sure that a board means the same as the catalogue by every variable.
+
+    Raises
+    ------
+    BoardMismatchError
+        If it does not; names what differs.
+    """
+    name = info.name or info.description or "the board"
+    if reported_hash is None:
+        raise BoardMismatchError(
+            f"{name} has no variable {_HASH}: it does not run the servo firmware",
+            "give the port of the servo board, or flash the firmware of this release",
+            stranger=True,
+        )
+    remedy = "flash the firmware of this release, or use the host software of the board's release"
+    if reported_hash != catalogue.hash:
+        raise BoardMismatchError(
+            f"the firmware of {name} has another table of variables "
+            f"(hash {reported_hash:08X}, this program {catalogue.hash:08X})",
+            remedy,
+        )
+    wrong = [text for v in catalogue.variables.values() if (text := _difference(v, targets.get(v.name), info))]
+    if wrong:
+        more = f" and {len(wrong) - _SHOWN} more" if len(wrong) > _SHOWN else ""
+        raise BoardMismatchError(
+            f"the table of variables of {name} contradicts its hash: {'; '.join(wrong[:_SHOWN])}{more}", remedy
+        )
+
+
+def _difference(variable: Variable, target: TargetVariable | None, info: BoardInfo) -> str:
+    """What is wrong with a variable of the board, empty when nothing is."""
+    if target is None:
+        return f"{variable.name} is missing"
+    if variable.type == "block":
+        return ""
+    if info.big_endian and variable.element_size > 1:
+        return f"{variable.name} has its high byte first"
+    if target.size != variable.size:
+        return f"{variable.name} has {target.size} bytes instead of {variable.size}"
+    if variable.writable and not target.writable:
+        return f"{variable.name} is read-only"
+    expected = parse_type(bytes((variable.raw_type.tsa,)), variable.size)
+    assert expected is not None
+    same_bits = (target.type.kind, target.type.size, target.type.fraction_bits) == (
+        expected.kind,
+        expected.size,
+        expected.fraction_bits,
+    )
+    same_name = variable.enum is None or target.type.name in (variable.enum, expected.name)
+    return (
+        "" if same_bits and same_name else f"{variable.name} is of type {target.type.name} instead of {variable.type}"
+    )
+
+
+def _as_value(decoded: Number | list[Number] | bytes) -> Value:
+    """Narrow the type of a list: all elements of a variable are of one kind."""
+    if isinstance(decoded, list):
+        return [float(v) for v in decoded] if isinstance(decoded[0], float) else [int(v) for v in decoded]
+    return decoded

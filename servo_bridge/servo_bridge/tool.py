@@ -1,0 +1,160 @@
+"""``servo-tool``: look into a board and change it from the command line. Needs no ROS.
+
+Exit status: 0 done, 1 the board refused or was not found (`diff`: or differs), 2 the command line does not make sense.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Sequence
+
+from servo_msgs_py.catalogue import Catalogue
+
+from servo_bridge import tool_commands
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.errors import FreemasterError
+from servo_bridge.freemaster.line import Line
+from servo_bridge.link_state import status_of
+from servo_bridge.parameter_file import ParameterFileError
+from servo_bridge.serial_port import SerialPort
+from servo_bridge.session import connect
+from servo_bridge.tool_values import UnknownVariableError, UsageError
+
+__all__ = ["main"]
+
+_NEGATIVE = re.compile(r"-\.?\d|-(inf|nan)", re.IGNORECASE)
+_STARTUP_RETRIES = 5
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not positive")
+    return value
+
+
+def _baud(text: str) -> int:
+    value = int(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text} is not positive")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument(
+        "--port",
+        default=argparse.SUPPRESS,
+        help="device or pyserial URL (default: $SERVO_PORT or /dev/ttyUSB0)",
+    )
+    common.add_argument(
+        "--baud", type=_baud, default=argparse.SUPPRESS, help="line speed (default: $SERVO_BAUD or 115200)"
+    )
+    parser = argparse.ArgumentParser(
+        prog="servo-tool",
+        description="Look into a servo board, or any FreeMASTER v4 target, over its serial line. Values are SI.",
+        epilog="exit status: 0 done, 1 the board refused or was not found (diff: or differs), 2 wrong command line",
+        parents=[common],
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def add(name: str, run: tool_commands.Runner, text: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=text, description=text, parents=[common])
+        command.set_defaults(run=run)
+        return command
+
+    add("info", tool_commands.info, "who is there")
+    command = add("vars", tool_commands.list_variables, "list the variables of the board")
+    command.add_argument("pattern", nargs="?", default="*", help="only names that match, such as 'axis1.*'")
+    command = add("get", tool_commands.get, "read variables")
+    command.add_argument("names", nargs="+", metavar="NAME", help="variable, or element such as cmd.position[1]")
+    _add_raw(command)
+    command.add_argument("--json", action="store_true", help="print one JSON object")
+    command = add("set", tool_commands.set_variable, "write a variable and read it back")
+    command.add_argument("name", metavar="NAME", help="variable, or element such as cmd.position[1]")
+    command.add_argument("value", metavar="VALUE", help="number or name; for all elements of an array with commas")
+    command.add_argument("--element", type=int, metavar="K", help="write only element K, counted from 0")
+    _add_raw(command)
+    command = add("watch", tool_commands.watch, "print variables again and again until Ctrl-C")
+    command.add_argument("names", nargs="+", metavar="NAME")
+    command.add_argument("--rate", type=_positive, default=5.0, help="lines per second (default: 5)")
+    command.add_argument("--count", type=int, help="end after this many lines")
+    command = add("record", tool_commands.record, "write variables to a CSV file as fast as the line carries them")
+    command.add_argument("names", nargs="+", metavar="NAME")
+    command.add_argument("-o", "--output", required=True, metavar="FILE.csv")
+    command.add_argument("--duration", type=_positive, help="seconds (default: until Ctrl-C)")
+    command.add_argument("--rate", type=_positive, help="most rows per second (default: all)")
+    for name, run, text in (
+        ("save", tool_commands.save, "save the parameters of the board to a file"),
+        ("load", tool_commands.load, "write the parameters of a file to the board"),
+        ("diff", tool_commands.diff, "compare a file with the board; exit status 1 when they differ"),
+    ):
+        command = add(name, run, text)
+        command.add_argument("file", metavar="FILE", help=".toml or .json")
+        if name == "save":
+            command.add_argument(
+                "--match", default="param.*", metavar="PATTERN", help="variables to save (default: 'param.*')"
+            )
+    return parser
+
+
+def _add_raw(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--raw", action="store_true", help="numbers by the type that the board names, without the catalogue's scaling"
+    )
+
+
+def _shield_negative(arguments: Sequence[str]) -> list[str]:
+    """Keep argparse from taking ``-3,3`` for an option: it never does so with an argument that holds a space."""
+    return [f" {a}" if _NEGATIVE.match(a) else a for a in arguments]
+
+
+def _run(args: argparse.Namespace) -> int:
+    port = getattr(args, "port", os.environ.get("SERVO_PORT") or "/dev/ttyUSB0")
+    try:
+        baud = getattr(args, "baud", None) or _baud(os.environ.get("SERVO_BAUD") or "115200")
+    except (ValueError, argparse.ArgumentTypeError):
+        raise UsageError(f"SERVO_BAUD is {os.environ['SERVO_BAUD']!r}, not a line speed") from None
+    run: tool_commands.Runner = args.run
+    connected = False
+    try:
+        with SerialPort(port, baud) as serial_port:
+            # Some boards start anew when their port is opened, so the first answer may take a second.
+            client = Client(Line(serial_port, baud=baud, retries=_STARTUP_RETRIES))
+            catalogue = Catalogue.load()
+            session = connect(client, catalogue)
+            connected = True
+            return run(tool_commands.Context(args, catalogue, session, port, baud, serial_port.low_latency))
+    except FreemasterError as error:
+        print(f"servo-tool: {status_of(error, port, baud, connected=connected)}", file=sys.stderr)
+        return 1
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    parser = _parser()
+    args = parser.parse_args(_shield_negative(sys.argv[1:] if argv is None else argv))
+    try:
+        return _run(args)
+    except (UsageError, ParameterFileError) as error:
+        print(f"servo-tool: {error}", file=sys.stderr)
+        return 2
+    except UnknownVariableError as error:
+        print(f"servo-tool: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # The reader of our output has seen enough; keep Python from complaining when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        print(f"servo-tool: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

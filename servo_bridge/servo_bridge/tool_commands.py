@@ -1,0 +1,313 @@
+"""The commands of ``servo-tool``, each a function from an open session to an exit status."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import fnmatch
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from servo_msgs_py.catalogue import Catalogue, Value
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_bridge import parameter_file
+from servo_bridge.board_clock import TickExtender
+from servo_bridge.freemaster.tsa import Number
+from servo_bridge.sampler import Reading, Sampler
+from servo_bridge.serial_port import LowLatency
+from servo_bridge.session import BoardMismatchError, BoardVariable, Session
+from servo_bridge.tool_values import UsageError, describe, lookup, parse_values, value_text
+
+__all__ = [
+    "Context",
+    "Runner",
+    "diff",
+    "get",
+    "info",
+    "list_variables",
+    "load",
+    "record",
+    "save",
+    "set_variable",
+    "watch",
+]
+
+_TICK: Final = "tick"
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a command works with."""
+
+    args: argparse.Namespace
+    catalogue: Catalogue
+    session: Session
+    port: str
+    baud: int
+    low_latency: LowLatency
+
+
+Runner = Callable[[Context], int]
+Selection = list[tuple[BoardVariable, "int | None"]]
+
+
+def info(context: Context) -> int:
+    """Print who is there."""
+    board, session = context.session.info, context.session
+    contract = "agrees" if session.mismatch is None else str(session.mismatch)
+    password = ("none", "to read", "to write", "to flash")[board.password_level]
+    rows = [
+        ("port", f"{context.port} at {context.baud} baud"),
+        ("low latency", context.low_latency.text),
+        ("board", f"{board.name or '(no name)'} {board.description}".rstrip()),
+        ("built", board.build),
+        ("driver", f"FreeMASTER v{board.protocol} {board.version}".rstrip()),
+        ("buffer", f"{board.mtu} bytes"),
+        ("byte order", "high byte first" if board.big_endian else "low byte first"),
+        ("password", password),
+        ("scopes, recorders, pipes", f"{board.scopes}, {board.recorders}, {board.pipes}"),
+        ("variables", str(len(session.variables))),
+        ("catalogue", contract),
+    ]
+    rows += [
+        (name, value_text(session.variables[name], session.read(session.variables[name]), context.catalogue))
+        for name in session.variables
+        if session.mismatch is None and name.rpartition(".")[2] in ("state", "substate", "faults")
+    ]
+    _print_columns([row for row in rows if row[1]])
+    return 0
+
+
+def list_variables(context: Context) -> int:
+    """Print the table of variables."""
+    rows = describe(_matching(context, context.args.pattern))
+    if not rows:
+        print(f"servo-tool: no variable matches {context.args.pattern!r}", file=sys.stderr)
+        return 1
+    _warn(context)
+    _print_columns([("NAME", "TYPE", "ACCESS", "UNIT", "LIMITS", "DESCRIPTION"), *rows])
+    return 0
+
+
+def get(context: Context) -> int:
+    """Read variables once."""
+    selection = _select(context, context.args.names)
+    _warn(context)
+    values = [_element(context.session.read(variable), element) for variable, element in selection]
+    if context.args.json:
+        plain = (v.hex() if isinstance(v, bytes) else v for v in values)
+        print(json.dumps(dict(zip(context.args.names, plain, strict=True))))
+        return 0
+    texts = [value_text(v, value, context.catalogue) for (v, _), value in zip(selection, values, strict=True)]
+    _print_columns([(name, "=", text) for name, text in zip(context.args.names, texts, strict=True)])
+    return 0
+
+
+def set_variable(context: Context) -> int:
+    """Write one variable and read it back."""
+    args = context.args
+    ((variable, element),) = _select(context, [args.name])
+    _require_contract(context)
+    if args.element is not None:
+        if element is not None:
+            raise UsageError(f"{args.name} names an element already")
+        if not 0 <= args.element < variable.count:
+            raise UsageError(f"{variable.name} has elements 0 .. {variable.count - 1}")
+        element = args.element
+    values = parse_values(variable, args.value, context.catalogue)
+    wanted = variable.count if element is None else 1
+    if len(values) != wanted:
+        hint = "; give all of them with commas, or one with --element K" if wanted > 1 else ""
+        raise UsageError(f"{args.name}: {len(values)} value(s) given, {wanted} expected{hint}")
+    before = context.session.read(variable)
+    try:
+        context.session.write(variable, values, element or 0)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    after = context.session.read(variable)
+    old, new = (value_text(variable, _element(v, element), context.catalogue) for v in (before, after))
+    print(f"{args.name} = {new} (was {old})")
+    return 0
+
+
+def watch(context: Context) -> int:
+    """Print variables again and again."""
+    selection = _select(context, context.args.names)
+    _warn(context)
+    sampler = Sampler(context.session, [variable for variable, _ in selection])
+    start = time.monotonic_ns()
+    lines = 0
+    try:
+        for reading in _readings(sampler, context.args.rate, None):
+            texts = (
+                f"{name}={value_text(v, _element(value, k), context.catalogue)}"
+                for name, (v, k), value in zip(context.args.names, selection, reading.values, strict=True)
+            )
+            print(f"{(reading.time_ns - start) * 1e-9:9.3f}  " + "  ".join(texts), flush=True)
+            lines += 1
+            if lines == context.args.count:
+                break
+    except KeyboardInterrupt:
+        pass
+    return 0
+
+
+def record(context: Context) -> int:
+    """Write variables to a CSV file."""
+    selection = _select(context, context.args.names)
+    _warn(context)
+    tick = context.session.variables.get(_TICK) if context.session.mismatch is None else None
+    variables = [variable for variable, _ in selection]
+    for variable in variables:
+        if variable.is_block:
+            raise UsageError(f"{variable.name} is a block of bytes; name the variables inside it")
+    sampler = Sampler(context.session, [tick, *variables] if tick is not None else variables)
+    extender = TickExtender()
+    rows = 0
+    first = last = None
+    started = time.monotonic()
+    with Path(context.args.output).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        heads = [
+            head for (v, k), name in zip(selection, context.args.names, strict=True) for head in _heads(v, k, name)
+        ]
+        writer.writerow(["time [s]", *(["tick"] if tick is not None else []), *heads])
+        try:
+            for reading in _readings(sampler, context.args.rate, context.args.duration):
+                values = list(reading.values)
+                moment, head = reading.time_ns, []
+                if tick is not None:
+                    count = extender.update(int(_numbers(values.pop(0))[0]), reading.time_ns).tick
+                    if count == last:
+                        continue  # read faster than the board takes samples
+                    moment, head, last = count * PERIOD_NS, [count], count
+                first = moment if first is None else first
+                cells = [n for (_, k), v in zip(selection, values, strict=True) for n in _numbers(_element(v, k))]
+                writer.writerow([f"{(moment - first) * 1e-9:.7f}", *head, *cells])
+                rows += 1
+        except KeyboardInterrupt:
+            pass
+    seconds = max(time.monotonic() - started, 1e-9)
+    note = "" if sampler.simultaneous else "; the scope of the board cannot carry them, so each was read alone"
+    print(f"{rows} rows in {seconds:.1f} s ({rows / seconds:.0f}/s) in {context.args.output}{note}")
+    return 0
+
+
+def save(context: Context) -> int:
+    """Save parameters."""
+    chosen = [v for v in _matching(context, context.args.match) if v.target.writable]
+    if not chosen:
+        print(f"servo-tool: no writable variable matches {context.args.match!r}", file=sys.stderr)
+        return 1
+    _warn(context)
+    path = Path(context.args.file)
+    parameters: dict[str, list[Number]] = {v.name: _numbers(context.session.read(v)) for v in chosen}
+    known = context.catalogue.hash if context.session.mismatch is None else None
+    text = parameter_file.dump(path, parameters, {v.name: v.unit for v in chosen}, known)
+    path.write_text(text, encoding="utf-8")
+    print(f"{len(parameters)} parameters in {path}")
+    return 0
+
+
+def load(context: Context) -> int:
+    """Write the parameters of a file that differ from those of the board; all are checked before the first is sent."""
+    _require_contract(context)
+    session = context.session
+    wanted, found = _compare(context)
+    names = parameter_file.changes(session.variables, wanted, found)
+    for name in names:
+        variable = session.variables[name]
+        session.client.write_memory(variable.address, wanted[name])
+        now = session.client.read_memory(variable.address, variable.size)
+        print(_change_text(context, variable, found[name], now))
+        if now != wanted[name]:
+            print(f"servo-tool: the board keeps another value of {name} than the file has", file=sys.stderr)
+            return 1
+    print(f"{len(names)} of {len(wanted)} parameters changed")
+    return 0
+
+
+def diff(context: Context) -> int:
+    """Print the parameters that differ between board and file."""
+    wanted, found = _compare(context)
+    names = parameter_file.changes(context.session.variables, wanted, found)
+    for name in names:
+        print(_change_text(context, context.session.variables[name], found[name], wanted[name]))
+    print(f"{len(names)} of {len(wanted)} parameters differ")
+    return 1 if names else 0
+
+
+# ---- shared -------------------------------------------------------------------------------------------------------
+def _matching(context: Context, pattern: str) -> list[BoardVariable]:
+    return [v for name, v in context.session.variables.items() if fnmatch.fnmatchcase(name, pattern)]
+
+
+def _select(context: Context, names: Sequence[str]) -> Selection:
+    """Find the named variables; with ``--raw`` the catalogue's meaning is left away."""
+    found = [lookup(context.session.variables, name) for name in names]
+    if getattr(context.args, "raw", False):
+        return [(replace(variable, contract=None), element) for variable, element in found]
+    return found
+
+
+def _warn(context: Context) -> None:
+    """Say that numbers are raw because the board is not one of ours."""
+    if context.session.mismatch is not None:
+        print(f"servo-tool: values are not scaled: {context.session.mismatch.reason}", file=sys.stderr)
+
+
+def _require_contract(context: Context) -> None:
+    """Refuse to write to a servo board of another version; a stranger is written by its own types."""
+    mismatch = context.session.mismatch
+    if isinstance(mismatch, BoardMismatchError) and not mismatch.stranger and not getattr(context.args, "raw", False):
+        raise mismatch
+
+
+def _element(value: Value, element: int | None) -> Value:
+    return value[element] if element is not None and isinstance(value, list) else value
+
+
+def _numbers(value: Value) -> list[Number]:
+    return list(value) if isinstance(value, (list, bytes)) else [value]
+
+
+def _heads(variable: BoardVariable, element: int | None, name: str) -> list[str]:
+    unit = f" [{variable.unit}]" if variable.unit else ""
+    count = variable.count if element is None else 1
+    return [f"{name}{f'[{k}]' if count > 1 else ''}{unit}" for k in range(count)]
+
+
+def _readings(sampler: Sampler, rate: float | None, duration: float | None) -> Iterator[Reading]:
+    """Readings at a rate, or as fast as they come."""
+    period = 0.0 if rate is None else 1.0 / rate
+    start = due = time.monotonic()
+    while duration is None or time.monotonic() - start < duration:
+        yield sampler.read()
+        due = max(due + period, time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _compare(context: Context) -> tuple[dict[str, bytes], dict[str, bytes]]:
+    """Bytes that the file wants and bytes that the board has."""
+    path = Path(context.args.file)
+    variables = context.session.variables
+    wanted = parameter_file.to_bytes(variables, parameter_file.parse(path, path.read_text(encoding="utf-8")))
+    client = context.session.client
+    return wanted, {name: client.read_memory(variables[name].address, variables[name].size) for name in wanted}
+
+
+def _change_text(context: Context, variable: BoardVariable, old: bytes, new: bytes) -> str:
+    texts = [value_text(variable, variable.decode(data), context.catalogue) for data in (old, new)]
+    return f"{variable.name}: {texts[0]} -> {texts[1]}"
+
+
+def _print_columns(rows: Sequence[Sequence[str]]) -> None:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

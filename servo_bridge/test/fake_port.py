@@ -1,0 +1,118 @@
+"""A real pty with a fake device at its other end, and everything that can go wrong with a serial line. For tests."""
+
+from __future__ import annotations
+
+import os
+import select
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol
+
+
+class Device(Protocol):
+    """What sits at the other end."""
+
+    def feed(self, data: bytes) -> bytes: ...
+
+
+class NoiseDevice:
+    """Prints text and listens to nobody."""
+
+    chatter = b"T=23.4 C ok\r\n"
+
+    def feed(self, data: bytes) -> bytes:
+        return b""
+
+
+class V3Target:
+    """FreeMASTER version 3: refuses every version 4 frame with a sum as checksum."""
+
+    def feed(self, data: bytes) -> bytes:
+        return b"+\x82\x7e" if data else b""
+
+
+class FakePort:
+    """Serves a device on a pty that a symbolic link points to.
+
+    Parameters
+    ----------
+    link : Path
+        Name of the port; vanishes with `unplug` and comes back with `plug`.
+    baud : int, optional
+        Answers take the time that the line would; default: at once.
+    """
+
+    def __init__(self, link: Path, device: Device, baud: int | None = None) -> None:
+        self.link = link
+        self.device = device
+        self.silent = False
+        self.mangle: Callable[[bytes], bytes] = lambda answer: answer
+        self._byte_time = 10.0 / baud if baud else 0.0
+        self._wake_read, self._wake_write = os.pipe()
+        self._master = self._slave = -1
+        self._thread: threading.Thread | None = None
+
+    @property
+    def path(self) -> str:
+        return str(self.link)
+
+    def __enter__(self) -> FakePort:
+        self.plug()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.unplug()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def plug(self) -> None:
+        """Make the port appear."""
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave, termios.TCSANOW)
+        fresh = self.link.with_suffix(".new")
+        fresh.symlink_to(os.ttyname(self._slave))
+        fresh.rename(self.link)
+        self._thread = threading.Thread(target=self._serve, name="fake port", daemon=True)
+        self._thread.start()
+
+    def unplug(self) -> None:
+        """Make the port vanish; whoever has it open sees a hang-up."""
+        if self._thread is None:
+            return
+        os.write(self._wake_write, b"x")
+        self._thread.join(5.0)
+        assert not self._thread.is_alive()
+        os.read(self._wake_read, 1)
+        self._thread = None
+        self.link.unlink(missing_ok=True)
+        os.close(self._slave)
+        os.close(self._master)
+
+    def _serve(self) -> None:
+        chatter = getattr(self.device, "chatter", b"")
+        while True:
+            ready, _, _ = select.select([self._master, self._wake_read], [], [], 0.02 if chatter else None)
+            if self._wake_read in ready:
+                return
+            if chatter:
+                os.write(self._master, chatter)
+            if self._master not in ready:
+                continue
+            data = os.read(self._master, 4096)
+            start = time.monotonic()
+            answer = self.device.feed(data)
+            if self.silent:
+                continue
+            answer = self.mangle(answer)
+            if self._byte_time:
+                due = start + (len(data) + len(answer)) * self._byte_time
+                time.sleep(max(0.0, due - time.monotonic()))
+            if answer:
+                os.write(self._master, answer)

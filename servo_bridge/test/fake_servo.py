@@ -1,0 +1,79 @@
+"""A fake servo board: the catalogue's variables on a `FakeTarget`, with a clock and a command latch. For tests."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from fake_target import CONST, ENUM, NONE, RO, RW, FakeEntry, FakeTarget
+from servo_msgs_py.catalogue import Catalogue
+
+BASE = 0x1000
+CATALOGUE = Catalogue.load()
+
+
+class FakeServo(FakeTarget):
+    """Board whose telemetry shows a running clock; a written command takes effect at the next slow tick."""
+
+    def __init__(
+        self, catalogue: Catalogue = CATALOGUE, ticks: Callable[[], int] | None = None, **options: object
+    ) -> None:
+        super().__init__(mtu=254, scope_limit=24, config={"NM": b"servo\0"}, **options)  # type: ignore[arg-type]
+        self.catalogue = catalogue
+        self.start_ns = time.monotonic_ns()
+        self.first_tick = 0
+        self.ticks = ticks or (lambda: self.first_tick + (time.monotonic_ns() - self.start_ns) // 62_500)
+        self.addresses: dict[str, int] = {}
+        self.written: list[tuple[str, int, bytes]] = []  # variable, offset, bytes
+        self._fresh = False
+        table = self.tables[0]
+        for name, constants in catalogue.enums.items():
+            table.append(FakeEntry(name, ENUM, 0, 2, NONE))
+            table.extend(FakeEntry(key, CONST, value, 0, NONE) for key, value in constants.items())
+        address = BASE
+        for v in catalogue.variables.values():
+            size = v.size or 120
+            kind = v.enum.encode() if v.enum else bytes([v.raw_type.tsa])
+            table.append(FakeEntry(v.name, kind, address, size, RW if v.writable else RO))
+            self.addresses[v.name] = address
+            address += (size + 3) & ~3
+        self.build(0x3000)
+        self.put("catalogue_hash", catalogue.hash)
+        for name, value in (
+            ("param.speed_limit", 100.0),
+            ("param.acceleration_limit", 1000.0),
+            ("param.i_q_limit", 2.0),
+        ):
+            self.poke(self.addresses[name], catalogue[name].encode([value, value]))
+        self.poke(self.addresses["param.host_timeout"], catalogue["param.host_timeout"].encode(0.5))
+        self.on_write = self._note
+        self.before_scope = self._snapshot
+
+    def put(self, name: str, *raw: int) -> None:
+        """Set a variable to firmware integers."""
+        self.poke(self.addresses[name], self.catalogue[name].encode_raw(raw))
+
+    def get(self, name: str) -> list[int]:
+        """Firmware integers of a variable."""
+        v = self.catalogue[name]
+        return v.decode_raw(self.peek(self.addresses[name], v.size))
+
+    def restart(self) -> None:
+        """Reset the board."""
+        self.reset()
+        self.start_ns, self.first_tick = time.monotonic_ns(), 0
+        self.put("applied_tick", 0)
+        self.put("applied_count", 0)
+
+    def _note(self, address: int, data: bytes) -> None:
+        name = max((n for n, a in self.addresses.items() if a <= address), key=self.addresses.__getitem__)
+        self.written.append((name, address - self.addresses[name], data))
+        self._fresh = self._fresh or name.startswith("cmd.")
+
+    def _snapshot(self) -> None:
+        tick = self.ticks() // 8 * 8
+        if self._fresh:
+            self._fresh = False
+            self.put("applied_tick", tick % 2**32)
+            self.put("applied_count", (self.get("applied_count")[0] + 1) % 65536)
+        self.put("tick", tick % 2**32)

@@ -1,0 +1,342 @@
+"""A FreeMASTER v4 target for tests, written from the description of the protocol and not from the client.
+
+Pure: bytes in, bytes out. Memory is a table of named regions; every access follows the rules of TSA safety.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+SOB = 0x2B
+NONE, RO, FLASH, RW = 0, 1, 2, 3
+STRUCT, ENUM, CONST = b"\xed:STRUCT", b"\xed:ENUM", b"\xed:CONST"
+
+
+def checksum(data: bytes) -> int:
+    """CRC-8, bit by bit."""
+    crc = 0
+    for byte in data:
+        for bit in range(7, -1, -1):
+            feedback = (crc >> 7) ^ (byte >> bit & 1)
+            crc = (crc << 1 & 0xFF) ^ (0x07 if feedback else 0)
+    return crc
+
+
+def escaped(body: bytes) -> bytes:
+    out = bytearray([SOB])
+    for byte in body:
+        out += bytes([byte, byte]) if byte == SOB else bytes([byte])
+    return bytes(out)
+
+
+def uleb(value: int) -> bytes:
+    out = []
+    while True:
+        low, value = value % 128, value // 128
+        out.append(low + (128 if value else 0))
+        if not value:
+            return bytes(out)
+
+
+@dataclass
+class FakeEntry:
+    """One row of a table."""
+
+    name: str
+    type: bytes | None
+    address: int
+    size: int
+    kind: int
+
+
+class Refused(Exception):
+    """Ends a command with a status."""
+
+
+class Reader:
+    """Takes fields from a payload."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.at = 0
+
+    def u8(self) -> int:
+        self.at += 1
+        return self.data[self.at - 1]
+
+    def uleb(self) -> int:
+        value = shift = 0
+        while True:
+            byte = self.u8()
+            value += (byte % 128) << shift
+            shift += 7
+            if byte < 128:
+                return value
+
+    def take(self, count: int) -> bytes:
+        self.at += count
+        return self.data[self.at - count : self.at]
+
+
+@dataclass
+class FakeTarget:
+    """State of the target."""
+
+    mtu: int = 240
+    field_width: int = 4
+    big_endian: bool = False
+    safety: bool = True
+    scopes: int = 1
+    scope_limit: int = 8
+    password: bool = False
+    config: dict[str, bytes] = field(default_factory=dict)
+    tables: list[list[FakeEntry]] = field(default_factory=lambda: [[]])
+    on_write: Callable[[int, bytes], None] | None = None
+    before_scope: Callable[[], None] | None = None
+    commands: dict[int, Callable[[bytes], tuple[int, bytes]]] = field(default_factory=dict)
+    requests: list[tuple[int, bytes]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.memory: dict[int, int] = {}
+        self._strings: dict[bytes, int] = {}
+        self._next_string = 0x0804_F115
+        self._table_places: list[tuple[int, int]] = []
+        self._plus = False
+        self._want_length = False
+        self._todo = 0
+        self._crc = bytearray()
+        self._buffer = bytearray()
+        self._overflow = False
+        self.scope: list[tuple[int, int] | None] = []
+        self._command_status = 0xFF
+        self._command_data = b""
+        values = {
+            "MTU": uleb(self.mtu), "VS": b"fake 1.0\0", "NM": b"fake\0", "DS": b"test target\0", "BD": b"today\0",
+            "F1": bytes([0x02 | self.big_endian | (0x10 if self.password else 0)]), "RC": b"\0",
+            "SC": bytes([self.scopes]), "PV": b"\x04", "PC": b"\0",
+        }  # fmt: skip
+        self.config = {**values, **self.config}
+
+    # ---- building
+    @property
+    def order(self) -> Literal["little", "big"]:
+        return "big" if self.big_endian else "little"
+
+    def poke(self, address: int, data: bytes) -> None:
+        for k, byte in enumerate(data):
+            self.memory[address + k] = byte
+
+    def peek(self, address: int, size: int) -> bytes:
+        return bytes(self.memory.get(address + k, 0) for k in range(size))
+
+    def set_int(self, address: int, value: int, size: int) -> None:
+        self.poke(address, (value % (1 << 8 * size)).to_bytes(size, self.order))
+
+    def _string(self, text: bytes) -> int:
+        if text not in self._strings:
+            self._strings[text] = self._next_string
+            self.poke(self._next_string, text + b"\0")
+            self._next_string += len(text) + 1
+        return self._strings[text]
+
+    def build(self, table_address: int = 0x2000_10E0) -> None:
+        """Lay the tables and their texts into memory."""
+        self._table_places = []
+        for table in self.tables:
+            data = b""
+            for e in table:
+                name = self._string(e.name.encode()) if e.name else 0
+                kind = self._string(e.type) if e.type is not None else 0
+                for word in (name, kind, e.address, e.size << 2 | e.kind):
+                    data += (word % (1 << 8 * self.field_width)).to_bytes(self.field_width, self.order)
+            self.poke(table_address, data)
+            self._table_places.append((table_address, len(data)))
+            table_address += len(data) + 64
+
+    # ---- receiver
+    def feed(self, data: bytes) -> bytes:
+        """Take bytes; returns what the target answers."""
+        return b"".join(self._receive(byte) for byte in data)
+
+    def _receive(self, byte: int) -> bytes:
+        if byte == SOB:
+            self._plus = not self._plus
+            if self._plus:
+                return b""
+        elif self._plus:
+            self._crc = bytearray([byte])
+            self._buffer = bytearray([byte])
+            self._todo, self._want_length, self._plus, self._overflow = 0, True, False, False
+            return b""
+        if self._want_length:
+            self._todo = (byte + 1) % 256
+            self._crc.append(byte)
+            self._want_length = False
+        elif self._todo > 0:
+            self._todo -= 1
+            if self._todo:
+                self._crc.append(byte)
+                if len(self._buffer) < self.mtu - 1:
+                    self._buffer.append(byte)
+                else:
+                    self._overflow = True
+            else:
+                return self._finish(byte)
+        return b""
+
+    def _finish(self, crc: int) -> bytes:
+        if self._overflow:
+            return self._frame(0x83)
+        if crc != checksum(bytes(self._crc)):
+            return self._frame(0x82)
+        command, payload = self._buffer[0], bytes(self._buffer[1:])
+        self.requests.append((command, payload))
+        try:
+            status, data = self._execute(command, Reader(payload))
+        except Refused as refused:
+            return self._frame(int(refused.args[0]))
+        if len(data) > 252:
+            return self._frame(0x84)
+        return self._frame(status, data)
+
+    @staticmethod
+    def _frame(status: int, data: bytes = b"") -> bytes:
+        body = bytes([status]) + (bytes([len(data)]) if status & 0x40 and status < 0x80 else b"") + data
+        return escaped(body + bytes([checksum(body)]))
+
+    # ---- commands
+    def _execute(self, command: int, r: Reader) -> tuple[int, bytes]:
+        match command:
+            case 0x20:
+                return self._get_config(r)
+            case 0x21:
+                address, size = r.uleb(), r.uleb()
+                if self.password:
+                    raise Refused(0x91)
+                self._check(address, size, write=False)
+                if size > self.mtu:
+                    raise Refused(0x84)
+                return 0, self.peek(address, size)
+            case 0x23:
+                return self._write(r)
+            case 0x26:
+                return self._set_scope(r)
+            case 0x27:
+                return self._read_scope(r)
+            case 0x29:
+                index = r.uleb()
+                address, size = self._table_places[index] if index < len(self._table_places) else (0, 999)
+                width = {2: 0, 4: 1, 8: 2}[self.field_width]
+                return 0x40, bytes([0x03 | width << 4]) + uleb(size) + uleb(address)
+            case 0x2A:
+                address = r.uleb()
+                end = address
+                while self.memory.get(end, 0):
+                    end += 1
+                return 0x40, uleb(end - address)
+            case 0x30:
+                return self._start_command(r)
+            case 0x31:
+                return 0, bytes([self._command_status])
+            case 0x32:
+                size, offset = r.uleb(), r.uleb()
+                if size == 0 or offset + size > len(self._command_data):
+                    raise Refused(0x86)
+                return 0x40, self._command_data[offset : offset + size]
+        raise Refused(0x81)
+
+    def _get_config(self, r: Reader) -> tuple[int, bytes]:
+        index = r.u8()
+        key = r.data[1:].split(b"\0")[0][:3].decode("latin-1") if index == 0 else ""
+        if key not in self.config:
+            raise Refused(0x89)
+        return 0x40, key.encode() + b"\0" + self.config[key]
+
+    def _write(self, r: Reader) -> tuple[int, bytes]:
+        flags, address, size = r.u8(), r.uleb(), r.uleb()
+        self._check(address, size, write=True)
+        data = r.take(size)
+        if flags & 1:
+            mask = r.take(size)
+            data = bytes(
+                (o & ~m & 0xFF) | (d & m) for o, d, m in zip(self.peek(address, size), data, mask, strict=True)
+            )
+        self.poke(address, data)
+        if self.on_write is not None:
+            self.on_write(address, data)
+        return 0, b""
+
+    def _set_scope(self, r: Reader) -> tuple[int, bytes]:
+        if not r.data:
+            raise Refused(0x86)
+        if r.u8() >= self.scopes:
+            raise Refused(0x94)
+        while len(r.data) - r.at >= 2:
+            op, length = r.u8(), r.u8()
+            if length > len(r.data) - r.at:
+                raise Refused(0x86)
+            body = Reader(r.take(length))
+            if op == 1:
+                count = body.u8()
+                if count > self.scope_limit:
+                    raise Refused(0x86)
+                self.scope = [None] * count
+            elif op == 2:
+                slot, address, size = body.u8(), body.uleb(), body.u8()
+                if slot >= len(self.scope):
+                    raise Refused(0x85)
+                if size not in (1, 2, 4, 8) or body.at != length:
+                    raise Refused(0x86)
+                self._check(address, size, write=False)
+                self.scope[slot] = (address, size)
+            else:
+                raise Refused(0x81)
+        return 0, b""
+
+    def _read_scope(self, r: Reader) -> tuple[int, bytes]:
+        if r.u8() >= self.scopes:
+            raise Refused(0x94)
+        if not self.scope:
+            raise Refused(0x88)
+        if self.before_scope is not None:
+            self.before_scope()
+        return 0, b"".join(self.peek(*slot) for slot in self.scope if slot is not None)
+
+    def _start_command(self, r: Reader) -> tuple[int, bytes]:
+        if not r.data:
+            raise Refused(0x86)
+        code = r.u8()
+        self._command_status, self._command_data = self._run(code, r.data[1:])
+        return 0, b""
+
+    def _run(self, code: int, arguments: bytes) -> tuple[int, bytes]:
+        command = self.commands.get(code)
+        return (0, b"") if command is None else command(arguments)
+
+    # ---- TSA safety
+    def _check(self, address: int, size: int, *, write: bool) -> None:
+        if not self.safety:
+            return
+
+        def inside(start: int, length: int) -> bool:
+            return start <= address and address + size <= start + length
+
+        kinds = (RW,) if write else (RO, FLASH, RW)
+        for table in self.tables:
+            for e in table:
+                if e.kind in kinds and not (e.type or b"").startswith(b"\xed") and inside(e.address, e.size):
+                    return
+        if not write:
+            if any(inside(start, length) for start, length in self._table_places):
+                return
+            if any(inside(start, len(text)) for text, start in self._strings.items()):
+                return
+        raise Refused(0x89)
+
+    def reset(self) -> None:
+        """What a restart forgets."""
+        self.scope = []
+        self._plus = self._want_length = False
+        self._todo = 0

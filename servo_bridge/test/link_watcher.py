@@ -1,0 +1,56 @@
+"""A link that is watched: collects what it reports and waits for it. For tests."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+from fake_servo import CATALOGUE
+from servo_bridge.link import Link, LinkConfig, LinkState, LinkStatus, Sample
+
+TELEMETRY = ("applied_tick", "applied_count", "u_dc", "axis1.position", "axis2.position")
+PATIENCE = 20.0
+
+
+class Watcher:
+    """Collects what a link reports and waits for it."""
+
+    def __init__(self, url: str, **options: object) -> None:
+        self.samples: list[Sample] = []
+        self.states: list[LinkStatus] = []
+        self.times: list[float] = []
+        self.news = threading.Condition()
+        config = replace(LinkConfig(url, telemetry=TELEMETRY, latency=0.1, backoff_max=0.2), **options)  # type: ignore[arg-type]
+        self.link = Link(config, CATALOGUE, on_sample=self._sample, on_state=self._state)
+
+    def _sample(self, sample: Sample) -> None:
+        with self.news:
+            self.samples.append(sample)
+            self.news.notify_all()
+
+    def _state(self, status: LinkStatus) -> None:
+        with self.news:
+            self.states.append(status)
+            self.times.append(time.monotonic())
+            self.news.notify_all()
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        with self.news:
+            assert self.news.wait_for(condition, PATIENCE), f"never happened; states: {[str(s) for s in self.states]}"
+
+    def wait_state(self, state: LinkState) -> LinkStatus:
+        self.wait(lambda: bool(self.states) and self.states[-1].state is state)
+        return self.states[-1]
+
+    def wait_samples(self, count: int) -> None:
+        target = len(self.samples) + count
+        self.wait(lambda: len(self.samples) >= target)
+
+
+class StartLink(Protocol):
+    """Starts a watched link at the fake port."""
+
+    def __call__(self, **options: object) -> Watcher: ...

@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import itertools
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bridge.board_clock import BoardClock, TickExtender, WallClock
+
+TICK = 62_500
+MS = 1_000_000
+S = 1_000_000_000
+
+
+# ---- ticks --------------------------------------------------------------------------------------------------------
+@given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 16_000), max_size=50))
+def test_ticks_are_followed_past_32_bits(start: int, steps: list[int]) -> None:
+    extender = TickExtender()
+    tick, now = start, 5 * S
+    assert extender.update(start, now).tick == start
+    for step in steps:
+        tick += step
+        now += step * TICK
+        reading = extender.update(tick % 2**32, now)
+        assert (reading.tick, reading.epoch, reading.reset) == (tick, 0, False)
+
+
+@pytest.mark.parametrize(
+    ("last", "gap_s", "raw"),
+    [
+        (1_000_000, 0.01, 0),  # goes back
+        (0xF000_0000, 0.01, 100),  # goes back across half of the range, so that it looks like a leap forward
+        (5 * 16_000, 60.0, 8 * 16_000),  # came back while nobody looked
+    ],
+)
+def test_a_reset_is_noticed(last: int, gap_s: float, raw: int) -> None:
+    extender = TickExtender()
+    extender.update(last, S)
+    reading = extender.update(raw, S + round(gap_s * 1e9))
+    assert (reading.tick, reading.epoch, reading.reset) == (raw, 1, True)
+    following = extender.update(raw + 160, S + round(gap_s * 1e9) + 10 * MS)
+    assert (following.epoch, following.reset) == (1, False)
+
+
+def test_a_slow_virtual_board_and_a_pause_are_no_reset() -> None:
+    extender = TickExtender()
+    extender.update(0, 0)
+    assert not extender.update(12 * 16_000, 20 * S).reset  # runs at 60 %
+    assert not extender.update(12 * 16_000 + 8, 21 * S).reset  # stood still for a second
+    assert not extender.update(12 * 16_000 + 8, 21 * S).reset  # the same sample again
+
+
+def test_a_reset_known_otherwise_begins_an_epoch() -> None:
+    extender = TickExtender()
+    extender.update(1000, S)
+    extender.restart()
+    reading = extender.update(1160, S + 10 * MS)
+    assert (reading.tick, reading.epoch) == (1160, 1)
+
+
+# ---- board time to host time --------------------------------------------------------------------------------------
+def simulate(
+    seed: int, drift: float, seconds: float, jitter_ms: float, rate: float = 150.0, floor_ms: float = 1.0
+) -> list[tuple[int, int, int]]:
+    """Samples of a drifting board: tick, its true host time, arrival."""
+    rng = random.Random(seed)
+    samples = []
+    moment = 0.5
+    while moment < seconds:
+        tick = int(moment / 62.5e-6 * (1.0 + drift))
+        true_ns = round(tick * TICK / (1.0 + drift)) + 7 * S
+        # Adapters hand over in lumps now and then; most of the delay is small.
+        delay = floor_ms + rng.expovariate(1.0) * 0.2 + (rng.random() * jitter_ms if rng.random() < 0.2 else 0.0)
+        samples.append((tick, true_ns, true_ns + round(delay * MS)))
+        moment += max(1.0 / rate, delay * 1e-3)  # the next one is asked for when this one has come
+    return samples
+
+
+@pytest.mark.parametrize("drift", [-50e-6, 0.0, 50e-6])
+@given(seed=st.integers(0, 1000))
+def test_stamps_are_true_within_a_quarter_of_a_millisecond(drift: float, seed: int) -> None:
+    clock = BoardClock(minimum_delay_ns=MS)
+    errors = []
+    for tick, true_ns, arrival_ns in simulate(seed, drift, 8.0, jitter_ms=16.0):
+        stamp = clock.update(tick, arrival_ns)
+        if true_ns > 10 * S:
+            errors.append(abs(stamp - true_ns))
+    assert max(errors) < MS // 4
+
+
+@given(st.integers(0, 1000), st.floats(-100e-6, 100e-6), st.floats(0.0, 100.0))
+def test_stamps_grow_and_never_lie_after_the_arrival(seed: int, drift: float, jitter_ms: float) -> None:
+    clock = BoardClock()
+    last = 0
+    for tick, _, arrival_ns in simulate(seed, drift, 3.0, jitter_ms):
+        stamp = clock.update(tick, arrival_ns)
+        assert last < stamp <= arrival_ns
+        last = stamp
+
+
+def test_spacing_of_stamps_is_that_of_the_board() -> None:
+    """A differentiating reader must not see the jitter of the arrivals."""
+    clock = BoardClock()
+    stamps = [(t, clock.update(t, a)) for t, _, a in simulate(3, 30e-6, 8.0, jitter_ms=10.0)][600:]
+    ratios = [(b[1] - a[1]) / ((b[0] - a[0]) * TICK) for a, b in itertools.pairwise(stamps)]
+    assert max(abs(r - 1.0) for r in ratios) < 5e-3
+
+
+def test_a_late_first_sample_is_corrected_soon() -> None:
+    clock = BoardClock()
+    clock.update(0, 100 * MS)  # 100 ms late
+    for k in range(1, 400):
+        clock.update(160 * k, 10 * MS * k)
+    assert clock.host_ns(160 * 399) == pytest.approx(10 * MS * 399, abs=3 * MS)
+
+
+def test_after_a_standstill_the_clock_jumps() -> None:
+    clock = BoardClock()
+    for k in range(100):
+        clock.update(160 * k, 10 * MS * k)
+    stamp = clock.update(160 * 100, 10 * MS * 100 + 10 * S)
+    assert stamp == 10 * MS * 100 + 10 * S
+
+
+def test_after_a_reset_stamps_go_on_growing() -> None:
+    clock = BoardClock()
+    before = [clock.update(160 * k, 10 * MS * k) for k in range(100)][-1]
+    clock.reset()
+    assert clock.offset_ns is None
+    with pytest.raises(ValueError, match="not been seen"):
+        clock.host_ns(0)
+    after = clock.update(5, 10 * MS * 101)
+    assert after > before
+    assert after == 10 * MS * 101
+
+
+# ---- wall clock ---------------------------------------------------------------------------------------------------
+def test_wall_clock_follows_when_refreshed() -> None:
+    now = {"steady": 1000, "wall": 500_000}
+    clock = WallClock(lambda: now["wall"], lambda: now["steady"])
+    assert clock.wall_ns(1100) == 500_100
+    now["wall"] += 7_000
+    assert clock.wall_ns(1100) == 500_100
+    clock.refresh()
+    assert clock.wall_ns(1100) == 507_100
+
+
+def test_an_interrupted_comparison_is_dropped() -> None:
+    times = iter([0, 0, 1_000, 1_000 + MS, 2_000_000, 2_000_000])
+    walls = iter([100, 900_000, 2_000_200])
+    clock = WallClock(lambda: next(walls), lambda: next(times))
+    clock.refresh()
+    assert clock.wall_ns(0) == 100
+    clock.refresh()
+    assert clock.wall_ns(0) == 200

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+from fake_port import V3Target
+from fake_target import RO, RW, FakeEntry, FakeTarget
+from fake_transport import FakeTransport, client_on
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.commands import ScopeSlot
+from servo_bridge.freemaster.errors import (
+    AnswerTimeoutError,
+    CodecError,
+    CommandUnfinishedError,
+    DisturbedRequestError,
+    FreemasterError,
+    StatusError,
+    WrongProtocolError,
+)
+
+
+def connected(target: FakeTarget) -> Client:
+    client = client_on(FakeTransport(target.feed))
+    client.identify()
+    target.requests.clear()
+    return client
+
+
+def test_identify() -> None:
+    target = FakeTarget(
+        mtu=100, config={"BA": bytes.fromhex("80 80 80 80 02"), "RC": b"\x01", "NM": "Säge".encode() + b"\0"}
+    )
+    client = client_on(FakeTransport(target.feed))
+    info = client.identify()
+    assert (info.protocol, info.mtu, info.base_address) == (4, 100, 0x20000000)
+    assert (info.name, info.version, info.description, info.build) == ("Säge", "fake 1.0", "test target", "today")
+    assert (info.scopes, info.recorders, info.pipes) == (1, 1, 0)
+    assert not info.big_endian
+    assert info.password_level == 0
+    assert client.mtu == 100
+
+
+def test_identify_a_target_that_knows_next_to_nothing() -> None:
+    target = FakeTarget()
+    target.config = {"MTU": b"\x20"}
+    info = client_on(FakeTransport(target.feed)).identify()
+    assert (info.mtu, info.name, info.base_address, info.scopes) == (32, "", None, 0)
+
+
+def test_flags() -> None:
+    info = client_on(FakeTransport(FakeTarget(big_endian=True, password=True).feed)).identify()
+    assert info.big_endian
+    assert info.password_level == 1
+
+
+def test_version_3_is_recognised() -> None:
+    with pytest.raises(WrongProtocolError, match="version 3"):
+        client_on(FakeTransport(V3Target().feed)).identify()
+
+
+def test_another_device_is_recognised() -> None:
+    with pytest.raises(WrongProtocolError, match=r"not in FreeMASTER \(first bytes b'Hello"):
+        client_on(FakeTransport(lambda _: b"Hello world\r\n")).identify()
+
+
+def test_a_short_circuit_of_the_lines_is_recognised() -> None:
+    with pytest.raises(WrongProtocolError, match="only the echo"):
+        client_on(FakeTransport(lambda request: request)).identify()
+
+
+def test_a_silent_board_is_not_called_another_protocol() -> None:
+    with pytest.raises(AnswerTimeoutError):
+        client_on(FakeTransport(lambda _: b"")).identify()
+
+
+def test_a_bad_line_is_not_called_another_protocol() -> None:
+    with pytest.raises(DisturbedRequestError):
+        client_on(FakeTransport(lambda _: b"+\x82\x87")).identify()
+
+
+@given(st.binary(max_size=80))
+def test_garbage_ends_in_a_named_error(garbage: bytes) -> None:
+    client = client_on(FakeTransport(lambda _: garbage), retries=1)
+    with contextlib.suppress(FreemasterError):
+        client.identify()
+    with contextlib.suppress(FreemasterError):
+        client.read_memory(0, 4)
+    assert client.line.statistics.requests <= 30
+
+
+@pytest.mark.parametrize(("mtu", "sizes"), [(32, [32] * 15 + [20]), (240, [240, 240, 20]), (254, [248, 248, 4])])
+def test_reads_are_split_by_the_buffer(mtu: int, sizes: list[int]) -> None:
+    target = FakeTarget(mtu=mtu, safety=False)
+    content = bytes(k * 7 % 256 for k in range(500))
+    target.poke(0x1000, content)
+    client = connected(target)
+    assert client.read_memory(0x1000, 500) == content
+    assert [payload[-1] if size < 128 else payload[-2] & 0x7F | payload[-1] << 7
+            for (_, payload), size in zip(target.requests, sizes, strict=True)] == sizes  # fmt: skip
+
+
+def test_nothing_to_read_asks_nothing() -> None:
+    target = FakeTarget()
+    client = connected(target)
+    assert client.read_memory(0x1000, 0) == b""
+    assert target.requests == []
+
+
+def test_write_and_masked_write() -> None:
+    target = FakeTarget(tables=[[FakeEntry("x", b"\xe1", 0x1000, 2, RW)]])
+    client = connected(target)
+    client.write_memory(0x1000, b"\x2b\x2b")
+    client.write_masked(0x1000, b"\xff\x00", b"\x0f\xf0")
+    assert target.peek(0x1000, 2) == b"\x2f\x0b"
+
+
+def test_access_to_a_read_only_variable_is_refused() -> None:
+    client = connected(FakeTarget(tables=[[FakeEntry("x", b"\xe1", 0x1000, 2, RO)]]))
+    with pytest.raises(StatusError, match="access denied"):
+        client.write_memory(0x1000, b"ab")
+    with pytest.raises(StatusError, match="access denied"):
+        client.read_memory(0x1000, 3)
+
+
+@pytest.mark.parametrize("mtu", [32, 100, 240, 254])
+def test_the_largest_write_fits_and_no_larger_one_is_tried(mtu: int) -> None:
+    target = FakeTarget(mtu=mtu, safety=False)
+    client = connected(target)
+    limit = client.write_limit(0x2000_0000)
+    client.write_memory(0x2000_0000, b"\x55" * limit)
+    assert target.peek(0x2000_0000, limit) == b"\x55" * limit
+    target.requests.clear()
+    with pytest.raises(CodecError, match="do not fit one write"):
+        client.write_memory(0x2000_0000, bytes(limit + 1))
+    assert target.requests == []
+
+
+def test_24_scope_slots_take_one_frame() -> None:
+    target = FakeTarget(mtu=254, scope_limit=24, safety=False)
+    client = connected(target)
+    for k in range(24):
+        target.set_int(0x1000 + 4 * k, k, 4)
+    request = client.set_scope([ScopeSlot(0x1000 + 4 * k, 4) for k in range(24)])
+    assert [command for command, _ in target.requests] == [0x26]
+    assert client.exchange(request).data == b"".join(k.to_bytes(4, "little") for k in range(24))
+
+
+def test_a_small_buffer_takes_the_scope_in_pieces() -> None:
+    target = FakeTarget(mtu=32, safety=False)
+    client = connected(target)
+    request = client.set_scope([ScopeSlot(0x2000_0000 + k, 1) for k in range(8)])
+    assert len(target.requests) > 1
+    assert max(len(payload) for _, payload in target.requests) <= 30
+    assert len(client.exchange(request).data) == 8
+
+
+def test_a_scope_that_does_not_fit() -> None:
+    client = connected(FakeTarget(mtu=32, safety=False))
+    with pytest.raises(CodecError, match="do not fit one answer"):
+        client.set_scope([ScopeSlot(0x1000, 8)] * 5)
+    client = connected(FakeTarget(safety=False))
+    with pytest.raises(StatusError, match="bad size"):
+        client.set_scope([ScopeSlot(0x1000, 2)] * 9)
+
+
+def test_application_command_with_result() -> None:
+    target = FakeTarget(commands={0x11: lambda arguments: (0x42, arguments[::-1])})
+    client = connected(target)
+    assert client.run_command(0x11, b"\x01\x02\xd4") == 0x42
+    assert client.command_data(2, 1) == b"\x02\x01"
+
+
+def test_a_command_that_does_not_end() -> None:
+    client = connected(FakeTarget(commands={1: lambda _: (0xFE, b"")}))
+    with pytest.raises(CommandUnfinishedError, match=r"still runs after 0\.5 s"):
+        client.run_command(1, timeout=0.5)

@@ -1,0 +1,225 @@
+"""The link on a real pty and what goes wrong with boards, ports and lines."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from fake_port import FakePort, NoiseDevice, V3Target
+from fake_servo import CATALOGUE, FakeServo
+from link_watcher import PATIENCE, StartLink, Watcher
+from servo_bridge.freemaster.errors import AnswerTimeoutError, CommandUnfinishedError
+from servo_bridge.link import Link, LinkConfig, LinkDownError, LinkState, LinkStatus, Sample
+
+
+# ---- trouble ------------------------------------------------------------------------------------------------------
+def test_the_port_is_waited_for(tmp_path: Path, fake_board: FakeServo, start_link: StartLink) -> None:
+    watcher = start_link()
+    status = watcher.wait_state(LinkState.DISCONNECTED)
+    assert "there is no port" in status.reason
+    assert status.remedy
+    with FakePort(tmp_path / "ttyFAKE", fake_board):
+        watcher.wait_state(LinkState.CONNECTED)
+        watcher.link.close()
+
+
+def test_the_port_vanishes_and_returns(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+    connected.link.write("cmd.enable", [1.0, 1.0]).result(PATIENCE)
+    fake_port.unplug()
+    gone = time.monotonic()
+    status = connected.wait_state(LinkState.DISCONNECTED)
+    assert connected.times[-1] - gone < 1.0
+    assert "gone" in status.reason or "no port" in status.reason
+    with pytest.raises(LinkDownError):
+        connected.link.write("cmd.position", [1.0, 1.0]).result(PATIENCE)
+    fake_port.plug()
+    connected.wait_state(LinkState.CONNECTED)
+    connected.wait_samples(5)
+    assert [name for name, _, _ in fake_board.written] == ["cmd.enable"], "a command was sent again"
+    assert connected.link.statistics().connections == 2
+    assert connected.samples[-1].epoch == 0, "the board has run on"
+
+
+def test_a_board_that_falls_silent(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+    connected.wait_samples(1)
+    fake_port.silent = True
+    begin = time.monotonic()
+    pending = [connected.link.write("cmd.position", [0.1 * k, 0.0]) for k in range(5)]
+    status = connected.wait_state(LinkState.DISCONNECTED)
+    assert connected.times[-1] - begin < 2.0
+    assert "stopped answering" in status.reason
+    for write in pending:
+        with pytest.raises(Exception, match=r"stopped answering|no answer"):
+            write.result(PATIENCE)
+    seen = len(fake_board.written)
+    fake_port.silent = False
+    connected.wait_state(LinkState.CONNECTED)
+    connected.wait_samples(3)
+    assert len(fake_board.written) == seen, "a command was sent again"
+
+
+def test_a_board_that_never_answers(fake_port: FakePort, start_link: StartLink) -> None:
+    fake_port.silent = True
+    status = start_link().wait_state(LinkState.DISCONNECTED)
+    assert "nothing answers at 115200 baud" in status.reason
+    assert "baud rate" in status.remedy
+
+
+@pytest.mark.parametrize(("device", "text"), [(V3Target(), "version 3"), (NoiseDevice(), "not in FreeMASTER")])
+def test_another_device(tmp_path: Path, start_link: StartLink, device: V3Target | NoiseDevice, text: str) -> None:
+    with FakePort(tmp_path / "ttyFAKE", device):
+        watcher = start_link()
+        status = watcher.wait_state(LinkState.FAILED)
+        assert text in status.reason
+        watcher.link.close()
+
+
+def test_a_board_of_another_version_gets_no_command(
+    fake_port: FakePort, start_link: StartLink, fake_board: FakeServo
+) -> None:
+    fake_board.put("catalogue_hash", 1)
+    watcher = start_link()
+    status = watcher.wait_state(LinkState.FAILED)
+    assert "another table of variables" in status.reason
+    assert "flash the firmware" in status.remedy
+    with pytest.raises(LinkDownError, match="another table of variables"):
+        watcher.link.write("cmd.enable", [1.0, 1.0]).result(PATIENCE)
+    # The right firmware is flashed while the program runs.
+    fake_board.put("catalogue_hash", CATALOGUE.hash)
+    watcher.wait_state(LinkState.CONNECTED)
+    assert fake_board.written == []
+    assert [s.state for s in watcher.states].count(LinkState.FAILED) == 1
+
+
+def test_a_scope_that_is_too_small(fake_port: FakePort, start_link: StartLink, fake_board: FakeServo) -> None:
+    fake_board.scope_limit = 3
+    status = start_link().wait_state(LinkState.FAILED)
+    assert "SETSCOPE" in status.reason
+
+
+def test_a_reset_of_the_board(connected: Watcher, fake_board: FakeServo) -> None:
+    connected.wait_samples(5)
+    fake_board.restart()
+    connected.wait(lambda: any("reset" in s.reason for s in connected.states))
+    connected.wait(lambda: connected.states[-1].state is LinkState.CONNECTED and connected.samples[-1].epoch == 1)
+    assert connected.samples[-1].tick < 16_000 * PATIENCE
+    assert connected.link.statistics().resets == 1
+
+
+def test_a_reset_that_only_the_lost_set_up_betrays(connected: Watcher, fake_board: FakeServo) -> None:
+    connected.wait_samples(5)
+    fake_board.scope = []
+    connected.wait(lambda: connected.states[-1].state is LinkState.CONNECTED and connected.samples[-1].epoch == 1)
+    assert any("reset" in s.reason for s in connected.states)
+
+
+def test_a_reset_while_nobody_looked(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+    fake_board.first_tick += 3600 * 16_000  # an hour of operation
+    connected.wait(
+        lambda: connected.states[-1].state is LinkState.CONNECTED and connected.samples[-1].tick > 3600 * 16_000
+    )
+    epoch = connected.samples[-1].epoch
+    fake_port.unplug()
+    connected.wait_state(LinkState.DISCONNECTED)
+    fake_board.restart()
+    fake_port.plug()
+    connected.wait_state(LinkState.CONNECTED)
+    connected.wait_samples(1)
+    assert connected.samples[-1].epoch == epoch + 1
+
+
+def test_a_control_loop_that_stands_still(connected: Watcher, fake_board: FakeServo) -> None:
+    frozen = fake_board.ticks()
+    fake_board.ticks = lambda: frozen
+    status = connected.wait_state(LinkState.FAILED)
+    assert "stands still" in status.reason
+    fake_board.ticks = lambda: frozen + (time.monotonic_ns() - fake_board.start_ns) // 62_500
+    connected.wait_state(LinkState.CONNECTED)
+
+
+def test_a_noisy_line_is_endured(fake_port: FakePort, connected: Watcher) -> None:
+    count = 0
+
+    def damage(answer: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        if count % 5 == 0:
+            return answer[:3] + bytes([answer[3] ^ 0x10]) + answer[4:] if len(answer) > 4 else answer
+        return answer
+
+    fake_port.mangle = damage
+    connected.wait_samples(40)
+    figures = connected.link.statistics()
+    assert figures.crc_errors + figures.damaged > 0
+    assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
+
+
+def test_a_lost_answer_is_no_lost_link(fake_port: FakePort, connected: Watcher) -> None:
+    lost: list[bytes] = []
+
+    def lose_one(answer: bytes) -> bytes:
+        if lost:
+            return answer
+        lost.append(answer)
+        return b""
+
+    fake_port.mangle = lose_one
+    connected.wait(lambda: connected.link.statistics().timeouts == 1)
+    connected.wait_samples(5)
+    assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
+
+
+def test_a_command_without_answer_is_not_repeated_and_costs_no_link(
+    fake_port: FakePort, connected: Watcher, fake_board: FakeServo
+) -> None:
+    fake_port.mangle = lambda answer: b"" if fake_board.requests[-1][0] == 0x30 else answer
+    with pytest.raises(AnswerTimeoutError):
+        connected.link.run_command(1).result(PATIENCE)
+    fake_board.commands[2] = lambda _: (0xFE, b"")
+    fake_port.mangle = lambda answer: answer
+    with pytest.raises(CommandUnfinishedError):
+        connected.link.run_command(2).result(PATIENCE)
+    connected.wait_samples(5)
+    assert [command for command, _ in fake_board.requests].count(0x30) == 2
+    assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
+
+
+def test_lost_bytes_are_endured(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+    count = 0
+
+    def lose(answer: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        return answer[:-1] if count % 4 == 0 else answer
+
+    fake_port.mangle = lose
+    writes = [connected.link.write("cmd.position", [0.1 * k, 0.0]) for k in range(4)]
+    for write in writes:
+        write.result(PATIENCE)
+    connected.wait_samples(5)
+    assert connected.states[-1].state is LinkState.CONNECTED
+
+
+def test_errors_in_callbacks_do_not_end_the_thread(
+    fake_port: FakePort, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    seen: list[Sample] = []
+    done = threading.Event()
+
+    def fail(sample: Sample) -> None:
+        seen.append(sample)
+        if len(seen) >= 3:
+            done.set()
+        raise RuntimeError("bug of the owner")
+
+    def ignore(status: LinkStatus) -> None:
+        raise RuntimeError("another one")
+
+    link = Link(LinkConfig(fake_port.path), CATALOGUE, on_sample=fail, on_state=ignore)
+    with caplog.at_level(logging.CRITICAL):
+        link.start()
+        assert done.wait(PATIENCE)
+        link.close()

@@ -1,0 +1,230 @@
+from __future__ import annotations
+
+import grp
+import os
+import socket
+import stat
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+from servo_bridge.freemaster.errors import TransportError
+from servo_bridge.serial_port import PortError, SerialPort
+
+from servo_bridge import serial_port
+
+
+def soon(seconds: float = 5.0) -> int:
+    return time.monotonic_ns() + round(seconds * 1e9)
+
+
+class Pty:
+    def __init__(self) -> None:
+        self.master, self.slave = os.openpty()
+        self.path = os.ttyname(self.slave)
+
+    def hang_up(self) -> None:
+        for fd in (self.slave, self.master):
+            if fd >= 0:
+                os.close(fd)
+        self.master = self.slave = -1
+
+
+@pytest.fixture
+def pty() -> Iterator[Pty]:
+    pair = Pty()
+    yield pair
+    pair.hang_up()
+
+
+def test_bytes_go_both_ways(pty: Pty) -> None:
+    with SerialPort(pty.path, 115_200) as port:
+        port.write(b"+\x20\x00\x0d\x0a\x11\x13\x7f\xff")
+        assert os.read(pty.master, 100) == b"+\x20\x00\x0d\x0a\x11\x13\x7f\xff"
+        os.write(pty.master, b"\x03\x04\x0d\x0a+\x11\x13\x1a")
+        assert port.read(soon()) == b"\x03\x04\x0d\x0a+\x11\x13\x1a"
+        assert port.low_latency.enabled is None
+        assert "no low-latency mode" in port.low_latency.text
+
+
+def test_reading_ends_at_the_deadline(pty: Pty) -> None:
+    with SerialPort(pty.path, 115_200) as port:
+        start = time.monotonic()
+        assert port.read(soon(0.05)) == b""
+        assert 0.05 <= time.monotonic() - start < 1.0
+        start = time.monotonic()
+        assert port.read(0) == b""
+        assert time.monotonic() - start < 0.05
+
+
+def test_what_waits_is_read_even_after_the_deadline(pty: Pty) -> None:
+    with SerialPort(pty.path, 115_200) as port:
+        os.write(pty.master, b"late")
+        assert port.read(0) == b"late"
+
+
+def test_a_port_that_vanishes(pty: Pty) -> None:
+    with SerialPort(pty.path, 115_200) as port:
+        pty.hang_up()
+        with pytest.raises(TransportError, match=r"the port /dev/pts/\d+ is gone"):
+            port.read(soon())
+        with pytest.raises(TransportError, match="is gone"):
+            port.write(b"x")
+
+
+def test_a_port_that_vanishes_while_it_is_read(pty: Pty) -> None:
+    with SerialPort(pty.path, 115_200) as port:
+        caught: list[BaseException] = []
+
+        def read() -> None:
+            try:
+                port.read(soon(10))
+            except TransportError as error:
+                caught.append(error)
+
+        thread = threading.Thread(target=read)
+        thread.start()
+        pty.hang_up()
+        thread.join(5.0)
+        assert caught
+
+
+def test_a_port_that_takes_no_bytes(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial_port, "_WRITE_LIMIT_NS", 50_000_000)
+    with SerialPort(pty.path, 115_200) as port, pytest.raises(TransportError, match="takes no more bytes"):
+        port.write(bytes(1 << 20))
+
+
+def test_old_input_is_thrown_away_when_opening(pty: Pty) -> None:
+    os.write(pty.master, b"old\n")
+    with SerialPort(pty.path, 115_200) as port:
+        assert port.read(soon(0.05)) == b""
+
+
+def test_closing_twice(pty: Pty) -> None:
+    port = SerialPort(pty.path, 115_200)
+    port.close()
+    port.close()
+    with pytest.raises(TransportError):
+        port.write(b"x")
+
+
+def test_two_programs_at_one_port(pty: Pty) -> None:
+    with SerialPort(pty.path, 115_200), pytest.raises(PortError, match="another program uses") as caught:
+        SerialPort(pty.path, 115_200)
+    assert not caught.value.missing
+    SerialPort(pty.path, 115_200).close()
+
+
+def test_no_such_port(tmp_path: Path) -> None:
+    with pytest.raises(PortError, match="there is no port") as caught:
+        SerialPort(str(tmp_path / "ttyUSB9"), 115_200)
+    assert caught.value.missing
+    assert caught.value.remedy
+
+
+def test_not_a_serial_port(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("no port")
+    for path in (file, tmp_path, Path("/dev/null")):
+        with pytest.raises(PortError, match="is not a serial port"):
+            SerialPort(str(path), 115_200)
+
+
+def test_no_permission(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(PortError, match=r"no permission.*usermod -aG \w+ \$USER") as caught:
+        SerialPort(pty.path, 115_200)
+    group = grp.getgrgid(os.stat(pty.path).st_gid).gr_name
+    assert f"-aG {group if group != 'root' else 'dialout'} " in caught.value.remedy
+
+
+@pytest.mark.parametrize("url", ["nonsense://x", "socket://"])
+def test_urls_that_are_none(url: str) -> None:
+    with pytest.raises(PortError):
+        SerialPort(url, 115_200)
+
+
+def test_impossible_baud_rate(pty: Pty) -> None:
+    with pytest.raises(PortError, match="cannot run at -5 baud"):
+        SerialPort(pty.path, -5)
+
+
+def test_network_port() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        with SerialPort(url, 115_200) as port:
+            peer, _ = server.accept()
+            with peer:
+                port.write(b"ping")
+                assert peer.recv(10) == b"ping"
+                peer.sendall(b"pong")
+                assert port.read(soon()) == b"pong"
+            with pytest.raises(TransportError, match="is gone"):
+                port.read(soon())
+    with pytest.raises(PortError, match="something listens"):
+        SerialPort(url, 115_200)
+
+
+def test_loop_port_without_descriptor() -> None:
+    with SerialPort("loop://", 115_200) as port:
+        port.write(b"abc")
+        data = b""
+        while len(data) < 3:
+            data += port.read(soon())
+        assert data == b"abc"
+        assert port.read(soon(0.02)) == b""
+
+
+# ---- low latency --------------------------------------------------------------------------------------------------
+class FakeSerial(serial.Serial):  # type: ignore[misc]
+    """Never opened; only its class and its low-latency mode matter."""
+
+    flag = True
+
+    def __init__(self) -> None:
+        pass
+
+    def set_low_latency_mode(self, _: bool) -> None:
+        if not self.flag:
+            raise ValueError
+
+    def __del__(self) -> None:
+        pass
+
+
+@pytest.fixture
+def sys_tty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(serial_port, "_SYS_TTY", tmp_path)
+    monkeypatch.setattr(serial, "Serial", FakeSerial)
+    timer = tmp_path / "ttyUSB0" / "device" / "latency_timer"
+    timer.parent.mkdir(parents=True)
+    return timer
+
+
+def test_the_latency_timer_of_an_adapter_is_set(sys_tty: Path) -> None:
+    sys_tty.write_text("16\n")
+    result = serial_port._set_low_latency(FakeSerial(), "/dev/ttyUSB0")
+    assert result.enabled is True
+    assert sys_tty.read_text() == "1"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_latency_timer_that_cannot_be_set_is_reported(sys_tty: Path) -> None:
+    sys_tty.write_text("16\n")
+    sys_tty.chmod(stat.S_IRUSR)
+    result = serial_port._set_low_latency(FakeSerial(), "/dev/ttyUSB0")
+    assert result.enabled is False
+    assert f"echo 1 > {sys_tty}" in result.text
+
+
+def test_a_port_with_the_mode_but_without_timer(sys_tty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert serial_port._set_low_latency(FakeSerial(), "/dev/ttyS0").enabled is True
+    monkeypatch.setattr(FakeSerial, "flag", False)
+    assert serial_port._set_low_latency(FakeSerial(), "/dev/ttyS0").enabled is None

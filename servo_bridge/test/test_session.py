@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from fake_servo import CATALOGUE, FakeServo
+from fake_target import RO, RW, FakeEntry, FakeTarget
+from fake_transport import FakeTransport, client_on
+from servo_bridge.session import BoardMismatchError, Session, connect
+
+
+def session_on(target: FakeTarget) -> Session:
+    return connect(client_on(FakeTransport(target.feed)), CATALOGUE)
+
+
+def entry(board: FakeServo, name: str) -> FakeEntry:
+    return next(e for e in board.tables[0] if e.name == name)
+
+
+def test_our_board_is_understood() -> None:
+    board = FakeServo()
+    board.put("axis1.position", 4000)
+    session = session_on(board)
+    assert session.mismatch is None
+    assert set(session.variables) == set(CATALOGUE.variables)
+    assert session.read(session.variables["axis1.position"]) == pytest.approx(6.283185307)
+    assert session.read(session.variables["param.speed_limit"]) == pytest.approx([100.0, 100.0], abs=1e-6)
+    assert isinstance(session.read(session.variables["snapshot"]), bytes)
+    assert session.variables["u_dc"].unit == "V"
+
+
+def test_writes_are_scaled_and_reach_single_elements() -> None:
+    board = FakeServo()
+    session = session_on(board)
+    session.write(session.variables["cmd.position"], [6.283185307179586], first=1)
+    assert board.get("cmd.position") == [0, 4000]
+    assert board.written == [("cmd.position", 4, (4000).to_bytes(4, "little"))]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "first", "text"),
+    [
+        ("cmd.speed", [1000.0, 0.0], 0, "outside"),
+        ("cmd.speed", [float("nan"), 0.0], 0, "not a finite"),
+        ("cmd.speed", [0.0, 0.0], 1, "has 2 element"),
+        ("cmd.speed", [], 0, "has 2 element"),
+        ("cmd.speed", [0.0], -1, "has 2 element"),
+        ("axis1.speed", [0.0], 0, "can only be read"),
+        ("snapshot", [0.0], 0, "can only be read"),
+    ],
+)
+def test_writes_that_are_refused_send_nothing(name: str, values: list[float], first: int, text: str) -> None:
+    board = FakeServo()
+    session = session_on(board)
+    with pytest.raises(ValueError, match=text):
+        session.write(session.variables[name], values, first)
+    assert board.written == []
+
+
+def test_a_board_of_another_version() -> None:
+    board = FakeServo()
+    board.put("catalogue_hash", CATALOGUE.hash ^ 1)
+    mismatch = session_on(board).mismatch
+    assert mismatch is not None
+    assert f"{CATALOGUE.hash ^ 1:08X}" in mismatch.reason
+    assert "flash the firmware" in mismatch.remedy
+    assert not mismatch.stranger
+
+
+def test_a_strange_board_is_read_by_its_own_types() -> None:
+    target = FakeTarget(
+        tables=[[FakeEntry("gain", b"\xf4:3.12", 0x1000, 2, RW), FakeEntry("n", b"\xe1", 0x1002, 2, RO)]]
+    )
+    target.build()
+    session = session_on(target)
+    assert session.mismatch is not None
+    assert session.mismatch.stranger
+    session.write(session.variables["gain"], [1.5])
+    assert session.read(session.variables["gain"]) == 1.5
+    with pytest.raises(ValueError, match="can only be read"):
+        session.variables["gain"].encode_raw([1])
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "text"),
+    [
+        ("axis1.speed", {"type": b"\xf2"}, "axis1.speed is of type i32 instead of frac32"),
+        ("axis2.u_q", {"type": b"\xe1"}, "axis2.u_q is of type u16 instead of frac16"),
+        ("cmd.position", {"size": 4}, "cmd.position has 4 bytes instead of 8"),
+        ("cmd.enable", {"kind": RO}, "cmd.enable is read-only"),
+        ("axis1.state", {"type": b"substate_t"}, "axis1.state is of type substate_t instead of enum"),
+        ("tick", {"name": "tock"}, "tick is missing"),
+    ],
+)
+def test_a_table_that_contradicts_its_hash(name: str, change: dict[str, object], text: str) -> None:
+    board = FakeServo()
+    row = entry(board, name)
+    board.tables[0][board.tables[0].index(row)] = replace(row, **change)  # type: ignore[arg-type]
+    board.build(0x3000)
+    mismatch = session_on(board).mismatch
+    assert isinstance(mismatch, BoardMismatchError)
+    assert text in mismatch.reason

@@ -1,0 +1,395 @@
+"""servo-tool against fake boards on a real pty."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from fake_port import FakePort, NoiseDevice, V3Target
+from fake_servo import CATALOGUE, FakeServo
+from fake_target import CONST, ENUM, NONE, RO, RW, FakeEntry, FakeTarget
+
+from servo_bridge import tool
+
+Run = Callable[..., int]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    monkeypatch.setenv("SERVO_PORT", str(tmp_path / "ttyFAKE"))
+    monkeypatch.delenv("SERVO_BAUD", raising=False)
+    return lambda *arguments: tool.main(arguments)
+
+
+@pytest.fixture
+def stranger(tmp_path: Path) -> Iterator[FakeTarget]:
+    rows = [
+        FakeEntry("mode_t", ENUM, 0, 1, NONE),
+        FakeEntry("ECO", CONST, 0, 0, NONE),
+        FakeEntry("TURBO", CONST, 1, 0, NONE),
+        FakeEntry("gain", b"\xf4:3.12", 0x1000, 2, RW),
+        FakeEntry("mode", b"mode_t", 0x1002, 1, RW),
+        FakeEntry("temperature", b"\xfa", 0x1004, 4, RO),
+        FakeEntry("table", b"\xf1", 0x1010, 6, RW),
+        FakeEntry("memory", None, 0x1020, 20, RO),
+    ]
+    target = FakeTarget(tables=[rows])
+    target.build()
+    with FakePort(tmp_path / "ttyFAKE", target):
+        yield target
+
+
+# ---- reading ------------------------------------------------------------------------------------------------------
+def test_info(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info") == 0
+    out = capsys.readouterr().out
+    assert "servo test target" in out
+    assert "agrees" in out
+    assert "axis1.state" in out
+    assert "FAULT" in out
+
+
+def test_vars(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("vars", "cmd.*") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["NAME", "TYPE", "ACCESS", "UNIT", "LIMITS", "DESCRIPTION"]
+    speed = next(line for line in lines if line.startswith("cmd.speed "))
+    assert "frac32[2]" in speed
+    assert "rw" in speed
+    assert "rad/s" in speed
+    assert "-419 .. 419" in speed
+    assert len(lines) == 8
+
+
+def test_vars_without_a_match(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("vars", "nothing*") == 1
+    assert "no variable matches" in capsys.readouterr().err
+
+
+def test_get(fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]) -> None:
+    fake_board.put("axis1.state", 2)
+    fake_board.put("axis1.faults", 3)
+    fake_board.put("cmd.position", 0, 4000)
+    assert run("get", "axis1.state", "axis1.faults", "cmd.position", "cmd.position[1]", "param.host_timeout") == 0
+    values = dict(line.split(" = ") for line in capsys.readouterr().out.splitlines() if " = " in line)
+    assert {name.strip(): value.strip() for name, value in values.items()} == {
+        "axis1.state": "2 (STOP)",
+        "axis1.faults": "3 (OVER_VOLTAGE UNDER_VOLTAGE)",
+        "cmd.position": "0, 6.28318531 rad",
+        "cmd.position[1]": "6.28318531 rad",
+        "param.host_timeout": "0.5 s",
+    }
+
+
+def test_get_as_json_and_raw(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake_board.put("axis1.position", -4000)
+    assert run("get", "--json", "axis1.position", "tick") == 0
+    assert json.loads(capsys.readouterr().out)["axis1.position"] == pytest.approx(-6.283185307)
+    assert run("get", "--json", "--raw", "axis1.position") == 0
+    assert json.loads(capsys.readouterr().out) == {"axis1.position": -4000}
+
+
+def test_get_an_unknown_name(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("get", "axis1.positoin") == 1
+    assert "did you mean axis1.position" in capsys.readouterr().err
+    assert run("get", "cmd.position[2]") == 1
+    assert "elements 0 .. 1" in capsys.readouterr().err
+
+
+def test_watch(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("watch", "tick", "u_dc", "--rate", "200", "--count", "3") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3
+    assert "u_dc=0 V" in lines[0]
+    ticks = [int(line.split("tick=")[1].split()[0]) for line in lines]
+    assert ticks[0] < ticks[1] < ticks[2]
+
+
+def test_record(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake_board.put("axis1.i_q", 16384)
+    file = tmp_path / "out.csv"
+    assert run("record", "axis1.i_q", "cmd.position", "-o", str(file), "--duration", "0.3") == 0
+    with file.open() as stream:
+        head, *rows = csv.reader(stream)
+    assert head == ["time [s]", "tick", "axis1.i_q [A]", "cmd.position[0] [rad]", "cmd.position[1] [rad]"]
+    assert len(rows) > 10
+    ticks = [int(row[1]) for row in rows]
+    assert ticks == sorted(ticks)
+    assert [float(r[0]) for r in rows] == pytest.approx([(t - ticks[0]) * 62.5e-6 for t in ticks], abs=1e-6)
+    assert {row[2] for row in rows} == {"4.125"}
+    assert f"{len(rows)} rows" in capsys.readouterr().out
+
+
+def test_a_block_cannot_be_recorded(fake_port: FakePort, run: Run, tmp_path: Path) -> None:
+    assert run("record", "snapshot", "-o", str(tmp_path / "x.csv")) == 2
+    assert not (tmp_path / "x.csv").exists()
+
+
+# ---- writing ------------------------------------------------------------------------------------------------------
+def test_set(fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("set", "cmd.speed", "-3,2.5") == 0
+    raw = fake_board.get("cmd.speed")
+    assert [r / 2**31 * 523.5987756 for r in raw] == pytest.approx([-3.0, 2.5], abs=1e-6)
+    assert "(was 0, 0 rad/s)" in capsys.readouterr().out
+    assert run("set", "cmd.speed", "-1", "--element", "1") == 0
+    assert run("set", "cmd.speed[0]", "4") == 0
+    assert [r / 2**31 * 523.5987756 for r in fake_board.get("cmd.speed")] == pytest.approx([4.0, -1.0], abs=1e-6)
+    assert run("set", "cmd.mode", "speed,TORQUE") == 0
+    assert fake_board.get("cmd.mode") == [1, 2]
+    assert run("set", "--raw", "cmd.i_q", "0.5,-0.25") == 0
+    assert fake_board.get("cmd.i_q") == [16384, -8192]
+    assert [(name, offset) for name, offset, _ in fake_board.written] == [
+        ("cmd.speed", 0), ("cmd.speed", 4), ("cmd.speed", 0), ("cmd.mode", 0), ("cmd.i_q", 0),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["cmd.speed", "1000,0"], "outside -419 .. 419"),
+        (["cmd.speed", "nan,0"], "not a finite number"),
+        (["cmd.speed", "1"], "1 value(s) given, 2 expected"),
+        (["cmd.speed", "1,2", "--element", "0"], "2 value(s) given, 1 expected"),
+        (["cmd.speed", "1", "--element", "2"], "elements 0 .. 1"),
+        (["cmd.speed", "1", "--element", "-1"], "elements 0 .. 1"),
+        (["cmd.speed[0]", "1", "--element", "0"], "names an element already"),
+        (["cmd.speed", "fast,slow"], "'fast' is not a number"),
+        (["cmd.mode", "warp,0"], "POSITION, SPEED, TORQUE"),
+        (["axis1.speed", "1"], "can only be read"),
+    ],
+)
+def test_set_refuses(
+    fake_port: FakePort,
+    run: Run,
+    fake_board: FakeServo,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    text: str,
+) -> None:
+    assert run("set", *arguments) == 2
+    err = capsys.readouterr().err
+    assert text in err
+    assert err.count("\n") == 1
+    assert fake_board.written == []
+
+
+def test_set_what_the_board_refuses(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(address: int, data: bytes) -> None:
+        next(e for e in fake_board.tables[0] if e.name == "cmd.enable").kind = RO
+
+    fake_board.before_scope = None
+    fake_board.on_write = refuse
+    assert run("set", "cmd.enable", "1,1") == 0
+    fake_board.build(0x3000)
+    assert run("set", "cmd.enable", "1,1") == 1
+    assert "cmd.enable is read-only" in capsys.readouterr().err
+
+
+# ---- parameter files ----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", ["board.toml", "board.json"])
+def test_save_change_diff_load(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / name)
+    assert run("save", file) == 0
+    assert run("diff", file) == 0
+    saved = fake_board.get("param.i_q_limit")
+    fake_board.put("param.i_q_limit", 5000, 6000)
+    fake_board.written.clear()
+    capsys.readouterr()
+    assert run("diff", file) == 1
+    assert "param.i_q_limit: 1.2588501, 1.51062012 A -> 2.00006104, 2.00006104 A" in capsys.readouterr().out
+    assert fake_board.written == []
+    assert run("load", file) == 0
+    assert fake_board.get("param.i_q_limit") == saved
+    assert [n for n, _, _ in fake_board.written] == ["param.i_q_limit"]
+    assert run("diff", file) == 0
+
+
+def test_a_saved_limit_can_be_loaded_again(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path
+) -> None:
+    """A limit rounded to a raw number may lie a hair outside of itself."""
+    for name in ("param.speed_limit", "param.acceleration_limit", "param.i_q_limit", "param.host_timeout"):
+        v = CATALOGUE[name]
+        raw = [v.to_raw(v.minimum), v.to_raw(v.maximum)][: v.count]
+        fake_board.put(name, *raw)
+    before = {e.name: fake_board.peek(e.address, e.size) for e in fake_board.tables[0] if e.name.startswith("param.")}
+    file = str(tmp_path / "x.toml")
+    assert run("save", file) == 0
+    fake_board.put("param.speed_limit", 10**9, 10**9)
+    assert run("load", file) == 0
+    assert {
+        e.name: fake_board.peek(e.address, e.size) for e in fake_board.tables[0] if e.name.startswith("param.")
+    } == before
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("not toml", "x.toml"),
+        ("[other]\na = 1", "no table [parameters]"),
+        ("[parameters]\n'param.speed_limit' = 'fast'", "neither a number"),
+        ("[parameters]\n'param.speed_limit' = true", "neither a number"),
+        ("[parameters]\n'param.speed_limit' = [1.0]", "1 values in the file, 2 on the board"),
+        ("[parameters]\n'param.unknown' = 1", "no parameter param.unknown"),
+        ("[parameters]\n'param.speed_limit' = [1.0, 1e9]", "outside"),
+        ("[parameters]\n'param.i_q_limit' = [1.0, 1.0]\n'axis1.speed' = 1.0", "can only be read"),
+    ],
+)
+def test_files_that_do_not_fit_change_nothing(
+    fake_port: FakePort,
+    run: Run,
+    fake_board: FakeServo,
+    tmp_path: Path,
+    text: str,
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "x.toml"
+    file.write_text(text)
+    assert run("load", str(file)) == 2
+    assert message in capsys.readouterr().err
+    assert fake_board.written == []
+
+
+def test_a_missing_file(fake_port: FakePort, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("load", str(tmp_path / "no.toml")) == 2
+    assert "no.toml: No such file" in capsys.readouterr().err
+
+
+def test_save_nothing(fake_port: FakePort, run: Run, tmp_path: Path) -> None:
+    assert run("save", str(tmp_path / "x.toml"), "--match", "axis*") == 1
+    assert not (tmp_path / "x.toml").exists()
+
+
+# ---- boards of others ---------------------------------------------------------------------------------------------
+def test_a_strange_board_is_read_and_written_by_its_own_types(
+    stranger: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("set", "gain", "1.5") == 0
+    assert run("set", "mode", "turbo") == 0
+    assert run("set", "table[1]", "-7") == 0
+    capsys.readouterr()
+    assert run("get", "gain", "mode", "temperature", "table", "memory") == 0
+    out, err = capsys.readouterr()
+    assert [line.split("=")[1].strip() for line in out.splitlines()] == [
+        "1.5", "1 (TURBO)", "0", "0, -7, 0", "00 " * 19 + "00",
+    ]  # fmt: skip
+    assert "values are not scaled" in err
+    assert run("set", "gain", "100") == 2
+    assert run("info") == 0
+    assert "has no variable catalogue_hash" in capsys.readouterr().out
+    assert run("vars") == 0
+    assert "q3.12" in capsys.readouterr().out
+
+
+def test_recording_what_no_scope_can_carry(
+    stranger: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "x.csv"
+    assert run("record", "gain", "table", "-o", str(file), "--duration", "0.1", "--rate", "100") == 0
+    assert "each was read alone" in capsys.readouterr().out
+    assert file.read_text().splitlines()[0] == "time [s],gain,table[0],table[1],table[2]"
+
+
+def test_a_servo_board_of_another_version_is_not_written(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / "x.toml")
+    assert run("save", file) == 0
+    fake_board.put("catalogue_hash", 1)
+    assert run("set", "cmd.enable", "1,1") == 1
+    assert "flash the firmware" in capsys.readouterr().err
+    assert run("load", file) == 1
+    assert fake_board.written == []
+    assert run("get", "axis1.position") == 0
+    assert run("set", "--raw", "param.host_timeout", "77") == 0
+    assert fake_board.get("param.host_timeout") == [77]
+
+
+# ---- trouble ------------------------------------------------------------------------------------------------------
+def test_no_port(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info", "--port", "/dev/ttyNOPE") == 1
+    err = capsys.readouterr().err
+    assert "there is no port /dev/ttyNOPE" in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("device", "text"), [(V3Target(), "version 3"), (NoiseDevice(), "not in FreeMASTER")])
+def test_another_device(
+    tmp_path: Path, run: Run, device: V3Target | NoiseDevice, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with FakePort(tmp_path / "ttyFAKE", device):
+        assert run("info") == 1
+    assert text in capsys.readouterr().err
+
+
+def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    fake_port.silent = True
+    assert run("info", "--baud", "57600") == 1
+    assert "nothing answers at 57600 baud" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [[], ["jump"], ["get"], ["info", "--baud", "x"], ["watch", "x", "--rate", "-1"]])
+def test_wrong_command_lines(run: Run, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        run(*arguments)
+    assert caught.value.code == 2
+    assert "usage: servo-tool" in capsys.readouterr().err
+
+
+def test_baud_from_the_environment(fake_port: FakePort, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SERVO_BAUD", "fast")
+    assert run("info") == 2
+    monkeypatch.setenv("SERVO_BAUD", "9600")
+    assert run("info") == 0
+
+
+# ---- as a process -------------------------------------------------------------------------------------------------
+def process(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "servo_bridge.tool", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    )
+
+
+def test_ctrl_c_ends_a_recording_with_a_complete_file(fake_port: FakePort, tmp_path: Path) -> None:
+    file = tmp_path / "x.csv"
+    with process("--port", fake_port.path, "record", "u_dc", "-o", str(file)) as tool_process:
+        limit = time.monotonic() + 20.0
+        while not (file.exists() and file.stat().st_size > 8000):
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        tool_process.send_signal(signal.SIGINT)
+        out, err = tool_process.communicate(timeout=20)
+    assert (tool_process.returncode, err) == (0, "")
+    rows = int(out.split(" rows")[0])
+    assert len(file.read_text().splitlines()) == rows + 1
+
+
+def test_a_reader_that_has_seen_enough(fake_port: FakePort) -> None:
+    with process("--port", fake_port.path, "watch", "tick", "--rate", "500") as tool_process:
+        assert tool_process.stdout is not None
+        assert "tick=" in tool_process.stdout.readline()
+        tool_process.stdout.close()
+        assert tool_process.wait(20) == 0
+        assert tool_process.stderr is not None
+        assert tool_process.stderr.read() == ""
