@@ -1,0 +1,105 @@
+/* board.h - one virtual board: the firmware, a chip and a plant. The only C interface that Python sees.
+ *
+ * Simulated time moves by board_advance and by nothing else: the same configuration and the same calls give the same
+ * results, bit for bit. No file-scope state: any number of boards may live in one process, one thread per board.
+ */
+#ifndef SERVO_TWIN_BOARD_H
+#define SERVO_TWIN_BOARD_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#define BOARD_AXES 2
+
+/* CFFI-BEGIN: the build script hands the lines up to CFFI-END to cffi.cdef */
+typedef struct board board_t;
+
+/* What is really there, SI units (servo_twin/plant.toml). */
+typedef struct {
+    double r_s;            /* stator resistance [ohm] */
+    double l_d, l_q;       /* stator inductances [H] */
+    double psi_m;          /* permanent-magnet flux linkage [V s] (electrical) */
+    double pole_pairs;
+    double inertia;        /* total inertia [kg m^2] */
+    double friction;       /* Coulomb friction [N m] */
+    double viscous;        /* viscous friction [N m s] */
+    double encoder_lines;  /* lines per turn; counts are four times as many */
+    double theta_start;    /* mechanical rotor angle at time zero [rad] */
+    double i_full_scale;   /* ADC range is -i_full_scale .. +i_full_scale [A] */
+    double i_offset[3];    /* offset of each current amplifier [A] */
+    double i_noise;        /* standard deviation of a current sample [A] */
+    double i_break;        /* hardware over-current threshold [A] */
+    double dead_time;      /* [s] */
+    double v_drop;         /* forward drop of switch and diode [V] */
+    double r_on;           /* on resistance [ohm] */
+} plant_axis_t;
+
+typedef struct {
+    double u_source;       /* open-circuit supply voltage [V] */
+    double r_source;       /* source resistance [ohm]; the source takes no energy back */
+    double capacitance;    /* [F] */
+    double u_full_scale;   /* ADC full scale of the bus divider [V] */
+    double u_noise;        /* standard deviation of a bus sample [V] */
+} plant_bus_t;
+
+typedef struct {
+    plant_axis_t axis[2];
+    plant_bus_t bus;
+    double pwm_frequency;  /* [Hz] */
+    double baud;           /* serial line [bit/s], 10 bits per byte */
+    uint64_t seed;         /* of every random number */
+} board_config_t;
+
+/* The plant's own state, which no sensor sees exactly. */
+typedef struct {
+    double theta_m;        /* mechanical angle, not wrapped [rad] */
+    double omega_m;        /* mechanical speed [rad/s] */
+    double i_d, i_q;       /* [A] */
+    double torque_e;       /* air-gap torque [N m] */
+    double u_a, u_b, u_c;  /* mean phase-to-midpoint voltages of the last half cycle [V] */
+    double u_dc;           /* [V] */
+} board_truth_t;
+
+board_t *board_new(const board_config_t *config); /* NULL when memory is short */
+void board_free(board_t *board);
+
+/* Run up to and including simulated time `until_ns`; a time in the past does nothing. */
+void board_advance(board_t *board, uint64_t until_ns);
+uint64_t board_time_ns(const board_t *board);
+
+/* As board_advance, and store the snapshot block after each slow tick into `log` (rows of board_snapshot_size() bytes).
+ * Stops early when `max_rows` are full. Returns the number of rows stored. */
+size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_rows);
+size_t board_snapshot_size(void);
+
+/* The serial line: bytes take their time at the configured baud rate. */
+size_t board_serial_in(board_t *board, const uint8_t *data, size_t size); /* to the board; returns how many it took */
+size_t board_serial_out(board_t *board, uint8_t *data, size_t room); /* from the board; what has left the wire so far */
+uint64_t board_serial_next_ns(const board_t *board); /* when the next byte moves on the wire; UINT64_MAX when idle */
+
+/* Firmware variables past the serial line, by the same checks as FreeMASTER READMEM and WRITEMEM. 0 or a FreeMASTER
+ * status code. */
+uint8_t board_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size);
+uint8_t board_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size);
+
+void board_truth(const board_t *board, int axis, board_truth_t *truth);
+void board_set_load(board_t *board, int axis, double torque); /* external load torque [N m], opposes nothing: signed */
+void board_set_supply(board_t *board, double volts); /* new open-circuit supply voltage */
+void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft held fast */
+void board_set_encoder(board_t *board, int axis, int connected); /* 0: encoder lines dead */
+
+/* What the chip has counted since reset. */
+typedef struct {
+    uint32_t serial_overruns; /* received bytes that the software did not fetch in time */
+    uint32_t serial_lost; /* sent bytes that the host did not fetch in time */
+    uint32_t breaks; /* times an over-current latch has tripped */
+    uint32_t watchdog_services;
+} board_stats_t;
+
+void board_stats(const board_t *board, board_stats_t *stats);
+
+/* Where board_read finds the table of variables, in the layout of FreeMASTER's TSA (flags 13h). */
+void board_table(uint32_t *address, uint32_t *size);
+/* CFFI-END */
+
+#endif

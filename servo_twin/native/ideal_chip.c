@@ -1,0 +1,182 @@
+#include "ideal_chip.h"
+
+#define QUARTERS (2 * PLANT_STEPS_PER_HALF)
+#define DUTY_FULL (1.0 / 32767.0)
+
+static const int pair_phases[3][2] = {{0, 1}, {1, 2}, {2, 0}};
+
+void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
+{
+    chip->servo = servo;
+    plant_init(&chip->plant, config);
+    uart_init(&chip->uart, config->baud);
+    for (int i = 0; i < HAL_AXES; i++) {
+        chip->axis[i] = (chip_axis_t){.currents = {2048, 2048}, .offsets = {2048, 2048}};
+    }
+    chip->bus_code = 0;
+    chip->now_ns = 0;
+    chip->grid_ns = 0;
+    chip->quarter = 0;
+    chip->scans = 0;
+    chip->breaks = 0;
+    chip->watchdog = 0;
+}
+
+/* ---- running time ------------------------------------------------------------------------------------------------- */
+
+static void follow_enable(hal_t *chip, int i)
+{
+    chip->plant.axis[i].inverter.on = chip->axis[i].enabled && !chip->axis[i].broken;
+}
+
+/* The comparator opens the switches without software. */
+static bool check_current(hal_t *chip, int i)
+{
+    chip_axis_t *axis = &chip->axis[i];
+    if (axis->broken || !plant_over_current(&chip->plant, i)) {
+        return false;
+    }
+    axis->broken = true;
+    chip->breaks++;
+    follow_enable(chip, i);
+    return true;
+}
+
+static adc_pair_t convert(hal_t *chip, int i, bool low_side_centre)
+{
+    const int *phase = pair_phases[chip->axis[i].pair];
+    adc_pair_t codes;
+    codes.first = plant_current_code(&chip->plant, i, phase[0], low_side_centre);
+    codes.second = plant_current_code(&chip->plant, i, phase[1], low_side_centre);
+    return codes;
+}
+
+/* Boundary of two half cycles: `sampled` is the axis whose low sides are at their centre. */
+static void half_cycle(hal_t *chip, int sampled)
+{
+    const int other = 1 - sampled;
+    plant_half_cycle(&chip->plant);
+    chip->axis[sampled].currents = convert(chip, sampled, true);
+    chip->axis[other].offsets = convert(chip, other, false);
+    chip->bus_code = plant_bus_code(&chip->plant);
+    for (int i = 0; i < HAL_AXES; i++) {
+        plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u_dc);
+    }
+    if (sampled == 0) {
+        servo_m1_isr(chip->servo);
+    } else {
+        servo_m2_isr(chip->servo);
+        chip->scans++;
+    }
+    servo_background(chip->servo);
+}
+
+/* End of one step of the plant. */
+static void grid(hal_t *chip)
+{
+    plant_t *plant = &chip->plant;
+    if (chip->grid_ns > 0) { /* time zero is the beginning of the first step */
+        plant_step(plant, chip->grid_ns - plant->step_ns);
+        for (int i = 0; i < HAL_AXES; i++) {
+            if (check_current(chip, i)) {
+                servo_break_isr(chip->servo, (uint16_t)i);
+            }
+        }
+    }
+    const unsigned quarter = chip->quarter;
+    chip->quarter = (quarter + 1u) % QUARTERS;
+    chip->grid_ns += plant->step_ns;
+    for (int i = 0; i < HAL_AXES; i++) {
+        if (plant->axis[i].encoder.latched) {
+            servo_edge_isr(chip->servo, (uint16_t)i);
+        }
+    }
+    if (quarter % PLANT_STEPS_PER_HALF == 0u) {
+        half_cycle(chip, (quarter == 0u) ? 0 : 1);
+    }
+}
+
+bool chip_run(hal_t *chip, uint64_t until_ns, bool stop_after_scan)
+{
+    const uint32_t scans = chip->scans;
+    for (;;) {
+        const uint64_t serial_ns = uart_next_ns(&chip->uart);
+        const bool serial = serial_ns <= chip->grid_ns;
+        const uint64_t next_ns = serial ? serial_ns : chip->grid_ns;
+        if (next_ns > until_ns) {
+            break;
+        }
+        chip->now_ns = next_ns;
+        if (serial) {
+            uart_run(&chip->uart, next_ns);
+            servo_background(chip->servo);
+        } else {
+            grid(chip);
+            if (stop_after_scan && chip->scans != scans) {
+                return true;
+            }
+        }
+    }
+    if (chip->now_ns < until_ns) {
+        chip->now_ns = until_ns;
+    }
+    return false;
+}
+
+/* ---- hal/hal.h ---------------------------------------------------------------------------------------------------- */
+
+void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair) { hal->axis[axis].pair = pair; }
+
+adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis) { return hal->axis[axis].currents; }
+
+adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis) { return hal->axis[axis].offsets; }
+
+uint16_t hal_adc_bus(hal_t *hal) { return hal->bus_code; }
+
+void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c)
+{
+    const int16_t raw[3] = {duty_a, duty_b, duty_c};
+    for (int k = 0; k < 3; k++) {
+        hal->axis[axis].duty[k] = (raw[k] > 0) ? raw[k] * DUTY_FULL : 0.0;
+    }
+}
+
+void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
+{
+    hal->axis[axis].enabled = on;
+    follow_enable(hal, axis);
+}
+
+bool hal_break_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].broken; }
+
+void hal_break_clear(hal_t *hal, uint16_t axis)
+{
+    hal->axis[axis].broken = false;
+    if (!check_current(hal, axis)) {
+        follow_enable(hal, axis);
+    }
+}
+
+uint16_t hal_encoder_count(hal_t *hal, uint16_t axis) { return hal->plant.axis[axis].encoder.count; }
+
+void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count) { hal->plant.axis[axis].encoder.count = count; }
+
+uint16_t hal_index_count(hal_t *hal, uint16_t axis) { return hal->plant.axis[axis].encoder.index; }
+
+void hal_capture_arm(hal_t *hal, uint16_t axis) { plant_encoder_arm(&hal->plant.axis[axis].encoder); }
+
+bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
+{
+    return plant_encoder_take(&hal->plant.axis[axis].encoder, &capture->count, &capture->time);
+}
+
+uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
+{
+    return plant_encoder_age(&hal->plant.axis[axis].encoder, hal->now_ns);
+}
+
+bool hal_serial_get(hal_t *hal, uint8_t *byte) { return uart_get(&hal->uart, byte); }
+
+bool hal_serial_put(hal_t *hal, uint8_t byte) { return uart_put(&hal->uart, byte, hal->now_ns); }
+
+void hal_watchdog_service(hal_t *hal) { hal->watchdog++; }

@@ -1,0 +1,110 @@
+#include "plant/encoder.h"
+
+#include <math.h>
+
+#include "plant/trig.h"
+
+#define COMPARE_UP UINT16_C(3999)
+#define COMPARE_DOWN UINT16_C(0xF061) /* -3999 */
+#define AGE_OVERFLOW UINT32_C(0x10000)
+
+static int64_t edges_at(const plant_encoder_t *encoder, double theta)
+{
+    const double x = theta * encoder->edges_per_rad;
+    const int64_t whole = (int64_t)x;
+    return whole - ((double)whole > x); /* round down */
+}
+
+void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config)
+{
+    *encoder = (plant_encoder_t){
+        .edges_per_rad = config->encoder_lines * (4.0 / (2.0 * PLANT_PI)),
+        .connected = true,
+    };
+    encoder->edge = edges_at(encoder, config->theta_start);
+}
+
+/* Time from the beginning of the movement to the angle of an edge: the root of
+ * theta_0 + omega_0 t + (omega_1 - omega_0) t^2 / (2 T) in the form that does not cancel. */
+static double time_to(const plant_movement_t *m, double theta)
+{
+    const double seconds = m->duration_ns * 1e-9;
+    const double way = theta - m->theta_0;
+    const double slope = (m->omega_1 - m->omega_0) / seconds;
+    const double square = m->omega_0 * m->omega_0 + 2.0 * slope * way;
+    const double root = (square > 0.0) ? sqrt(square) : 0.0;
+    const double sum = m->omega_0 + ((way < 0.0) ? -root : root);
+    const double t = (sum != 0.0) ? 2.0 * way / sum * 1e9 : m->duration_ns;
+    return (t < 0.0) ? 0.0 : (t > m->duration_ns) ? m->duration_ns : t;
+}
+
+static void count_one(plant_encoder_t *encoder, bool upwards)
+{
+    const uint16_t compare = upwards ? COMPARE_UP : COMPARE_DOWN;
+    if (encoder->count == compare) {
+        encoder->count = 0;
+    } else {
+        encoder->count = (uint16_t)(encoder->count + (upwards ? 1u : 0xFFFFu));
+    }
+    if (encoder->count == compare) {
+        if (!encoder->oflag) {
+            encoder->index++;
+        }
+        encoder->oflag = true;
+    }
+}
+
+void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns)
+{
+    const int64_t target = edges_at(encoder, movement->theta_1);
+    while (encoder->edge != target) {
+        const bool upwards = target > encoder->edge;
+        /* edge number n lies between the positions n - 1 and n */
+        const int64_t number = upwards ? encoder->edge + 1 : encoder->edge;
+        const bool b_edge = (number & 1) == 0;
+        encoder->edge += upwards ? 1 : -1;
+        if (!encoder->connected) {
+            continue;
+        }
+        if (b_edge) {
+            encoder->oflag = false;
+        }
+        count_one(encoder, upwards);
+        if (b_edge && encoder->armed) {
+            const double t = movement->start_ns + time_to(movement, (double)number / encoder->edges_per_rad);
+            encoder->captured_ns = reference_ns + (uint64_t)t;
+            encoder->captured_count = encoder->count;
+            encoder->armed = false;
+            encoder->latched = true;
+        }
+    }
+}
+
+void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta)
+{
+    encoder->connected = connected;
+    encoder->edge = edges_at(encoder, theta);
+}
+
+void plant_encoder_arm(plant_encoder_t *encoder)
+{
+    encoder->armed = true;
+    encoder->latched = false;
+}
+
+bool plant_encoder_take(plant_encoder_t *encoder, uint16_t *count, uint16_t *time)
+{
+    if (!encoder->latched) {
+        return false;
+    }
+    *count = encoder->captured_count;
+    *time = (uint16_t)(encoder->captured_ns / PLANT_ENCODER_TICK_NS);
+    encoder->latched = false;
+    return true;
+}
+
+uint32_t plant_encoder_age(const plant_encoder_t *encoder, uint64_t now_ns)
+{
+    const uint64_t ticks = now_ns / PLANT_ENCODER_TICK_NS - encoder->captured_ns / PLANT_ENCODER_TICK_NS;
+    return (ticks < AGE_OVERFLOW) ? (uint32_t)ticks : AGE_OVERFLOW;
+}

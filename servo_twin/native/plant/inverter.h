@@ -1,0 +1,61 @@
+/* inverter.h - three half bridges, averaged over the half cycle in which the duties are constant.
+ *
+ * Driven leg, duty d, current i into the motor, bus u (dead time t_d, PWM frequency f):
+ *   d_eff = limit(d - t_d f s(i), 0, 1)    while 0 < d < 1: with both switches open during t_d the current chooses the
+ *                                          diode, so one edge of each period comes t_d late or early; the mean error is
+ *                                          t_d f u against the current. A pulse shorter than t_d is lost. A leg that
+ *                                          never switches (d = 0 or 1) has no dead time.
+ *   v     = d_eff u - V_drop s(i)          switch and diode drop the same; their resistance is part of the motor's
+ *                                          circuit (plant_motor_t.r), being in series with the phase whatever conducts
+ *   s(i)  = 1.5 x - 0.5 x^3, x = limit(i / i_w, -1, 1)   the sign, softened where the edges meet both signs
+ *   i_w   = u (t_d + m (1 - m) / (6 f)) / L,  m = d_max - d_min
+ *           current that the bus builds up in the winding during a dead time (below it the phase clamps at zero) plus
+ *           half the peak-to-peak ripple; never below what one step can follow (i_floor).
+ * The bus delivers sum(d_eff i).
+ *
+ * All switches open: a leg with current is clamped to the rail that its diode leads to, a leg without one floats
+ * between -V_drop and u + V_drop. Over one step of length h the currents change by h L^-1 (C v + ...), so the three
+ * leg voltages solve a box-constrained complementarity problem: at the lower limit i >= 0, at the upper one i <= 0,
+ * between them i = 0. That includes conduction when the back-EMF exceeds the bus, and never overshoots zero.
+ */
+#ifndef PLANT_INVERTER_H
+#define PLANT_INVERTER_H
+
+#include <stdbool.h>
+
+#include "board.h"
+#include "plant/motor.h"
+
+typedef struct {
+    /* parameters */
+    double dead;                    /* t_d f */
+    double v_drop;                  /* [V] */
+    double r_on;                    /* [ohm] */
+    double band_dead, band_ripple;  /* i_w = u (band_dead + band_ripple m (1 - m)) [A/V] */
+    double floor_dead, floor_drop;  /* i_floor = u floor_dead + floor_drop [A/V], [A] */
+    /* state */
+    bool on;                        /* the switches follow the duties */
+    double duty[3];
+    double dead_leg[3];             /* t_d f of the legs that switch */
+    double inv_i_w;                 /* [1/A] */
+    /* of the last step */
+    double leg[3];                  /* leg voltage above the negative rail, without the resistive drop [V] */
+    double share[3];                /* part of each phase current that the bus delivers, 0..1 */
+} plant_inverter_t;
+
+/* `step` is the longest step taken [s]. */
+void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
+
+/* New duties (0..1) at the beginning of a half cycle. */
+void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc);
+
+/* One step of at most `dt` [s] of inverter and motor at bus voltage `u_dc`; returns the time that has passed and adds
+ * the charge drawn from the bus to `charge` [A s]. */
+double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);
+
+/* Current in the shunt of a phase at the centre of the low-side (or else the high-side) time: what the low switch or
+ * its diode carries at that moment. */
+double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
+                            bool low_side_centre);
+
+#endif

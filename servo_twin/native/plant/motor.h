@@ -1,0 +1,71 @@
+/* motor.h - permanent-magnet synchronous motor with its shaft.
+ *
+ * Rotor frame (DRM E18-E22 with L_d and L_q kept apart), amplitude-invariant vectors (k = 2/3, DRM E2-E7):
+ *   L_d d(i_d)/dt = u_d - R i_d + w_e L_q i_q
+ *   L_q d(i_q)/dt = u_q - R i_q - w_e (L_d i_d + psi_m)
+ *   T_e = 3/2 p (psi_d i_q - psi_q i_d),  psi_d = psi_m + L_d i_d,  psi_q = L_q i_q
+ *   J d(w_m)/dt = T_e - T_load - B w_m - T_friction
+ * T_friction is Coulomb's: against the motion while it lasts; at standstill whatever holds the shaft, up to its limit.
+ */
+#ifndef PLANT_MOTOR_H
+#define PLANT_MOTOR_H
+
+#include <stdbool.h>
+
+#include "board.h"
+
+typedef struct {
+    /* parameters */
+    double r;            /* stator and the switch in series with it [ohm] */
+    double l_d, l_q;     /* [H] */
+    double inv_l_d, inv_l_q;
+    double psi_m;        /* [V s] */
+    double pole_pairs;
+    double inv_inertia;  /* [1 / (kg m^2)] */
+    double friction;     /* [N m] */
+    double viscous;      /* [N m s] */
+    /* inputs */
+    double load;         /* external torque against positive motion [N m] */
+    bool locked;         /* shaft held fast */
+    /* state */
+    double i_d, i_q;     /* [A] */
+    double omega;        /* mechanical [rad/s] */
+    double theta;        /* mechanical, not wrapped [rad] */
+    /* what follows from the state */
+    double sine, cosine; /* of the electrical angle */
+    double phase[3];     /* phase currents into the motor [A] */
+} plant_motor_t;
+
+/* Stator voltage in the stator frame, constant over a step [V]. */
+typedef struct {
+    double alpha, beta;
+} plant_vector_t;
+
+void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config);
+
+/* One Runge-Kutta step of at most `dt` [s] with all windings connected. Ends early where the shaft comes to a stop, so
+ * that friction can be decided anew; returns the time that has passed (> 0). */
+double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt);
+
+/* The same with open windings: no current, no torque. */
+double plant_motor_coast(plant_motor_t *motor, double dt);
+
+/* Set the currents from the phases [A]; their sum is 0. */
+void plant_motor_set_phases(plant_motor_t *motor, double i_a, double i_b);
+
+void plant_motor_lock(plant_motor_t *motor, bool locked);
+
+double plant_motor_torque(const plant_motor_t *motor);
+
+/* Phase voltages induced by the rotor, open windings [V]. */
+void plant_motor_back_emf(const plant_motor_t *motor, double emf[3]);
+
+/* Clarke transform of three phases (DRM E2-E7). */
+static inline plant_vector_t plant_clarke(const double abc[3])
+{
+    const plant_vector_t v = {(2.0 * abc[0] - abc[1] - abc[2]) * (1.0 / 3.0),
+                              (abc[1] - abc[2]) * 0.57735026918962576451};
+    return v;
+}
+
+#endif

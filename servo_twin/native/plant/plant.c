@@ -1,0 +1,86 @@
+#include "plant/plant.h"
+
+void plant_init(plant_t *plant, const board_config_t *config)
+{
+    *plant = (plant_t){.bus_config = config->bus};
+    plant->step_ns = (uint64_t)(1e9 / config->pwm_frequency / (2.0 * PLANT_STEPS_PER_HALF) + 0.5);
+    const double step = (double)plant->step_ns * 1e-9;
+    plant->steps_per_second = 1.0 / step;
+    plant_bus_init(&plant->bus, &config->bus, step);
+    plant_random_init(&plant->bus_noise, config->seed, 0);
+    for (int i = 0; i < BOARD_AXES; i++) {
+        plant_drive_t *axis = &plant->axis[i];
+        axis->config = config->axis[i];
+        plant_inverter_init(&axis->inverter, &config->axis[i], config->pwm_frequency, step);
+        plant_motor_init(&axis->motor, &config->axis[i]);
+        plant_encoder_init(&axis->encoder, &config->axis[i]);
+        plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
+    }
+}
+
+/* Returns the charge drawn from the bus [A s]. */
+static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint64_t step_ns)
+{
+    plant_motor_t *motor = &axis->motor;
+    const double step = (double)step_ns;
+    double done = 0.0; /* [ns] */
+    double charge = 0.0;
+    while (done < step) {
+        plant_movement_t movement = {.theta_0 = motor->theta, .omega_0 = motor->omega, .start_ns = done};
+        const double rest = step - done;
+        const double used = 1e9 * plant_inverter_step(&axis->inverter, motor, u_dc, 1e-9 * rest, &charge);
+        movement.duration_ns = used;
+        movement.theta_1 = motor->theta;
+        movement.omega_1 = motor->omega;
+        plant_encoder_move(&axis->encoder, &movement, now_ns);
+        /* less than a nanosecond left is only the rounding of the units */
+        done = (rest - used < 0.5) ? step : done + used;
+    }
+    for (int k = 0; k < 3; k++) {
+        axis->voltage_sum[k] += axis->inverter.leg[k] - axis->inverter.r_on * motor->phase[k] - 0.5 * u_dc;
+    }
+    return charge;
+}
+
+void plant_step(plant_t *plant, uint64_t now_ns)
+{
+    double charge = 0.0;
+    for (int i = 0; i < BOARD_AXES; i++) {
+        charge += axis_step(&plant->axis[i], plant->bus.u_dc, now_ns, plant->step_ns);
+    }
+    plant_bus_step(&plant->bus, charge * plant->steps_per_second);
+}
+
+void plant_half_cycle(plant_t *plant)
+{
+    for (int i = 0; i < BOARD_AXES; i++) {
+        plant_drive_t *axis = &plant->axis[i];
+        for (int k = 0; k < 3; k++) {
+            axis->voltage[k] = axis->voltage_sum[k] * (1.0 / PLANT_STEPS_PER_HALF);
+            axis->voltage_sum[k] = 0.0;
+        }
+    }
+}
+
+bool plant_over_current(const plant_t *plant, int axis)
+{
+    const double *phase = plant->axis[axis].motor.phase;
+    const double most = plant->axis[axis].config.i_break;
+    return phase[0] > most || phase[1] > most || phase[2] > most || phase[0] < -most || phase[1] < -most ||
+           phase[2] < -most;
+}
+
+uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_centre)
+{
+    plant_drive_t *drive = &plant->axis[axis];
+    const double current = plant_inverter_shunt(&drive->inverter, &drive->motor, phase, low_side_centre);
+    const double shown =
+        current + drive->config.i_offset[phase] + drive->config.i_noise * plant_random_gauss(&drive->noise);
+    return plant_code_bipolar(shown, drive->config.i_full_scale);
+}
+
+uint16_t plant_bus_code(plant_t *plant)
+{
+    const double shown = plant->bus.u_dc + plant->bus_config.u_noise * plant_random_gauss(&plant->bus_noise);
+    return plant_code_unipolar(shown, plant->bus_config.u_full_scale);
+}

@@ -1,0 +1,51 @@
+/* plant.h - all that is outside of the chip: two axes on one DC bus, and what their sensors show. */
+#ifndef PLANT_PLANT_H
+#define PLANT_PLANT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "board.h"
+#include "plant/bus.h"
+#include "plant/encoder.h"
+#include "plant/inverter.h"
+#include "plant/motor.h"
+#include "plant/sensors.h"
+
+#define PLANT_STEPS_PER_HALF 2 /* steps per half cycle of the PWM */
+
+typedef struct {
+    plant_axis_t config;
+    plant_inverter_t inverter;
+    plant_motor_t motor;
+    plant_encoder_t encoder;
+    plant_random_t noise;
+    double voltage_sum[3]; /* phase voltages of the steps since the last half cycle began [V] */
+    double voltage[3];     /* their mean over the last complete half cycle [V] */
+} plant_drive_t;
+
+typedef struct {
+    plant_drive_t axis[BOARD_AXES];
+    plant_bus_t bus_config;
+    plant_dc_bus_t bus;
+    plant_random_t bus_noise;
+    uint64_t step_ns;
+    double steps_per_second;
+} plant_t;
+
+void plant_init(plant_t *plant, const board_config_t *config);
+
+/* One step of plant->step_ns that begins at `now_ns`. */
+void plant_step(plant_t *plant, uint64_t now_ns);
+
+/* A half cycle of the PWM has ended. */
+void plant_half_cycle(plant_t *plant);
+
+/* True if a phase current of the axis is beyond the threshold of the hardware. */
+bool plant_over_current(const plant_t *plant, int axis);
+
+/* Converter codes of this instant: a phase shunt at one of the two centres of the PWM, and the bus divider. */
+uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_centre);
+uint16_t plant_bus_code(plant_t *plant);
+
+#endif

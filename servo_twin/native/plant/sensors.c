@@ -1,0 +1,45 @@
+#include "plant/sensors.h"
+
+#define CODE_MAX 4095
+
+static uint64_t scramble(uint64_t z)
+{
+    z = (z ^ (z >> 30)) * UINT64_C(0xBF58476D1CE4E5B9);
+    z = (z ^ (z >> 27)) * UINT64_C(0x94D049BB133111EB);
+    return z ^ (z >> 31);
+}
+
+static uint64_t next(plant_random_t *random)
+{
+    random->state += UINT64_C(0x9E3779B97F4A7C15);
+    return scramble(random->state);
+}
+
+void plant_random_init(plant_random_t *random, uint64_t seed, uint64_t stream)
+{
+    random->state = scramble(seed ^ scramble(stream + UINT64_C(1)));
+}
+
+double plant_random_gauss(plant_random_t *random)
+{
+    uint32_t sum = 0;
+    for (int i = 0; i < 3; i++) {
+        const uint64_t bits = next(random);
+        sum += (uint32_t)(bits & 0xFFFFu) + (uint32_t)((bits >> 16) & 0xFFFFu) + (uint32_t)((bits >> 32) & 0xFFFFu) +
+               (uint32_t)(bits >> 48);
+    }
+    /* each uniform has the mean 32767.5 and the variance (2^32 - 1) / 12 */
+    return ((double)sum - 12.0 * 32767.5) * (1.0 / 65536.0);
+}
+
+static uint16_t saturate(double code)
+{
+    if (code <= 0.0) {
+        return 0;
+    }
+    return (code >= (double)CODE_MAX) ? (uint16_t)CODE_MAX : (uint16_t)(code + 0.5);
+}
+
+uint16_t plant_code_bipolar(double value, double full_scale) { return saturate(2048.0 + value / full_scale * 2048.0); }
+
+uint16_t plant_code_unipolar(double value, double full_scale) { return saturate(value / full_scale * 4096.0); }

@@ -1,0 +1,23 @@
+/* sensors.h - from volts and amperes to the codes of a 12-bit converter, with noise of our own making. */
+#ifndef PLANT_SENSORS_H
+#define PLANT_SENSORS_H
+
+#include <stdint.h>
+
+/* A sequence of random numbers (splitmix64): the state is a counter, so streams with different seeds never meet. */
+typedef struct {
+    uint64_t state;
+} plant_random_t;
+
+void plant_random_init(plant_random_t *random, uint64_t seed, uint64_t stream);
+
+/* Nearly Gaussian, mean 0, standard deviation 1: the sum of twelve 16-bit uniforms, so it never leaves +-6. */
+double plant_random_gauss(plant_random_t *random);
+
+/* Code of a bipolar signal: -full_scale .. +full_scale around mid-scale 2048, saturated at 0 and 4095. */
+uint16_t plant_code_bipolar(double value, double full_scale);
+
+/* Code of a unipolar signal: 24 V of 36.3 V is 2708 (DRM E46). */
+uint16_t plant_code_unipolar(double value, double full_scale);
+
+#endif

@@ -1,0 +1,1 @@
+"""The world around the chip: virtual board, digital twin, viewer and experiments."""

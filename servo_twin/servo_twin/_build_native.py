@@ -1,0 +1,94 @@
+"""Build script of ``servo_twin._native``: firmware, ideal chip and plant in one extension module.
+
+``setup.py`` names it in ``cffi_modules``; then setuptools compiles it for pip and colcon alike.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sysconfig
+from collections.abc import Iterable
+from pathlib import Path
+
+from cffi import FFI
+
+PACKAGE = Path(__file__).resolve().parents[1]
+"""Folder of ``setup.py``, wherever the build was started from."""
+
+NATIVE = PACKAGE / "native"
+FIRMWARE = PACKAGE.parent / "firmware"
+FIRMWARE_FOLDERS = ("math", "control", "sensing", "drive", "app", "comm", "config")
+
+# Without contraction of a * b + c every processor computes the same bits; pairs of doubles in vectors only cost time in
+# code where each number waits for the one before.
+_OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-tree-vectorize")
+
+# The headers of Python come in as system headers (-isystem), which makes them exempt.
+_WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror")
+
+_PREAMBLE = """
+/* The glue below is cffi's; its warnings are not ours to mend. */
+#pragma GCC diagnostic ignored "-Wconversion"
+#pragma GCC diagnostic ignored "-Wsign-conversion"
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#pragma GCC diagnostic ignored "-Wmissing-field-initializers"
+#include "board.h"
+"""
+
+
+def declarations(header: str) -> str:
+    """Declarations for `cffi.FFI.cdef` out of the text of ``board.h``.
+
+    Raises
+    ------
+    ValueError
+        If the marks CFFI-BEGIN and CFFI-END are missing.
+    """
+    match = re.search(r"^/\* CFFI-BEGIN.*?\*/$(.*?)^/\* CFFI-END \*/$", header, re.MULTILINE | re.DOTALL)
+    if match is None:
+        raise ValueError("board.h has no lines between CFFI-BEGIN and CFFI-END")
+    return re.sub(r"/\*.*?\*/", "", match.group(1), flags=re.DOTALL)
+
+
+def firmware_sources(firmware: Path = FIRMWARE) -> list[Path]:
+    """C files of the firmware that run on every target.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no firmware beside the package.
+    """
+    sources = sorted(path for folder in FIRMWARE_FOLDERS for path in (firmware / folder).glob("*.c"))
+    if not (firmware / "app" / "servo.c").is_file():
+        raise FileNotFoundError(
+            f"servo_twin compiles the firmware, but {firmware} does not hold it (app/servo.c is missing). "
+            "Build from a checkout of the whole repository; there is no source distribution of this package alone."
+        )
+    return sources
+
+
+def _relative(paths: Iterable[Path]) -> list[str]:
+    """Paths as setuptools wants them: relative to the working directory."""
+    return [os.path.relpath(path) for path in paths]
+
+
+def make_ffi() -> FFI:
+    """Description of the extension module for the compiler."""
+    native_sources = sorted([*NATIVE.glob("*.c"), *(NATIVE / "plant").glob("*.c")])
+    headers = sorted([*NATIVE.rglob("*.h"), *FIRMWARE.rglob("*.h")])
+    builder = FFI()
+    builder.cdef(declarations((NATIVE / "board.h").read_text(encoding="utf-8")))
+    builder.set_source(
+        "servo_twin._native",
+        _PREAMBLE,
+        sources=_relative([*native_sources, *firmware_sources()]),
+        include_dirs=_relative([NATIVE, FIRMWARE]),
+        depends=_relative(headers),
+        libraries=["m"],
+        extra_compile_args=[*_OPTIONS, *_WARNINGS, f"-isystem{sysconfig.get_paths()['include']}"],
+    )
+    return builder
+
+
+ffi = make_ffi()

@@ -1,0 +1,398 @@
+"""One virtual board: the firmware, an ideal chip and a plant, as a Python object.
+
+Simulated time moves by `Board.advance`, `Board.run` and `Board.record` and by nothing else; the same calls on the same
+configuration give the same results, bit for bit. Any number of boards may live in one process, each used by one thread
+at a time; the long calls let other threads run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+
+from servo_twin.plant import PlantConfig
+
+try:
+    from servo_twin._native import ffi as _ffi
+    from servo_twin._native import lib as _lib
+except ImportError as error:
+    raise ImportError(
+        f"the compiled part of servo_twin is missing or does not fit this Python ({error}); "
+        "build it with `make build`, or `python setup.py build_ext --inplace` in the folder servo_twin"
+    ) from error
+
+__all__ = ["Board", "BoardError", "BoardStats", "Truth"]
+
+_ENTRY_SIZE: Final = 16
+_IDLE: Final = (1 << 64) - 1
+
+_STATUS_TEXT: Final[Mapping[int, str]] = {
+    0x84: "more bytes than the server moves at once",
+    0x86: "wrong number of bytes",
+    0x87: "busy",
+    0x89: "access denied: not inside one variable, or read-only",
+}
+
+
+class BoardError(RuntimeError):
+    """The board refused a request.
+
+    Attributes
+    ----------
+    status : int
+        FreeMASTER status code, 0 where there was none.
+    """
+
+    def __init__(self, message: str, status: int = 0) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+@dataclass(frozen=True)
+class Truth:
+    """State of the plant that no sensor sees exactly.
+
+    Attributes
+    ----------
+    theta_m : float
+        Mechanical angle, not wrapped [rad].
+    omega_m : float
+        Mechanical speed [rad/s].
+    i_d, i_q : float
+        Stator currents in the rotor frame [A].
+    torque_e : float
+        Air-gap torque [N m].
+    u_a, u_b, u_c : float
+        Mean phase voltages against the midpoint of the bus over the last half cycle [V].
+    u_dc : float
+        Bus voltage [V].
+    """
+
+    theta_m: float
+    omega_m: float
+    i_d: float
+    i_q: float
+    torque_e: float
+    u_a: float
+    u_b: float
+    u_c: float
+    u_dc: float
+
+
+@dataclass(frozen=True)
+class BoardStats:
+    """What the chip has counted since reset.
+
+    Attributes
+    ----------
+    serial_overruns : int
+        Received bytes that the firmware did not fetch in time.
+    serial_lost : int
+        Sent bytes that the host did not fetch in time.
+    breaks : int
+        Times an over-current latch has tripped.
+    watchdog_services : int
+        Times the firmware has served the watchdog.
+    """
+
+    serial_overruns: int
+    serial_lost: int
+    breaks: int
+    watchdog_services: int
+
+
+def _native_config(plant: PlantConfig, seed: int, baud: float) -> Any:
+    config = _ffi.new("board_config_t *")
+    for target, axis in zip(config.axis, plant.drawn(seed).axes, strict=True):
+        for name, value in vars(axis).items():
+            setattr(target, name, value)
+    for name, value in vars(plant.bus).items():
+        setattr(config.bus, name, value)
+    config.pwm_frequency = plant.pwm_frequency
+    config.baud = baud
+    config.seed = seed
+    return config
+
+
+class Board:
+    """A virtual board, just switched on.
+
+    Parameters
+    ----------
+    plant : PlantConfig, optional
+        What is really there; the packaged ``plant.toml`` by default.
+    seed : int
+        Of every random number of the board, 0 .. 2^64 - 1.
+    baud : float
+        Speed of the serial line [bit/s], ten bits per byte.
+    catalogue : Catalogue, optional
+        Table of variables; the packaged one by default.
+    """
+
+    def __init__(
+        self,
+        plant: PlantConfig | None = None,
+        *,
+        seed: int = 0,
+        baud: float = 115200.0,
+        catalogue: Catalogue | None = None,
+    ) -> None:
+        if not 0 <= seed < 1 << 64:
+            raise ValueError(f"seed {seed} is not within 0 .. 2^64 - 1")
+        if not 100.0 <= baud <= 1e8:
+            raise ValueError(f"baud {baud} is not within 100 .. 100 million")
+        self.plant = plant or PlantConfig.load()
+        self.catalogue = catalogue or Catalogue.load()
+        handle = _lib.board_new(_native_config(self.plant, seed, baud))
+        if handle == _ffi.NULL:
+            raise MemoryError("no memory for another board")
+        self._handle: Any = _ffi.gc(handle, _lib.board_free)
+        self._addresses: dict[str, int] | None = None
+        self._dtype: np.dtype[np.void] | None = None
+
+    # ---- life -----------------------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Free the board; a second call does nothing."""
+        if self._handle is not None:
+            _ffi.release(self._handle)
+            self._handle = None
+
+    def __enter__(self) -> Board:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def _board(self) -> Any:
+        if self._handle is None:
+            raise BoardError("the board is closed")
+        return self._handle
+
+    # ---- time -----------------------------------------------------------------------------------------------------
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time since reset [ns]."""
+        return int(_lib.board_time_ns(self._board))
+
+    def advance(self, until_ns: int) -> None:
+        """Run up to and including simulated time `until_ns`; a time in the past does nothing."""
+        _lib.board_advance(self._board, until_ns)
+
+    def run(self, seconds: float) -> None:
+        """Run for some simulated time [s]."""
+        self.advance(self.time_ns + round(seconds * 1e9))
+
+    def record(self, until_ns: int) -> NDArray[np.void]:
+        """Run as `advance` does, and keep the snapshot of every slow tick.
+
+        Returns
+        -------
+        ndarray, shape (ticks,)
+            Raw integers; one field per telemetry variable, named as in the catalogue. `si` converts.
+        """
+        dtype = self.snapshot_dtype
+        room = max(until_ns - self.time_ns, 0) // (PERIOD_NS * SLOW_PERIODS) + 2
+        log = np.zeros(room, dtype)
+        rows = _lib.board_record(self._board, until_ns, _ffi.from_buffer("uint8_t[]", log, require_writable=True), room)
+        return log[:rows]
+
+    @property
+    def snapshot_dtype(self) -> np.dtype[np.void]:
+        """Layout of one snapshot, from the addresses that the board itself reports."""
+        if self._dtype is None:
+            variables = self.catalogue.snapshot_variables()
+            start = self.address("snapshot")
+            self._dtype = np.dtype(
+                {
+                    "names": [v.name for v in variables],
+                    "formats": [_format(v) for v in variables],
+                    "offsets": [self.address(v.name) - start for v in variables],
+                    "itemsize": int(_lib.board_snapshot_size()),
+                }
+            )
+        return self._dtype
+
+    def si(self, log: NDArray[np.void]) -> dict[str, NDArray[np.float64]]:
+        """Recorded snapshots as one array of SI values per variable, by catalogue name."""
+        names = log.dtype.names or ()
+        return {name: log[name] * float(self.catalogue[name].lsb) for name in names}
+
+    # ---- firmware variables -----------------------------------------------------------------------------------------
+
+    @property
+    def addresses(self) -> Mapping[str, int]:
+        """Address of every variable in the table of the board."""
+        if self._addresses is None:
+            self._addresses = self._discover()
+        return self._addresses
+
+    def address(self, name: str) -> int:
+        """Address of one variable.
+
+        Raises
+        ------
+        BoardError
+            If the board does not have it.
+        """
+        try:
+            return self.addresses[name]
+        except KeyError:
+            raise BoardError(f"the board has no variable {name!r}") from None
+
+    def read(self, name: str) -> Value:
+        """Value of a variable in SI units; a list for arrays."""
+        variable = self.catalogue[name]
+        return variable.decode(self._read_variable(variable))
+
+    def write(self, name: str, value: float | Sequence[float]) -> None:
+        """Write a variable in SI units, past the serial line but through the same checks.
+
+        Raises
+        ------
+        ValueError
+            If the value is outside the limits of the variable.
+        BoardError
+            If the board refuses.
+        """
+        self._write_bytes(name, self.catalogue[name].encode(value))
+
+    def read_raw(self, name: str) -> list[int]:
+        """Raw integers of a variable, one per element."""
+        variable = self.catalogue[name]
+        return variable.decode_raw(self._read_variable(variable))
+
+    def write_raw(self, name: str, raw: int | Sequence[int]) -> None:
+        """Write the raw integers of a variable, one per element."""
+        values = [raw] if isinstance(raw, int) else list(raw)
+        self._write_bytes(name, self.catalogue[name].encode_raw(values))
+
+    def read_memory(self, address: int, size: int) -> bytes:
+        """Bytes at an address, as FreeMASTER READMEM gives them.
+
+        Raises
+        ------
+        BoardError
+            If the board refuses; `BoardError.status` says why.
+        """
+        data = _ffi.new("uint8_t[]", max(size, 1))
+        status = _lib.board_read(self._board, address, data, size)
+        if status != 0:
+            raise BoardError(f"reading {size} bytes at {address:#x}: {_status_text(status)}", status)
+        return bytes(_ffi.buffer(data, size))
+
+    def write_memory(self, address: int, data: bytes) -> None:
+        """Write bytes at an address, as FreeMASTER WRITEMEM does."""
+        status = _lib.board_write(self._board, address, data, len(data))
+        if status != 0:
+            raise BoardError(f"writing {len(data)} bytes at {address:#x}: {_status_text(status)}", status)
+
+    def _read_variable(self, variable: Variable) -> bytes:
+        size = variable.size or int(_lib.board_snapshot_size())
+        return self.read_memory(self.address(variable.name), size)
+
+    def _write_bytes(self, name: str, data: bytes) -> None:
+        try:
+            self.write_memory(self.address(name), data)
+        except BoardError as error:
+            raise BoardError(f"{name}: {error}", error.status) from None
+
+    def _discover(self) -> dict[str, int]:
+        """Names and addresses out of the table of the board (16 bytes per entry: name, type, address, info)."""
+        start, size = _ffi.new("uint32_t *"), _ffi.new("uint32_t *")
+        _lib.board_table(start, size)
+        found: dict[str, int] = {}
+        for entry in range(start[0], start[0] + size[0], _ENTRY_SIZE):
+            data = self.read_memory(entry, _ENTRY_SIZE)
+            name, _, address, info = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4, 8, 12))
+            if info & 3:  # not a type, a member or a constant
+                found[self._string(name)] = address
+        return found
+
+    def _string(self, address: int) -> str:
+        """Text of the board's memory; its terminating 00 is what the board does not let out."""
+        text = bytearray()
+        byte = _ffi.new("uint8_t[1]")
+        while _lib.board_read(self._board, address + len(text), byte, 1) == 0:
+            text.append(byte[0])
+        return text.decode("latin-1")
+
+    # ---- serial line ------------------------------------------------------------------------------------------------
+
+    def serial_in(self, data: bytes) -> int:
+        """Put bytes on the wire to the board; returns how many there was room for."""
+        return int(_lib.board_serial_in(self._board, data, len(data)))
+
+    def serial_out(self) -> bytes:
+        """Bytes that have come off the wire from the board and were not fetched yet."""
+        room = 4096
+        buffer = _ffi.new("uint8_t[]", room)
+        parts: list[bytes] = []
+        while True:
+            size = int(_lib.board_serial_out(self._board, buffer, room))
+            parts.append(bytes(_ffi.buffer(buffer, size)))
+            if size < room:
+                return b"".join(parts)
+
+    def serial_next_ns(self) -> int | None:
+        """Simulated time at which the next byte on the wire is complete [ns]; None while the line is idle."""
+        next_ns = int(_lib.board_serial_next_ns(self._board))
+        return None if next_ns == _IDLE else next_ns
+
+    # ---- plant ------------------------------------------------------------------------------------------------------
+
+    def truth(self, axis: int) -> Truth:
+        """What is really going on at an axis (index 0 or 1)."""
+        truth = _ffi.new("board_truth_t *")
+        _lib.board_truth(self._board, _axis_index(axis), truth)
+        return Truth(**{name: getattr(truth, name) for name in Truth.__dataclass_fields__})
+
+    def stats(self) -> BoardStats:
+        """Counters of the chip."""
+        stats = _ffi.new("board_stats_t *")
+        _lib.board_stats(self._board, stats)
+        return BoardStats(**{name: getattr(stats, name) for name in BoardStats.__dataclass_fields__})
+
+    def set_load(self, axis: int, torque: float) -> None:
+        """External torque that slows positive motion and drives negative motion [N m]."""
+        _lib.board_set_load(self._board, _axis_index(axis), torque)
+
+    def set_supply(self, volts: float) -> None:
+        """Open-circuit voltage of the supply [V]."""
+        _lib.board_set_supply(self._board, volts)
+
+    def lock_shaft(self, axis: int, locked: bool = True) -> None:
+        """Hold the shaft of an axis fast, or let it go."""
+        _lib.board_set_shaft(self._board, _axis_index(axis), int(locked))
+
+    def connect_encoder(self, axis: int, connected: bool = True) -> None:
+        """Plug in the encoder of an axis, or pull its plug."""
+        _lib.board_set_encoder(self._board, _axis_index(axis), int(connected))
+
+
+def _format(variable: Variable) -> str:
+    """Code of numpy for the raw type of a variable."""
+    kind = "i" if variable.raw_type.signed else "u"
+    shape = f"{variable.count}" if variable.count > 1 else ""
+    return f"{shape}<{kind}{variable.element_size}"
+
+
+def _axis_index(axis: int) -> int:
+    if not 0 <= axis < AXES:
+        raise IndexError(f"axis {axis}: a board has the axes 0 .. {AXES - 1}")
+    return axis
+
+
+def _status_text(status: int) -> str:
+    return _STATUS_TEXT.get(status, f"status {status:02X}h")

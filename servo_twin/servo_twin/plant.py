@@ -1,0 +1,293 @@
+"""What is really there: the plant of the virtual board (``plant.toml``) as checked, immutable objects."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import random
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["AxisPlant", "BusPlant", "PlantConfig", "PlantError"]
+
+DEFAULT_FILE: Final = Path(__file__).with_name("plant.toml")
+
+
+class PlantError(ValueError):
+    """A description of the plant is not usable; the message names the value and what it should be."""
+
+
+_Rule = tuple[str, Callable[[float], bool]]
+
+_POSITIVE: Final[_Rule] = ("above 0", lambda x: x > 0.0)
+_NOT_NEGATIVE: Final[_Rule] = ("0 or more", lambda x: x >= 0.0)
+_WHOLE: Final[_Rule] = ("a whole number from 1", lambda x: x >= 1.0 and x == int(x))
+_ANY: Final[_Rule] = ("a finite number", lambda x: True)
+
+_AXIS_RULES: Final[Mapping[str, _Rule]] = {
+    "r_s": _POSITIVE,
+    "l_d": _POSITIVE,
+    "l_q": _POSITIVE,
+    "psi_m": _NOT_NEGATIVE,
+    "pole_pairs": _WHOLE,
+    "inertia": _POSITIVE,
+    "friction": _NOT_NEGATIVE,
+    "viscous": _NOT_NEGATIVE,
+    "encoder_lines": _WHOLE,
+    "i_full_scale": _POSITIVE,
+    "i_noise": _NOT_NEGATIVE,
+    "i_break": _POSITIVE,
+    "dead_time": _NOT_NEGATIVE,
+    "v_drop": _NOT_NEGATIVE,
+    "r_on": _NOT_NEGATIVE,
+}
+
+_BUS_RULES: Final[Mapping[str, _Rule]] = {
+    "u_source": _NOT_NEGATIVE,
+    "r_source": _POSITIVE,
+    "capacitance": _POSITIVE,
+    "u_full_scale": _POSITIVE,
+    "u_noise": _NOT_NEGATIVE,
+}
+
+
+def _check(where: str, value: object, rule: _Rule) -> None:
+    """Raise a `PlantError` unless `value` is a finite number that fulfils the rule."""
+    text, holds = rule
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise PlantError(f"{where}: {value!r} is not a number")
+    if not math.isfinite(value) or not holds(value):
+        raise PlantError(f"{where}: {value!r} is not {text}")
+
+
+@dataclass(frozen=True)
+class AxisPlant:
+    """Motor, shaft, encoder, inverter and current sensors of one axis.
+
+    Attributes
+    ----------
+    r_s : float
+        Stator resistance [ohm].
+    l_d, l_q : float
+        Stator inductances [H].
+    psi_m : float
+        Permanent-magnet flux linkage, electrical [V s].
+    pole_pairs : float
+        Pole pairs.
+    inertia : float
+        Total inertia [kg m^2].
+    friction, viscous : float
+        Coulomb [N m] and viscous [N m s] friction.
+    encoder_lines : float
+        Lines per turn; counts are four times as many.
+    theta_start : float or "random"
+        Mechanical rotor angle at time zero [rad]; ``random``: another one for every seed.
+    i_full_scale : float
+        The ADC covers ``-i_full_scale .. +i_full_scale`` [A].
+    i_offset : tuple of float
+        Offset of each current amplifier [A].
+    i_noise : float
+        Standard deviation of a current sample [A].
+    i_break : float
+        Hardware over-current threshold of a phase [A].
+    dead_time : float
+        Both switches of a leg are open for so long at every edge [s].
+    v_drop, r_on : float
+        Forward drop [V] and resistance [ohm] of switch and diode.
+    """
+
+    r_s: float
+    l_d: float
+    l_q: float
+    psi_m: float
+    pole_pairs: float
+    inertia: float
+    friction: float
+    viscous: float
+    encoder_lines: float
+    theta_start: float | Literal["random"]
+    i_full_scale: float
+    i_offset: tuple[float, float, float]
+    i_noise: float
+    i_break: float
+    dead_time: float
+    v_drop: float
+    r_on: float
+
+    def __post_init__(self) -> None:
+        for name, rule in _AXIS_RULES.items():
+            _check(name, getattr(self, name), rule)
+        if self.theta_start != "random":
+            _check("theta_start", self.theta_start, _ANY)
+        offsets: object = self.i_offset
+        if not isinstance(offsets, (tuple, list)) or len(offsets) != 3:
+            raise PlantError(f"i_offset: {offsets!r} is not a list of three currents")
+        for value in offsets:
+            _check("i_offset", value, _ANY)
+        object.__setattr__(self, "i_offset", tuple(map(float, offsets)))
+
+    @property
+    def torque_constant(self) -> float:
+        """Torque per q current at ``i_d = 0`` [N m/A]."""
+        return 1.5 * self.pole_pairs * self.psi_m
+
+
+@dataclass(frozen=True)
+class BusPlant:
+    """Supply and capacitor that both axes share, and the voltage sensor.
+
+    Attributes
+    ----------
+    u_source : float
+        Open-circuit voltage of the supply [V].
+    r_source : float
+        Its resistance [ohm]; it takes no energy back.
+    capacitance : float
+        Capacitance of the bus [F].
+    u_full_scale : float
+        Full scale of the ADC [V].
+    u_noise : float
+        Standard deviation of a voltage sample [V].
+    """
+
+    u_source: float
+    r_source: float
+    capacitance: float
+    u_full_scale: float
+    u_noise: float
+
+    def __post_init__(self) -> None:
+        for name, rule in _BUS_RULES.items():
+            _check(name, getattr(self, name), rule)
+
+
+@dataclass(frozen=True)
+class PlantConfig:
+    """The whole plant: two axes on one bus.
+
+    Attributes
+    ----------
+    axes : tuple of AxisPlant
+        Axis 1 and axis 2.
+    bus : BusPlant
+        The DC bus.
+    pwm_frequency : float
+        Carrier of the inverters [Hz].
+    """
+
+    axes: tuple[AxisPlant, AxisPlant]
+    bus: BusPlant
+    pwm_frequency: float
+
+    def __post_init__(self) -> None:
+        _check("pwm_frequency", self.pwm_frequency, _POSITIVE)
+        if len(self.axes) != 2:
+            raise PlantError(f"axes: {len(self.axes)} given, a board has two")
+        quarter_ns = 1e9 / self.pwm_frequency / 4.0
+        if abs(quarter_ns - round(quarter_ns)) > 1e-6 or quarter_ns < 1.0:
+            raise PlantError(
+                f"pwm_frequency: {self.pwm_frequency!r} Hz does not divide into quarter periods of whole nanoseconds"
+            )
+
+    @classmethod
+    def load(cls, path: Path | str | None = None) -> PlantConfig:
+        """Read a description of the plant.
+
+        Parameters
+        ----------
+        path : path-like, optional
+            A TOML file that names what differs from the packaged ``plant.toml``; without it, that file itself.
+
+        Raises
+        ------
+        PlantError
+            If the file is not TOML, names something unknown or holds an impossible value.
+        OSError
+            If it cannot be read.
+        """
+        table = _read(DEFAULT_FILE)
+        if path is None:
+            return _named(DEFAULT_FILE, table)
+        source = Path(path)
+        return _named(source, _merge(source, table, _read(source)))
+
+    @classmethod
+    def parse(cls, table: Mapping[str, Any]) -> PlantConfig:
+        """Build the plant from a complete parsed table."""
+        return cls(
+            axes=(_part(AxisPlant, "axis1", table), _part(AxisPlant, "axis2", table)),
+            bus=_part(BusPlant, "bus", table),
+            pwm_frequency=table["pwm_frequency"],
+        )
+
+    def drawn(self, seed: int) -> PlantConfig:
+        """Copy with every random start angle drawn; the same seed draws the same angles."""
+        plant = self
+        for axis, entry in enumerate(self.axes):
+            if entry.theta_start == "random":
+                angle = random.Random(f"theta_start {axis} {seed}").uniform(-math.pi, math.pi)
+                plant = plant.with_axis(axis, theta_start=angle)
+        return plant
+
+    def with_axis(self, axis: int, **changes: Any) -> PlantConfig:
+        """Copy with some values of one axis (index 0 or 1) replaced."""
+        axes = list(self.axes)
+        axes[axis] = dataclasses.replace(axes[axis], **changes)
+        return dataclasses.replace(self, axes=(axes[0], axes[1]))
+
+    def with_bus(self, **changes: Any) -> PlantConfig:
+        """Copy with some values of the bus replaced."""
+        return dataclasses.replace(self, bus=dataclasses.replace(self.bus, **changes))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PlantError(f"{path}: {error}") from error
+    return table
+
+
+def _named(path: Path, table: Mapping[str, Any]) -> PlantConfig:
+    """Plant from a table, with the file in front of every complaint."""
+    try:
+        return PlantConfig.parse(table)
+    except PlantError as error:
+        raise PlantError(f"{path}: {error}") from None
+
+
+def _merge(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Table `base` with the entries of `changes`, all of which must have a counterpart."""
+    merged = dict(base)
+    for key, value in changes.items():
+        if key not in base:
+            raise PlantError(f"{path}: unknown name {key!r}; known are {', '.join(base)}")
+        if isinstance(base[key], dict):
+            if not isinstance(value, dict):
+                raise PlantError(f"{path}: {key} is not a table")
+            value = _merge(path, base[key], value)
+        merged[key] = value
+    return merged
+
+
+def _part(kind: type[Any], name: str, table: Mapping[str, Any]) -> Any:
+    """One of the dataclasses from its table, with the table's name in front of every complaint."""
+    entries = table.get(name, {})
+    fields = [field.name for field in dataclasses.fields(kind)]
+    missing = [field for field in fields if field not in entries]
+    unknown = [entry for entry in entries if entry not in fields]
+    if missing or unknown:
+        problem = f"{missing[0]} is missing" if missing else f"unknown name {unknown[0]!r}"
+        raise PlantError(f"{name}: {problem}")
+    try:
+        return kind(**entries)
+    except PlantError as error:
+        raise PlantError(f"{name}.{error}") from None

@@ -1,0 +1,37 @@
+"""Fixtures of the tests of the virtual board: its C parts, compiled by themselves."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+# The helper modules of this folder can be imported under every import mode of pytest.
+TEST = str(Path(__file__).resolve().parent)
+if TEST not in sys.path:
+    sys.path.insert(0, TEST)
+
+from native_library import CHIP_CDEF, NATIVE, PLANT_CDEF, Native, build  # noqa: E402
+
+
+@pytest.fixture(scope="session")
+def plant_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
+    """The C of the plant (``ffi``, ``lib``)."""
+    return build(
+        tmp_path_factory.mktemp("plant"), "plant_under_test", PLANT_CDEF, '#include "plant/plant.h"', [NATIVE], []
+    )
+
+
+@pytest.fixture(scope="session")
+def chip_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
+    """The ideal chip with a firmware that only writes down when it is called (``ffi``, ``lib``)."""
+    fake = Path(TEST) / "fake_firmware"
+    return build(
+        tmp_path_factory.mktemp("chip"),
+        "chip_under_test",
+        PLANT_CDEF + CHIP_CDEF,
+        '#include "ideal_chip.h"\n',
+        [fake, NATIVE, NATIVE.parents[1] / "firmware"],
+        [NATIVE / "ideal_chip.c", NATIVE / "uart.c", fake / "servo.c"],
+    )

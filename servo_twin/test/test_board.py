@@ -1,0 +1,270 @@
+"""One board with the real firmware: time, variables, snapshots, serial line, and a plant that answers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import Catalogue
+from servo_twin.board import Board, BoardError
+from servo_twin.plant import PlantConfig
+
+from servo_twin import _build_native
+
+SLOW_NS = 500_000
+MS = 1_000_000
+SPIN = 3
+
+GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
+
+
+@pytest.fixture
+def board() -> Iterator[Board]:
+    with Board(seed=1) as board:
+        yield board
+
+
+def enable(board: Board) -> None:
+    """Both axes searched, aligned and under control."""
+    board.run(0.05)
+    board.write("cmd.enable", [1, 1])
+    limit_ns = board.time_ns + 3_000 * MS
+    while not all(board.read(f"axis{n}.substate") == SPIN for n in (1, 2)):
+        board.run(0.01)
+        assert board.time_ns < limit_ns, [board.read(f"axis{n}.faults") for n in (1, 2)]
+
+
+def session(board: Board) -> NDArray[np.void]:
+    """Everything that makes a board do something."""
+    enable(board)
+    board.write("cmd.position", [3.0, -2.0])
+    board.set_load(0, 0.02)
+    board.serial_in(GET_TABLE)
+    return board.record(board.time_ns + 300 * MS)
+
+
+class TestTime:
+    def test_stands_still_by_itself(self, board: Board) -> None:
+        assert board.time_ns == 0
+        board.advance(123_456_789)
+        assert board.time_ns == 123_456_789
+        board.advance(5)
+        assert board.time_ns == 123_456_789
+        board.run(0.5e-9 * 2)
+        assert board.time_ns == 123_456_790
+
+    def test_one_snapshot_per_slow_tick(self, board: Board) -> None:
+        log = board.record(100 * MS)
+        assert list(log["tick"]) == list(range(8, 1601, 8))
+        assert board.time_ns == 100 * MS
+        assert board.record(50 * MS).size == 0
+        assert board.record(101 * MS)["tick"].tolist() == [1608, 1616]
+
+    def test_recording_in_pieces_is_the_same(self) -> None:
+        with Board(seed=5) as whole, Board(seed=5) as pieces:
+            expected = whole.record(40 * MS)
+            parts = [pieces.record(t) for t in [*range(1, 40 * MS, 1_234_567), 40 * MS]]
+            assert np.array_equal(np.concatenate(parts), expected)
+
+
+class TestVariables:
+    def test_the_board_names_all_of_the_catalogue(self, board: Board) -> None:
+        assert set(board.addresses) == set(Catalogue.load().variables)
+        assert board.read("catalogue_hash") == Catalogue.load().hash
+
+    def test_write_and_read_in_si(self, board: Board) -> None:
+        board.write("param.speed_limit", [100.0, 200.0])
+        assert board.read("param.speed_limit") == pytest.approx([100.0, 200.0], rel=1e-6)
+        board.write_raw("param.host_timeout", 1234)
+        assert board.read_raw("param.host_timeout") == [1234]
+        assert board.read("param.host_timeout") == pytest.approx(0.617)
+
+    def test_refusals(self, board: Board) -> None:
+        with pytest.raises(BoardError, match=r"axis1\.position: .*access denied") as error:
+            board.write_raw("axis1.position", 1)
+        assert error.value.status == 0x89
+        with pytest.raises(BoardError, match="access denied"):
+            board.read_memory(0xDEAD0000, 4)
+        with pytest.raises(KeyError, match=r"did you mean .*cmd\.position"):
+            board.read("cmd.positon")
+        with pytest.raises(ValueError, match=r"param\.speed_limit"):
+            board.write("param.speed_limit", [1e6, 1.0])
+        with pytest.raises(ValueError, match="2 expected"):
+            board.write("cmd.position", 1.0)
+
+    def test_snapshot_rows_hold_what_read_gives(self, board: Board) -> None:
+        board.run(0.01)
+        log = board.record(board.time_ns + SLOW_NS)
+        assert log.size == 1
+        for variable in board.catalogue.snapshot_variables():
+            assert [int(log[variable.name][0])] == board.read_raw(variable.name), variable.name
+        si = board.si(log)
+        assert si["u_dc"][0] == board.read("u_dc") == pytest.approx(24.0, abs=0.1)
+        assert bytes(log[0].tobytes()) == board.read("snapshot")
+
+
+class TestRepeatability:
+    def test_bit_for_bit(self) -> None:
+        runs = []
+        for _ in range(2):
+            with Board(seed=7) as board:
+                log = session(board)
+                runs.append((log.tobytes(), board.serial_out(), board.truth(0), board.truth(1), board.time_ns))
+        assert runs[0] == runs[1]
+
+    def test_another_seed_is_another_noise(self) -> None:
+        with Board(seed=1) as first, Board(seed=2) as second:
+            assert session(first).tobytes() != session(second).tobytes()
+
+    def test_boards_do_not_know_of_each_other(self) -> None:
+        with Board(seed=3) as alone:
+            expected = session(alone).tobytes()
+        with Board(seed=3) as one, Board(seed=4) as other:
+            enable(other)
+            other.set_supply(30.0)
+            assert session(one).tobytes() == expected
+
+    def test_boards_run_in_threads(self) -> None:
+        def run(seed: int) -> bytes:
+            with Board(seed=seed) as board:
+                return session(board).tobytes()
+
+        with ThreadPoolExecutor(4) as pool:
+            assert list(pool.map(run, [1, 2, 1, 2])) == [run(1), run(2)] * 2
+
+
+class TestSerialLine:
+    def test_a_request_is_answered_in_the_time_of_its_bytes(self, board: Board) -> None:
+        byte_ns = round(1e10 / 115200)
+        board.advance(10 * MS)
+        assert board.serial_next_ns() is None
+        assert board.serial_in(GET_TABLE) == len(GET_TABLE)
+        assert board.serial_next_ns() == 10 * MS + byte_ns
+        board.advance(10 * MS + 6 * byte_ns - 1)
+        assert board.serial_out() == b""
+        answer = b""
+        while (next_ns := board.serial_next_ns()) is not None:
+            board.advance(next_ns)
+            answer += board.serial_out()
+        assert answer[:2] == bytes.fromhex("2B 40")  # success, a length byte follows
+        assert board.time_ns == 10 * MS + (5 + len(answer)) * byte_ns  # no pause between request and answer
+        assert board.stats().serial_overruns == 0
+
+
+class TestPlant:
+    def test_truth_at_rest(self, board: Board) -> None:
+        board.run(0.02)
+        truth = board.truth(1)
+        start = board.plant.drawn(seed=1).axes[1].theta_start
+        assert (truth.theta_m, truth.omega_m, truth.i_q, truth.u_dc) == (start, 0.0, 0.0, 24.0)
+        assert board.stats().watchdog_services == 40
+
+    def test_moves_where_it_is_told(self, board: Board) -> None:
+        enable(board)
+        offsets = [board.truth(k).theta_m - float(board.read_raw(f"axis{k + 1}.position")[0]) * math.tau / 4000
+                   for k in (0, 1)]  # fmt: skip
+        board.write("cmd.position", [math.pi, -math.pi])
+        board.run(1.5)
+        for axis, target in [(0, math.pi), (1, -math.pi)]:
+            assert board.truth(axis).theta_m - offsets[axis] == pytest.approx(target, abs=0.02)
+
+    def test_a_load_is_held_with_its_current(self, board: Board) -> None:
+        enable(board)
+        board.set_load(0, 0.05)
+        board.run(0.5)
+        log = board.record(board.time_ns + 100 * MS)
+        torque = board.si(log)["axis1.i_q"].mean() * board.plant.axes[0].torque_constant
+        assert torque == pytest.approx(0.05, abs=board.plant.axes[0].friction * 1.2)
+        assert abs(board.truth(0).omega_m) < 1.0
+
+    def test_braking_lifts_the_bus_by_no_more_than_the_kinetic_energy(self, board: Board) -> None:
+        enable(board)
+        board.write("param.i_q_limit", [4.0, 4.0])
+        board.write("cmd.mode", [1, 1])
+        board.run(0.01)
+        board.write("cmd.speed", [300.0, 300.0])
+        board.run(0.6)
+        assert board.truth(1).omega_m == pytest.approx(300.0, rel=0.02)
+        kinetic = sum(0.5 * axis.inertia * board.truth(k).omega_m ** 2 for k, axis in enumerate(board.plant.axes))
+        before = board.truth(0).u_dc
+        board.write("cmd.speed", [0.0, 0.0])
+        highest = before
+        for _ in range(600):
+            board.run(0.0005)
+            highest = max(highest, board.truth(0).u_dc)
+        bound = math.sqrt(before**2 + 2 * kinetic / board.plant.bus.capacitance)
+        assert 25.0 < highest < bound
+
+    def test_a_supply_that_goes_away(self, board: Board) -> None:
+        enable(board)
+        board.set_supply(0.0)
+        board.write("cmd.position", [20.0, 20.0])
+        board.run(1.0)
+        assert board.truth(0).u_dc < 16.0
+        under_voltage = next(f.mask for f in board.catalogue.flags["faults"] if f.name == "UNDER_VOLTAGE")
+        assert board.read_raw("axis1.faults")[0] & under_voltage
+
+    def test_a_locked_shaft_stays(self, board: Board) -> None:
+        enable(board)
+        board.lock_shaft(0)
+        start = board.truth(0).theta_m
+        board.write("cmd.position", [1.0, 0.0])
+        board.run(0.2)
+        assert (board.truth(0).theta_m, board.truth(0).omega_m) == (start, 0.0)
+        board.lock_shaft(0, False)
+        board.run(0.5)
+        assert board.truth(0).theta_m != start
+
+    def test_an_unplugged_encoder_shows_no_movement(self, board: Board) -> None:
+        board.run(0.01)
+        board.connect_encoder(0, False)
+        before = board.read_raw("axis1.position")
+        board.set_load(0, -0.01)  # drives the idle shaft
+        board.run(0.05)
+        assert board.truth(0).omega_m > 5.0
+        assert board.read_raw("axis1.position") == before
+
+    def test_another_plant(self) -> None:
+        with Board(PlantConfig.load().with_axis(0, theta_start=1.0).with_bus(u_source=20.0)) as board:
+            board.run(0.01)
+            assert board.truth(0).theta_m == 1.0
+            assert board.read("u_dc") == pytest.approx(20.0, abs=0.1)
+
+
+class TestLife:
+    def test_a_closed_board_says_so(self) -> None:
+        board = Board()
+        board.close()
+        board.close()
+        with pytest.raises(BoardError, match="closed"):
+            board.run(0.1)
+
+    @pytest.mark.parametrize("axis", [-1, 2])
+    def test_there_are_two_axes(self, board: Board, axis: int) -> None:
+        with pytest.raises(IndexError, match=r"0 \.\. 1"):
+            board.truth(axis)
+
+    @pytest.mark.parametrize("options", [{"seed": -1}, {"seed": 1 << 64}, {"baud": 0.0}])
+    def test_impossible_options(self, options: dict[str, float]) -> None:
+        with pytest.raises(ValueError, match="is not within"):
+            Board(**options)  # type: ignore[arg-type]
+
+
+class TestBuildScript:
+    def test_takes_the_declarations_without_their_comments(self) -> None:
+        text = "int a;\n/* CFFI-BEGIN: here */\nint b; /* why\n more */\n/* CFFI-END */\nint c;\n"
+        assert _build_native.declarations(text).split() == ["int", "b;"]
+        with pytest.raises(ValueError, match="CFFI-BEGIN"):
+            _build_native.declarations("int a;")
+
+    def test_misses_the_firmware_in_words(self, tmp_path_factory: pytest.TempPathFactory) -> None:
+        with pytest.raises(FileNotFoundError, match="checkout of the whole repository"):
+            _build_native.firmware_sources(tmp_path_factory.mktemp("alone") / "firmware")
+
+    def test_finds_every_module_of_the_firmware(self) -> None:
+        folders = {path.parent.name for path in _build_native.firmware_sources()}
+        assert folders == set(_build_native.FIRMWARE_FOLDERS)

@@ -1,0 +1,97 @@
+"""The DC bus: charging through the source's resistance, and a source that takes nothing back."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from native_library import Native, c_bus
+from servo_twin.plant import BusPlant, PlantConfig
+
+STEP = 15.625e-6
+
+
+@pytest.fixture
+def bus_plant() -> BusPlant:
+    return PlantConfig.load().bus
+
+
+def make(plant_c: Native, bus_plant: BusPlant) -> Any:
+    bus = plant_c.ffi.new("plant_dc_bus_t *")
+    plant_c.lib.plant_bus_init(bus, c_bus(plant_c, bus_plant), STEP)
+    return bus
+
+
+def test_begins_charged(plant_c: Native, bus_plant: BusPlant) -> None:
+    bus = make(plant_c, bus_plant)
+    assert bus.u_dc == 24.0
+    plant_c.lib.plant_bus_step(bus, 0.0)
+    assert bus.u_dc == 24.0
+
+
+def test_a_load_pulls_it_down_exponentially(plant_c: Native, bus_plant: BusPlant) -> None:
+    bus = make(plant_c, bus_plant)
+    for _ in range(30):
+        plant_c.lib.plant_bus_step(bus, 8.0)
+    time_constant = bus_plant.r_source * bus_plant.capacitance
+    assert bus.u_dc == pytest.approx(24.0 - 0.8 * (1 - math.exp(-30 * STEP / time_constant)), rel=1e-12)
+
+
+def test_braking_current_stays_in_the_capacitor(plant_c: Native, bus_plant: BusPlant) -> None:
+    bus = make(plant_c, bus_plant)
+    for _ in range(1000):
+        plant_c.lib.plant_bus_step(bus, -2.0)
+    charged = 24.0 + 2.0 * 1000 * STEP / bus_plant.capacitance
+    assert bus.u_dc == pytest.approx(charged, rel=1e-9)
+    for _ in range(1000):
+        plant_c.lib.plant_bus_step(bus, 0.0)
+    assert bus.u_dc == pytest.approx(charged, rel=1e-9)
+
+
+def test_a_source_that_is_switched_off_leaves_the_charge(plant_c: Native, bus_plant: BusPlant) -> None:
+    bus = make(plant_c, bus_plant)
+    bus.u_source = 0.0
+    for _ in range(470):
+        plant_c.lib.plant_bus_step(bus, 1.0)
+    assert bus.u_dc == pytest.approx(24.0 - 470 * STEP / bus_plant.capacitance, rel=1e-9)
+    for _ in range(20000):
+        plant_c.lib.plant_bus_step(bus, 1.0)
+    assert bus.u_dc == 0.0
+
+
+@pytest.mark.parametrize(("start", "load"), [(8.0, -25.0), (-8.0, 25.0)])
+def test_crossing_the_voltage_of_the_source(plant_c: Native, bus_plant: BusPlant, start: float, load: float) -> None:
+    """One step across it agrees with a thousand small ones."""
+    small = plant_c.ffi.new("plant_dc_bus_t *")
+    bus_plant = dataclasses.replace(bus_plant, r_source=0.02)
+    plant_c.lib.plant_bus_init(small, c_bus(plant_c, bus_plant), STEP / 1000)
+    big = make(plant_c, bus_plant)
+    for _ in range(30):
+        plant_c.lib.plant_bus_step(big, start)
+    for current, steps in [(load, 3), (0.0, 2), (load, 2)]:
+        for _ in range(steps):
+            small.u_dc = big.u_dc
+            plant_c.lib.plant_bus_step(big, current)
+            for _ in range(1000):
+                plant_c.lib.plant_bus_step(small, current)
+            assert big.u_dc == pytest.approx(small.u_dc, abs=2e-4)
+
+
+@settings(deadline=None, derandomize=True)
+@given(loads=st.lists(st.floats(-30, 30), min_size=1, max_size=60), resistance=st.floats(1e-3, 10))
+def test_the_source_never_takes_and_never_gives_too_much(
+    plant_c: Native, loads: list[float], resistance: float
+) -> None:
+    bus_plant = dataclasses.replace(PlantConfig.load().bus, r_source=resistance)
+    bus = make(plant_c, bus_plant)
+    for load in loads:
+        before = bus.u_dc
+        plant_c.lib.plant_bus_step(bus, load)
+        source = bus_plant.capacitance * (bus.u_dc - before) / STEP + load
+        lowest = min(before, bus.u_dc)
+        assert source >= -1e-6
+        assert source <= max(24.0 - lowest, 0.0) / resistance + 1e-6 or bus.u_dc == 0.0

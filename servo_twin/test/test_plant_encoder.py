@@ -1,0 +1,300 @@
+"""Encoder and quad timers: count, reload, emulated index with its trap, captures at analytic times."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from native_library import Native, c_axis, c_config, plain
+
+EDGE = 2 * math.pi / 4000  # [rad]
+TICK_NS = 1280
+
+
+class Encoder:
+    """An encoder whose shaft is moved in positions, counted in edges."""
+
+    def __init__(self, plant_c: Native, start: float = 0.5, lines: int = 1000) -> None:
+        self.native = plant_c
+        self.edge = 2 * math.pi / (4 * lines)
+        self.c = plant_c.ffi.new("plant_encoder_t *")
+        axis = plain(theta_start=start * self.edge, encoder_lines=lines).axes[0]
+        plant_c.lib.plant_encoder_init(self.c, c_axis(plant_c, axis))
+        self.at = start
+        self.now_ns = 0
+
+    def move_to(self, position: float, duration_ns: int = 10_000) -> None:
+        """Even movement to a position."""
+        speed = (position - self.at) * self.edge / (duration_ns * 1e-9)
+        self.move(position, speed, speed, duration_ns)
+
+    def move(self, position: float, omega_0: float, omega_1: float, duration_ns: int) -> None:
+        movement = {
+            "theta_0": self.at * self.edge,
+            "theta_1": position * self.edge,
+            "omega_0": omega_0,
+            "omega_1": omega_1,
+            "duration_ns": float(duration_ns),
+        }
+        self.native.lib.plant_encoder_move(self.c, self.native.ffi.new("plant_movement_t *", movement), self.now_ns)
+        self.at = position
+        self.now_ns += duration_ns
+
+    @property
+    def count(self) -> int:
+        """Counter as the two's complement number that it is."""
+        value = int(self.c.count)
+        return value - 0x10000 if value >= 0x8000 else value
+
+    def take(self) -> tuple[int, int] | None:
+        count, time = self.native.ffi.new("uint16_t *"), self.native.ffi.new("uint16_t *")
+        if not self.native.lib.plant_encoder_take(self.c, count, time):
+            return None
+        return int(count[0]), int(time[0])
+
+    def age(self) -> int:
+        return int(self.native.lib.plant_encoder_age(self.c, self.now_ns))
+
+
+class Model:
+    """The timers of one axis edge by edge, from the words of the reference design (DRM 2.4.1, 2.4.2)."""
+
+    def __init__(self, position: int) -> None:
+        self.position, self.count, self.index, self.oflag = position, 0, 0, False
+
+    def step(self, up: bool) -> None:
+        boundary = self.position + 1 if up else self.position
+        self.position += 1 if up else -1
+        if boundary % 2 == 0:  # an edge of B
+            self.oflag = False
+        compare = 3999 if up else -3999
+        self.count = 0 if self.count == compare else self.count + (1 if up else -1)
+        if self.count == compare and not self.oflag:
+            self.index += 1
+            self.oflag = True
+
+
+def test_counts_from_zero_wherever_the_rotor_is(plant_c: Native) -> None:
+    encoder = Encoder(plant_c, start=1234.5)
+    assert encoder.count == 0
+    encoder.move_to(1240.5)
+    assert encoder.count == 6
+    encoder.move_to(1230.5)
+    assert encoder.count == -4
+
+
+def test_reloads_on_the_count_after_the_match(plant_c: Native) -> None:
+    encoder = Encoder(plant_c)
+    encoder.move_to(3999.5)
+    assert (encoder.count, encoder.c.index) == (3999, 1)
+    encoder.move_to(4000.5)
+    assert (encoder.count, encoder.c.index) == (0, 1)
+    encoder.move_to(3 * 4000 + 0.5)
+    assert (encoder.count, encoder.c.index) == (0, 3)
+
+
+def test_counts_down_to_minus_3999(plant_c: Native) -> None:
+    encoder = Encoder(plant_c)
+    encoder.move_to(-0.5)
+    assert encoder.c.count == 0xFFFF
+    encoder.move_to(-3998.5)
+    assert (encoder.c.count, encoder.c.index) == (0xF061, 1)
+    encoder.move_to(-3999.5)
+    assert (encoder.count, encoder.c.index) == (0, 1)
+
+
+def test_touching_the_compare_value_and_turning_back_pulses_the_index(plant_c: Native) -> None:
+    """The trap: an index pulse without a turn, and another one when it comes back after a B edge."""
+    encoder = Encoder(plant_c)
+    encoder.move_to(3999.5)
+    encoder.move_to(3990.5)
+    assert (encoder.count, encoder.c.index) == (3990, 1)
+    encoder.move_to(4005.5)
+    assert (encoder.count, encoder.c.index) == (5, 2)
+
+
+def test_no_second_pulse_while_oflag_is_still_set(plant_c: Native) -> None:
+    # edge 3999 is one of A, so swinging over it alone passes no B edge
+    encoder = Encoder(plant_c)
+    for _ in range(5):
+        encoder.move_to(3999.5)
+        encoder.move_to(3998.5)
+    assert encoder.c.index == 1
+    assert encoder.c.oflag
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(
+    start=st.integers(-9000, 9000),
+    moves=st.lists(
+        st.one_of(st.integers(-30, 30), st.integers(-9000, 9000), st.sampled_from([-4000, 4000, 3999, -3999])),
+        max_size=12,
+    ),
+)
+def test_agrees_with_the_timers_edge_by_edge(plant_c: Native, start: int, moves: list[int]) -> None:
+    encoder, model = Encoder(plant_c, start + 0.5), Model(start)
+    for move in moves:
+        encoder.move_to(encoder.at + move)
+        for _ in range(abs(move)):
+            model.step(move > 0)
+        assert (encoder.count, encoder.c.index, encoder.c.oflag) == (model.count, model.index & 0xFFFF, model.oflag)
+        # whatever the reloads did, the angle is right
+        assert (encoder.count - (model.position - start)) % 4000 == 0
+
+
+def test_a_preset_shifts_the_angle_and_reloads_as_before(plant_c: Native) -> None:
+    encoder = Encoder(plant_c)
+    encoder.c.count = 1000
+    encoder.move_to(3000.5)
+    assert encoder.count == 0
+    encoder.c.count = 0x10000 - 10
+    encoder.move_to(3020.5)
+    assert encoder.count == 10
+
+
+def test_other_line_counts_leave_the_timers_alone(plant_c: Native) -> None:
+    encoder = Encoder(plant_c, lines=500)
+    encoder.move_to(3999.5)
+    encoder.move_to(4000.5)
+    assert encoder.count == 0
+
+
+class TestCapture:
+    def test_nothing_before_it_is_armed(self, plant_c: Native) -> None:
+        encoder = Encoder(plant_c)
+        encoder.move_to(100.5)
+        assert encoder.take() is None
+
+    def test_latches_the_next_b_edge_once(self, plant_c: Native) -> None:
+        encoder = Encoder(plant_c)
+        encoder.move_to(1.5)
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        encoder.move_to(9.5, duration_ns=80_000)
+        # from 1.5 at one edge per 10 us: B edge 2 comes after 5 us, later ones are not latched
+        assert encoder.take() == (2, (10_000 + 5_000) // TICK_NS)
+        assert encoder.take() is None
+        encoder.move_to(20.5)
+        assert encoder.take() is None
+
+    def test_a_edges_are_not_latched(self, plant_c: Native) -> None:
+        encoder = Encoder(plant_c)
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        encoder.move_to(1.5)
+        assert not encoder.c.latched
+        encoder.move_to(2.5)
+        assert encoder.c.latched
+
+    def test_arming_again_throws_a_waiting_capture_away(self, plant_c: Native) -> None:
+        encoder = Encoder(plant_c)
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        encoder.move_to(2.5)
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        assert encoder.take() is None
+        encoder.move_to(4.5)
+        assert encoder.take() is not None
+
+    @pytest.mark.parametrize("direction", [1, -1])
+    def test_true_time_under_acceleration(self, plant_c: Native, direction: int) -> None:
+        """theta = w t + a t^2 / 2 from 1.5 edges before the B edge at 2."""
+        encoder = Encoder(plant_c, start=2 - direction * 1.5)
+        omega, acceleration, duration_ns = direction * 20.0, direction * 20000.0, 2_000_000
+        t = duration_ns * 1e-9
+        way = (omega * t + acceleration * t**2 / 2) / EDGE
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        encoder.now_ns = 40_000_000
+        encoder.move(encoder.at + way, omega, omega + acceleration * t, duration_ns)
+        distance = 1.5 * EDGE
+        first = (-20.0 + math.sqrt(20.0**2 + 2 * 20000.0 * distance)) / 20000.0
+        capture = encoder.take()
+        assert capture is not None
+        assert capture[1] == (40_000_000 + int(first * 1e9)) // TICK_NS % 0x10000
+        assert first * 1e9 > 50 * TICK_NS  # far from trivial
+
+    @settings(max_examples=100, deadline=None, derandomize=True)
+    @given(
+        position=st.integers(-5000, 5000),
+        omega_0=st.floats(0.0, 400.0),
+        omega_1=st.floats(0.0, 400.0),
+        sign=st.sampled_from([1, -1]),
+    )
+    def test_time_lies_inside_the_movement_and_on_its_curve(
+        self, plant_c: Native, position: int, omega_0: float, omega_1: float, sign: int
+    ) -> None:
+        encoder = Encoder(plant_c, start=position + 0.5)
+        duration_ns = 1_000_000
+        t_end = duration_ns * 1e-9
+        acceleration = (omega_1 - omega_0) / t_end
+        way = sign * (omega_0 + omega_1) / 2 * t_end / EDGE
+        encoder.now_ns = 1_000_000
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        encoder.move(encoder.at + way, sign * omega_0, sign * omega_1, duration_ns)
+        boundary = 2 * (math.floor((position + 0.5) / 2) + 1) if sign > 0 else 2 * math.floor((position + 0.5) / 2)
+        distance = abs(boundary - position - 0.5) * EDGE
+        if abs(way) * EDGE < distance:
+            assert encoder.take() is None
+            return
+        root = math.sqrt(max(omega_0**2 + 2 * acceleration * distance, 0.0))
+        first_ns = 2 * distance / (omega_0 + root) * 1e9
+        capture = encoder.take()
+        assert capture is not None
+        ticks = (1_000_000 + first_ns) / TICK_NS
+        assert abs((capture[1] - ticks + 0x8000) % 0x10000 - 0x8000) < 1.0 + 1e-3
+
+
+def test_time_of_an_edge_after_the_shaft_has_turned_back(plant_c: Native) -> None:
+    """The shaft stops after 1 us of a step and crosses the edge behind it another 1.05 us later."""
+    acceleration, edge = 2e8, 3 * 2 * EDGE
+    plant = plain(theta_start=edge + 1e-5, inertia=1e-10)
+    state = plant_c.ffi.new("plant_t *")
+    plant_c.lib.plant_init(state, c_config(plant_c, plant))
+    axis = state.axis[0]
+    axis.motor.load, axis.motor.omega = acceleration * 1e-10, acceleration * 1e-6
+    crossing_ns = 1000 + math.sqrt(2 * (0.5 * acceleration * 1e-12 + 1e-5) / acceleration) * 1e9
+    for begin_ns, tick in [(100 * TICK_NS - int(crossing_ns) + 10, 100), (100 * TICK_NS - int(crossing_ns) - 10, 99)]:
+        trial = plant_c.ffi.new("plant_t *", state[0])
+        encoder = plant_c.ffi.addressof(trial.axis[0], "encoder")
+        plant_c.lib.plant_encoder_arm(encoder)
+        plant_c.lib.plant_step(trial, begin_ns)
+        time = plant_c.ffi.new("uint16_t *")
+        assert plant_c.lib.plant_encoder_take(encoder, plant_c.ffi.new("uint16_t *"), time)
+        assert time[0] == tick
+
+
+class TestAge:
+    def test_restarts_at_latched_edges_only(self, plant_c: Native) -> None:
+        encoder = Encoder(plant_c)
+        encoder.now_ns = 10 * TICK_NS
+        assert encoder.age() == 10
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        encoder.move_to(2.45, duration_ns=20 * TICK_NS)  # the B edge at 2 comes after 15.4 ticks
+        assert encoder.age() == 5
+        encoder.move_to(200.5, duration_ns=100 * TICK_NS)  # blocked until it is armed again
+        assert encoder.age() == 105
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        assert encoder.age() == 105
+
+    def test_overflow_stays_until_the_next_latched_edge(self, plant_c: Native) -> None:
+        encoder = Encoder(plant_c)
+        encoder.now_ns = 0xFFFF * TICK_NS
+        assert encoder.age() == 0xFFFF
+        for later in (0x10000, 0x10001, 0x20005, 0x12345678):
+            encoder.now_ns = later * TICK_NS
+            assert encoder.age() == 0x10000
+        plant_c.lib.plant_encoder_arm(encoder.c)
+        encoder.move_to(2.45, duration_ns=4 * TICK_NS)
+        assert encoder.age() == 1
+
+
+def test_an_unplugged_encoder_counts_nothing_and_loses_what_it_missed(plant_c: Native) -> None:
+    encoder = Encoder(plant_c)
+    encoder.move_to(10.5)
+    plant_c.lib.plant_encoder_arm(encoder.c)
+    plant_c.lib.plant_encoder_connect(encoder.c, False, encoder.at * EDGE)
+    encoder.move_to(50.5)
+    assert encoder.count == 10
+    assert not encoder.c.latched
+    plant_c.lib.plant_encoder_connect(encoder.c, True, encoder.at * EDGE)
+    encoder.move_to(53.5)
+    assert encoder.count == 13

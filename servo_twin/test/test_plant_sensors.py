@@ -1,0 +1,68 @@
+"""Converter codes and noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from native_library import Native, c_config, plain
+from servo_twin.plant import PlantConfig
+
+
+def test_24_volts_are_2708(plant_c: Native) -> None:
+    """DRM E46 on a 12-bit converter; shifted to Q1.15 it is 21664."""
+    assert plant_c.lib.plant_code_unipolar(24.0, 36.3) == 2708
+
+
+@pytest.mark.parametrize(
+    ("current", "code"),
+    [(0.0, 2048), (8.25 / 2048, 2049), (-8.25 / 2048, 2047), (4.125, 3072), (-4.125, 1024), (8.3, 4095), (-8.3, 0)],
+)
+def test_codes_of_currents(plant_c: Native, current: float, code: int) -> None:
+    assert plant_c.lib.plant_code_bipolar(current, 8.25) == code
+
+
+def test_codes_saturate(plant_c: Native) -> None:
+    for value, unipolar, bipolar in [(1e6, 4095, 4095), (-1e6, 0, 0), (36.3, 4095, 4095)]:
+        assert plant_c.lib.plant_code_unipolar(value, 36.3) == unipolar
+        assert plant_c.lib.plant_code_bipolar(value, 36.3) == bipolar
+
+
+def gauss(plant_c: Native, size: int, seed: int = 1, stream: int = 0) -> list[float]:
+    random = plant_c.ffi.new("plant_random_t *")
+    plant_c.lib.plant_random_init(random, seed, stream)
+    return [plant_c.lib.plant_random_gauss(random) for _ in range(size)]
+
+
+def test_noise_is_gaussian_enough(plant_c: Native) -> None:
+    x = np.array(gauss(plant_c, 100_000))
+    assert abs(x.mean()) < 0.01
+    assert x.std() == pytest.approx(1.0, abs=0.01)
+    assert abs((x**3).mean()) < 0.04
+    assert (x**4).mean() == pytest.approx(2.9, abs=0.1)  # 3 - 1.2 / 12
+    assert abs(np.corrcoef(x[:-1], x[1:])[0, 1]) < 0.01
+    assert np.abs(x).max() < 6.0
+
+
+def test_noise_repeats_with_its_seed_and_differs_between_streams(plant_c: Native) -> None:
+    assert gauss(plant_c, 50, seed=3, stream=1) == gauss(plant_c, 50, seed=3, stream=1)
+    assert gauss(plant_c, 50, seed=3, stream=1) != gauss(plant_c, 50, seed=4, stream=1)
+    first, second = np.array(gauss(plant_c, 20000, 3, 1)), np.array(gauss(plant_c, 20000, 3, 2))
+    assert abs(np.corrcoef(first, second)[0, 1]) < 0.03
+
+
+def test_current_codes_carry_offset_and_noise_of_their_phase(plant_c: Native) -> None:
+    plant = plain(i_offset=(0.2, -0.1, 0.05), i_noise=0.02)
+    state = plant_c.ffi.new("plant_t *")
+    plant_c.lib.plant_init(state, c_config(plant_c, plant))
+    for phase, offset in enumerate((0.2, -0.1, 0.05)):
+        codes = np.array([plant_c.lib.plant_current_code(state, 0, phase, False) for _ in range(4000)])
+        assert codes.mean() == pytest.approx(2048 + offset / 8.25 * 2048, abs=0.5)
+        assert codes.std() == pytest.approx(0.02 / 8.25 * 2048, rel=0.1)
+
+
+def test_bus_code_carries_its_noise(plant_c: Native) -> None:
+    state = plant_c.ffi.new("plant_t *")
+    plant_c.lib.plant_init(state, c_config(plant_c, PlantConfig.load().with_bus(u_noise=0.05)))
+    codes = np.array([plant_c.lib.plant_bus_code(state) for _ in range(4000)])
+    assert codes.mean() == pytest.approx(2708.1, abs=0.5)
+    assert codes.std() == pytest.approx(0.05 / 36.3 * 4096, rel=0.1)

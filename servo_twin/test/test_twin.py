@@ -1,0 +1,359 @@
+"""The twin beside a virtual board that plays the real one: same commands at the same ticks, whatever happens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.plant import PlantConfig
+from servo_twin.twin import Pair, TwinSettings
+from twin_rig import CATALOGUE, COLUMNS, EPOCH_NS, TwinRig, apart, worst, worst_counts
+
+from servo_msgs_py import topics
+
+COUNT = CATALOGUE["axis1.position"].lsb
+CLOSE = 12.0  # counts: what sensor noise makes of a move or of a quick stop
+
+
+@pytest.fixture
+def rig() -> Iterator[TwinRig]:
+    with TwinRig() as rig:
+        yield rig
+
+
+def follows(rig: TwinRig, pairs: list[Pair]) -> None:
+    """The twin was beside the board in all of these and moved as it did."""
+    assert rig.twin.status == ""
+    assert pairs
+    assert apart(pairs) == []
+    assert worst_counts(pairs) <= CLOSE
+    assert worst(pairs, "axis1.speed") < 5.0
+    assert worst(pairs, "axis2.speed") < 5.0
+
+
+class TestExactness:
+    def test_boards_that_differ_in_nothing_agree_bit_for_bit(self) -> None:
+        with TwinRig(real_seed=7, twin_seed=7) as rig:
+            rig.up()
+            rig.move([3.0, -2.0])
+            rig.write("cmd.mode", [1, 1])
+            rig.write("cmd.speed", [100.0, -80.0])
+            rig.run(0.3)
+            rig.write("cmd.quick_stop", [1, 1])
+            rig.run(0.3)
+            rig.write("cmd.enable", [0, 0])
+            rig.run(0.3)
+            rig.write("cmd.enable", [1, 1])
+            rig.until("RUN/SPIN")
+            assert rig.twin.synchronisations == 1
+            assert max(pair.real["axis1.position"] for pair in rig.pairs) > 15.0
+            for pair in rig.pairs:
+                for name, value in pair.twin.items():
+                    assert value == pair.real[name], (pair.tick, name)
+
+    def test_every_sample_makes_a_pair_at_its_own_tick(self, rig: TwinRig) -> None:
+        pairs = rig.run(0.3)
+        assert [pair.tick for pair in pairs] == [rig.every * k for k in range(1, len(pairs) + 1)]
+        assert len(pairs) == 50
+        for pair in pairs:
+            assert pair.twin["tick"] == pair.real["tick"] == pair.tick
+            assert pair.stamp_ns == EPOCH_NS + pair.tick * PERIOD_NS
+        own = {"applied_tick", "applied_count", *topics.STAMP_COLUMNS}
+        assert set(pairs[0].twin) == set(COLUMNS) - own
+
+    def test_the_same_history_gives_the_same_pairs(self) -> None:
+        histories = []
+        for _ in range(2):
+            with TwinRig(real_seed=3, twin_seed=4) as rig:
+                rig.up()
+                rig.move([1.0, -1.0])
+                histories.append(rig.pairs)
+        assert histories[0] == histories[1]
+
+    def test_noise_makes_a_difference_of_counts_only(self, rig: TwinRig) -> None:
+        rig.up()
+        pairs = rig.move([5.0, -5.0])
+        follows(rig, pairs)
+        assert worst_counts(pairs) > 0.0
+        assert worst(pairs, "axis1.i_q") > 0.0
+        assert pairs[-1].real["axis1.position"] == pytest.approx(10 * math.pi, abs=3 * COUNT)
+
+    def test_a_plant_that_is_not_what_the_twin_believes_shows(self) -> None:
+        heavy = PlantConfig.load().with_axis(0, friction=8e-3)
+        with TwinRig(plant=heavy) as rig:
+            rig.up()
+            pairs = rig.move([5.0, -5.0], seconds=0.25)
+            mean = {name: np.mean([p.real[name] - p.twin[name] for p in pairs]) for name in ("axis1.i_q", "axis2.i_q")}
+            extra = 6e-3 / PlantConfig.load().axes[0].torque_constant
+            assert mean["axis1.i_q"] == pytest.approx(extra, rel=0.3)
+            assert abs(mean["axis2.i_q"]) < 0.2 * extra
+
+
+class TestRotorSearch:
+    @pytest.mark.parametrize("start", [0.0, 1.0, 2.0, 3.0])
+    def test_a_search_of_another_length_is_made_up_for(self, start: float) -> None:
+        with TwinRig(plant=PlantConfig.load().with_axis(0, theta_start=start)) as rig:
+            rig.run(0.1)
+            rig.write("cmd.enable", [1, 1])
+            rig.until("RUN/SPIN")
+            searching = apart(rig.pairs)
+            assert any("axis1 is RUN/ALIGN" in text for text in searching)
+            follows(rig, rig.run(0.1))
+            follows(rig, rig.move([2.0, -2.0]))
+            assert rig.twin.synchronisations == 1
+
+    def test_one_axis_after_the_other(self, rig: TwinRig) -> None:
+        rig.run(0.1)
+        rig.write("cmd.enable", [1, 0], mask=1)
+        rig.until("RUN/SPIN", axes=[0])
+        follows(rig, rig.move([2.0, 0.0], mask=1))
+        rig.write("cmd.enable", [0, 1], mask=2)
+        rig.until("RUN/SPIN")
+        rig.run(0.1)
+        follows(rig, rig.move([0.0, 1.0]))
+
+    def test_commands_that_came_before_the_twin_was_ready_are_made_up_for(self) -> None:
+        # The real rotor stands where its search is short; axis 1 never rests, so the twin must not be run ahead.
+        quick = PlantConfig.load().with_axis(1, theta_start=0.0)
+        lengths = []
+        with TwinRig(plant=quick) as rig:
+            rig.run(0.1)
+            rig.write("cmd.enable", [1, 0], mask=1)
+            rig.until("RUN/SPIN", axes=[0])
+            rig.write("cmd.mode", [1, 0], mask=1)
+            rig.write("cmd.speed", [100.0, 0.0], mask=1)
+            rig.run(0.3)
+            rig.write("cmd.enable", [0, 1], mask=2)
+            rig.until("RUN/SPIN")
+            lengths.append(rig.twin.labels()[1])
+            rig.move([0.0, 3.0], 0.02, mask=2)
+            rig.run(1.0)
+            assert lengths == ["RUN/ALIGN"]
+            pairs = rig.run(0.2)
+            follows(rig, pairs)
+            assert pairs[-1].twin["axis2.position"] == pytest.approx(6 * math.pi, abs=CLOSE * COUNT)
+            assert rig.twin.synchronisations == 1
+
+
+class TestLateStart:
+    def test_in_the_middle_at_rest(self, rig: TwinRig) -> None:
+        rig.listening = False
+        rig.up()
+        rig.move([5.0, -3.0])
+        rig.listening = True
+        rig.run(0.2)
+        follows(rig, rig.run(0.1))
+        follows(rig, rig.move([-2.0, 1.0]))
+
+    def test_switched_off_long_after_the_reset(self, rig: TwinRig) -> None:
+        rig.listening = False
+        rig.run(6.0)
+        rig.listening = True
+        rig.run(0.2)
+        assert rig.twin.simulated_ticks < rig.real.tick
+        rig.up()
+        follows(rig, rig.move([2.0, 2.0]))
+
+    def test_waits_for_shafts_that_move(self, rig: TwinRig) -> None:
+        rig.listening = False
+        rig.up()
+        rig.write("cmd.mode", [1, 1])
+        rig.write("cmd.speed", [0.0, 50.0])
+        rig.run(0.3)
+        rig.listening = True
+        assert rig.run(0.5) == []
+        assert rig.twin.status == "waiting: axis2 is not at rest"
+        rig.write("cmd.speed", [0.0, 0.0])
+        rig.run(0.5)
+        follows(rig, rig.run(0.1))
+
+    @pytest.mark.parametrize(("variable", "value"), [("cmd.speed", 60.0), ("cmd.i_q", 0.3)])
+    def test_a_mode_that_nobody_told_is_taken_from_the_set_point(
+        self, rig: TwinRig, variable: str, value: float
+    ) -> None:
+        rig.listening = False
+        rig.up()
+        rig.write("cmd.mode", [1, 1] if variable == "cmd.speed" else [2, 2])
+        rig.run(0.1)
+        rig.listening = True
+        rig.run(0.2)
+        rig.write(variable, [value, -value])
+        pairs = rig.run(0.15)
+        assert pairs[-1].real["axis1.speed"] > 20.0
+        assert pairs[-1].twin["axis1.speed"] == pytest.approx(pairs[-1].real["axis1.speed"], rel=0.1)
+
+    def test_a_quick_stop_is_remembered(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.write("cmd.quick_stop", [1, 1])
+        rig.run(0.2)
+        rig.twin.resync("asked")
+        rig.run(0.2)
+        pairs = rig.move([2.0, 2.0])  # ignored by a board that has been stopped
+        assert abs(pairs[-1].real["axis1.position"]) < 5 * COUNT
+        follows(rig, pairs)
+        rig.write("cmd.enable", [1, 1])
+        rig.run(0.02)
+        follows(rig, rig.move([2.0, 2.0]))
+
+
+class TestReports:
+    def test_late_reports_hold_the_samples_up(self) -> None:
+        with TwinRig(real_seed=5, twin_seed=5) as rig:
+            rig.up()
+            rig.held = []
+            rig.write("cmd.position", [6.0, -6.0])
+            pairs = rig.run(0.04)
+            assert pairs == []
+            for command in rig.held:
+                rig.twin.command(command)
+            rig.held = None
+            pairs = rig.run(0.3)
+            assert len(pairs) > 50
+            assert worst_counts(pairs) == 0.0
+            assert rig.twin.synchronisations == 1
+
+    def test_reports_in_the_wrong_order_and_twice(self) -> None:
+        with TwinRig(real_seed=5, twin_seed=5) as rig:
+            rig.up()
+            rig.held = []
+            rig.write("cmd.mode", [1, 1])
+            rig.sample()
+            rig.write("cmd.speed", [50.0, 50.0])
+            rig.sample()
+            rig.write("cmd.speed", [80.0, 20.0])
+            rig.sample()
+            assert [command.variable for command in rig.held] == ["cmd.mode", "cmd.speed", "cmd.speed"]
+            for command in [*reversed(rig.held), rig.held[0]]:
+                rig.twin.command(command)
+            rig.held = None
+            pairs = rig.run(0.3)
+            assert worst_counts(pairs) == 0.0
+            assert pairs[-1].twin["axis1.speed"] == pytest.approx(80.0, abs=2.0)
+            assert rig.twin.synchronisations == 1
+
+    def test_a_command_that_nobody_reports_makes_it_begin_anew(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.reporting = False
+        rig.write("cmd.position", [6.0, -6.0])
+        rig.run(0.2)
+        assert rig.twin.status.startswith("waiting: axis1 is not at rest")
+        rig.reporting = True
+        rig.run(0.6)
+        assert rig.twin.synchronisations == 2
+        follows(rig, rig.move([0.0, 0.0]))
+
+    def test_says_what_it_misses(self) -> None:
+        with TwinRig(settings=TwinSettings(rest=10.0)) as rig:
+            rig.up()
+            rig.reporting = False
+            rig.write("cmd.mode", [0, 0])
+            said = []
+            for _ in range(20):
+                rig.sample()
+                said.append(rig.twin.status)
+            assert "" in said
+            assert rig.twin.synchronisations == 1
+            assert said[-1].startswith("waiting: ")
+
+    def test_a_table_without_what_it_needs_is_refused(self, rig: TwinRig) -> None:
+        with pytest.raises(ValueError, match="no applied_count, axis2.i_q"):
+            columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
+            rig.twin.samples(columns, np.zeros((1, len(columns))))
+
+
+class TestTrouble:
+    def test_a_reset_of_the_board(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.move([1.0, 1.0])
+        rig.reset_board(seed=9)
+        rig.run(0.1)
+        assert rig.twin.synchronisations == 2
+        rig.up()
+        follows(rig, rig.move([2.0, -1.0]))
+        assert rig.twin.synchronisations == 2
+
+    def test_a_gap_in_the_telemetry(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.listening = False
+        rig.move([1.0, 1.0], seconds=2.5)
+        rig.listening = True
+        rig.run(0.05)
+        assert rig.twin.status.startswith("waiting: ")
+        rig.run(0.2)
+        assert rig.twin.synchronisations == 2
+        follows(rig, rig.move([0.0, 0.0]))
+
+    def test_a_short_gap_is_lived_through(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.listening = False
+        rig.run(1.0)
+        rig.listening = True
+        follows(rig, rig.move([1.0, 1.0]))
+        assert rig.twin.synchronisations == 1
+
+    def test_a_fault_of_the_board_alone(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.board.set_supply(5.0)
+        rig.write("cmd.position", [30.0, -30.0])
+        rig.until("FAULT")
+        pairs = rig.run(0.1)
+        assert apart(pairs) == ["axis1 is FAULT, its twin RUN/SPIN; axis2 is FAULT, its twin RUN/SPIN"]
+        rig.board.set_supply(24.0)
+        rig.run(1.0)
+        assert rig.twin.synchronisations == 2
+        assert rig.twin.labels() == ["STOP", "STOP"]
+        rig.write("cmd.clear_faults", [1, 1])
+        rig.run(0.1)
+        rig.up()
+        follows(rig, rig.move([1.0, 1.0]))
+
+    def test_asked_to_begin_anew(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.twin.resync("asked")
+        assert rig.twin.status == "asked"
+        assert rig.twin.labels() == []
+        rig.run(0.3)
+        assert rig.twin.synchronisations == 2
+        follows(rig, rig.move([1.0, -1.0]))
+
+    def test_what_waits_can_be_discarded(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.held = []
+        rig.write("cmd.position", [1.0, 1.0])
+        rig.run(0.03)
+        assert rig.twin.newest_tick != rig.twin.tick
+        rig.twin.discard("too much")
+        assert rig.twin.newest_tick == rig.twin.tick == rig.real.tick
+        assert rig.twin.status == "too much"
+
+
+class TestLongUp:
+    def test_ticks_beyond_32_bits(self) -> None:
+        with TwinRig(tick_base=1 << 32) as rig:
+            rig.run(0.3)
+            rig.up()
+            pairs = rig.move([3.0, -3.0])
+            follows(rig, pairs)
+            assert pairs[-1].tick > 1 << 32
+
+    def test_positions_that_have_wrapped(self, rig: TwinRig) -> None:
+        """The host counts on past 32 bits, the board does not; commands are the board's."""
+        rig.listening = False
+        rig.up()
+        rig.listening = True
+        frame = (1 << 32) * COUNT
+        original = rig.twin.samples
+
+        def shifted(columns: list[str], table: np.ndarray) -> None:  # type: ignore[type-arg]
+            for name in ("axis1.position", "axis1.position_ref"):
+                table[:, columns.index(name)] += frame
+            original(columns, table)
+
+        rig.twin.samples = shifted  # type: ignore[method-assign, assignment]
+        rig.run(0.2)
+        pairs = rig.move([2.0, 2.0])
+        assert apart(pairs) == []
+        assert pairs[-1].twin["axis1.position"] == pytest.approx(frame + 4 * math.pi, abs=CLOSE * COUNT)

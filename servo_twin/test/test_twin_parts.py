@@ -1,0 +1,239 @@
+"""The parts of the twin by themselves: ledger of commands, rest, replica, health."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.board import Board
+from servo_twin.ledger import CommandLedger
+from servo_twin.replica import Replica, slow_tick
+from servo_twin.residual import COMPARED, HealthMonitor, Thresholds, residual
+from servo_twin.samples import Activity, RestWatch, SampleReader, activity
+from twin_rig import CATALOGUE, COLUMNS
+
+SECOND = round(1e9 / PERIOD_NS)
+
+
+def command(tick: int, variable: str = "cmd.position", raw: tuple[int, int] = (1, 2)) -> AppliedCommand:
+    return AppliedCommand(variable, tick, raw, 3)
+
+
+class TestLedger:
+    def test_counts_what_is_missing(self) -> None:
+        ledger = CommandLedger()
+        assert ledger.from_reset
+        assert ledger.missing(800, 0, 0) == 0
+        assert ledger.missing(800, 792, 2) == 2
+        ledger.add(command(792))
+        assert ledger.missing(800, 792, 2) == 1
+        ledger.add(command(400))
+        assert ledger.missing(800, 792, 2) == 0
+        assert [c.tick for c in ledger.until(800)] == [400, 792]
+        assert [c.tick for c in ledger.until(791)] == [400]
+
+    def test_writes_of_one_tick_count_once(self) -> None:
+        ledger = CommandLedger()
+        ledger.add(command(80, "cmd.mode"))
+        ledger.add(command(80, "cmd.speed"))
+        assert ledger.missing(96, 80, 1) == 0
+        assert ledger.missing(96, 80, 2) == 1
+        assert [c.variable for c in ledger.until(96)] == ["cmd.mode", "cmd.speed"]
+
+    def test_a_later_command_does_not_stand_in_for_an_earlier_one(self) -> None:
+        ledger = CommandLedger()
+        ledger.add(command(160))
+        assert ledger.missing(96, 80, 1) == 1
+
+    def test_settling_forgets_and_refuses_what_is_old(self) -> None:
+        ledger = CommandLedger()
+        assert ledger.add(command(80))
+        assert not ledger.add(command(80))
+        ledger.settle(96, 1)
+        assert not ledger.from_reset
+        assert ledger.until(96) == []
+        assert not ledger.add(command(96))
+        assert ledger.missing(800, 80, 1) == 0
+        assert ledger.add(command(104))
+        assert ledger.missing(800, 104, 2) == 0
+        ledger.forget()
+        assert ledger.from_reset
+        assert ledger.add(command(8))
+
+    def test_counters_wrap(self) -> None:
+        ledger = CommandLedger()
+        late = (1 << 32) + 80
+        ledger.settle((1 << 32) - 160, 0xFFFF)
+        ledger.add(command((1 << 32) - 80))
+        ledger.add(command(late))
+        assert ledger.missing(late + 16, 80, 1) == 0
+        assert ledger.missing(late + 16, 80, 2) == 1
+
+    @given(st.permutations(range(1, 8)))
+    def test_the_order_of_arrival_does_not_matter(self, order: list[int]) -> None:
+        ledger = CommandLedger()
+        for k in order:
+            ledger.add(command(8 * k))
+        assert [c.tick for c in ledger.until(56)] == [8, 16, 24, 32, 40, 48, 56]
+
+
+class TestSamples:
+    @pytest.mark.parametrize(
+        ("label", "kind"),
+        [
+            ("STOP", Activity.IDLE), ("FAULT", Activity.IDLE), ("INIT", Activity.IDLE),
+            ("RUN/FREEWHEEL", Activity.IDLE), ("RUN/CALIB", Activity.SEARCHING), ("RUN/READY", Activity.SEARCHING),
+            ("RUN/ALIGN", Activity.SEARCHING), ("RUN/SPIN", Activity.ACTIVE),
+        ],
+    )  # fmt: skip
+    def test_activity(self, label: str, kind: Activity) -> None:
+        assert activity(label) is kind
+
+    @staticmethod
+    def row(**values: float) -> np.ndarray:  # type: ignore[type-arg]
+        return np.array([[values.get(name.replace(".", "_"), 0.0) for name in COLUMNS]])
+
+    def test_reads_counts_states_and_stamps(self) -> None:
+        lsb = CATALOGUE["axis1.position"].lsb
+        (sample,) = SampleReader(CATALOGUE).rows(
+            COLUMNS,
+            self.row(
+                tick=2.0**33, axis1_position=(2**40 + 3) * lsb, axis1_position_ref=5 * lsb, axis2_state=3,
+                axis2_substate=2, applied_count=7, applied_tick=9, stamp_sec=1.7e9, stamp_nanosec=999_999_999,
+            ),
+        )  # fmt: skip
+        assert sample.tick == 2**33
+        assert sample.position == (2**40 + 3, 0)
+        assert sample.position_ref == (5, 0)
+        assert sample.labels == ("FAULT", "RUN/ALIGN")
+        assert (sample.applied_tick, sample.applied_count) == (9, 7)
+        assert sample.stamp_ns == 1_700_000_000_999_999_999
+
+    def test_without_a_shaped_set_point_the_position_stands_in(self) -> None:
+        columns = [name for name in COLUMNS if not name.endswith("position_ref")]
+        table = np.array([[float(name == "axis2.position") for name in columns]])
+        (sample,) = SampleReader(CATALOGUE).rows(columns, table)
+        assert sample.position_ref == sample.position == (0, 637)
+
+    def test_rest_needs_the_whole_time(self) -> None:
+        watch = RestWatch(100)
+        reader = SampleReader(CATALOGUE)
+        lsb = CATALOGUE["axis1.position"].lsb
+
+        def add(tick: int, counts: int) -> bool:
+            watch.add(reader.rows(COLUMNS, self.row(tick=tick, axis1_position=counts * lsb))[0])
+            return watch.at_rest(0)
+
+        assert [add(tick, 0) for tick in (0, 40, 80, 120)] == [False, False, False, True]
+        assert add(160, 2)
+        assert not add(200, 3)
+        assert not add(240, 3)
+        assert not add(280, 3)
+        assert add(300, 3)
+        assert watch.at_rest(1)
+        watch.forget()
+        assert not watch.at_rest(1)
+
+
+class TestReplica:
+    @pytest.fixture
+    def replica(self) -> Iterator[Replica]:
+        replica = Replica(Board(seed=1))
+        yield replica
+        replica.close()
+
+    def test_runs_to_slow_ticks(self, replica: Replica) -> None:
+        assert replica.raw == {}
+        replica.run_to(160)
+        assert (replica.tick, replica.raw["tick"]) == (160, 160)
+        replica.run_to(80)
+        assert replica.tick == 160
+        with pytest.raises(ValueError, match="multiple of 8"):
+            replica.run_to(165)
+        assert [slow_tick(t) for t in (7, 8, 15, 16)] == [0, 8, 8, 16]
+
+    def test_a_write_takes_effect_with_the_next_slow_tick(self, replica: Replica) -> None:
+        replica.run_to(1600)
+        replica.write("cmd.position", [5, 6], 3)
+        replica.run_to(1608)
+        assert (replica.raw["applied_tick"], replica.raw["applied_count"]) == (1608, 1)
+
+    def test_the_mask_leaves_axes_alone(self, replica: Replica) -> None:
+        replica.write("cmd.position", [5, 6], 3)
+        replica.write("cmd.position", [7, 8], 2)
+        assert replica.read("cmd.position") == pytest.approx([5 * 0.0015707963, 8 * 0.0015707963])
+
+    def test_runs_until_something_holds(self, replica: Replica) -> None:
+        assert replica.run_until(lambda: replica.raw.get("axis1.state") == 2, SECOND)
+        assert replica.tick % 128 == 0
+        tick = replica.tick
+        assert not replica.run_until(lambda: False, 1280)
+        assert replica.tick == tick + 1280
+
+
+class TestHealth:
+    @staticmethod
+    def update(monitor: HealthMonitor, seconds: float, **differences: float) -> bool:
+        real = dict.fromkeys(COMPARED, 1.0)
+        twin = {name: 1.0 - differences.get(name.replace(".", "_"), 0.0) for name in COMPARED}
+        return monitor.update(residual(round(seconds * SECOND), real, twin, [0.5, 2.0]))
+
+    def test_residual_is_real_minus_twin(self) -> None:
+        real = {name: float(k) for k, name in enumerate(COMPARED)}
+        twin = {name: 0.5 for name in COMPARED}
+        result = residual(80, real, twin, [0.5, 2.0])
+        assert result.tick == 80
+        assert result.position == (-0.5, 2.5)
+        assert result.velocity == (0.5, 3.5)
+        assert result.effort == (0.5 * 1.5, 2.0 * 4.5)
+        assert result.values["axis2.i_q"] == 4.5
+
+    def test_becomes_healthy_after_a_while(self) -> None:
+        monitor = HealthMonitor(Thresholds(hold=0.5))
+        assert not monitor.healthy
+        assert not self.update(monitor, 10.0)
+        assert not self.update(monitor, 10.49)
+        assert self.update(monitor, 10.5)
+        assert monitor.reason == ""
+
+    def test_a_short_excursion_is_forgiven(self) -> None:
+        monitor = HealthMonitor(Thresholds(position=0.05, hold=0.5, grace=0.1))
+        for t in (0.0, 0.5):
+            self.update(monitor, t)
+        assert self.update(monitor, 0.6, axis1_position=-0.06)
+        assert self.update(monitor, 0.69, axis1_position=-0.06)
+        assert self.update(monitor, 0.695)
+        assert self.update(monitor, 0.7, axis1_position=-0.06)
+        assert not self.update(monitor, 0.8, axis1_position=-0.06)
+        assert monitor.reason == "axis1: position differs by -0.06 rad, allowed are 0.05"
+        assert not self.update(monitor, 0.9)
+        assert self.update(monitor, 1.4)
+
+    @pytest.mark.parametrize(
+        ("difference", "said"),
+        [
+            ({"axis2_position": 0.06}, "axis2: position differs by +0.06 rad"),
+            ({"axis1_speed": -11.0}, "axis1: velocity differs by -11 rad/s"),
+            ({"axis2_i_q": 0.04}, "axis2: effort differs by +0.08 N m"),
+        ],
+    )
+    def test_every_quantity_counts(self, difference: dict[str, float], said: str) -> None:
+        monitor = HealthMonitor(Thresholds(0.05, 10.0, 0.05, hold=0.0, grace=0.0))
+        assert self.update(monitor, 0.0)
+        assert not self.update(monitor, 0.1, **difference)
+        assert monitor.reason.startswith(said)
+
+    def test_an_interruption_begins_the_wait_anew(self) -> None:
+        monitor = HealthMonitor(Thresholds(hold=0.5))
+        self.update(monitor, 0.0)
+        assert self.update(monitor, 0.5)
+        monitor.interrupt("nothing to compare")
+        assert (monitor.healthy, monitor.reason) == (False, "nothing to compare")
+        assert not self.update(monitor, 0.6)
+        assert not self.update(monitor, 1.0)
+        assert self.update(monitor, 1.1)

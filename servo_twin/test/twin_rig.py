@@ -1,0 +1,154 @@
+"""A virtual board in the part of the real one, with a twin that hears of it what the bridge would tell. For tests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.convert import AppliedCommand, state_label
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.board import Board
+from servo_twin.plant import PlantConfig
+from servo_twin.replica import Replica
+from servo_twin.twin import Pair, Twin, TwinSettings
+
+from servo_msgs_py import topics
+
+CATALOGUE = Catalogue.load()
+AXIS_VARIABLES = ("position", "speed", "i_q", "state", "substate", "faults", "position_ref", "speed_ref", "i_q_ref")
+VARIABLES = ("tick", "applied_tick", "applied_count", *(f"axis{n}.{v}" for n in (1, 2) for v in AXIS_VARIABLES))
+COLUMNS = (*VARIABLES, *topics.STAMP_COLUMNS)
+EPOCH_NS = 1_700_000_000_000_000_123  # ROS time of tick zero
+EVERY = 96  # ticks between two samples: 6 ms, as at 115200 baud
+
+
+class TwinRig:
+    """Runs the real board and feeds the twin.
+
+    Parameters
+    ----------
+    real_seed, twin_seed : int
+        Of both boards.
+    every : int
+        Ticks between two samples.
+    plant : PlantConfig, optional
+        Of the real board, where it differs from what the twin believes.
+    settings : TwinSettings, optional
+        Of the twin.
+    tick_base : int
+        Added to the ticks that the twin hears of, a multiple of 2^32: the board has been up for days.
+
+    Attributes
+    ----------
+    reporting, listening : bool
+        Whether applied commands are reported; whether anything at all reaches the twin.
+    held : list or None
+        If a list, reports of applied commands are kept there instead of going to the twin.
+    """
+
+    def __init__(
+        self,
+        *,
+        real_seed: int = 1,
+        twin_seed: int = 2,
+        every: int = EVERY,
+        plant: PlantConfig | None = None,
+        settings: TwinSettings | None = None,
+        tick_base: int = 0,
+    ) -> None:
+        self.every = every
+        self.board = Board(plant, seed=real_seed)
+        self.real = Replica(self.board)
+        self.twin = Twin(lambda: Board(seed=twin_seed), settings)
+        self.pairs: list[Pair] = []
+        self.reporting = self.listening = True
+        self.held: list[AppliedCommand] | None = None
+        self._base = tick_base
+        self._written: list[tuple[str, tuple[int, int], int]] = []
+
+    def __enter__(self) -> TwinRig:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.twin.close()
+        self.real.close()
+
+    def reset_board(self, seed: int = 1) -> None:
+        """Switch the real board off and on."""
+        self.real.close()
+        self.board = Board(seed=seed)
+        self.real = Replica(self.board)
+
+    def write(self, variable: str, values: Sequence[float], mask: int = 3) -> None:
+        """Write to the real board; its effect is reported with the next sample."""
+        raw = [CATALOGUE[variable].to_raw(v) if mask >> n & 1 else 0 for n, v in enumerate(values)]
+        self.real.write(variable, raw, mask)
+        self._written.append((variable, (raw[0], raw[1]), mask))
+
+    def run(self, seconds: float) -> list[Pair]:
+        """Run the real board with samples; returns what the twin made of them."""
+        before = len(self.pairs)
+        for _ in range(round(seconds * 1e9 / PERIOD_NS / self.every)):
+            self.sample()
+        return self.pairs[before:]
+
+    def sample(self) -> None:
+        """Run the real board to its next sample and hand that to the twin."""
+        self.real.run_to(self.real.tick + self.every)
+        for variable, raw, mask in self._written:
+            self._report(AppliedCommand(variable, self._base + self.real.raw["applied_tick"], raw, mask))
+        self._written.clear()
+        tick = self._base + self.real.tick
+        row = [float(self.real.raw[name] * CATALOGUE[name].lsb) for name in VARIABLES]
+        row[0] = float(tick)
+        row += divmod(EPOCH_NS + tick * PERIOD_NS, 1_000_000_000)
+        if self.listening:
+            self.twin.samples(COLUMNS, np.array([row]))
+            self.pairs.extend(self.twin.step())
+
+    def _report(self, command: AppliedCommand) -> None:
+        if self.held is not None:
+            self.held.append(command)
+        elif self.reporting and self.listening:
+            self.twin.command(command)
+
+    def until(self, label: str, seconds: float = 3.0, axes: Sequence[int] = range(AXES)) -> None:
+        """Run until both axes of the real board are in a state."""
+        for _ in range(round(seconds * 1e9 / PERIOD_NS / self.every)):
+            self.sample()
+            if all(self.label(n) == label for n in axes):
+                return
+        raise AssertionError([self.label(n) for n in range(AXES)])
+
+    def label(self, axis: int) -> str:
+        prefix = f"axis{axis + 1}"
+        return state_label(CATALOGUE, self.real.raw[f"{prefix}.state"], self.real.raw[f"{prefix}.substate"])
+
+    def up(self) -> None:
+        """Both axes under control for 0.15 s."""
+        self.run(0.1)
+        self.write("cmd.enable", [1, 1])
+        self.until("RUN/SPIN")
+        self.run(0.15)
+
+    def move(self, turns: Sequence[float], seconds: float = 0.6, mask: int = 3) -> list[Pair]:
+        """Move to positions in turns from where the real board has its zero."""
+        self.write("cmd.position", [2.0 * math.pi * x for x in turns], mask)
+        return self.run(seconds)
+
+
+def worst(pairs: Sequence[Pair], name: str) -> float:
+    """Largest difference of a variable over pairs, of which there have to be some."""
+    return max(abs(pair.real[name] - pair.twin[name]) for pair in pairs)
+
+
+def worst_counts(pairs: Sequence[Pair]) -> float:
+    """Largest difference of a position of both axes [counts]."""
+    return max(worst(pairs, f"axis{n}.position") for n in (1, 2)) / CATALOGUE["axis1.position"].lsb
+
+
+def apart(pairs: Sequence[Pair]) -> list[str]:
+    """What kept the boards from being compared, each text once."""
+    return list(dict.fromkeys(pair.difference for pair in pairs if pair.difference))
