@@ -59,9 +59,11 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-generate: $(VENV)/.packages ## rewrite the committed generated files
-	$(BIN)/python -m servo_msgs_py.codegen
-	$(BIN)/python firmware/config/tune.py
+# Not from the installed packages: while the generated files are stale, the extension among them may not compile.
+generate: export PYTHONPATH := servo_msgs_py
+generate: $(VENV)/.created ## rewrite the committed generated files
+	@$(BIN)/python -m servo_msgs_py.codegen
+	@$(BIN)/python firmware/config/tune.py
 
 clean: ## remove everything that the other targets made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
@@ -78,7 +80,7 @@ $(VENV)/.created:
 	@python=$$(sh .ci/check-tools) && \
 	echo "[1/4] virtual environment $(VENV) with $$python" && \
 	"$$python" -m venv --clear $(if $(ROS_DISTRO),--system-site-packages) $(VENV)
-	@$(PIP) install --quiet --constraint constraints.txt pip setuptools cffi
+	@$(PIP) install --quiet --constraint constraints.txt pip setuptools cffi 'tomli; python_version < "3.11"'
 	@touch $@
 
 $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)

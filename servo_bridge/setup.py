@@ -39,6 +39,7 @@ setup(
         "console_scripts": [
             "servo_bridge = servo_bridge.node:main",
             "servo-tool = servo_bridge.tool:main",
+            "servo-command = servo_bridge.command:main",
             "servo-demo = servo_bridge.demo:main",
         ],
     },

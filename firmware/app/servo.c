@@ -16,6 +16,9 @@ static void hold(void *context, bool on)
     servo->held = on;
 }
 
+/* The same through the server's pointer: a call that no compiler can inline keeps what it protects between the two. */
+static void server_hold(servo_t *servo, bool on) { servo->freemaster.app.hold(servo, on); }
+
 static void written(void *context, uint16_t offset, uint16_t size)
 {
     servo_t *servo = (servo_t *)context;
@@ -51,20 +54,20 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
     *result_size = 0;
     switch (code) {
     case COMMAND_QUICK_STOP:
-        hold(servo, true);
+        server_hold(servo, true);
         write_to_all(servo, servo->command.quick_stop, 1);
-        hold(servo, false);
+        server_hold(servo, false);
         return 0;
     case COMMAND_CLEAR_FAULTS:
-        hold(servo, true);
+        server_hold(servo, true);
         write_to_all(servo, servo->command.clear_faults, 1);
-        hold(servo, false);
+        server_hold(servo, false);
         return 0;
     case COMMAND_IDENTIFY:
-        hold(servo, true);
+        server_hold(servo, true);
         *result_size = put_u32(result, servo->catalogue_hash);
         *result_size = (uint16_t)(*result_size + put_u32(result + 4, servo->snapshot.tick));
-        hold(servo, false);
+        server_hold(servo, false);
         return 0;
     default:
         return 1; /* unknown to the application */

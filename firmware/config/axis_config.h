@@ -34,6 +34,7 @@ typedef struct {
     frac16_t offset_duty_least; /* shortest high side during which an offset sample is true */
 
     uint16_t settle_ticks;    /* slow ticks in INIT until the bus filter has settled */
+    uint16_t stall_ticks_most;  /* slow ticks at full current without movement */
     uint16_t search_ticks_most; /* slow ticks that the rotor search may take */
     frac32_t stop_speed;      /* below it a withdrawn drive may coast */
     uint16_t stop_ticks_most; /* slow ticks after the ramp's end until the outputs go off at any speed */

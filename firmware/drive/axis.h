@@ -60,6 +60,7 @@ typedef struct {
     frac32_t speed_ramp;
     pi_state_t speed_pi;
     frac32_t speed_ref;
+    uint16_t stall_ticks; /* slow ticks at full current without movement */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
 } motion_state_t;
 

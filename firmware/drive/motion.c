@@ -180,6 +180,7 @@ void motion_start(axis_t *axis)
     axis->motion.speed_target = 0;
     axis->motion.i_q_target = 0;
     axis->motion.speed_ref = 0;
+    axis->motion.stall_ticks = 0;
     hold(axis);
 }
 
@@ -211,7 +212,10 @@ void motion_step(axis_t *axis)
         break;
     }
     axis->current_ref.q = speed_controller(axis);
+    m->stall_ticks = (m->speed_pi.excess != 0 && axis->feedback.still) ? (uint16_t)(m->stall_ticks + 1U) : 0U;
 }
+
+bool motion_stalled(const axis_t *axis) { return axis->motion.stall_ticks > axis->config->stall_ticks_most; }
 
 bool motion_stopped(const axis_t *axis)
 {

@@ -10,6 +10,9 @@ void motion_start(axis_t *axis);
 /* One slow tick: take fresh commands, shape, run the controllers, set `axis->current_ref`. */
 void motion_step(axis_t *axis);
 
+/* True when the speed controller has pushed with all it has for too long and nothing has moved. */
+bool motion_stalled(const axis_t *axis);
+
 /* True once a withdrawn drive has been ramped down, or has taken too long. */
 bool motion_stopped(const axis_t *axis);
 

@@ -163,7 +163,9 @@ static void spin_slow(axis_t *axis)
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->voltage_limited = false;
     }
-    if (!axis->requested && motion_stopped(axis)) {
+    if (motion_stalled(axis)) {
+        axis_raise(axis, FAULT_STALLED);
+    } else if (!axis->requested && motion_stopped(axis)) {
         spin_freewheel(axis);
     }
 }
