@@ -1,0 +1,305 @@
+"""Who commands: the one place where a set-point is let through, refused, timed out or thrown away.
+
+A request passes four gates: the link is up, set-points are released (only the service ``enable`` does that), every
+commanded axis is in RUN/SPIN, and every value is inside the limits of the board and of the configuration. It passes
+as a whole or not at all. What passed waits here as raw firmware integers until the dispatcher fetches it: mode
+first where it changes, then one write for all axes that move together. A newer set-point replaces one that is still
+waiting. Pure; time is handed in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from servo_msgs_py.catalogue import AXES, Catalogue, Variable
+
+from servo_bridge.setpoints import Mode, Rejected, Request
+
+__all__ = ["Arbiter", "AxisStatus", "CommandWrite", "JointLimits"]
+
+_TARGET = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
+_QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
+_NOT_ENABLED = "outputs have not been enabled over this bridge"
+
+
+@dataclass(frozen=True)
+class CommandWrite:
+    """A write of neighbouring elements of one command variable.
+
+    Attributes
+    ----------
+    variable : str
+        Name of the array variable.
+    first : int
+        Axis of the first element.
+    raw : tuple of int
+        Firmware integers; the firmware takes only the written elements as fresh.
+    """
+
+    variable: str
+    first: int
+    raw: tuple[int, ...]
+
+    @property
+    def mask(self) -> int:
+        """Bit per written axis; bit 0 is axis 1."""
+        return ((1 << len(self.raw)) - 1) << self.first
+
+    def per_axis(self) -> tuple[int, int]:
+        """Raw number of every axis; 0 where nothing is written."""
+        numbers = [0] * AXES
+        numbers[self.first : self.first + len(self.raw)] = self.raw
+        return numbers[0], numbers[1]
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of one joint on top of those of the board; infinite where there are none.
+
+    Attributes
+    ----------
+    position_min, position_max : float
+        [rad]
+    velocity_max, effort_max : float
+        Magnitudes, [rad/s] and [N m].
+    """
+
+    position_min: float = -math.inf
+    position_max: float = math.inf
+    velocity_max: float = math.inf
+    effort_max: float = math.inf
+
+    def of(self, mode: Mode) -> tuple[float, float]:
+        """Lowest and highest set-point of a mode."""
+        if mode is Mode.POSITION:
+            return self.position_min, self.position_max
+        magnitude = self.velocity_max if mode is Mode.SPEED else self.effort_max
+        return -magnitude, magnitude
+
+
+@dataclass(frozen=True)
+class AxisStatus:
+    """What the newest telemetry says about one axis.
+
+    Attributes
+    ----------
+    label : str
+        State in one word, for messages.
+    spinning : bool
+        RUN/SPIN: the axis obeys set-points.
+    faulted : bool
+        FAULT.
+    position_offset : int
+        Counts to take off a host position to get the int32 position of the board.
+    """
+
+    label: str
+    spinning: bool
+    faulted: bool = False
+    position_offset: int = 0
+
+
+@dataclass(frozen=True)
+class _Target:
+    mode: Mode
+    raw: int
+
+
+@dataclass(frozen=True)
+class _Watch:
+    mode: Mode
+    source: str
+    deadline: float
+
+
+class Arbiter:
+    """Set-points of all axes of one board.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Scales and limits of the command variables.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    limits : sequence of JointLimits
+        Per joint.
+    command_timeout : float
+        Silence after which a velocity or effort set-point becomes 0 [s].
+    """
+
+    def __init__(
+        self, catalogue: Catalogue, joints: Sequence[str], limits: Sequence[JointLimits], command_timeout: float
+    ) -> None:
+        self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in _TARGET.items()}
+        self._joints = list(joints)
+        self.limits = list(limits)
+        self.command_timeout = command_timeout
+        self._torque_constants: list[float] | None = None
+        self._axes: list[AxisStatus] | None = None
+        self._link = "the board has not been seen yet"
+        self._blocked = _NOT_ENABLED
+        self._modes: list[Mode | None] = [None] * AXES
+        self._targets: list[_Target | None] = [None] * AXES
+        self._watches: list[_Watch | None] = [None] * AXES
+
+    # ---- what the board says
+    def board_seen(self, axes: Sequence[AxisStatus]) -> None:
+        """Take the state of all axes from a sample; an axis that left RUN/SPIN loses what was waiting for it."""
+        self._axes = list(axes)
+        for axis, status in enumerate(axes):
+            if not status.spinning:
+                self._drop(axis)
+
+    def set_torque_constants(self, values: Sequence[float]) -> None:
+        """Torque per ampere of i_q of every axis, as the board believes it [N m/A]."""
+        self._torque_constants = list(values)
+
+    def link_lost(self, reason: str) -> None:
+        """Throw away what is waiting; set-points stay refused until ``enable`` is called again."""
+        self._link = reason
+        if self._axes is not None:
+            self.block("the link to the board was lost")
+        self._axes = None
+        self._torque_constants = None
+
+    # ---- the gate that only ``enable`` opens
+    def release(self) -> None:
+        """Let set-points through from now on; modes are written anew, whatever the board did meanwhile."""
+        self._blocked = ""
+        self._modes = [None] * AXES
+
+    def block(self, reason: str) -> None:
+        """Refuse set-points from now on and throw away what is waiting."""
+        self._blocked = reason
+        for axis in range(AXES):
+            self._drop(axis)
+
+    @property
+    def armed(self) -> bool:
+        """True when a set-point for every joint would be obeyed."""
+        return self._axes is not None and not self._blocked and all(axis.spinning for axis in self._axes)
+
+    # ---- commands
+    def submit(self, request: Request, now: float) -> None:
+        """Check a request and make it the waiting set-point of its axes.
+
+        Parameters
+        ----------
+        request : Request
+            Well-formed command.
+        now : float
+            Steady time [s].
+
+        Raises
+        ------
+        Rejected
+            If any of it must not pass; then nothing has changed.
+        """
+        self._check_ready(request)
+        targets = {axis: _Target(request.mode, self._raw(request, axis)) for axis in request.values}
+        deadline = math.inf if request.mode is Mode.POSITION else now + self.command_timeout
+        for axis, target in targets.items():
+            self._targets[axis] = target
+            self._watches[axis] = _Watch(request.mode, request.source, deadline)
+
+    def expire(self, now: float) -> list[str]:
+        """Turn velocity and effort set-points that were not renewed in time into 0; returns what to tell the user."""
+        events = []
+        for axis, watch in enumerate(self._watches):
+            if watch is not None and now >= watch.deadline:
+                self._targets[axis] = _Target(watch.mode, 0)
+                self._watches[axis] = None
+                quantity = _QUANTITY[watch.mode][0]
+                events.append(
+                    f"{self._joints[axis]}: no {quantity} command on {watch.source} for {self.command_timeout:g} s; "
+                    "set-point is now 0"
+                )
+        return events
+
+    def next_write(self) -> CommandWrite | None:
+        """Fetch the next write: modes before set-points, both axes in one write where they share the variable."""
+        waiting = {axis: target for axis, target in enumerate(self._targets) if target is not None}
+        changes = {axis: t.mode.value for axis, t in waiting.items() if self._modes[axis] is not t.mode}
+        if changes:
+            return _joined("cmd.mode", changes)
+        if not waiting:
+            return None
+        mode = next(iter(waiting.values())).mode
+        together = {axis: target.raw for axis, target in waiting.items() if target.mode is mode}
+        for axis in together:
+            self._targets[axis] = None
+        return _joined(_TARGET[mode], together)
+
+    def accepted(self, write: CommandWrite) -> None:
+        """Note that the board took a write."""
+        if write.variable == "cmd.mode":
+            for k, raw in enumerate(write.raw):
+                self._modes[write.first + k] = Mode(raw)
+
+    def failed(self, write: CommandWrite) -> None:
+        """Note that the board did not take a write: what waited for these axes is void, their mode unknown."""
+        for axis in range(write.first, write.first + len(write.raw)):
+            self._drop(axis)
+            self._modes[axis] = None
+
+    # ---- details
+    def _drop(self, axis: int) -> None:
+        self._targets[axis] = None
+        self._watches[axis] = None
+
+    def _check_ready(self, request: Request) -> None:
+        if self._axes is None:
+            raise Rejected(f"{request.source}: not connected ({self._link}); see state and /diagnostics")
+        for axis in request.values:
+            status, joint = self._axes[axis], self._joints[axis]
+            if status.faulted:
+                raise Rejected(
+                    f"{request.source}: {joint} is in FAULT; see /diagnostics for cause and remedy, call clear_faults, "
+                    "then enable"
+                )
+            if self._blocked:
+                raise Rejected(f"{request.source}: {self._blocked}; call the service enable with data: true first")
+            if not status.spinning:
+                raise Rejected(
+                    f"{request.source}: {joint} is in {status.label}, not in RUN/SPIN; call the service enable with "
+                    "data: true and wait until armed is true"
+                )
+
+    def _raw(self, request: Request, axis: int) -> int:
+        value, mode, joint = request.values[axis], request.mode, self._joints[axis]
+        variable = self._variables[mode]
+        low, high = self.limits[axis].of(mode)
+        factor, offset = 1.0, 0
+        if mode is Mode.TORQUE:
+            factor = self._amperes_per_newton_metre(request.source, axis)
+        elif mode is Mode.POSITION:
+            assert self._axes is not None
+            offset = self._axes[axis].position_offset
+        shift = offset * variable.lsb
+        low, high = max(low, variable.minimum / factor + shift), min(high, variable.maximum / factor + shift)
+        if not low <= value <= high:
+            quantity, unit = _QUANTITY[mode]
+            raise Rejected(
+                f"{request.source}: {quantity} of {joint} is {value:g} {unit}, outside {low:g} .. {high:g} {unit}; "
+                "send a value inside, or change the limits in the parameters of the bridge"
+            )
+        if mode is Mode.POSITION:
+            # Whole counts first: far from zero a float of the shifted angle would no longer resolve one count.
+            return round(value / variable.lsb) - offset
+        # A value at the limit itself must not fall outside by the last bit of the product.
+        return variable.to_raw(min(max(value * factor, variable.minimum), variable.maximum))
+
+    def _amperes_per_newton_metre(self, source: str, axis: int) -> float:
+        if self._torque_constants is None or self._torque_constants[axis] <= 0.0:
+            raise Rejected(
+                f"{source}: the board has not told its torque constant of {self._joints[axis]}; try again in a second"
+            )
+        return 1.0 / self._torque_constants[axis]
+
+
+def _joined(variable: str, elements: Mapping[int, int]) -> CommandWrite:
+    """One write of neighbouring elements; with two axes any set of elements is neighbouring."""
+    axes = sorted(elements)
+    return CommandWrite(variable, axes[0], tuple(elements[axis] for axis in axes))

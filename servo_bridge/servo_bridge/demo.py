@@ -1,0 +1,339 @@
+"""``servo-demo``: moves both axes over ROS topics and measures how well they got there.
+
+A separate process that knows the servo by its topics and services alone. It enables the axes, runs point-to-point
+moves, simultaneous moves, a reversal and a stop, shows what happens and ends with a table of figures. The axes are
+disabled at the end, whatever happened.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import signal
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rclpy
+from rclpy.exceptions import ROSInterruptException
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args, try_shutdown
+from servo_msgs_py.catalogue import Catalogue, axis_name
+from servo_msgs_py.convert import flag_texts
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
+
+from servo_bridge.demo_client import DemoError, ServoClient
+from servo_bridge.demo_report import Residual, Row, passed, report, table
+from servo_bridge.move_metrics import measure_move, rms
+
+__all__ = ["Demo", "main"]
+
+TURN: Final = 2.0 * math.pi
+_HOLD: Final = 0.25  # how long an axis has to stay on its target before the next move [s]
+_APPLY_TIMEOUT: Final = 2.0  # from publishing a set-point to its effect [s]
+_TWIN_TIMEOUT: Final = 3.0  # for the twin to catch up with a move [s]
+
+
+class Demo:
+    """The choreography.
+
+    Parameters
+    ----------
+    client : ServoClient
+        The servo.
+    tolerance : float
+        Half width of the band around a target that counts as arrived [rad].
+    timeout : float
+        Longest time for one move [s].
+    say : callable
+        Shows a line of progress.
+    """
+
+    def __init__(self, client: ServoClient, tolerance: float, timeout: float, say: Callable[[str], None]) -> None:
+        self._client = client
+        self._tolerance = tolerance
+        self._timeout = timeout
+        self._say = say
+        self._catalogue = Catalogue.load()
+        self._base: list[float] = []
+        self.twin = False
+        self.rows: list[Row] = []
+
+    # ---- phases
+    def connect(self, patience: float, *, require_twin: bool) -> None:
+        """Wait for the servo, and for the twin if it is required."""
+        client = self._client
+        self._say("waiting for the servo ...")
+        if not client.wait_for(client.ready, patience):
+            seen = f"; its state is: {client.state}" if client.state else ""
+            raise DemoError(
+                f"no servo telemetry within {patience:g} s{seen}. Start the servo first: `make up`, or `servo_bridge "
+                "--ros-args -p port:=/dev/ttyUSB0` for a board; ROS_DOMAIN_ID has to be the same here and there"
+            )
+        if require_twin and not client.wait_for(lambda: client.residual_after(0), patience):
+            raise DemoError(
+                f"no residuals of a twin within {patience:g} s. Start it with `servo_twin` and see its log, "
+                "or leave out --require-twin"
+            )
+        self.twin = require_twin or client.wait_for(lambda: client.twin_present, 1.0)
+        self._say(f"servo found: {client.state}; " + ("comparing with the twin" if self.twin else "no twin is running"))
+
+    def enable(self) -> None:
+        """Switch both axes on and wait until they obey."""
+        self._say("enabling again ..." if self._base else "enabling: the rotors are being searched ...")
+        self._client.enable(True)
+        if not self._watch_states(lambda: all(self._spins(axis) for axis in self._axes), 15.0):
+            raise DemoError(f"the axes did not get to RUN/SPIN within 15 s; state: {self._client.state}")
+        if not self._base:
+            # The nearest whole turn: near to where the shafts are, and easy to read in the table.
+            self._base = [round(self._position(axis) / TURN) * TURN for axis in self._axes]
+
+    def run(self) -> None:
+        """Run all moves."""
+        self._move("point to point", {0: 5.0})
+        self._move("point to point", {1: -5.0})
+        self._move("simultaneous", {0: 0.0, 1: 0.0})
+        self._move("reversal", {0: 0.0, 1: 0.0}, first={0: 5.0, 1: -5.0})
+        self._stop("stop", {0: 5.0, 1: -5.0})
+        self.enable()
+        self._move("return", {0: 0.0, 1: 0.0})
+
+    def disable(self) -> None:
+        """Switch both axes off and wait until they are."""
+        self._client.enable(False)
+        off = self._client.wait_for(lambda: "RUN" not in self._client.state, 10.0)
+        self._say(f"disabled: {self._client.state}" if off else f"still running down: {self._client.state}")
+
+    # ---- moves
+    def _move(self, title: str, turns: Mapping[int, float], first: Mapping[int, float] | None = None) -> None:
+        """One move; with `first`, that is commanded before and reversed half way."""
+        self._announce(title, turns if first is None else first)
+        if first is not None:
+            self._start_and_wait_half_way(first)
+            self._say("  half way: reversing")
+        start_ns, tick = self._command(turns)
+        targets = {axis: self._target(axis, turns[axis]) for axis in turns}
+        self._wait(lambda: all(self._rests(axis, targets[axis], tick) for axis in targets), title)
+        self._judge(title, tick, start_ns, targets)
+
+    def _stop(self, title: str, turns: Mapping[int, float]) -> None:
+        """A move that ``quick_stop`` ends half way; the axes have to hold where they came to rest."""
+        self._announce(title, turns)
+        self._start_and_wait_half_way(turns)
+        self._say("  half way: quick_stop")
+        known = len(self._client.applied)
+        start_ns = self._client.now_ns()
+        self._client.quick_stop()
+        tick = self._applied_since(known, "cmd.quick_stop")
+
+        def hold_point(axis: int) -> float:
+            return self._client.latest(f"{axis_name(axis)}.position_ref")
+
+        self._wait(lambda: all(self._rests(axis, hold_point(axis), tick) for axis in turns), title)
+        self._judge(title, tick, start_ns, {axis: hold_point(axis) for axis in turns})
+
+    def _announce(self, title: str, turns: Mapping[int, float]) -> None:
+        parts = (f"{self._client.joints[axis]} to {value:+g} turns" for axis, value in turns.items())
+        self._say(f"{title}: {', '.join(parts)}")
+
+    def _command(self, turns: Mapping[int, float]) -> tuple[int, int]:
+        """Publish targets; returns the ROS time before [ns] and the tick of their effect in the firmware."""
+        known = len(self._client.applied)
+        start_ns = self._client.now_ns()
+        self._client.command({axis: self._target(axis, value) for axis, value in turns.items()})
+        return start_ns, self._applied_since(known, "cmd.position")
+
+    def _start_and_wait_half_way(self, turns: Mapping[int, float]) -> None:
+        start = {axis: self._position(axis) for axis in turns}
+        self._command(turns)
+        half = {axis: (start[axis] + self._target(axis, value)) / 2.0 for axis, value in turns.items()}
+        self._wait(
+            lambda: all((self._position(axis) - half[axis]) * (half[axis] - start[axis]) >= 0.0 for axis in turns),
+            "the first half",
+        )
+
+    def _applied_since(self, known: int, variable: str) -> int:
+        """Tick at which the firmware took a write of `variable` that came after the first `known` ones."""
+        client = self._client
+
+        def found() -> bool:
+            return any(a.variable == variable for a in client.applied[known:])
+
+        if not client.wait_for(found, _APPLY_TIMEOUT):
+            raise DemoError(f"no {variable} took effect within {_APPLY_TIMEOUT:g} s; see the log of servo_bridge")
+        return next(a.tick for a in client.applied[known:] if a.variable == variable)
+
+    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait for the condition; a move that takes too long ends here and shows up in the table."""
+        done = self._client.wait_for(lambda: condition() or self._faulted(), self._timeout)
+        if self._faulted():
+            raise DemoError(f"{what}: {self._fault_text()}")
+        if not done:
+            self._say(f"  {what}: not there after {self._timeout:g} s")
+
+    def _judge(self, title: str, tick: int, start_ns: int, targets: Mapping[int, float]) -> None:
+        """Measure every axis of a move and show it."""
+        client = self._client
+        end_ns = client.now_ns()
+        self.twin = self.twin or client.twin_present
+        if self.twin and not client.wait_for(lambda: client.residual_after(end_ns), _TWIN_TIMEOUT):
+            self._say(f"  the twin has sent nothing for {_TWIN_TIMEOUT:g} s")
+        residuals = client.residuals(start_ns, end_ns)
+        for axis, target in targets.items():
+            prefix = axis_name(axis)
+            ticks, position, reference = client.since(tick, ["tick", f"{prefix}.position", f"{prefix}.position_ref"])
+            time = (ticks - tick) * (PERIOD_NS * 1e-9)
+            figures = measure_move(time, position, target, self._tolerance, reference=reference)
+            residual = None
+            if len(residuals):
+                difference = residuals[:, axis]
+                residual = Residual(rms(difference), float(np.max(np.abs(difference))), len(difference))
+            self.rows.append(Row(title, client.joints[axis], figures, residual))
+            settled = "did not settle" if figures.settling_time is None else f"settled in {figures.settling_time:.3f} s"
+            error = figures.error / TURN * COUNTS_PER_TURN
+            self._say(
+                f"  {client.joints[axis]}: {settled}, {figures.reached / TURN:+.4f} turns, {error:+.1f} counts off"
+            )
+
+    # ---- looking
+    @property
+    def _axes(self) -> range:
+        return range(len(self._client.joints))
+
+    def _target(self, axis: int, turns: float) -> float:
+        return self._base[axis] + turns * TURN
+
+    def _position(self, axis: int) -> float:
+        return self._client.latest(f"{axis_name(axis)}.position")
+
+    def _spins(self, axis: int) -> bool:
+        return f"{self._client.joints[axis]}=RUN/SPIN" in self._client.state.split()
+
+    def _rests(self, axis: int, target: float, since_tick: int) -> bool:
+        """The axis has been on its target for the hold time."""
+        hold = round(_HOLD * 1e9 / PERIOD_NS)
+        first = max(since_tick, self._client.tick - hold)
+        if self._client.tick - since_tick < hold:
+            return False
+        (position,) = self._client.since(first, [f"{axis_name(axis)}.position"])
+        return bool(np.all(np.abs(position - target) <= self._tolerance))
+
+    def _watch_states(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait for the condition and show every change of state; a fault ends it."""
+        shown = [""]
+
+        def look() -> bool:
+            if self._client.state != shown[0]:
+                shown[0] = self._client.state
+                self._say(f"  {shown[0]}")
+            return condition() or self._faulted()
+
+        done = self._client.wait_for(look, timeout)
+        if self._faulted():
+            raise DemoError(self._fault_text())
+        return done
+
+    def _faulted(self) -> bool:
+        state = self._client.state
+        return "FAULT" in state or state.startswith("DISCONNECTED")
+
+    def _fault_text(self) -> str:
+        texts = [
+            f"{self._client.joints[axis]}: {text}"
+            for axis in self._axes
+            for text in flag_texts(self._catalogue, "faults", int(self._client.latest(f"{axis_name(axis)}.faults")))
+        ]
+        return f"the servo stopped ({self._client.state}). {' '.join(texts)}".strip()
+
+
+def _arguments(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="servo-demo", description="Move both axes over ROS topics and measure.")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to this file")
+    parser.add_argument("--servo", default="servo", metavar="NAMESPACE", help="namespace of the board's node")
+    parser.add_argument("--twin", default="twin", metavar="NAMESPACE", help="namespace of the twin")
+    parser.add_argument("--require-twin", action="store_true", help="fail when no twin is running")
+    parser.add_argument(
+        "--tolerance", type=float, default=2.0, metavar="COUNTS", help="band that counts as arrived (default: 2)"
+    )
+    parser.add_argument(
+        "--timeout", type=float, default=10.0, metavar="S", help="longest time for a move (default: 10)"
+    )
+    parser.add_argument("--wait", type=float, default=20.0, metavar="S", help="patience for the servo (default: 20)")
+    arguments = parser.parse_args(argv)
+    if arguments.tolerance <= 0.0 or arguments.timeout <= 0.0 or arguments.wait < 0.0:
+        parser.error("tolerance and timeout have to be positive, wait must not be negative")
+    return arguments
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
+    # A hundredth of a count more, so that a whole number of counts is inside however its angle was rounded.
+    tolerance = (arguments.tolerance + 0.01) * TURN / COUNTS_PER_TURN
+    demo = Demo(client, tolerance, arguments.timeout, _say)
+    demo.connect(arguments.wait, require_twin=arguments.require_twin)
+    trouble = ""
+    try:
+        try:
+            demo.enable()
+            demo.run()
+        except DemoError as error:
+            trouble = str(error)
+        finally:
+            demo.disable()
+    except DemoError as error:
+        trouble = trouble or str(error)
+    figures = report(demo.rows, tolerance_counts=arguments.tolerance, twin=demo.twin) | {"trouble": trouble or None}
+    if arguments.json is not None:
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
+        arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    if demo.rows:
+        _say("\n" + table(demo.rows) + "\n")
+    if trouble:
+        _say(f"stopped: {trouble}")
+        return 1
+    if not passed(demo.rows, twin=demo.twin):
+        _say("not every axis got there" if not all(r.figures.arrived for r in demo.rows) else "the twin sent no data")
+        return 1
+    _say(f"both axes got there, within {arguments.tolerance:g} counts")
+    return 0
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Command line.
+
+    Returns
+    -------
+    int
+        0 when both axes got there, 1 when not, 2 when there is no servo, 130 after Ctrl-C.
+    """
+    argv = list(sys.argv if args is None else ["servo-demo", *args])
+    arguments = _arguments(remove_ros_args(argv)[1:])
+    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    # A polite end from outside disables the axes just as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    client: ServoClient | None = None
+    try:
+        client = ServoClient(EventsExecutor(), arguments.servo, arguments.twin)
+        return _perform(client, arguments)
+    except DemoError as error:
+        print(f"servo-demo: {error}", file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
+        print("servo-demo: interrupted", file=sys.stderr)
+        return 130
+    finally:
+        if client is not None:
+            client.close()
+        try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

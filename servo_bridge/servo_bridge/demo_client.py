@@ -1,0 +1,179 @@
+"""A user of the servo over ROS topics and services, as the demonstration needs it; knows nothing of board or link."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.executors import Executor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table
+from std_msgs.msg import Float64, Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from servo_msgs_py import topics
+
+__all__ = ["DemoError", "ServoClient"]
+
+_STEP: Final = 0.02  # longest time between two looks at a condition [s]
+
+
+class DemoError(RuntimeError):
+    """The demonstration cannot go on; the text says why and what to do."""
+
+
+class ServoClient(Node):
+    """Commands and records one servo.
+
+    Parameters
+    ----------
+    executor : Executor
+        Runs this node; only `wait_for` turns it.
+    servo, twin : str
+        Namespaces of the board's node and of its twin.
+    """
+
+    def __init__(self, executor: Executor, servo: str, twin: str) -> None:
+        super().__init__("servo_demo")
+        self._runner = executor
+        self._servo = servo
+        self.joints: list[str] = []
+        self.state = ""
+        self.columns: list[str] = []
+        self.applied: list[AppliedCommand] = []
+        self._rows: list[NDArray[np.float64]] = []
+        self._residuals: list[tuple[int, list[float]]] = []
+        self._residual_topic = f"{twin}/{topics.RESIDUAL}"
+        deep = topics.telemetry_qos(1000)
+        self._names = self.create_subscription(JointState, self._of(topics.JOINT_STATES), self._on_names, deep)
+        self.create_subscription(Float64MultiArray, self._of(topics.SNAPSHOT), self._on_snapshot, deep)
+        self.create_subscription(Float64MultiArray, self._of(topics.COMMANDS_APPLIED), self._on_applied, deep)
+        self.create_subscription(String, self._of(topics.STATE), self._on_state, topics.latched_qos())
+        self.create_subscription(JointState, self._residual_topic, self._on_residual, deep)
+        self._commands = self.create_publisher(JointState, self._of(topics.JOINT_COMMANDS), topics.command_qos())
+        self._single: dict[str, Any] = {}
+        self._enable = self.create_client(SetBool, self._of(topics.ENABLE))
+        self._quick_stop = self.create_client(Trigger, self._of(topics.QUICK_STOP))
+        executor.add_node(self)
+
+    def _of(self, name: str) -> str:
+        return f"{self._servo}/{name}"
+
+    # ---- waiting
+    def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Turn the executor until the condition holds or the time is over [s]; returns whether it holds."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() >= deadline:
+                return False
+            self._runner.spin_once(timeout_sec=_STEP)
+        return True
+
+    def ready(self) -> bool:
+        """Telemetry flows and the services and command topics are connected."""
+        return bool(
+            self.joints
+            and self._rows
+            and self.state
+            and self._enable.service_is_ready()
+            and self._quick_stop.service_is_ready()
+            and self._commands.get_subscription_count()
+            and all(publisher.get_subscription_count() for publisher in self._single.values())
+        )
+
+    @property
+    def twin_present(self) -> bool:
+        """Somebody publishes residuals."""
+        return bool(self.count_publishers(self._residual_topic))
+
+    # ---- commanding
+    def enable(self, on: bool) -> None:
+        """Call ``enable``; raises `DemoError` with the reason when it is refused."""
+        self._call(self._enable, SetBool.Request(data=on), topics.ENABLE)
+
+    def quick_stop(self) -> None:
+        """Call ``quick_stop``; raises `DemoError` with the reason when it is refused."""
+        self._call(self._quick_stop, Trigger.Request(), topics.QUICK_STOP)
+
+    def _call(self, client: Any, request: Any, name: str) -> None:
+        future = client.call_async(request)
+        if not self.wait_for(future.done, 3.0):
+            raise DemoError(f"the service {self._of(name)} does not answer; see the log of servo_bridge")
+        response = future.result()
+        if not response.success:
+            raise DemoError(f"the service {self._of(name)} refused: {response.message}")
+
+    def command(self, targets: Mapping[int, float]) -> None:
+        """Publish positions [rad] by axis: one axis on its own topic, both in one JointState."""
+        if len(targets) == 1:
+            ((axis, position),) = targets.items()
+            self._single[self.joints[axis]].publish(Float64(data=position))
+            return
+        names = [self.joints[axis] for axis in targets]
+        self._commands.publish(JointState(name=names, position=list(targets.values())))
+
+    def close(self) -> None:
+        """End the node."""
+        self._runner.remove_node(self)
+        Node.destroy_node(self)
+
+    # ---- recordings
+    @property
+    def tick(self) -> int:
+        """Tick of the newest sample."""
+        return int(self._rows[-1][self.columns.index("tick")])
+
+    def latest(self, column: str) -> float:
+        """Newest value of a column."""
+        return float(self._rows[-1][self.columns.index(column)])
+
+    def since(self, tick: int, columns: Sequence[str]) -> list[NDArray[np.float64]]:
+        """Columns of all samples from `tick` on."""
+        index = self.columns.index("tick")
+        first = len(self._rows)
+        while first and self._rows[first - 1][index] >= tick:
+            first -= 1
+        chosen = np.array(self._rows[first:]).reshape(-1, len(self.columns))
+        return [chosen[:, self.columns.index(name)] for name in columns]
+
+    def residuals(self, start_ns: int, end_ns: int) -> NDArray[np.float64]:
+        """Position residuals, samples by joints, stamped within a span of ROS time [ns]."""
+        chosen = [values for stamp, values in self._residuals if start_ns <= stamp <= end_ns]
+        return np.array(chosen, dtype=np.float64).reshape(-1, len(self.joints))
+
+    def residual_after(self, stamp_ns: int) -> bool:
+        """A residual of this time or later has come."""
+        return bool(self._residuals) and self._residuals[-1][0] >= stamp_ns
+
+    def now_ns(self) -> int:
+        """ROS time [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    # ---- incoming
+    def _on_names(self, message: JointState) -> None:
+        if self.joints:
+            return
+        self.joints = list(message.name)
+        for joint in self.joints:
+            topic = self._of(topics.joint_position_topic(joint))
+            self._single[joint] = self.create_publisher(Float64, topic, topics.command_qos())
+
+    def _on_snapshot(self, message: Float64MultiArray) -> None:
+        columns, rows = snapshot_table(message)
+        if columns != self.columns:
+            self.columns = columns
+            self._rows.clear()
+        self._rows.extend(rows)
+
+    def _on_applied(self, message: Float64MultiArray) -> None:
+        self.applied.append(applied_from_message(message))
+
+    def _on_state(self, message: String) -> None:
+        self.state = message.data
+
+    def _on_residual(self, message: JointState) -> None:
+        self._residuals.append((from_stamp(message.header.stamp), list(message.position)))

@@ -1,0 +1,175 @@
+"""The way of a command write to the board and the proof that it took effect.
+
+One command write is under way at a time. It counts as done when telemetry shows that the firmware has latched one
+more write; that sample's `applied_tick` is then exactly the tick of this write, so a twin can replay it. Urgent
+writes (enable, stop, clear) go before set-points. Pure; the link and the arbiter are handed in.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.units import SLOW_PERIODS
+
+from servo_bridge.arbiter import CommandWrite
+
+__all__ = ["Dispatcher", "SetPointQueue"]
+
+_PATIENCE = 40 * SLOW_PERIODS
+"""PWM periods (20 ms) after which an accepted write that no sample has shown is given up. The board latches within one
+slow tick; the rest is for a sample that was already on its way."""
+
+
+class SetPointQueue(Protocol):
+    """Where set-points wait; implemented by the arbiter."""
+
+    def next_write(self) -> CommandWrite | None: ...
+    def accepted(self, write: CommandWrite) -> None: ...
+    def failed(self, write: CommandWrite) -> None: ...
+
+
+@dataclass
+class _Item:
+    write: CommandWrite
+    done: Future[int] | None = None  # of an urgent write: the tick at which it took effect
+    acknowledged: bool = False
+    first_tick: int | None = field(default=None)  # of the first sample after the acknowledgement
+
+
+class Dispatcher:
+    """Sends command writes and attributes ticks to them. Every method is called from one thread.
+
+    Parameters
+    ----------
+    send : callable
+        Starts one write and returns at once; the owner reports its end through `acknowledged`.
+    set_points : SetPointQueue
+        Asked for the next write whenever the way is free.
+    on_trouble : callable
+        Gets a sentence for the log.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[CommandWrite], None],
+        set_points: SetPointQueue,
+        on_trouble: Callable[[str], None],
+    ) -> None:
+        self._send = send
+        self._set_points = set_points
+        self._on_trouble = on_trouble
+        self._urgent: deque[_Item] = deque()
+        self._under_way: _Item | None = None
+        self._count: int | None = None
+        self._open = False
+
+    def open(self) -> None:
+        """Start sending: the link is up."""
+        self._open = True
+        self._count = None
+
+    def close(self, reason: str) -> None:
+        """Stop sending and throw away everything that waits; the futures of urgent writes fail with `reason`."""
+        self._open = False
+        items = ([self._under_way] if self._under_way is not None else []) + list(self._urgent)
+        self._under_way = None
+        self._urgent.clear()
+        for item in items:
+            _fail(item, reason)
+
+    def urgent(self, write: CommandWrite) -> Future[int]:
+        """Queue a write that goes before every set-point.
+
+        Returns
+        -------
+        Future
+            The tick at which it took effect, or a `ConnectionError` that says why it did not.
+        """
+        item = _Item(write, Future())
+        assert item.done is not None
+        if not self._open:
+            _fail(item, "not connected")
+        else:
+            self._urgent.append(item)
+            self.pump()
+        return item.done
+
+    def pump(self) -> None:
+        """Send the next write when the way is free."""
+        if not self._open or self._under_way is not None or self._count is None:
+            return  # without a first sample the effect of a write could not be told
+        if self._urgent:
+            item = self._urgent.popleft()
+        else:
+            write = self._set_points.next_write()
+            if write is None:
+                return
+            item = _Item(write)
+        self._under_way = item
+        self._send(item.write)
+
+    def acknowledged(self, write: CommandWrite, error: str | None) -> None:
+        """Take the board's answer to a write: None, or why it was refused."""
+        item = self._under_way
+        if item is None or item.write is not write:
+            return  # thrown away meanwhile
+        if error is None:
+            item.acknowledged = True
+            if item.done is None:
+                self._set_points.accepted(write)
+            return
+        self._under_way = None
+        if item.done is None:
+            self._set_points.failed(write)
+            self._on_trouble(f"the write of {write.variable} failed and its set-point is void: {error}")
+        _fail(item, error)
+        self.pump()
+
+    def on_sample(self, tick: int, applied_tick: int, applied_count: int) -> AppliedCommand | None:
+        """Look in a sample for the effect of the write under way.
+
+        Parameters
+        ----------
+        tick : int
+            Extended tick of the sample.
+        applied_tick : int
+            uint32 tick of the last write that took effect.
+        applied_count : int
+            uint16 number of writes that took effect.
+        """
+        before, self._count = self._count, applied_count
+        item = self._under_way
+        if item is None or not item.acknowledged:
+            self.pump()
+            return None
+        if applied_count != before:
+            extended = tick - ((tick - applied_tick) & 0xFFFF_FFFF)
+            write = item.write
+            self._finish(item, extended)
+            return AppliedCommand(write.variable, extended, write.per_axis(), write.mask)
+        if item.first_tick is None:
+            item.first_tick = tick
+        elif tick - item.first_tick > _PATIENCE:
+            self._on_trouble(f"the board took a write of {item.write.variable} but did not carry it out")
+            if item.done is None:
+                self._set_points.failed(item.write)
+            _fail(item, "the board took the command but did not carry it out")
+            self._under_way = None
+            self.pump()
+        return None
+
+    def _finish(self, item: _Item, tick: int) -> None:
+        self._under_way = None
+        if item.done is not None:
+            item.done.set_result(tick)
+        self.pump()
+
+
+def _fail(item: _Item, reason: str) -> None:
+    if item.done is not None:
+        item.done.set_exception(ConnectionError(reason))

@@ -1,0 +1,154 @@
+"""What goes into /diagnostics: the state of link, board, axes and commands, in words. Pure apart from the messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from servo_msgs_py.catalogue import Catalogue, axis_name
+from servo_msgs_py.convert import diagnostic_status, flag_texts
+
+from servo_bridge.freemaster.client import BoardInfo
+from servo_bridge.link_state import LinkState, LinkStatus
+from servo_bridge.link_statistics import LinkStatistics
+from servo_bridge.telemetry import Frame
+
+__all__ = ["CommandFigures", "Health"]
+
+_OK: Final[bytes] = DiagnosticStatus.OK
+_WARN: Final[bytes] = DiagnosticStatus.WARN
+_ERROR: Final[bytes] = DiagnosticStatus.ERROR
+_TROUBLE: Final = ("timeouts", "crc_errors", "damaged", "refused")
+
+
+@dataclass
+class CommandFigures:
+    """Counts of the set-points since the start."""
+
+    accepted: int = 0
+    rejected: int = 0
+    last_rejection: str = ""
+
+
+class Health:
+    """Builds the statuses; remembers the last counters so that new trouble is seen.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        For the texts of faults and limits.
+    node : str
+        Name of the node, the first part of every status name.
+    hardware : str
+        Port of the board.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    """
+
+    def __init__(self, catalogue: Catalogue, node: str, hardware: str, joints: Sequence[str]) -> None:
+        self._catalogue = catalogue
+        self._node = node
+        self._hardware = hardware
+        self._joints = list(joints)
+        self._last = LinkStatistics()
+        self._last_rejected = 0
+
+    def link(self, status: LinkStatus, figures: LinkStatistics, baud: int, low_latency: str) -> DiagnosticStatus:
+        """Status of the serial link."""
+        level, message = _OK, f"{figures.sample_rate:.0f} samples/s"
+        fresh = [f"{count} {name.replace('_', ' ')}" for name in _TROUBLE if (count := self._new(name, figures))]
+        self._last = figures
+        if status.state is not LinkState.CONNECTED:
+            level, message = _ERROR, str(status)
+        elif fresh:
+            level, message = _WARN, "in the last second: " + ", ".join(fresh)
+        return self._status(
+            "link",
+            level,
+            message,
+            {
+                "port": self._hardware,
+                "baud": baud,
+                "low latency": low_latency,
+                "state": status.state.value,
+                "samples/s": f"{figures.sample_rate:.1f}",
+                "bytes/s out": f"{figures.bytes_out_rate:.0f}",
+                "bytes/s in": f"{figures.bytes_in_rate:.0f}",
+                "round trip p50 [ms]": f"{figures.round_trip_p50 * 1e3:.2f}",
+                "round trip p99 [ms]": f"{figures.round_trip_p99 * 1e3:.2f}",
+                "samples": figures.samples,
+                "writes": figures.writes,
+                "time-outs": figures.timeouts,
+                "CRC errors": figures.crc_errors,
+                "damaged answers": figures.damaged,
+                "refused requests": figures.refused,
+                "retries": figures.retries,
+                "stray bytes": figures.stray_bytes,
+                "connections": figures.connections,
+                "board resets": figures.resets,
+            },
+        )
+
+    def _new(self, counter: str, figures: LinkStatistics) -> int:
+        return int(getattr(figures, counter)) - int(getattr(self._last, counter))
+
+    def board(self, info: BoardInfo | None, frame: Frame | None) -> DiagnosticStatus:
+        """Status of the board itself."""
+        if info is None or frame is None:
+            return self._status("board", _ERROR, "not connected", {})
+        return self._status(
+            "board",
+            _OK,
+            f"{info.name or 'board'}, {info.description or 'no description'}",
+            {
+                "name": info.name,
+                "version": info.version,
+                "build": info.build,
+                "catalogue hash": f"{self._catalogue.hash:08X}",
+                "tick": frame.tick,
+                "bus voltage [V]": _number(frame.values.get("u_dc")),
+            },
+        )
+
+    def axis(self, axis: int, frame: Frame | None) -> DiagnosticStatus:
+        """Status of one axis, faults with cause and remedy."""
+        name, prefix = self._joints[axis], axis_name(axis)
+        if frame is None:
+            return self._status(name, _ERROR, "not connected", {})
+        status = frame.axes[axis]
+        faults = flag_texts(self._catalogue, "faults", frame.faults[axis])
+        word = frame.values.get(f"{prefix}.limits")
+        limits = [] if word is None else [f.name for f in self._catalogue.active("limits", int(word))]
+        level = _ERROR if faults or status.faulted else _OK
+        at_limit = f", at limit: {', '.join(limits)}" if limits else ""
+        values: dict[str, object] = {"state": status.label, "limits": ", ".join(limits) or "none"}
+        for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
+            values[f"{column} [{unit}]"] = _number(frame.values[f"{prefix}.{column}"])
+        return self._status(name, level, "; ".join(faults) or status.label + at_limit, values)
+
+    def commands(self, figures: CommandFigures, *, armed: bool) -> DiagnosticStatus:
+        """Status of the set-points."""
+        fresh = figures.rejected - self._last_rejected
+        self._last_rejected = figures.rejected
+        level = _WARN if fresh else _OK
+        message = f"rejected: {figures.last_rejection}" if fresh else "armed" if armed else "not armed"
+        return self._status(
+            "commands",
+            level,
+            message,
+            {
+                "armed": armed,
+                "accepted": figures.accepted,
+                "rejected": figures.rejected,
+                "last rejection": figures.last_rejection or "none",
+            },
+        )
+
+    def _status(self, part: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
+        return diagnostic_status(f"{self._node}: {part}", level, message, self._hardware, values)
+
+
+def _number(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.4g}"

@@ -1,0 +1,170 @@
+"""What the services enable, quick_stop and clear_faults do. Pure; answers are futures of success and message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+
+from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.convert import flag_texts
+from servo_msgs_py.units import SLOW_PERIODS
+
+from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.telemetry import Frame
+
+__all__ = ["MotionServices", "Outcome"]
+
+Outcome = tuple[bool, str]
+"""Success and message."""
+
+_RECHECK = 4 * SLOW_PERIODS
+"""PWM periods after which a fault whose cause is still there has come back."""
+
+
+class MotionServices:
+    """The three services; all of it in the executor's thread.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        For the texts of faults.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    arbiter : Arbiter
+        Its gate is opened by ``enable`` and shut by everything else.
+    dispatcher : Dispatcher
+        Carries the writes.
+    """
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        joints: Sequence[str],
+        arbiter: Arbiter,
+        dispatcher: Dispatcher,
+        on_event: Callable[[str], None],
+    ) -> None:
+        self._catalogue = catalogue
+        self._joints = list(joints)
+        self._arbiter = arbiter
+        self._dispatcher = dispatcher
+        self._on_event = on_event
+        self._frame: Frame | None = None
+        self._reason = "the board has not been seen yet"
+        self._stops = 0
+        self._rechecks: list[tuple[int, Future[Outcome]]] = []
+
+    def on_frame(self, frame: Frame) -> None:
+        """Take the newest sample."""
+        if self._frame is None and any(axis.spinning for axis in frame.axes):
+            # Whoever set this motion going may be gone, and a velocity would never time out.
+            self._dispatcher.urgent(_both("cmd.quick_stop", 1))
+            self._on_event("the board was still enabled: it stops and holds; call enable to go on")
+        self._frame = frame
+        due = [entry for entry in self._rechecks if frame.tick >= entry[0]]
+        for entry in due:
+            self._rechecks.remove(entry)
+            faults = self._faults(frame)
+            entry[1].set_result((not faults, f"still there: {faults}" if faults else "no faults"))
+
+    def link_lost(self, reason: str) -> None:
+        """Answer everybody who waits."""
+        self._frame = None
+        self._reason = reason
+        waiting, self._rechecks = self._rechecks, []
+        for _, answer in waiting:
+            answer.set_result((False, f"the link was lost: {reason}"))
+
+    # ---- services
+    def enable(self, on: bool) -> Future[Outcome]:
+        """Switch both axes on, and let set-points through again; or ramp down and switch off."""
+        if not on:
+            return self._stop(
+                "cmd.enable", 0, "disabled by the service enable", "ramping down and switching off; see state"
+            )
+        frame = self._frame
+        if frame is None:
+            return _answered(False, self._not_connected())
+        faults = self._faults(frame)
+        if faults or any(axis.faulted for axis in frame.axes):
+            return _answered(False, f"{faults or 'an axis is in FAULT'}; then call clear_faults and enable again")
+        stops = self._stops
+
+        def done() -> Outcome:
+            if stops != self._stops:
+                return False, "a stop came in between; call enable again"
+            self._arbiter.release()
+            if self._arbiter.armed:
+                return True, "both axes are on; set-points are let through"
+            return True, "switching on; armed becomes true when both axes are in RUN/SPIN, state shows the way there"
+
+        return self._write(_both("cmd.enable", 1), done)
+
+    def quick_stop(self) -> Future[Outcome]:
+        """Ramp down at the limit and hold; set-points stay refused until ``enable`` is called."""
+        return self._stop(
+            "cmd.quick_stop",
+            1,
+            "stopped by the service quick_stop",
+            "stopping at the limit, then holding; call enable with data: true to let set-points through again",
+        )
+
+    def clear_faults(self) -> Future[Outcome]:
+        """Clear the faults whose cause is gone; nothing is switched on by it."""
+        frame = self._frame
+        if frame is None:
+            return _answered(False, self._not_connected())
+        answer: Future[Outcome] = Future()
+
+        def written(done: Future[int]) -> None:
+            error = done.exception()
+            if error is not None:
+                answer.set_result((False, str(error)))
+            else:
+                self._rechecks.append((done.result() + _RECHECK, answer))
+
+        self._dispatcher.urgent(_both("cmd.clear_faults", 1)).add_done_callback(written)
+        return answer
+
+    # ---- details
+    def _stop(self, variable: str, value: int, reason: str, message: str) -> Future[Outcome]:
+        """Shut the gate at once, then write."""
+        self._stops += 1
+        self._arbiter.block(reason)
+        if self._frame is None:
+            return _answered(False, self._not_connected())
+        return self._write(_both(variable, value), lambda: (True, message))
+
+    def _write(self, write: CommandWrite, done: Callable[[], Outcome]) -> Future[Outcome]:
+        answer: Future[Outcome] = Future()
+
+        def written(result: Future[int]) -> None:
+            error = result.exception()
+            answer.set_result(done() if error is None else (False, str(error)))
+
+        self._dispatcher.urgent(write).add_done_callback(written)
+        return answer
+
+    def _faults(self, frame: Frame) -> str:
+        """Faults of all axes as text, empty when there are none."""
+        return "; ".join(
+            f"{joint}: {text}"
+            for joint, word in zip(self._joints, frame.faults, strict=True)
+            for text in flag_texts(self._catalogue, "faults", word)
+        )
+
+    def _not_connected(self) -> str:
+        return f"not connected: {self._reason}; outputs that were on go off when the board misses its host"
+
+
+def _both(variable: str, value: int) -> CommandWrite:
+    """Write of the same number to every axis."""
+    return CommandWrite(variable, 0, (value,) * AXES)
+
+
+def _answered(success: bool, message: str) -> Future[Outcome]:
+    """A future that is done."""
+    future: Future[Outcome] = Future()
+    future.set_result((success, message))
+    return future

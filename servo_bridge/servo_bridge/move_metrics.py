@@ -1,0 +1,123 @@
+"""How well a move went: pure measurement on recorded telemetry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["MoveFigures", "measure_move", "rms", "settling_time"]
+
+Series = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MoveFigures:
+    """Figures of one axis in one move.
+
+    Attributes
+    ----------
+    commanded, reached : float
+        Set-point and mean position at the end [rad].
+    error : float
+        `reached` minus `commanded` [rad].
+    settling_time : float or None
+        Time from the set-point's effect until the position stays inside the tolerance [s]; None: it never did.
+    overshoot : float
+        Largest excursion beyond the set-point in the direction of the move [rad]; never negative.
+    tracking_rms, tracking_max : float or None
+        Position minus shaped set-point over the move [rad]; None when the shaped set-point was not recorded.
+    arrived : bool
+        The position stayed inside the tolerance for the whole last part.
+    """
+
+    commanded: float
+    reached: float
+    error: float
+    settling_time: float | None
+    overshoot: float
+    tracking_rms: float | None
+    tracking_max: float | None
+    arrived: bool
+
+
+def settling_time(time: Series, error: Series, tolerance: float) -> float | None:
+    """First time after which the error stays inside the tolerance.
+
+    Parameters
+    ----------
+    time : array
+        Rising times [s].
+    error : array
+        Deviation from the target.
+    tolerance : float
+        In the unit of `error`, inclusive.
+
+    Returns
+    -------
+    float or None
+        None when the last sample is still outside.
+    """
+    outside = np.flatnonzero(np.abs(error) > tolerance)
+    if outside.size == 0:
+        return float(time[0])
+    last = int(outside[-1])
+    return None if last + 1 == len(time) else float(time[last + 1])
+
+
+def rms(values: Series) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def measure_move(
+    time: Series,
+    position: Series,
+    target: float,
+    tolerance: float,
+    *,
+    reference: Series | None = None,
+    hold: float = 0.1,
+) -> MoveFigures:
+    """Judge a move from the samples after its set-point took effect.
+
+    Parameters
+    ----------
+    time : array
+        Time since the set-point took effect [s]; rising, at least two samples.
+    position : array
+        Measured position [rad].
+    target : float
+        Set-point [rad].
+    tolerance : float
+        Half width of the band that counts as arrived [rad].
+    reference : array, optional
+        Shaped set-point [rad].
+    hold : float
+        Length of the last part over which the position is averaged and has to stay in the band [s].
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two samples or lengths differ.
+    """
+    if len(time) < 2 or len(position) != len(time) or (reference is not None and len(reference) != len(time)):
+        raise ValueError("at least two samples and series of equal length are needed")
+    error = position - target
+    last = time >= time[-1] - hold
+    reached = float(np.mean(position[last]))
+    direction = np.sign(target - position[0])
+    # Without a distance to go any excursion is one too many.
+    beyond = float(np.max(error * direction)) if direction else float(np.max(np.abs(error)))
+    lag = None if reference is None else position - reference
+    return MoveFigures(
+        commanded=target,
+        reached=reached,
+        error=reached - target,
+        settling_time=settling_time(time, error, tolerance),
+        overshoot=max(0.0, beyond),
+        tracking_rms=None if lag is None else rms(lag),
+        tracking_max=None if lag is None else float(np.max(np.abs(lag))),
+        arrived=bool(np.all(np.abs(error[last]) <= tolerance)),
+    )

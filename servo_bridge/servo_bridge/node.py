@@ -1,0 +1,374 @@
+"""``servo_bridge``: the board on a serial port as a ROS 2 node.
+
+A thin shell. The way of a set-point: `setpoint_topics` -> `setpoints` (form) -> `arbiter` (may it pass?) ->
+`dispatcher` (one write at a time) -> `link` (serial port, own thread) -> firmware. The way back: `link` -> `inbox`
+(into the executor's thread) -> `telemetry` -> `publications`. Nothing here touches the port, and only the executor's
+thread touches the rest.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, Future
+from functools import partial
+from typing import Any, Final, Protocol
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import ROSInterruptException
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import ok, try_shutdown
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
+from servo_msgs_py.convert import diagnostic_array, flag_texts
+from std_srvs.srv import SetBool, Trigger
+
+from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.board_clock import BoardClock, WallClock
+from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.freemaster.client import BoardInfo
+from servo_bridge.health import Health
+from servo_bridge.inbox import Inbox
+from servo_bridge.link import FinalWrite, Link, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
+from servo_bridge.link_statistics import LinkStatistics
+from servo_bridge.motion_services import MotionServices
+from servo_bridge.parameters import ParameterError, Settings, declare, watch
+from servo_bridge.publications import Publications
+from servo_bridge.scope import ScopeLayout
+from servo_bridge.serial_port import LowLatency
+from servo_bridge.services import DeferredService
+from servo_bridge.setpoint_topics import SetPointTopics
+from servo_bridge.telemetry import Frame, Telemetry
+from servo_bridge.variable_topics import VariableTopics
+from servo_msgs_py import topics
+
+__all__ = ["BoardLink", "LinkFactory", "ServoBridge", "main"]
+
+_WATCH_PERIOD: Final = 0.02  # between two looks at the age of velocity and effort set-points [s]
+_SPIN_TIMEOUT: Final = 0.1  # how long a stop signal may go unnoticed [s]
+_SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
+
+
+class BoardLink(Protocol):
+    """What the node needs of a `Link`."""
+
+    layout: ScopeLayout
+
+    def start(self) -> None: ...
+    def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool: ...
+    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0) -> Future[WriteResult]: ...
+    def read(self, name: str) -> Future[Value]: ...
+    def statistics(self) -> LinkStatistics: ...
+    @property
+    def board(self) -> BoardInfo | None: ...
+    @property
+    def low_latency(self) -> LowLatency: ...
+
+
+class LinkFactory(Protocol):
+    """Makes a link; `Link` itself, unless a test puts something else in its place."""
+
+    def __call__(
+        self,
+        config: LinkConfig,
+        catalogue: Catalogue,
+        *,
+        on_sample: Callable[[Sample], None],
+        on_state: Callable[[LinkStatus], None],
+    ) -> BoardLink: ...
+
+
+class ServoBridge(Node):
+    """The node.
+
+    Parameters
+    ----------
+    call_soon : callable
+        Makes the executor call a function in its own thread; may be called from any thread.
+    link_factory : LinkFactory
+        Makes the link to the board.
+    node_arguments : keyword arguments
+        For `rclpy.node.Node`.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter does not make sense.
+    """
+
+    def __init__(
+        self,
+        call_soon: Callable[[Callable[[], None]], object],
+        *,
+        link_factory: LinkFactory = Link,
+        **node_arguments: Any,
+    ) -> None:
+        super().__init__("servo_bridge", namespace="servo", **node_arguments)
+        self._log = Node.get_logger(self)
+        self._catalogue = Catalogue.load()
+        self._settings = declare(self, self._catalogue)
+        self._inbox = Inbox(call_soon)
+        self._link = self._make_link(link_factory)
+        settings = self._settings
+        self._joints = settings.joints
+        self._telemetry = Telemetry(self._catalogue, self._link.layout.variables)
+        self._board_clock = BoardClock(minimum_delay_ns=self._link.layout.size * 10 * 1_000_000_000 // settings.baud)
+        self._wall = WallClock(lambda: self.get_clock().now().nanoseconds)
+        self._arbiter = Arbiter(self._catalogue, self._joints, settings.limits, settings.command_timeout)
+        self._dispatcher = Dispatcher(self._send, self._arbiter, self._warn)
+        self._publications = Publications(
+            self,
+            self._joints,
+            self._telemetry.columns,
+            joint_states_rate=settings.joint_states_rate,
+            snapshot_period=settings.snapshot_period,
+        )
+        self._variables = VariableTopics(
+            self,
+            [self._catalogue[name] for name in settings.variables],
+            self._telemetry.columns,
+            self._link.read,
+            self._inbox.post,
+        )
+        self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
+        self._health = Health(self._catalogue, self.get_name(), settings.port, self._joints)
+        self._set_points = SetPointTopics(self, self._joints, self._arbiter, self._dispatcher.pump, self._warn)
+        self._status = LinkStatus(LinkState.DISCONNECTED, "starting")
+        self._frame: Frame | None = None
+        self._epoch = 0
+        self._ended = False
+        self._torque_constants: list[float] | None = None
+        self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
+        self._offer_services()
+        self._start_timers()
+        watch(self, self._catalogue, self._settings_changed)
+        self._publish_state()
+        self._link.start()
+
+    # ---- construction
+    def _make_link(self, factory: LinkFactory) -> BoardLink:
+        settings = self._settings
+        config = LinkConfig(url=settings.port, baud=settings.baud, telemetry=settings.telemetry)
+        try:
+            return factory(
+                config,
+                self._catalogue,
+                on_sample=lambda sample: self._inbox.post(partial(self._on_sample, sample)),
+                on_state=lambda status: self._inbox.post(partial(self._on_link, status)),
+            )
+        except ValueError as error:
+            raise ParameterError(f"parameter telemetry: {error}") from None
+
+    def _offer_services(self) -> None:
+        motion = self._motion
+        self._services_offered = [
+            DeferredService(self, SetBool, topics.ENABLE, lambda request: motion.enable(request.data)),
+            DeferredService(self, Trigger, topics.QUICK_STOP, lambda _: motion.quick_stop()),
+            DeferredService(self, Trigger, topics.CLEAR_FAULTS, lambda _: motion.clear_faults()),
+        ]
+
+    def _start_timers(self) -> None:
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_WATCH_PERIOD, self._watch_silence, clock=steady)
+        self.create_timer(1.0, self._every_second, clock=steady)
+        if self._settings.variables:
+            self.create_timer(1.0 / self._settings.variable_rate, self._publish_variables, clock=steady)
+
+    def _settings_changed(self, settings: Settings) -> None:
+        self._settings = settings
+        self._arbiter.limits = list(settings.limits)
+        self._arbiter.command_timeout = settings.command_timeout
+
+    # ---- commands
+    def _send(self, write: CommandWrite) -> None:
+        """Start a write; its end comes back through the inbox, in order with the samples."""
+
+        def done(future: Future[WriteResult]) -> None:
+            self._inbox.post(partial(self._dispatcher.acknowledged, write, _error_of(future)))
+
+        self._link.write_raw(write.variable, write.raw, first=write.first).add_done_callback(done)
+
+    def _watch_silence(self) -> None:
+        for event in self._arbiter.expire(time.monotonic()):
+            self._warn(event)
+        self._dispatcher.pump()
+
+    # ---- what comes from the link
+    def _on_link(self, status: LinkStatus) -> None:
+        self._status = status
+        if status.state is LinkState.CONNECTED:
+            self._log.info(str(status))
+            self._dispatcher.open()
+            self._read_torque_constants()
+        else:
+            if status.state is LinkState.CONNECTING:
+                self._log.info(str(status))
+            else:
+                self._log.error(str(status))
+            self._publications.flush()
+            self._frame = None
+            self._torque_constants = None
+            self._variables.link_lost()
+            self._arbiter.link_lost(status.reason)
+            self._dispatcher.close(status.reason)
+            self._motion.link_lost(status.reason)
+        self._publish_state()
+
+    def _on_sample(self, sample: Sample) -> None:
+        if self._status.state is not LinkState.CONNECTED:
+            return  # was on its way when the link broke
+        frame = self._telemetry.frame(sample)
+        if frame.epoch != self._epoch:
+            self._epoch = frame.epoch
+            self._board_clock.reset()
+        stamp = self._wall.wall_ns(self._board_clock.update(frame.tick, frame.response_ns))
+        self._log_faults(frame)
+        self._frame = frame
+        self._arbiter.board_seen(frame.axes)
+        applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
+        self._motion.on_frame(frame)
+        if applied is not None:
+            # Before the sample that shows its effect, so that whoever replays has it in time.
+            self._publications.applied(applied)
+        self._publications.sample(frame, stamp, self._torque_constants)
+        self._publish_state()
+
+    def _log_faults(self, frame: Frame) -> None:
+        for axis, word in enumerate(frame.faults):
+            before = self._frame.faults[axis] if self._frame is not None else 0
+            for text in flag_texts(self._catalogue, "faults", word & ~before):
+                self._log.error(f"{self._joints[axis]}: {text}")
+
+    def _read_torque_constants(self) -> None:
+        futures = [self._link.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES)]
+
+        def take() -> None:
+            with contextlib.suppress(Exception):  # a lost link; it is read again when the link is back
+                self._torque_constants = [float(_scalar(future.result(0))) for future in futures]
+                self._arbiter.set_torque_constants(self._torque_constants)
+
+        # The link works in order: when the last one is done, all are.
+        futures[-1].add_done_callback(lambda _: self._inbox.post(take))
+
+    # ---- what goes out regularly
+    def _publish_state(self) -> None:
+        frame = self._frame
+        if self._status.state is not LinkState.CONNECTED:
+            text = f"DISCONNECTED {self._status}"
+        elif frame is None:
+            return  # the first sample comes at once
+        else:
+            text = " ".join(f"{joint}={axis.label}" for joint, axis in zip(self._joints, frame.axes, strict=True))
+        self._publications.state(text, armed=self._arbiter.armed)
+
+    def _publish_variables(self) -> None:
+        if self._frame is not None:
+            self._variables.publish(self._frame.values)
+
+    def _every_second(self) -> None:
+        self._wall.refresh()
+        health, frame = self._health, self._frame
+        statuses = [
+            health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
+            health.board(self._link.board, frame),
+            *(health.axis(axis, frame) for axis in range(AXES)),
+            health.commands(self._set_points.figures, armed=self._arbiter.armed),
+        ]
+        self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))
+
+    def _warn(self, text: str) -> None:
+        self._log.warning(text)
+
+    # ---- end
+    def shutdown(self) -> None:
+        """Switch both axes off, close the port, say so and end the node; takes a few seconds at most."""
+        if self._ended:
+            return
+        self._ended = True
+        connected = self._status.state is LinkState.CONNECTED
+        self._inbox.close()
+        switched_off = self._link.close(_SWITCH_OFF)
+        if connected and not switched_off:
+            self._warn(
+                "the board did not confirm that it was switched off; it does so by itself when the host is silent"
+            )
+        self._arbiter.link_lost("the bridge was stopped")
+        self._publications.flush()
+        self._publications.state("DISCONNECTED the bridge was stopped", armed=False)
+        Node.destroy_node(self)
+
+
+def _scalar(value: Value) -> float:
+    if isinstance(value, (int, float)):
+        return value
+    raise TypeError(f"{value!r} is not a single number")
+
+
+def _error_of(done: Future[Any]) -> str | None:
+    """Why a future failed, None when it did not."""
+    try:
+        error = done.exception(0)
+    except CancelledError:
+        return "cancelled"
+    return None if error is None else str(error)
+
+
+def _without_places(text: str) -> str:
+    """First line of an error of rcl without the places in its C sources."""
+    return re.sub(r", at \S+:\d+", "", text.splitlines()[0])
+
+
+def _catch_signals(stop: threading.Event) -> None:
+    """Let SIGINT and SIGTERM end the loop, so that the board is switched off while ROS still works."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: stop.set())
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until Ctrl-C or SIGTERM.
+
+    Returns
+    -------
+    int
+        0 after an orderly end, 2 when a parameter or an argument does not make sense.
+    """
+    stop = threading.Event()
+    try:
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        print(f"servo_bridge: {_without_places(str(error))}", file=sys.stderr)
+        return 2
+    _catch_signals(stop)
+    executor = EventsExecutor()
+    node: ServoBridge | None = None
+    try:
+        node = ServoBridge(executor.create_task)
+        executor.add_node(node)
+        while ok() and not stop.is_set():
+            executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
+    except ParameterError as error:
+        print(f"servo_bridge: {error}", file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
+        pass
+    finally:
+        if node is not None:
+            executor.remove_node(node)
+            node.shutdown()
+        try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,216 @@
+"""Parameters of the bridge node: declared with descriptors, checked, and handed on as one typed object."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from servo_msgs_py.catalogue import AXES, Catalogue
+
+from servo_bridge.arbiter import JointLimits
+from servo_bridge.telemetry import telemetry_variables
+
+__all__ = ["PARAMETERS", "ParameterError", "Settings", "Spec", "declare", "settings_from", "watch"]
+
+_JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+class ParameterError(ValueError):
+    """A parameter does not make sense; the text names it and says what does."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One parameter: default, description, range, and whether it can change while the node runs."""
+
+    default: Any
+    description: str
+    low: float | None = None
+    high: float | None = None
+    read_only: bool = True
+
+    def descriptor(self) -> ParameterDescriptor:
+        """ROS descriptor."""
+        result = ParameterDescriptor(description=self.description, read_only=self.read_only)
+        if self.low is not None and self.high is not None:
+            if isinstance(self.default, int):
+                result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=0)]
+            else:
+                result.floating_point_range = [FloatingPointRange(from_value=self.low, to_value=self.high, step=0.0)]
+        return result
+
+
+PARAMETERS: Mapping[str, Spec] = {
+    "port": Spec(
+        "/dev/ttyUSB0", "serial port of the board: a device path or any pyserial URL such as socket://host:port"
+    ),
+    "baud": Spec(115200, "line speed of the serial port [bit/s]", 1200, 4_000_000),
+    "joints": Spec(["axis1", "axis2"], "joint names in the order of the axes"),
+    "telemetry": Spec(
+        [
+            "u_dc",
+            *(f"axis{k}.{name}" for k in (1, 2) for name in ("position_ref", "speed_ref", "i_q_ref", "limits")),
+        ],
+        "variables read with every sample and published on snapshot, besides those that the bridge itself needs; "
+        "every byte more costs sample rate",
+    ),
+    "variables": Spec(
+        ["u_dc", "axis1.i_q", "axis2.i_q"],
+        "variables published one by one as var/<name>; those outside the telemetry are read one at a time",
+    ),
+    "variable_rate": Spec(20.0, "rate of the var/ topics [Hz]", 0.1, 200.0),
+    "joint_states_rate": Spec(0.0, "highest rate of joint_states [Hz]; 0 publishes every sample", 0.0, 10_000.0),
+    "snapshot_period": Spec(
+        0.02, "shortest time between two snapshot messages, which carry all samples since the last one [s]", 0.0, 1.0
+    ),
+    "command_timeout": Spec(
+        0.5,
+        "silence after which a velocity or effort set-point becomes 0 [s]; positions hold",
+        0.02,
+        60.0,
+        read_only=False,
+    ),
+    "position_min": Spec(
+        [-1.5e6, -1.5e6], "lowest position set-point per joint [rad], inside the board's own limit", read_only=False
+    ),
+    "position_max": Spec(
+        [1.5e6, 1.5e6], "highest position set-point per joint [rad], inside the board's own limit", read_only=False
+    ),
+    "velocity_max": Spec(
+        [419.0, 419.0], "largest velocity set-point per joint [rad/s], inside the board's own limit", read_only=False
+    ),
+    "effort_max": Spec(
+        [1.0, 1.0],
+        "largest effort set-point per joint [N m], inside the board's own limit: current limit times torque constant",
+        read_only=False,
+    ),
+}
+"""Every parameter of the node. ``config/servo_bridge.yaml`` lists the same defaults."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Checked parameter values; see `PARAMETERS` for their meaning."""
+
+    port: str
+    baud: int
+    joints: tuple[str, ...]
+    telemetry: tuple[str, ...]
+    variables: tuple[str, ...]
+    variable_rate: float
+    joint_states_rate: float
+    snapshot_period: float
+    command_timeout: float
+    limits: tuple[JointLimits, ...]
+
+
+def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
+    """Check values against each other and against the catalogue.
+
+    Raises
+    ------
+    ParameterError
+        If one does not make sense.
+    """
+    joints = tuple(values["joints"])
+    if len(joints) != AXES or len(set(joints)) != AXES or not all(map(_JOINT.fullmatch, joints)):
+        raise ParameterError(
+            f"parameter joints is {list(joints)}; give {AXES} different names of letters, digits and underscores"
+        )
+    if not values["port"]:
+        raise ParameterError("parameter port is empty; give a device path or a pyserial URL")
+    # One empty name stands for an empty list, which ROS parameter files cannot express with a type.
+    extra = [name for name in values["telemetry"] if name]
+    variables = tuple(name for name in values["variables"] if name)
+    try:
+        telemetry = tuple(telemetry_variables(catalogue, extra))
+    except ValueError as error:
+        raise ParameterError(f"parameter telemetry: {error}") from None
+    try:
+        telemetry_variables(catalogue, variables)
+    except ValueError as error:
+        raise ParameterError(f"parameter variables: {error}") from None
+    return Settings(
+        port=values["port"],
+        baud=values["baud"],
+        joints=joints,
+        telemetry=telemetry,
+        variables=variables,
+        variable_rate=values["variable_rate"],
+        joint_states_rate=values["joint_states_rate"],
+        snapshot_period=values["snapshot_period"],
+        command_timeout=values["command_timeout"],
+        limits=_limits(values),
+    )
+
+
+def _limits(values: Mapping[str, Any]) -> tuple[JointLimits, ...]:
+    names = ("position_min", "position_max", "velocity_max", "effort_max")
+    for name in names:
+        numbers: Sequence[float] = values[name]
+        if len(numbers) != AXES or any(math.isnan(x) for x in numbers):
+            raise ParameterError(f"parameter {name} is {list(numbers)}; give {AXES} numbers, one per joint")
+        if name in ("velocity_max", "effort_max") and min(numbers) < 0.0:
+            raise ParameterError(f"parameter {name} is {list(numbers)}; it is a magnitude and cannot be negative")
+    limits = tuple(JointLimits(*row) for row in zip(*(values[name] for name in names), strict=True))
+    for limit in limits:
+        if limit.position_min > limit.position_max:
+            raise ParameterError(
+                f"parameter position_min {limit.position_min:g} is above position_max {limit.position_max:g}"
+            )
+    return limits
+
+
+def declare(node: Node, catalogue: Catalogue) -> Settings:
+    """Declare every parameter and read its value.
+
+    Raises
+    ------
+    ParameterError
+        If a given value has the wrong type, is out of range or does not make sense.
+    """
+    values: dict[str, Any] = {}
+    for name, spec in PARAMETERS.items():
+        try:
+            values[name] = node.declare_parameter(name, spec.default, spec.descriptor()).value
+        except ParameterException as error:
+            raise ParameterError(f"parameter {name}: {error}; it is meant as: {spec.description}") from None
+    return settings_from(values, catalogue)
+
+
+def watch(node: Node, catalogue: Catalogue, changed: Callable[[Settings], None]) -> None:
+    """Check changes at run time; a change that does not make sense is refused with its reason.
+
+    Parameters
+    ----------
+    node : Node
+        Node whose parameters are declared.
+    catalogue : Catalogue
+        For the checks.
+    changed : callable
+        Gets the new settings after a change.
+    """
+
+    def values() -> dict[str, Any]:
+        return {name: node.get_parameter(name).value for name in PARAMETERS}
+
+    def check(parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            settings_from(values() | {p.name: p.value for p in parameters}, catalogue)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def apply(parameters: list[Parameter]) -> None:
+        if any(p.name in PARAMETERS for p in parameters):
+            changed(settings_from(values(), catalogue))
+
+    node.add_on_set_parameters_callback(check)
+    node.add_post_set_parameters_callback(apply)

@@ -1,0 +1,109 @@
+"""Everything that the bridge publishes of the board's telemetry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from servo_msgs_py.convert import (
+    AppliedCommand,
+    applied_message,
+    joint_state_from_values,
+    snapshot_message,
+)
+from servo_msgs_py.units import PERIOD_NS
+from std_msgs.msg import Bool, Float64MultiArray, String
+
+from servo_bridge.telemetry import Frame
+from servo_msgs_py import topics
+
+__all__ = ["Publications"]
+
+
+class Publications:
+    """Publishers of telemetry, state and applied commands.
+
+    Parameters
+    ----------
+    node : Node
+        Owner.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    names : sequence of str
+        Columns of a frame.
+    joint_states_rate : float
+        Highest rate of joint_states [Hz]; 0: every sample.
+    snapshot_period : float
+        Shortest time between two snapshot messages [s].
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        joints: Sequence[str],
+        names: Sequence[str],
+        *,
+        joint_states_rate: float,
+        snapshot_period: float,
+    ) -> None:
+        self._joints = list(joints)
+        self._columns = [*names, *topics.STAMP_COLUMNS]
+        self._joint_ticks = round(1e9 / joint_states_rate / PERIOD_NS) if joint_states_rate > 0.0 else 0
+        self._snapshot_ticks = round(snapshot_period * 1e9 / PERIOD_NS)
+        self._next_joint = self._next_snapshot = 0
+        self._epoch = 0
+        self._rows: list[list[float]] = []
+        self._last_state: str | None = None
+        self._last_armed: bool | None = None
+        deep, latched = topics.telemetry_qos(), topics.latched_qos()
+        self._joint_states = node.create_publisher(JointState, topics.JOINT_STATES, deep)
+        self._snapshot = node.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
+        self._applied = node.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
+        self._state = node.create_publisher(String, topics.STATE, latched)
+        self._armed = node.create_publisher(Bool, topics.ARMED, latched)
+
+    def sample(self, frame: Frame, stamp_ns: int, torque_constants: Sequence[float] | None) -> None:
+        """Publish a sample, as far as the rates allow.
+
+        Parameters
+        ----------
+        frame : Frame
+            The sample.
+        stamp_ns : int
+            ROS time of its tick [ns].
+        torque_constants : sequence of float, optional
+            Per axis [N m/A]; efforts are left out until they are known.
+        """
+        if frame.epoch != self._epoch:
+            self.flush()
+            self._epoch = frame.epoch
+            self._next_joint = self._next_snapshot = 0
+        if frame.tick >= self._next_joint:
+            # Stepping from the last due tick and not from this one keeps the mean rate.
+            self._next_joint = max(self._next_joint + self._joint_ticks, frame.tick)
+            message = joint_state_from_values(self._joints, stamp_ns, frame.values, torque_constants)
+            self._joint_states.publish(message)
+        self._rows.append([*frame.values.values(), *divmod(stamp_ns, 1_000_000_000)])
+        if frame.tick >= self._next_snapshot:
+            self._next_snapshot = frame.tick + self._snapshot_ticks
+            self.flush()
+
+    def flush(self) -> None:
+        """Publish the samples that wait for their snapshot message."""
+        if self._rows:
+            self._snapshot.publish(snapshot_message(self._columns, self._rows))
+            self._rows.clear()
+
+    def applied(self, command: AppliedCommand) -> None:
+        """Publish a write that took effect."""
+        self._applied.publish(applied_message(command))
+
+    def state(self, text: str, *, armed: bool) -> None:
+        """Publish state and armed where they have changed."""
+        if armed != self._last_armed:
+            self._last_armed = armed
+            self._armed.publish(Bool(data=armed))
+        if text != self._last_state:
+            self._last_state = text
+            self._state.publish(String(data=text))

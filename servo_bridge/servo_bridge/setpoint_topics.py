@@ -1,0 +1,83 @@
+"""The topics that take set-points: form, arbiter, and a sentence for everything that is refused."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+from servo_bridge.arbiter import Arbiter
+from servo_bridge.health import CommandFigures
+from servo_bridge.setpoints import Rejected, Request, from_array, from_joint_command, from_single
+from servo_bridge.throttle import Throttle
+from servo_msgs_py import topics
+
+__all__ = ["SetPointTopics"]
+
+
+class SetPointTopics:
+    """Subscriptions of all set-point topics.
+
+    Parameters
+    ----------
+    node : Node
+        Owner.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    arbiter : Arbiter
+        Lets a set-point through or not.
+    accepted : callable
+        Called after every set-point that was let through.
+    warn : callable
+        Gets a sentence for the log.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        joints: Sequence[str],
+        arbiter: Arbiter,
+        accepted: Callable[[], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._joints = joints
+        self._arbiter = arbiter
+        self._accepted = accepted
+        self._warn = warn
+        self._throttle = Throttle(burst=20, rate=2.0)
+        self.figures = CommandFigures()
+        qos = topics.command_qos()
+        node.create_subscription(JointState, topics.JOINT_COMMANDS, self._on_joint_command, qos)
+        node.create_subscription(Float64MultiArray, topics.COMMANDS, self._on_commands, qos)
+        for axis, joint in enumerate(joints):
+            topic = topics.joint_position_topic(joint)
+            node.create_subscription(Float64, topic, partial(self._on_position, topic, axis), qos)
+
+    def _on_joint_command(self, message: JointState) -> None:
+        fields = message.name, message.position, message.velocity, message.effort
+        self._take(topics.JOINT_COMMANDS, lambda: from_joint_command(topics.JOINT_COMMANDS, self._joints, *fields))
+
+    def _on_commands(self, message: Float64MultiArray) -> None:
+        self._take(topics.COMMANDS, lambda: from_array(topics.COMMANDS, self._joints, message.data))
+
+    def _on_position(self, topic: str, axis: int, message: Float64) -> None:
+        self._take(topic, lambda: from_single(topic, axis, message.data))
+
+    def _take(self, source: str, parse: Callable[[], Request]) -> None:
+        now = time.monotonic()
+        try:
+            self._arbiter.submit(parse(), now)
+        except Rejected as error:
+            self.figures.rejected += 1
+            self.figures.last_rejection = str(error)
+            held = self._throttle.admit(source, now)
+            if held is not None:
+                more = f" ({held} more rejections before this one)" if held else ""
+                self._warn(f"rejected, nothing moves because of it: {error}{more}")
+            return
+        self.figures.accepted += 1
+        self._accepted()

@@ -1,0 +1,147 @@
+"""One sample of the board as the rest of the bridge wants it: 64-bit positions and the state of every axis. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
+from servo_msgs_py.convert import columns, state_label
+from servo_msgs_py.units import unwrap_u32
+
+from servo_bridge.arbiter import AxisStatus
+from servo_bridge.scope import Sample
+
+__all__ = ["Frame", "Telemetry", "required_variables", "telemetry_variables"]
+
+_COMMON = ("tick", "applied_tick", "applied_count")
+_PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults")
+
+
+def required_variables() -> list[str]:
+    """Variables that the bridge itself needs in every sample."""
+    return [*_COMMON, *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _PER_AXIS)]
+
+
+def telemetry_variables(catalogue: Catalogue, extra: Sequence[str]) -> list[str]:
+    """All variables of a sample, those that the bridge needs first.
+
+    Raises
+    ------
+    ValueError
+        If one is unknown or a block.
+    """
+    names = list(dict.fromkeys([*required_variables(), *extra]))
+    for name in names:
+        try:
+            variable = catalogue[name]
+        except KeyError as error:
+            raise ValueError(error.args[0]) from None
+        if variable.size == 0:
+            raise ValueError(f"{name} is a block of bytes; name the variables inside it")
+    return names
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One sample.
+
+    Attributes
+    ----------
+    tick : int
+        PWM periods since reset, extended past 32 bits.
+    epoch : int
+        Board resets seen before; ticks and positions of different epochs have nothing to do with each other.
+    response_ns : int
+        When the sample was complete at the host, monotonic [ns].
+    values : mapping
+        SI values by column, in the order of `Telemetry.columns`; tick and positions are extended past the 32 bits of
+        the board.
+    applied_tick, applied_count : int
+        As the board sent them: uint32 and uint16.
+    axes : tuple of AxisStatus
+        State of every axis.
+    faults : tuple of int
+        Fault word of every axis.
+    """
+
+    tick: int
+    epoch: int
+    response_ns: int
+    values: Mapping[str, float]
+    applied_tick: int
+    applied_count: int
+    axes: tuple[AxisStatus, ...]
+    faults: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _AxisColumns:
+    """Where the variables of one axis lie in a sample."""
+
+    position: int
+    position_ref: int | None
+    state: int
+    substate: int
+    faults: int
+
+
+class Telemetry:
+    """Turns samples into frames and follows the positions of all axes past the 32 bits of the board.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        For the names of states.
+    variables : sequence of Variable
+        What a sample carries, in order; at least `required_variables`.
+    """
+
+    def __init__(self, catalogue: Catalogue, variables: Sequence[Variable]) -> None:
+        self.columns = columns(variables)
+        self._scales = [v.lsb for v in variables for _ in range(v.count)]
+        where = {name: k for k, name in enumerate(self.columns)}
+        self._tick, self._applied_tick, self._applied_count = (where[name] for name in _COMMON)
+        self._axes = [
+            _AxisColumns(
+                where[f"{prefix}.position"],
+                where.get(f"{prefix}.position_ref"),
+                where[f"{prefix}.state"],
+                where[f"{prefix}.substate"],
+                where[f"{prefix}.faults"],
+            )
+            for prefix in map(axis_name, range(AXES))
+        ]
+        self._catalogue = catalogue
+        self._lsb = catalogue[f"{axis_name(0)}.position"].lsb
+        self._counts: list[int | None] = [None] * AXES
+        self._epoch = 0
+
+    def frame(self, sample: Sample) -> Frame:
+        """Make a frame of a sample."""
+        if sample.epoch != self._epoch:
+            self._counts = [None] * AXES
+        self._epoch = sample.epoch
+        raw = sample.raw
+        row = [number * scale for number, scale in zip(raw, self._scales, strict=True)]
+        row[self._tick] = sample.tick
+        axes: list[AxisStatus] = []
+        for axis, at in enumerate(self._axes):
+            before = self._counts[axis]
+            counts = raw[at.position] if before is None else unwrap_u32(raw[at.position] & 0xFFFF_FFFF, before)
+            self._counts[axis] = counts
+            row[at.position] = counts * self._lsb
+            if at.position_ref is not None:
+                row[at.position_ref] = unwrap_u32(raw[at.position_ref] & 0xFFFF_FFFF, counts) * self._lsb
+            label = state_label(self._catalogue, raw[at.state], raw[at.substate])
+            axes.append(AxisStatus(label, label == "RUN/SPIN", label == "FAULT", counts - raw[at.position]))
+        return Frame(
+            sample.tick,
+            sample.epoch,
+            sample.response_ns,
+            dict(zip(self.columns, row, strict=True)),
+            raw[self._applied_tick],
+            raw[self._applied_count],
+            tuple(axes),
+            tuple(raw[at.faults] for at in self._axes),
+        )

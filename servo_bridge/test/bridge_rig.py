@@ -1,0 +1,280 @@
+"""The bridge node under real rclpy, with a link that the test drives instead of a serial port. For tests."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from servo_bridge.freemaster.client import BoardInfo
+from servo_bridge.link import LinkConfig, LinkDownError, LinkState, LinkStatus, Sample, WriteResult
+from servo_bridge.link_statistics import LinkStatistics
+from servo_bridge.node import ServoBridge
+from servo_bridge.scope import ScopeLayout
+from servo_bridge.serial_port import LowLatency
+from servo_msgs_py.catalogue import Catalogue, Value
+from servo_msgs_py.convert import applied_from_message, snapshot_table
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from servo_msgs_py import topics
+
+DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 20 + os.getpid() % 80
+STOP, SPIN, FAULT = (2, 0), (3, 3), (0, 0)
+KT = {"axis1.torque_constant": 0.04, "axis2.torque_constant": 0.05}
+
+
+class FakeLink:
+    """A board that does what the test says: `connect`, `sample`, `lose`.
+
+    Writes are acknowledged at once and take effect with the next sample, unless `deaf`.
+    """
+
+    def __init__(
+        self,
+        config: LinkConfig,
+        catalogue: Catalogue,
+        *,
+        on_sample: Callable[[Sample], None],
+        on_state: Callable[[LinkStatus], None],
+    ) -> None:
+        self.config = config
+        self.layout = ScopeLayout([catalogue[name] for name in config.telemetry])
+        self.written: list[tuple[str, int, tuple[int, ...]]] = []
+        self.reads: list[str] = []
+        self.final: list[Any] = []
+        self.deaf = False
+        self.connected = False
+        self.tick = 8
+        self.epoch = 0
+        self.values: dict[str, int] = {}
+        self.figures = LinkStatistics()
+        self._effects = 0
+        self._on_sample, self._on_state = on_sample, on_state
+
+    # ---- what the node calls
+    board = BoardInfo(name="fake", description="board of a test")
+    low_latency = LowLatency(None, "none")
+
+    def start(self) -> None:
+        self._on_state(LinkStatus(LinkState.CONNECTING, "connecting to a test"))
+
+    def close(self, final_writes: Sequence[Any] = (), timeout: float = 3.0) -> bool:
+        self.final = list(final_writes)
+        return self.connected
+
+    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0) -> Future[WriteResult]:
+        done: Future[WriteResult] = Future()
+        if not self.connected:
+            done.set_exception(LinkDownError("no link"))
+        else:
+            self.written.append((name, first, tuple(raw)))
+            if not self.deaf:
+                self._effects += 1
+                done.set_result(WriteResult(name, 0, 0, self.tick))
+        return done
+
+    def read(self, name: str) -> Future[Value]:
+        self.reads.append(name)
+        done: Future[Value] = Future()
+        done.set_result(KT.get(name, 1.5))
+        return done
+
+    def statistics(self) -> LinkStatistics:
+        return self.figures
+
+    # ---- what the test calls
+    def connect(self) -> None:
+        self.connected = True
+        self._on_state(LinkStatus(LinkState.CONNECTED, "connected to fake"))
+
+    def lose(self, state: LinkState = LinkState.DISCONNECTED, reason: str = "gone", remedy: str = "plug it in") -> None:
+        self.connected = False
+        self._on_state(LinkStatus(state, reason, remedy))
+
+    def axes(self, *states: tuple[int, int]) -> None:
+        """State and sub-state of every axis from the next sample on."""
+        for axis, (state, substate) in enumerate(states, 1):
+            self.values[f"axis{axis}.state"], self.values[f"axis{axis}.substate"] = state, substate
+
+    def sample(self, periods: int = 16) -> None:
+        """One sample, later by so many PWM periods; everything written before has taken effect by then."""
+        self.tick += periods
+        if self._effects:
+            self.values["applied_count"] = (self.values.get("applied_count", 0) + self._effects) & 0xFFFF
+            self.values["applied_tick"] = self.tick & 0xFFFF_FFFF
+            self._effects = 0
+        numbers: list[int] = []
+        for variable in self.layout.variables:
+            value = self.tick & 0xFFFF_FFFF if variable.name == "tick" else self.values.get(variable.name, 0)
+            numbers += [value] * variable.count
+        now = time.monotonic_ns()
+        self._on_sample(Sample(self.tick, self.epoch, now, now, b"", tuple(numbers), self.layout))
+
+
+class Rig:
+    """Bridge, fake link and a user node on one executor."""
+
+    def __init__(self, **parameters: Any) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.executor = EventsExecutor(context=self.context)
+        self.links: list[FakeLink] = []
+        self.messages: dict[str, list[Any]] = {}
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        try:
+            self.bridge = ServoBridge(
+                self.executor.create_task,
+                link_factory=self._make_link,
+                context=self.context,
+                parameter_overrides=overrides,
+            )
+        except BaseException:
+            rclpy.shutdown(context=self.context)
+            raise
+        self.user = Node("user", namespace="servo", context=self.context)
+        for name, kind in (
+            (topics.JOINT_STATES, JointState),
+            (topics.SNAPSHOT, Float64MultiArray),
+            (topics.COMMANDS_APPLIED, Float64MultiArray),
+            (topics.DIAGNOSTICS, DiagnosticArray),
+            ("var/axis1/i_q", Float64),
+            ("/rosout", Log),
+        ):
+            self._listen(name, kind, topics.telemetry_qos(1000))
+        self._listen(topics.STATE, String, topics.latched_qos())
+        self._listen(topics.ARMED, Bool, topics.latched_qos())
+        qos = topics.command_qos()
+        self.joint_commands = self.user.create_publisher(JointState, topics.JOINT_COMMANDS, qos)
+        self.commands = self.user.create_publisher(Float64MultiArray, topics.COMMANDS, qos)
+        self.position = self.user.create_publisher(Float64, "axis2/position", qos)
+        self.enable_client = self.user.create_client(SetBool, topics.ENABLE)
+        self.quick_stop_client = self.user.create_client(Trigger, topics.QUICK_STOP)
+        self.clear_client = self.user.create_client(Trigger, topics.CLEAR_FAULTS)
+        self.executor.add_node(self.bridge)
+        self.executor.add_node(self.user)
+        self.until(self._matched, 20.0)
+
+    @property
+    def link(self) -> FakeLink:
+        return self.links[-1]
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # The events executor holds on to what it serves, and nodes that live on would be discovered by the next test.
+        self.executor.remove_node(self.bridge)
+        self.executor.remove_node(self.user)
+        self.bridge.shutdown()
+        self.user.destroy_node()
+        self.executor.shutdown()
+        rclpy.shutdown(context=self.context)
+
+    def _make_link(self, config: LinkConfig, catalogue: Catalogue, **callbacks: Any) -> FakeLink:
+        self.links.append(FakeLink(config, catalogue, **callbacks))
+        return self.links[-1]
+
+    def _listen(self, name: str, kind: Any, qos: Any) -> None:
+        self.messages[name] = []
+        self.user.create_subscription(kind, name, self.messages[name].append, qos)
+
+    def _matched(self) -> bool:
+        publishers = (self.joint_commands, self.commands, self.position)
+        clients = (self.enable_client, self.quick_stop_client, self.clear_client)
+        return (
+            all(p.get_subscription_count() for p in publishers)
+            and all(c.service_is_ready() for c in clients)
+            and all(self.user.count_publishers(name) for name in self.messages)
+            and bool(self.messages[topics.STATE] and self.messages[topics.ARMED])
+        )
+
+    # ---- steps
+    def until(self, condition: Callable[[], object], timeout: float = 10.0) -> None:
+        """Turn the executor until the condition holds; an assertion when it does not in time."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, f"not within {timeout} s"
+            self.executor.spin_once(timeout_sec=0.01)
+
+    def settle(self) -> None:
+        """Let everything that is under way arrive: a set-point that is known to be refused comes out at the end."""
+        before = len(self.rejections())
+        self.joint_commands.publish(JointState(name=["marker"], position=[0.0]))
+        self.commands.publish(Float64MultiArray(data=[0.0] * 9))
+        self.position.publish(Float64(data=float("nan")))
+        self.until(lambda: len(self.rejections()) >= before + 3)
+
+    def up(self, *states: tuple[int, int]) -> None:
+        """Connect and show one sample."""
+        self.link.axes(*(states or (STOP, STOP)))
+        self.link.connect()
+        self.link.sample()
+        self.until(lambda: "=" in self.state())
+
+    def ready(self) -> None:
+        """Connected, enabled, both axes in RUN/SPIN."""
+        self.up(SPIN, SPIN)
+        assert self.enable(True)[0]
+        self.until(self.armed)
+        self.link.written.clear()
+
+    def call(self, client: Any, request: Any) -> Any:
+        """Call a service and give samples until it answers."""
+        future = client.call_async(request)
+
+        def answered() -> bool:
+            if self.link.connected:
+                self.link.sample()
+            return bool(future.done())
+
+        self.until(answered)
+        response = future.result()
+        return response.success, response.message
+
+    def enable(self, on: bool) -> Any:
+        return self.call(self.enable_client, SetBool.Request(data=on))
+
+    def quick_stop(self) -> Any:
+        return self.call(self.quick_stop_client, Trigger.Request())
+
+    def clear_faults(self) -> Any:
+        return self.call(self.clear_client, Trigger.Request())
+
+    # ---- what was seen
+    def state(self) -> str:
+        return str(self.messages[topics.STATE][-1].data)
+
+    def armed(self) -> bool:
+        return bool(self.messages[topics.ARMED][-1].data)
+
+    def logs(self, level: int = Log.WARN) -> list[str]:
+        return [m.msg for m in self.messages["/rosout"] if m.name == "servo.servo_bridge" and m.level >= level]
+
+    def rejections(self) -> list[str]:
+        return [text for text in self.logs() if text.startswith("rejected")]
+
+    def applied(self) -> list[Any]:
+        return [applied_from_message(m) for m in self.messages[topics.COMMANDS_APPLIED]]
+
+    def snapshots(self) -> list[dict[str, float]]:
+        tables = (snapshot_table(m) for m in self.messages[topics.SNAPSHOT])
+        return [dict(zip(names, row, strict=True)) for names, table in tables for row in table.tolist()]
+
+    def diagnosis(self, part: str) -> Any:
+        """Newest status of one part that was published after this call."""
+        seen = len(self.messages[topics.DIAGNOSTICS])
+        self.until(lambda: len(self.messages[topics.DIAGNOSTICS]) > seen)
+        statuses = self.messages[topics.DIAGNOSTICS][-1].status
+        return next(s for s in statuses if s.name == f"servo_bridge: {part}")

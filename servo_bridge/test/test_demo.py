@@ -1,0 +1,256 @@
+"""The demonstration: its choreography on a simulated servo, its table, and what it says when there is no servo."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bridge_rig import DOMAIN
+from numpy.typing import NDArray
+from servo_bridge.demo import Demo
+from servo_bridge.demo_client import DemoError, ServoClient
+from servo_bridge.demo_report import Residual, Row, passed, report, table
+from servo_bridge.move_metrics import MoveFigures
+from servo_msgs_py.convert import AppliedCommand
+
+from servo_bridge import demo as demo_module
+
+TURN = 2.0 * math.pi
+COUNT = TURN / 4000
+STEP = 16  # PWM periods per sample: 1 ms
+SPEED = 0.25  # rad per sample
+
+
+class FakeClient:
+    """A servo in simulated time: position follows its set-point at constant speed; every sample is one millisecond."""
+
+    def __init__(self, position: Sequence[float] = (0.3 * COUNT, -2.2 * COUNT), twin_gap: float = 0.0) -> None:
+        self.joints = ["axis1", "axis2"]
+        self.state = "axis1=STOP axis2=STOP"
+        self.applied: list[AppliedCommand] = []
+        self.log: list[str] = []
+        self.position = list(position)
+        self.target = list(self.position)
+        self.error = [0.0, 0.0]  # steady error
+        self.rows: list[dict[str, float]] = []
+        self.twin_present = True
+        self.twin_gap = twin_gap
+        self.twin_lag = 0  # PWM periods
+        self.faults = 0
+        self.fault_at: int | None = None
+        self.deaf = False
+        self.tick = 0
+        self._residuals: list[tuple[int, list[float]]] = []
+        self._step()
+
+    def _step(self) -> None:
+        self.tick += STEP
+        if self.fault_at is not None and self.tick >= self.fault_at:
+            self.faults, self.state = 2, "axis1=FAULT axis2=RUN/SPIN"
+        row = {"tick": float(self.tick)}
+        for axis in range(2):
+            aim = self.target[axis] + self.error[axis]
+            self.position[axis] += max(-SPEED, min(SPEED, aim - self.position[axis]))
+            row[f"axis{axis + 1}.position"] = self.position[axis]
+            row[f"axis{axis + 1}.position_ref"] = self.target[axis]
+            row[f"axis{axis + 1}.faults"] = float(self.faults)
+        self.rows.append(row)
+        if self.twin_present:
+            stamp = (self.tick - self.twin_lag) * 62_500
+            self._residuals.append((stamp, [self.twin_gap, -self.twin_gap]))
+
+    def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
+        end = self.tick + round(timeout * 16000)
+        while not condition():
+            if self.tick >= end:
+                return False
+            self._step()
+        return True
+
+    def ready(self) -> bool:
+        return True
+
+    def enable(self, on: bool) -> None:
+        self.log.append(f"enable {on}")
+        self.state = "axis1=RUN/SPIN axis2=RUN/SPIN" if on else "axis1=STOP axis2=STOP"
+
+    def quick_stop(self) -> None:
+        self.log.append("quick_stop")
+        self.target = list(self.position)
+        self.applied.append(AppliedCommand("cmd.quick_stop", self.tick + 8, (1, 1), 3))
+
+    def command(self, targets: Mapping[int, float]) -> None:
+        if self.deaf:
+            return
+        self.log.append(f"move {sorted(targets)}")
+        for axis, value in targets.items():
+            self.target[axis] = value
+        self.applied.append(AppliedCommand("cmd.position", self.tick + 8, (0, 0), 3))
+
+    def latest(self, column: str) -> float:
+        return self.rows[-1][column]
+
+    def since(self, tick: int, columns: Sequence[str]) -> list[NDArray[np.float64]]:
+        chosen = list(itertools.takewhile(lambda row: row["tick"] >= tick, reversed(self.rows)))[::-1]
+        return [np.array([row[name] for row in chosen]) for name in columns]
+
+    def residuals(self, start_ns: int, end_ns: int) -> NDArray[np.float64]:
+        return np.array([v for t, v in self._residuals if start_ns <= t <= end_ns]).reshape(-1, 2)
+
+    def residual_after(self, stamp_ns: int) -> bool:
+        return bool(self._residuals) and self._residuals[-1][0] >= stamp_ns
+
+    def now_ns(self) -> int:
+        return self.tick * 62_500
+
+
+def run(client: FakeClient, said: list[str] | None = None) -> Demo:
+    lines: list[str] = [] if said is None else said
+    demo = Demo(client, 2 * COUNT, 3.0, lines.append)  # type: ignore[arg-type]
+    demo.connect(1.0, require_twin=False)
+    demo.enable()
+    demo.run()
+    demo.disable()
+    return demo
+
+
+def test_fake_has_the_face_of_the_client() -> None:
+    used = {name for name in dir(FakeClient) if not name.startswith("_")}
+    assert used <= set(dir(ServoClient))
+
+
+def test_every_kind_of_move_is_made_and_measured() -> None:
+    client, said = FakeClient(twin_gap=3 * COUNT), list[str]()
+    demo = run(client, said)
+    moves = [(row.move, row.axis) for row in demo.rows]
+    both = ["simultaneous", "reversal", "stop", "return"]
+    assert moves == [("point to point", "axis1"), ("point to point", "axis2")] + [
+        (move, axis) for move in both for axis in ("axis1", "axis2")
+    ]
+    assert client.log == [
+        "enable True", "move [0]", "move [1]", "move [0, 1]", "move [0, 1]", "move [0, 1]", "move [0, 1]",
+        "quick_stop", "enable True", "move [0, 1]", "enable False",
+    ]  # fmt: skip
+    assert passed(demo.rows, twin=demo.twin)
+    first = demo.rows[0]
+    assert first.figures.commanded == pytest.approx(5 * TURN)
+    assert first.figures.settling_time == pytest.approx(5 * TURN / SPEED * 1e-3, abs=0.003)
+    assert first.residual is not None
+    assert first.residual.rms == pytest.approx(3 * COUNT)
+    stops = [row.figures for row in demo.rows if row.move == "stop"]
+    assert 2.4 * TURN < stops[0].reached < 2.7 * TURN
+    assert any("half way: reversing" in line for line in said)
+
+
+def test_targets_are_whole_turns_near_the_shafts() -> None:
+    demo = run(FakeClient(position=[100.2 * TURN, -3.4 * TURN]))
+    assert demo.rows[0].figures.commanded == pytest.approx(105 * TURN)
+    assert demo.rows[1].figures.commanded == pytest.approx(-8 * TURN)
+
+
+def test_an_axis_that_stops_short_fails_but_the_rest_is_shown() -> None:
+    client = FakeClient()
+    client.error[1] = 3 * COUNT
+    demo = run(client)
+    assert not passed(demo.rows, twin=True)
+    assert [row.figures.arrived for row in demo.rows if row.axis == "axis1"] == [True] * 5
+    assert not any(row.figures.arrived for row in demo.rows if row.axis == "axis2" and row.move != "stop")
+
+
+def test_a_silent_twin_fails_and_a_missing_one_does_not() -> None:
+    client = FakeClient()
+    client.residuals = lambda start_ns, end_ns: np.empty((0, 2))  # type: ignore[method-assign]
+    demo = run(client)
+    assert demo.twin
+    assert not passed(demo.rows, twin=demo.twin)
+    client = FakeClient()
+    client.twin_present = False
+    demo = run(client)
+    assert not demo.twin
+    assert passed(demo.rows, twin=demo.twin)
+    client = FakeClient()
+    client.twin_present = False
+    client._residuals.clear()
+    with pytest.raises(DemoError, match="no residuals of a twin"):
+        Demo(client, COUNT, 1.0, lambda _: None).connect(0.1, require_twin=True)  # type: ignore[arg-type]
+
+
+def test_a_twin_that_lags_is_waited_for() -> None:
+    client = FakeClient(twin_gap=COUNT)
+    client.twin_lag = 16_000
+    demo = run(client)
+    for row in demo.rows:
+        assert row.residual is not None
+        assert row.residual.samples >= 250  # all of the hold at the end as well
+
+
+def test_a_fault_ends_it_with_cause_and_remedy() -> None:
+    client = FakeClient()
+    client.fault_at = 6000
+    with pytest.raises(DemoError, match=r"axis1=FAULT.*UNDER_VOLTAGE: .*24 V supply"):
+        run(client)
+
+
+def test_a_set_point_that_is_not_taken_is_told() -> None:
+    client = FakeClient()
+    client.deaf = True
+    with pytest.raises(DemoError, match=r"no cmd\.position took effect"):
+        run(client)
+
+
+# ---- report
+def row(arrived: bool = True, residual: Residual | None = None) -> Row:
+    figures = MoveFigures(5 * TURN, 5 * TURN + COUNT, COUNT, 0.5 if arrived else None, 2 * COUNT, 0.1, 0.2, arrived)
+    return Row("point to point", "axis1", figures, residual)
+
+
+def test_table_shows_figures_in_handy_units() -> None:
+    lines = table([row(residual=Residual(COUNT, 4 * COUNT, 9)), row(arrived=False)]).splitlines()
+    assert lines[3].split()[3:7] == ["axis1", "5.0000", "5.0003", "+1.0"]
+    assert lines[3].split()[7:] == ["500", "2.0", "63.7", "127.3", "1.0", "4.0", "ok"]
+    assert lines[4].split()[-4:] == ["-", "-", "NOT", "REACHED"]
+    assert "never" in lines[4]
+    assert max(map(len, lines)) <= 120
+
+
+def test_no_rows_is_no_success() -> None:
+    assert not passed([], twin=False)
+
+
+def test_report_is_json() -> None:
+    figures = json.loads(json.dumps(report([row(), row(arrived=False)], tolerance_counts=2.0, twin=False)))
+    assert figures["passed"] is False
+    assert figures["moves"][0]["reached"] == pytest.approx(5 * TURN + COUNT)
+    assert figures["moves"][1]["settling_time"] is None
+
+
+# ---- command line
+def test_no_servo_is_one_sentence_and_status_2(tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "servo_bridge.demo", "--wait", "0.5", "--json", str(tmp_path / "x.json")],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST"),
+        check=False,
+    )
+    assert result.returncode == 2
+    assert "Start the servo first" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "x.json").exists()
+
+
+@pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--timeout", "-1"], ["--colour"]])
+def test_wrong_arguments_are_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        demo_module.main(arguments)
+    assert caught.value.code == 2
+    assert "usage: servo-demo" in capsys.readouterr().err

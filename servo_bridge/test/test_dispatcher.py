@@ -1,0 +1,212 @@
+"""The way of a write to the board: order, one at a time, the exact tick of its effect, and what failure leaves."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bridge.arbiter import CommandWrite
+from servo_bridge.dispatcher import Dispatcher
+from servo_msgs_py.convert import AppliedCommand
+
+
+def position(raw: int) -> CommandWrite:
+    return CommandWrite("cmd.position", 0, (raw, raw))
+
+
+ENABLE = CommandWrite("cmd.enable", 0, (1, 1))
+
+
+class Queue:
+    """Set-points in order of arrival."""
+
+    def __init__(self, *writes: CommandWrite) -> None:
+        self.waiting = list(writes)
+        self.taken: list[CommandWrite] = []
+        self.void: list[CommandWrite] = []
+
+    def next_write(self) -> CommandWrite | None:
+        return self.waiting.pop(0) if self.waiting else None
+
+    def accepted(self, write: CommandWrite) -> None:
+        self.taken.append(write)
+
+    def failed(self, write: CommandWrite) -> None:
+        self.void.append(write)
+
+
+class Rig:
+    """A dispatcher with everything around it."""
+
+    def __init__(self, *writes: CommandWrite) -> None:
+        self.queue = Queue(*writes)
+        self.sent: list[CommandWrite] = []
+        self.trouble: list[str] = []
+        self.dispatcher = Dispatcher(self.sent.append, self.queue, self.trouble.append)
+
+    def connected(self) -> Rig:
+        self.dispatcher.open()
+        self.dispatcher.on_sample(0, 0, 0)
+        return self
+
+
+def test_nothing_is_sent_before_the_link_is_up_and_a_sample_was_seen() -> None:
+    rig = Rig(position(1))
+    rig.dispatcher.pump()
+    rig.dispatcher.open()
+    rig.dispatcher.pump()
+    assert rig.sent == []
+    rig.dispatcher.on_sample(8, 0, 7)
+    assert rig.sent == [position(1)]
+
+
+def test_a_write_counts_from_the_sample_that_shows_it_and_then_the_next_goes() -> None:
+    rig = Rig(position(1), position(2)).connected()
+    first = rig.sent[0]
+    assert rig.dispatcher.on_sample(8, 0, 0) is None
+    rig.dispatcher.acknowledged(first, None)
+    assert rig.queue.taken == [first]
+    assert rig.dispatcher.on_sample(16, 0, 0) is None
+    assert len(rig.sent) == 1
+    assert rig.dispatcher.on_sample(32, 24, 1) == AppliedCommand("cmd.position", 24, (1, 1), 3)
+    assert rig.sent[1:] == [position(2)]
+
+
+def test_ticks_and_counts_wrap() -> None:
+    rig = Rig(CommandWrite("cmd.i_q", 1, (-5,)))
+    rig.dispatcher.open()
+    start = (1 << 32) - 8
+    rig.dispatcher.on_sample(start, 5, 0xFFFF)
+    rig.dispatcher.acknowledged(rig.sent[0], None)
+    assert rig.dispatcher.on_sample(start + 16, 0, 0) == AppliedCommand("cmd.i_q", 1 << 32, (0, -5), 2)
+
+
+def test_urgent_writes_overtake_set_points_and_tell_their_tick() -> None:
+    rig = Rig(position(1), position(2)).connected()
+    done = rig.dispatcher.urgent(ENABLE)
+    rig.dispatcher.acknowledged(rig.sent[0], None)
+    rig.dispatcher.on_sample(16, 8, 1)
+    assert rig.sent == [position(1), ENABLE]
+    assert not done.done()
+    rig.dispatcher.acknowledged(ENABLE, None)
+    rig.dispatcher.on_sample(32, 24, 2)
+    assert done.result(0) == 24
+    assert rig.sent[2] == position(2)
+    assert ENABLE not in rig.queue.taken
+
+
+def test_urgent_writes_keep_their_order() -> None:
+    rig = Rig().connected()
+    release = CommandWrite("cmd.quick_stop", 0, (0, 0))
+    rig.dispatcher.urgent(release)
+    rig.dispatcher.urgent(ENABLE)
+    rig.dispatcher.acknowledged(release, None)
+    rig.dispatcher.on_sample(16, 8, 1)
+    assert rig.sent == [release, ENABLE]
+
+
+def test_a_refused_write_is_told_and_the_next_goes() -> None:
+    rig = Rig(position(1), position(2)).connected()
+    rig.dispatcher.acknowledged(rig.sent[0], "the board answers 89, access denied")
+    assert rig.queue.void == [position(1)]
+    assert rig.sent[1:] == [position(2)]
+    assert "cmd.position" in rig.trouble[0]
+    assert "access denied" in rig.trouble[0]
+
+
+def test_a_refused_urgent_write_fails_its_future() -> None:
+    rig = Rig().connected()
+    done = rig.dispatcher.urgent(ENABLE)
+    rig.dispatcher.acknowledged(ENABLE, "no answer")
+    with pytest.raises(ConnectionError, match="no answer"):
+        done.result(0)
+
+
+def test_a_write_that_never_takes_effect_is_given_up() -> None:
+    rig = Rig(position(1), position(2)).connected()
+    rig.dispatcher.acknowledged(rig.sent[0], None)
+    for tick in range(8, 8 + 42 * 8, 8):
+        assert rig.dispatcher.on_sample(tick, 0, 0) is None
+    assert rig.queue.void == [position(1)]
+    assert rig.sent[1:] == [position(2)]
+    assert "did not carry it out" in rig.trouble[0]
+
+
+def test_closing_throws_everything_away_and_a_late_answer_does_nothing() -> None:
+    rig = Rig(position(1), position(2)).connected()
+    done = rig.dispatcher.urgent(ENABLE)
+    late = rig.sent[0]
+    rig.dispatcher.close("port gone")
+    with pytest.raises(ConnectionError, match="port gone"):
+        done.result(0)
+    rig.dispatcher.acknowledged(late, None)
+    rig.dispatcher.on_sample(16, 8, 1)
+    assert len(rig.sent) == 1
+    assert rig.queue.taken == []
+    with pytest.raises(ConnectionError, match="not connected"):
+        rig.dispatcher.urgent(ENABLE).result(0)
+
+
+def test_a_late_answer_is_not_taken_for_that_of_the_next_write() -> None:
+    rig = Rig(position(1), position(2)).connected()
+    late = rig.sent[0]
+    rig.dispatcher.close("port gone")
+    rig.connected()
+    assert rig.sent == [position(1), position(2)]
+    rig.dispatcher.acknowledged(late, None)
+    assert rig.dispatcher.on_sample(16, 8, 1) is None
+    assert rig.queue.taken == []
+
+
+def test_writes_of_another_master_are_not_taken_for_ours() -> None:
+    rig = Rig(position(1)).connected()
+    assert rig.dispatcher.on_sample(8, 8, 1) is None
+    rig.dispatcher.acknowledged(rig.sent[0], None)
+    assert rig.dispatcher.on_sample(16, 8, 1) is None
+    applied = rig.dispatcher.on_sample(24, 24, 2)
+    assert applied is not None
+    assert applied.tick == 24
+
+
+class Board:
+    """The firmware's side: writes wait for the next slow tick; the snapshot shows what was latched by then."""
+
+    def __init__(self) -> None:
+        self.tick = 0
+        self.count = 0
+        self.applied_tick = 0
+        self.pending: list[CommandWrite] = []
+        self.truth: list[tuple[CommandWrite, int]] = []
+
+    def advance(self, slow_ticks: int) -> None:
+        for _ in range(slow_ticks):
+            self.tick += 8
+            if self.pending:
+                self.count = (self.count + 1) & 0xFFFF
+                self.applied_tick = self.tick
+                self.truth += [(write, self.tick) for write in self.pending]
+                self.pending.clear()
+
+
+@given(st.integers(0, 2**32), st.sampled_from([0.1, 1.0, 4.0, 16.0]))
+def test_every_tick_is_exact_whatever_the_speed_of_the_line(seed: int, pace: float) -> None:
+    chance = random.Random(seed)
+    board = Board()
+    rig = Rig(*(position(k) for k in range(20)))
+    found: list[tuple[CommandWrite, int]] = []
+    rig.dispatcher.open()
+    answered = 0
+    for _ in range(400):
+        board.advance(int(chance.expovariate(1.0 / pace)))
+        applied = rig.dispatcher.on_sample(board.tick, board.applied_tick & 0xFFFF_FFFF, board.count)
+        if applied is not None:
+            found.append((position(applied.raw[0]), applied.tick))
+        board.advance(int(chance.expovariate(1.0 / pace)))
+        if len(rig.sent) > answered:
+            board.pending.append(rig.sent[answered])
+            rig.dispatcher.acknowledged(rig.sent[answered], None)
+            answered += 1
+    assert found == board.truth[: len(found)]
+    assert len(found) >= min(20, board.tick // 8 // 4) - 1

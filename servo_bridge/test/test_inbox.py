@@ -1,0 +1,71 @@
+"""Hand-over between threads."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from servo_bridge.inbox import Inbox
+
+
+def test_one_wake_up_for_everything_that_waits_and_in_order() -> None:
+    woken: list[Callable[[], None]] = []
+    seen: list[int] = []
+    inbox = Inbox(woken.append)
+    for k in range(5):
+        inbox.post(lambda k=k: seen.append(k))  # type: ignore[misc]
+    assert len(woken) == 1
+    woken[0]()
+    assert seen == [0, 1, 2, 3, 4]
+    inbox.post(lambda: seen.append(9))
+    assert len(woken) == 2
+
+
+def test_what_is_posted_while_draining_waits_for_the_next_turn() -> None:
+    woken: list[Callable[[], None]] = []
+    seen: list[str] = []
+    inbox = Inbox(woken.append)
+    inbox.post(lambda: inbox.post(lambda: seen.append("later")))
+    woken[0]()
+    assert seen == []
+    woken[1]()
+    assert seen == ["later"]
+
+
+def test_nothing_is_lost_between_threads() -> None:
+    ready = threading.Condition()
+    woken: list[Callable[[], None]] = []
+
+    def wake(function: Callable[[], None]) -> None:
+        with ready:
+            woken.append(function)
+            ready.notify()
+
+    inbox = Inbox(wake)
+    seen: list[int] = []
+
+    def produce() -> None:
+        for k in range(2000):
+            inbox.post(lambda k=k: seen.append(k))  # type: ignore[misc]
+
+    thread = threading.Thread(target=produce)
+    thread.start()
+    while len(seen) < 2000:
+        with ready:
+            assert ready.wait_for(lambda: woken, 5.0)
+            function = woken.pop(0)
+        function()
+    thread.join()
+    assert seen == list(range(2000))
+
+
+def test_a_closed_inbox_forgets() -> None:
+    woken: list[Callable[[], None]] = []
+    seen: list[int] = []
+    inbox = Inbox(woken.append)
+    inbox.post(lambda: seen.append(1))
+    inbox.close()
+    inbox.post(lambda: seen.append(2))
+    woken[0]()
+    assert seen == []
+    assert len(woken) == 1

@@ -1,0 +1,155 @@
+"""What the services do, without ROS: order of stop and enable, answers, second looks at faults."""
+
+from __future__ import annotations
+
+import pytest
+from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite, JointLimits
+from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.motion_services import MotionServices
+from servo_bridge.telemetry import Frame
+from servo_msgs_py.catalogue import Catalogue
+
+CATALOGUE = Catalogue.load()
+JOINTS = ["axis1", "axis2"]
+SPINNING = AxisStatus("RUN/SPIN", spinning=True)
+STOPPED = AxisStatus("STOP", spinning=False)
+
+
+class Rig:
+    """Services on a real arbiter and dispatcher; `sample` plays the board."""
+
+    def __init__(self) -> None:
+        self.sent: list[CommandWrite] = []
+        self.arbiter = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * 2, 0.5)
+        self.dispatcher = Dispatcher(self.sent.append, self.arbiter, lambda _: None)
+        self.events: list[str] = []
+        self.services = MotionServices(CATALOGUE, JOINTS, self.arbiter, self.dispatcher, self.events.append)
+        self.tick = 0
+        self.count = 0
+
+    def sample(self, *axes: AxisStatus, faults: tuple[int, int] = (0, 0), applied: bool = False) -> None:
+        self.tick += 16
+        self.count += applied
+        axes = axes or (SPINNING, SPINNING)
+        frame = Frame(self.tick, 0, 0, {}, self.tick, self.count, axes, faults)
+        self.arbiter.board_seen(axes)
+        self.dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
+        self.services.on_frame(frame)
+
+    def connected(self, *axes: AxisStatus) -> Rig:
+        self.dispatcher.open()
+        self.sample(*(axes or (STOPPED, STOPPED)))
+        return self
+
+    def done(self, **state: tuple[int, int]) -> None:
+        """The board takes the newest write and shows its effect."""
+        self.dispatcher.acknowledged(self.sent[-1], None)
+        self.sample(applied=True, **state)
+
+
+def test_enable_opens_the_gate_when_it_took_effect_and_not_before() -> None:
+    rig = Rig().connected()
+    answer = rig.services.enable(True)
+    rig.dispatcher.acknowledged(rig.sent[-1], None)
+    assert not answer.done()
+    assert not rig.arbiter.armed
+    rig.sample(applied=True)
+    assert answer.result(0) == (True, "both axes are on; set-points are let through")
+    assert rig.arbiter.armed
+
+
+@pytest.mark.parametrize("stop", ["disable", "quick_stop"])
+def test_a_stop_that_came_later_keeps_the_gate_shut(stop: str) -> None:
+    rig = Rig().connected()
+    enable = rig.services.enable(True)
+    halt = rig.services.quick_stop() if stop == "quick_stop" else rig.services.enable(False)
+    rig.done()
+    success, text = enable.result(0)
+    assert not success
+    assert "call enable again" in text
+    assert not rig.arbiter.armed
+    rig.done()
+    assert halt.result(0)[0]
+    assert [w.variable for w in rig.sent] == ["cmd.enable", "cmd.quick_stop" if stop == "quick_stop" else "cmd.enable"]
+    assert not rig.arbiter.armed
+
+
+def test_a_stop_shuts_the_gate_at_once() -> None:
+    rig = Rig().connected()
+    rig.services.enable(True)
+    rig.done()
+    assert rig.arbiter.armed
+    rig.services.quick_stop()
+    assert not rig.arbiter.armed
+
+
+def test_a_refused_write_is_the_answer() -> None:
+    rig = Rig().connected()
+    answer = rig.services.enable(True)
+    rig.dispatcher.acknowledged(rig.sent[-1], "the board answers 89, access denied")
+    assert answer.result(0) == (False, "the board answers 89, access denied")
+    assert not rig.arbiter.armed
+
+
+def test_clear_faults_looks_again_after_the_effect() -> None:
+    rig = Rig().connected()
+    answer = rig.services.clear_faults()
+    rig.done(faults=(0, 0))
+    assert not answer.done()
+    rig.sample(faults=(0, 2))
+    assert not answer.done()
+    rig.sample(faults=(0, 2))
+    success, text = answer.result(0)
+    assert not success
+    assert text.startswith("still there: axis2: UNDER_VOLTAGE")
+    assert not rig.arbiter.armed
+
+
+def test_a_lost_link_answers_everybody() -> None:
+    rig = Rig().connected()
+    enable, clear = rig.services.enable(True), rig.services.clear_faults()
+    rig.done()
+    rig.dispatcher.acknowledged(rig.sent[-1], None)
+    rig.dispatcher.close("pulled")
+    rig.services.link_lost("pulled")
+    assert enable.result(0)[0]
+    assert clear.result(0) == (False, "pulled")
+    for answer in (rig.services.enable(True), rig.services.enable(False), rig.services.clear_faults()):
+        assert "not connected: pulled" in answer.result(0)[1]
+
+
+def test_a_lost_link_answers_the_second_look() -> None:
+    rig = Rig().connected()
+    answer = rig.services.clear_faults()
+    rig.done()
+    rig.services.link_lost("pulled")
+    assert answer.result(0) == (False, "the link was lost: pulled")
+
+
+def test_enable_in_fault_needs_no_write() -> None:
+    rig = Rig().connected()
+    rig.sample(STOPPED, AxisStatus("FAULT", spinning=False, faulted=True), faults=(0, 1))
+    success, text = rig.services.enable(True).result(0)
+    assert not success
+    assert text.startswith("axis2: OVER_VOLTAGE")
+    assert rig.sent == []
+
+
+@pytest.mark.parametrize("axes", [(SPINNING, STOPPED), (SPINNING, SPINNING)])
+def test_axes_that_spin_when_the_link_comes_up_are_stopped_once(axes: tuple[AxisStatus, AxisStatus]) -> None:
+    rig = Rig().connected(*axes)
+    assert rig.sent == [CommandWrite("cmd.quick_stop", 0, (1, 1))]
+    assert rig.events == ["the board was still enabled: it stops and holds; call enable to go on"]
+    rig.done()
+    rig.sample(*axes)
+    assert len(rig.sent) == 1
+    rig.dispatcher.close("pulled")
+    rig.services.link_lost("pulled")
+    rig.connected(*axes)
+    assert len(rig.sent) == 2
+
+
+def test_resting_axes_are_left_alone_when_the_link_comes_up() -> None:
+    rig = Rig().connected(STOPPED, AxisStatus("RUN/ALIGN", spinning=False))
+    rig.sample()
+    assert rig.sent == []

@@ -1,0 +1,83 @@
+"""Measurement of moves on signals whose figures are known in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from servo_bridge.move_metrics import measure_move, rms, settling_time
+
+TIME = np.arange(0.0, 2.0, 0.001)
+COUNT = 2.0 * math.pi / 4000
+
+
+def test_first_order_approach() -> None:
+    """1 - exp(-t/T) enters the band of one count after T ln(target/count) and never overshoots."""
+    target, constant = 10.0, 0.1
+    figures = measure_move(TIME, target * (1.0 - np.exp(-TIME / constant)), target, COUNT)
+    assert figures.settling_time == pytest.approx(constant * math.log(target / COUNT), abs=0.0011)
+    assert figures.overshoot == 0.0
+    assert figures.arrived
+    assert figures.reached == pytest.approx(target, abs=1e-6)
+    assert figures.error == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_overshoot_of_a_damped_oscillation(direction: float) -> None:
+    damping, omega = 0.5, 40.0
+    damped = omega * math.sqrt(1.0 - damping**2)
+    wave = np.exp(-damping * omega * TIME) * (np.cos(damped * TIME) + damping * omega / damped * np.sin(damped * TIME))
+    figures = measure_move(TIME, direction * (1.0 - wave), direction, 1e-3)
+    assert figures.overshoot == pytest.approx(math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2)), rel=1e-3)
+    assert figures.settling_time is not None
+    assert 0.2 < figures.settling_time < 0.4
+
+
+def test_a_move_that_stops_short() -> None:
+    figures = measure_move(TIME, np.full_like(TIME, 0.99), 1.0, 1e-3)
+    assert not figures.arrived
+    assert figures.settling_time is None
+    assert figures.error == pytest.approx(-0.01)
+
+
+def test_a_disturbance_after_arrival_counts() -> None:
+    position = np.ones_like(TIME)
+    position[1000] = 1.5
+    figures = measure_move(TIME, position, 1.0, 1e-3)
+    assert figures.settling_time == pytest.approx(TIME[1001])
+    assert figures.arrived
+
+
+def test_leaving_the_band_at_the_end_is_no_arrival() -> None:
+    position = np.ones_like(TIME)
+    position[-1] = 1.1
+    assert not measure_move(TIME, position, 1.0, 1e-3).arrived
+
+
+def test_tracking_error_of_a_constant_lag() -> None:
+    figures = measure_move(TIME, TIME - 0.2, 2.0, 1.0, reference=TIME)
+    assert figures.tracking_rms == pytest.approx(0.2)
+    assert figures.tracking_max == pytest.approx(0.2)
+    assert measure_move(TIME, TIME, 2.0, 1.0).tracking_rms is None
+
+
+def test_no_distance_to_go_makes_any_excursion_an_overshoot() -> None:
+    position = 1.0 + 0.01 * np.sin(20.0 * TIME)
+    position[0] = 1.0
+    assert measure_move(TIME, position, 1.0, 0.1).overshoot == pytest.approx(0.01, rel=1e-3)
+
+
+def test_settling_at_the_edge_of_the_band_is_inside() -> None:
+    assert settling_time(np.array([0.0, 1.0]), np.array([0.5, -0.5]), 0.5) == 0.0
+
+
+def test_rms() -> None:
+    assert rms(np.array([3.0, -4.0])) == pytest.approx(math.sqrt(12.5))
+
+
+def test_series_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="two samples"):
+        measure_move(TIME[:1], TIME[:1], 1.0, 0.1)
+    with pytest.raises(ValueError, match="equal length"):
+        measure_move(TIME, TIME[1:], 1.0, 0.1)

@@ -1,0 +1,429 @@
+"""The node under real rclpy: topics, services, trouble. The link is driven by the test."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from bridge_rig import FAULT, SPIN, STOP, FakeLink, Rig
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from servo_bridge.link_state import LinkState
+from servo_bridge.link_statistics import LinkStatistics
+from servo_bridge.parameters import ParameterError
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.convert import AppliedCommand, from_stamp, snapshot_table
+from std_msgs.msg import Float64, Float64MultiArray
+from std_srvs.srv import SetBool
+
+from servo_msgs_py import topics
+
+CATALOGUE = Catalogue.load()
+TURN = 2.0 * math.pi
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with Rig() as result:
+        yield result
+
+
+def writes(rig: Rig, count: int) -> list[Any]:
+    """Give samples until so many writes have been sent."""
+
+    def sent() -> bool:
+        rig.link.sample()
+        return len(rig.link.written) >= count
+
+    rig.until(sent)
+    return rig.link.written
+
+
+# ---- telemetry
+def test_joint_states_are_si_and_stamped_with_board_time(rig: Rig) -> None:
+    rig.up()
+    rig.until(lambda: rig.link.reads)
+    rig.link.values.update({"axis1.position": 4000, "axis2.speed": CATALOGUE["axis2.speed"].to_raw(100.0)})
+    rig.link.values["axis2.i_q"] = CATALOGUE["axis2.i_q"].to_raw(2.0)
+    for _ in range(5):
+        rig.link.sample()
+    rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= 6)
+    messages = rig.messages[topics.JOINT_STATES][-5:]
+    newest = messages[-1]
+    assert list(newest.name) == ["axis1", "axis2"]
+    assert list(newest.position) == pytest.approx([TURN, 0.0])
+    assert list(newest.velocity) == pytest.approx([0.0, 100.0])
+    assert list(newest.effort) == pytest.approx([0.0, 0.1], rel=1e-3)
+    stamps = [from_stamp(m.header.stamp) for m in messages]
+    assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
+    assert abs(stamps[-1] - time.time_ns()) < 5e9
+
+
+def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
+    rig.up()
+    for _ in range(100):
+        rig.link.sample()
+    last = rig.link.tick
+    rig.link.lose()  # the rest of the last batch goes out
+    rig.until(lambda: rig.snapshots() and rig.snapshots()[-1]["tick"] == last)
+    ticks = [row["tick"] for row in rig.snapshots()]
+    assert ticks == [last - 16 * k for k in range(len(ticks))][::-1]
+    assert len(ticks) >= 100 > len(rig.messages[topics.SNAPSHOT])
+    assert {"axis1.position_ref", "axis2.speed", "u_dc", "applied_count"} <= rig.snapshots()[0].keys()
+    stamps = [(int(row["stamp.sec"]), int(row["stamp.nanosec"])) for row in rig.snapshots()]
+    rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) == len(stamps))
+    headers = (message.header.stamp for message in rig.messages[topics.JOINT_STATES])
+    assert stamps == [(stamp.sec, stamp.nanosec) for stamp in headers]
+
+
+def test_positions_go_on_past_32_bits(rig: Rig) -> None:
+    rig.link.values["axis1.position"] = 2**31 - 10
+    rig.up()
+    rig.link.values["axis1.position"] = -(2**31) + 10
+    rig.link.sample()
+    rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= 2)
+    first, second = (m.position[0] for m in rig.messages[topics.JOINT_STATES][:2])
+    assert (second - first) / TURN * 4000 == pytest.approx(20, abs=1e-3)
+
+
+def test_joint_states_rate_is_a_ceiling() -> None:
+    with Rig(joint_states_rate=100.0, snapshot_period=0.0) as rig:
+        rig.up()
+        for _ in range(100):
+            rig.link.sample(periods=32)  # 500 samples per second of board time
+        rig.until(lambda: len(rig.messages[topics.SNAPSHOT]) >= 101)
+        assert 19 <= len(rig.messages[topics.JOINT_STATES]) <= 22
+
+
+def test_variables_come_from_the_sample_or_are_read() -> None:
+    with Rig(variables=["axis1.i_q", "param.host_timeout", "cmd.position"], variable_rate=50.0) as rig:
+        values: list[float] = []
+        rig.user.create_subscription(Float64, "var/param/host_timeout", lambda m: values.append(m.data), 10)
+        rig.until(lambda: rig.user.count_publishers("var/param/host_timeout"))
+        assert rig.user.count_publishers("var/cmd/position/axis2") == 1
+        rig.link.values["axis1.i_q"] = CATALOGUE["axis1.i_q"].to_raw(1.0)
+        rig.up()
+        rig.until(lambda: values and rig.messages["var/axis1/i_q"])
+        assert rig.messages["var/axis1/i_q"][-1].data == pytest.approx(1.0, abs=1e-3)
+        assert values[-1] == 1.5
+        assert "axis1.i_q" not in rig.link.reads
+
+
+def test_state_and_armed_follow_the_board(rig: Rig) -> None:
+    assert rig.state().startswith("DISCONNECTED ")
+    assert not rig.armed()
+    rig.up(STOP, SPIN)
+    assert rig.state() == "axis1=STOP axis2=RUN/SPIN"
+    assert rig.enable(True)[0]
+    assert not rig.armed()
+    rig.link.axes(SPIN, SPIN)
+    rig.link.sample()
+    rig.until(lambda: rig.armed() and rig.state() == "axis1=RUN/SPIN axis2=RUN/SPIN")
+    for _ in range(5):
+        rig.link.sample()
+    rig.settle()
+    assert [m.data for m in rig.messages[topics.ARMED]] == [False, True]
+    assert len(rig.messages[topics.STATE]) == len({m.data for m in rig.messages[topics.STATE]})
+
+
+# ---- set-points
+def test_a_joint_command_goes_to_both_axes_in_one_write_and_its_tick_is_told(rig: Rig) -> None:
+    rig.ready()
+    rig.joint_commands.publish(JointState(name=["axis2", "axis1"], position=[TURN, -TURN]))
+    assert writes(rig, 2) == [("cmd.mode", 0, (0, 0)), ("cmd.position", 0, (-4000, 4000))]
+    rig.link.sample()
+    rig.until(lambda: len(rig.applied()) >= 4)
+    tick = rig.link.values["applied_tick"]
+    assert rig.applied()[-1] == AppliedCommand("cmd.position", tick, (-4000, 4000), 3)
+    assert [a.variable for a in rig.applied()] == ["cmd.quick_stop", "cmd.enable", "cmd.mode", "cmd.position"]
+
+
+def test_commands_array_and_single_position(rig: Rig) -> None:
+    rig.ready()
+    rig.commands.publish(Float64MultiArray(data=[TURN, TURN]))
+    writes(rig, 2)
+    rig.position.publish(Float64(data=2 * TURN))
+    assert writes(rig, 3)[1:] == [("cmd.position", 0, (4000, 4000)), ("cmd.position", 1, (8000,))]
+
+
+def test_effort_uses_the_torque_constant_of_the_board(rig: Rig) -> None:
+    rig.ready()
+    rig.joint_commands.publish(JointState(name=["axis1", "axis2"], effort=[0.04, 0.05]))
+    raw = CATALOGUE["cmd.i_q"].to_raw(1.0)
+    assert writes(rig, 2)[1] == ("cmd.i_q", 0, (raw, raw))
+
+
+def test_a_silent_velocity_command_becomes_zero() -> None:
+    with Rig(command_timeout=0.1) as rig:
+        rig.ready()
+        rig.joint_commands.publish(JointState(name=["axis1"], velocity=[50.0]))
+        assert writes(rig, 3)[2] == ("cmd.speed", 0, (0,))
+        rig.until(lambda: any("no velocity command on joint_commands for 0.1 s" in text for text in rig.logs()))
+
+
+WRONG = [
+    (JointState(name=["elbow"], position=[1.0]), "joint 'elbow' does not exist; the joints are axis1, axis2"),
+    (JointState(name=["axis1", "axis2"], position=[1.0]), "position has 1 values for 2 names"),
+    (JointState(name=["axis1"], position=[1.0], velocity=[1.0]), "fill exactly one of position, velocity and effort"),
+    (JointState(name=["axis1"]), "fill exactly one"),
+    (JointState(position=[1.0, 2.0]), "name is empty"),
+    (JointState(name=["axis1", "axis1"], position=[1.0, 2.0]), "named twice"),
+    (JointState(name=["axis1"], position=[math.nan]), "position of axis1 is nan"),
+    (JointState(name=["axis2"], velocity=[math.inf]), "velocity of axis2 is inf"),
+    (JointState(name=["axis1"], position=[1e9]), "outside -1.5e+06 .. 1.5e+06 rad"),
+    (JointState(name=["axis1"], velocity=[-1000.0]), "outside -419 .. 419 rad/s"),
+    (JointState(name=["axis1"], effort=[9.0]), "effort of axis1 is 9 N m, outside"),
+]
+
+
+def test_every_wrong_joint_command_is_named_and_moves_nothing(rig: Rig) -> None:
+    rig.ready()
+    for message, sentence in WRONG:
+        seen = len(rig.rejections())
+        rig.joint_commands.publish(message)
+        rig.until(lambda seen=seen: len(rig.rejections()) > seen)
+        assert "rejected, nothing moves because of it: joint_commands: " in rig.rejections()[-1]
+        assert sentence in rig.rejections()[-1]
+    rig.settle()
+    assert rig.link.written == []
+
+
+@pytest.mark.parametrize("data", [[], [1.0], [1.0, 2.0, 3.0], [math.nan, 0.0], [1e9, 0.0]])
+def test_wrong_arrays_move_nothing(rig: Rig, data: list[float]) -> None:
+    rig.ready()
+    rig.commands.publish(Float64MultiArray(data=data))
+    rig.until(rig.rejections)
+    assert "commands: " in rig.rejections()[0]
+    rig.settle()
+    assert rig.link.written == []
+
+
+def test_set_points_before_enable_are_refused(rig: Rig) -> None:
+    rig.up(SPIN, SPIN)
+    rig.position.publish(Float64(data=1.0))
+    rig.until(rig.rejections)
+    assert "axis2/position: outputs have not been enabled" in rig.rejections()[0]
+    rig.settle()
+    assert rig.link.written == [("cmd.quick_stop", 0, (1, 1))]
+
+
+def test_a_stream_of_wrong_commands_does_not_flood_the_log(rig: Rig) -> None:
+    rig.ready()
+    for k in range(60):
+        rig.joint_commands.publish(JointState(name=[f"joint{k}"], position=[0.0]))
+        rig.executor.spin_once(timeout_sec=0.0)
+    status = rig.diagnosis("commands")
+    assert status.level == b"\x01"
+    assert "rejected: joint_commands: joint 'joint" in status.message
+    assert 15 <= len(rig.rejections()) <= 30
+
+
+# ---- services
+def test_enable_writes_and_answers_when_it_took_effect(rig: Rig) -> None:
+    rig.up()
+    success, text = rig.enable(True)
+    assert success
+    assert "state shows" in text
+    assert rig.link.written == [("cmd.enable", 0, (1, 1))]
+    success, _ = rig.enable(False)
+    assert success
+    assert rig.link.written[1:] == [("cmd.enable", 0, (0, 0))]
+
+
+def test_services_say_why_there_is_no_link(rig: Rig) -> None:
+    rig.link.lose(reason="nothing answers", remedy="check the cable")
+    rig.until(lambda: "nothing answers" in rig.state())
+    for answer in (rig.enable(True), rig.enable(False), rig.quick_stop(), rig.clear_faults()):
+        assert not answer[0]
+        assert "not connected: nothing answers" in answer[1]
+
+
+def test_enable_is_refused_in_fault_with_cause_and_remedy(rig: Rig) -> None:
+    rig.link.values["axis2.faults"] = 0b10
+    rig.up(STOP, FAULT)
+    success, text = rig.enable(True)
+    assert not success
+    assert "axis2: UNDER_VOLTAGE: " in text
+    assert "clear_faults" in text
+    assert rig.link.written == []
+
+
+def test_quick_stop_blocks_set_points_until_enable(rig: Rig) -> None:
+    rig.ready()
+    assert rig.quick_stop()[0]
+    assert rig.link.written == [("cmd.quick_stop", 0, (1, 1))]
+    rig.until(lambda: not rig.armed())
+    rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
+    rig.until(rig.rejections)
+    assert "stopped by the service quick_stop; call the service enable" in rig.rejections()[0]
+    assert rig.enable(True)[0]
+    rig.until(rig.armed)
+    rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
+    assert [w[0] for w in writes(rig, 4)] == ["cmd.quick_stop", "cmd.enable", "cmd.mode", "cmd.position"]
+
+
+def test_clear_faults_tells_what_is_still_there(rig: Rig) -> None:
+    rig.link.values["axis1.faults"] = 0b10
+    rig.up(FAULT, STOP)
+    success, text = rig.clear_faults()
+    assert not success
+    assert "still there: axis1: UNDER_VOLTAGE" in text
+    rig.link.values["axis1.faults"] = 0
+    assert rig.clear_faults() == (True, "no faults")
+    assert rig.link.written == [("cmd.clear_faults", 0, (1, 1))] * 2
+
+
+def test_a_waiting_service_stops_nothing_else_and_a_lost_link_answers_it(rig: Rig) -> None:
+    rig.up()
+    rig.link.deaf = True
+    enable = rig.enable_client.call_async(SetBool.Request(data=True))
+    rig.until(lambda: rig.link.written)
+    seen = len(rig.messages[topics.JOINT_STATES])
+    for _ in range(20):
+        rig.link.sample()
+    rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= seen + 20)
+    rig.settle()
+    assert not enable.done()
+    rig.link.lose(reason="pulled")
+    rig.until(enable.done)
+    assert (enable.result().success, enable.result().message) == (False, "pulled")
+
+
+# ---- a lost link
+def test_link_loss_throws_set_points_away_and_nothing_rearms(rig: Rig) -> None:
+    rig.ready()
+    rig.link.deaf = True
+    rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
+    rig.until(lambda: rig.link.written)
+    rig.link.written.clear()
+    rig.link.lose(reason="port vanished")
+    rig.until(lambda: rig.state() == "DISCONNECTED port vanished; plug it in" and not rig.armed())
+    rig.commands.publish(Float64MultiArray(data=[2.0, 2.0]))
+    rig.until(rig.rejections)
+    assert "not connected (port vanished)" in rig.rejections()[0]
+    rig.link.deaf = False
+    rig.up(SPIN, SPIN)
+    for _ in range(10):
+        rig.link.sample()
+    rig.commands.publish(Float64MultiArray(data=[3.0, 3.0]))
+    rig.until(lambda: len(rig.rejections()) >= 2)
+    assert "the link to the board was lost; call the service enable" in rig.rejections()[1]
+    assert rig.link.written == [("cmd.quick_stop", 0, (1, 1))]  # what still moved is stopped
+    assert not rig.armed()
+    assert rig.enable(True)[0]
+    rig.until(rig.armed)
+
+
+def test_every_change_of_the_link_is_one_line_and_an_error_in_diagnostics(rig: Rig) -> None:
+    rig.up()
+    rig.link.figures = LinkStatistics(sample_rate=128.0)
+    assert (rig.diagnosis("link").level, rig.diagnosis("link").message) == (b"\x00", "128 samples/s")
+    rig.link.figures = LinkStatistics(sample_rate=128.0, crc_errors=3)
+    assert rig.diagnosis("link").message == "in the last second: 3 crc errors"
+    rig.link.lose(LinkState.FAILED, "another table of variables", "flash the firmware of this release")
+    link = rig.diagnosis("link")
+    assert (link.level, link.message) == (b"\x02", "another table of variables; flash the firmware of this release")
+    assert link.hardware_id == "/dev/ttyUSB0"
+    for part in ("board", "axis1", "axis2"):
+        assert rig.diagnosis(part).level == b"\x02"
+    assert rig.logs(40) == ["another table of variables; flash the firmware of this release"]
+
+
+def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
+    rig.up()
+    rig.link.axes(FAULT, STOP)
+    rig.link.values["axis1.faults"] = 0b101
+    for _ in range(5):
+        rig.link.sample()
+    axis = rig.diagnosis("axis1")
+    assert axis.level == b"\x02"
+    assert axis.message.startswith("OVER_VOLTAGE: ")
+    assert "OVER_CURRENT" in axis.message
+    assert len(rig.logs(40)) == 2
+    assert all(text.startswith("axis1: OVER_") for text in rig.logs(40))
+
+
+def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
+    rig.link.tick = 16_000 * 3600
+    rig.link.values["axis1.position"] = 2**31 - 1
+    rig.up()
+    rig.link.sample()  # waits for its snapshot message
+    rig.link.epoch, rig.link.tick, rig.link.values["axis1.position"] = 1, 0, -(2**31)
+    for _ in range(3):
+        rig.link.sample()
+    rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= 5)
+    newest = rig.messages[topics.JOINT_STATES][-1]
+    assert newest.position[0] < 0.0
+    assert abs(from_stamp(newest.header.stamp) - time.time_ns()) < 60e9
+    rig.link.lose()
+    rig.until(lambda: len(rig.snapshots()) >= 5)
+    for message in rig.messages[topics.SNAPSHOT]:
+        names, table = snapshot_table(message)
+        assert all(later > earlier for earlier, later in itertools.pairwise(table[:, names.index("tick")]))
+
+
+# ---- parameters
+@pytest.mark.parametrize(
+    ("parameters", "sentence"),
+    [
+        ({"joints": ["one"]}, "give 2 different names"),
+        ({"joints": ["a", "a"]}, "give 2 different names"),
+        ({"joints": ["a b", "c"]}, "give 2 different names"),
+        ({"variables": ["axis1.posision"]}, "parameter variables: no variable 'axis1.posision'; did you mean"),
+        ({"telemetry": ["snapshot"]}, "parameter telemetry: snapshot is a block"),
+        ({"position_min": [2.0, 0.0], "position_max": [1.0, 1.0]}, "position_min 2 is above position_max 1"),
+        ({"velocity_max": [-1.0, 1.0]}, "cannot be negative"),
+        ({"effort_max": [1.0]}, "one per joint"),
+        ({"baud": "fast"}, "parameter baud"),
+        ({"baud": 3}, "parameter baud"),
+        ({"command_timeout": 1000.0}, "parameter command_timeout"),
+        ({"port": ""}, "parameter port is empty"),
+    ],
+)
+def test_senseless_parameters_are_named(parameters: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ParameterError) as caught, Rig(**parameters):
+        pass
+    assert sentence in str(caught.value)
+
+
+def test_joint_names_reach_topics_and_messages() -> None:
+    with Rig(joints=["pan", "axis2"]) as rig:
+        rig.up()
+        assert rig.state() == "pan=STOP axis2=STOP"
+        assert rig.user.count_subscribers("pan/position") == 1
+
+
+def test_limits_change_at_run_time_and_the_port_does_not(rig: Rig) -> None:
+    rig.ready()
+    client = rig.user.create_client(SetParameters, "servo_bridge/set_parameters")
+    rig.until(client.service_is_ready)
+
+    def change(name: str, value: Any) -> tuple[bool, str]:
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        future = client.call_async(request)
+        rig.until(future.done)
+        result = future.result().results[0]
+        return result.successful, result.reason
+
+    assert change("position_max", [1.0, 1.0])[0]
+    rig.commands.publish(Float64MultiArray(data=[0.0, 1.5]))
+    rig.until(rig.rejections)
+    assert "position of axis2 is 1.5 rad, outside -1.5e+06 .. 1 rad" in rig.rejections()[0]
+    assert not change("port", "/dev/other")[0]
+    refused = change("position_min", [2.0, 2.0])
+    assert not refused[0]
+    assert "above position_max" in refused[1]
+
+
+# ---- end
+def test_shutdown_switches_off_and_says_so(rig: Rig) -> None:
+    rig.ready()
+    link: FakeLink = rig.link
+    rig.bridge.shutdown()
+    assert [(name, list(values)) for name, values in link.final] == [("cmd.enable", [0.0, 0.0])]
+    rig.until(lambda: rig.state() == "DISCONNECTED the bridge was stopped" and not rig.armed())

@@ -1,0 +1,73 @@
+"""Parameters: the YAML file, the declared ones and their descriptors say the same."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from servo_bridge.parameters import PARAMETERS, ParameterError, settings_from
+from servo_msgs_py.catalogue import Catalogue
+
+CATALOGUE = Catalogue.load()
+FILE = Path(__file__).resolve().parents[1] / "config" / "servo_bridge.yaml"
+DEFAULTS = {name: spec.default for name, spec in PARAMETERS.items()}
+
+
+class _Yaml12(yaml.SafeLoader):
+    """Reads 1.5e6 as a number, as the parser of ROS does."""
+
+
+_NUMBER = re.compile(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?$")
+_Yaml12.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, list("-+.0123456789"))
+
+
+def test_the_file_lists_every_parameter_with_its_default_and_a_comment() -> None:
+    text = FILE.read_text(encoding="utf-8")
+    values = yaml.load(text, Loader=_Yaml12)["/**"]["ros__parameters"]
+    assert values == DEFAULTS
+    assert {name: type(value) for name, value in values.items()} == {n: type(v) for n, v in DEFAULTS.items()}
+    lines = text.splitlines()
+    for name in PARAMETERS:
+        number = next(k for k, line in enumerate(lines) if line.startswith(f"    {name}:"))
+        assert lines[number - 1].lstrip().startswith("#") or lines[number - 1].startswith("    position_min"), name
+
+
+def test_the_file_names_what_can_only_be_set_at_the_start() -> None:
+    blocks = re.split(r"\n(?=    #)", FILE.read_text(encoding="utf-8"))
+    for name, spec in PARAMETERS.items():
+        block = next(b for b in blocks if re.search(rf"^    {name}:", b, re.MULTILINE))
+        assert ("Read-only." in block) == spec.read_only, name
+
+
+def test_descriptors_carry_text_range_and_access() -> None:
+    for name, spec in PARAMETERS.items():
+        descriptor = spec.descriptor()
+        assert len(descriptor.description) > 10, name
+        assert descriptor.read_only == spec.read_only
+    assert PARAMETERS["baud"].descriptor().integer_range[0].to_value == 4_000_000
+    assert PARAMETERS["command_timeout"].descriptor().floating_point_range[0].from_value == 0.02
+
+
+def test_defaults_make_sense_and_reach_the_settings() -> None:
+    settings = settings_from(DEFAULTS, CATALOGUE)
+    assert settings.joints == ("axis1", "axis2")
+    assert settings.limits[1].velocity_max == 419.0
+    assert settings.telemetry[:3] == ("tick", "applied_tick", "applied_count")
+    assert "axis2.limits" in settings.telemetry
+
+
+def test_an_empty_name_stands_for_an_empty_list() -> None:
+    settings = settings_from(DEFAULTS | {"variables": [""], "telemetry": [""]}, CATALOGUE)
+    assert settings.variables == ()
+    assert "u_dc" not in settings.telemetry
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("position_max", [float("nan"), 1.0]), ("effort_max", [1.0, -0.1]), ("velocity_max", [])]
+)
+def test_wrong_limits_are_named(name: str, value: Any) -> None:
+    with pytest.raises(ParameterError, match=f"parameter {name}"):
+        settings_from(DEFAULTS | {name: value}, CATALOGUE)

@@ -1,0 +1,90 @@
+"""Samples to frames: 64-bit positions, states, and which variables a sample has to carry."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bridge.scope import Sample, ScopeLayout
+from servo_bridge.telemetry import Telemetry, required_variables, telemetry_variables
+from servo_msgs_py.catalogue import Catalogue
+
+CATALOGUE = Catalogue.load()
+NAMES = telemetry_variables(CATALOGUE, ["axis1.position_ref"])
+LAYOUT = ScopeLayout([CATALOGUE[name] for name in NAMES])
+LSB = CATALOGUE["axis1.position"].lsb
+
+
+def sample(tick: int = 8, epoch: int = 0, **values: int) -> Sample:
+    raw = tuple(values.get(name.replace(".", "_"), 0) for name in NAMES)
+    return Sample(tick, epoch, 0, 5, b"", raw, LAYOUT)
+
+
+def wrapped(counts: int) -> int:
+    return (counts + 2**31) % 2**32 - 2**31
+
+
+@given(st.lists(st.integers(-(2**30), 2**30), max_size=30), st.integers(-(2**31), 2**31 - 1))
+def test_positions_follow_any_way_past_32_bits(steps: list[int], start: int) -> None:
+    telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
+    counts = start
+    for step in [0, *steps]:
+        counts += step
+        frame = telemetry.frame(sample(axis2_position=wrapped(counts)))
+        assert frame.values["axis2.position"] == counts * LSB
+        assert frame.axes[1].position_offset == counts - wrapped(counts)
+
+
+def test_the_set_point_is_extended_with_the_position() -> None:
+    telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
+    top = 2**31 - 10
+    frame = telemetry.frame(sample(axis1_position=top, axis1_position_ref=wrapped(top + 50)))
+    assert frame.values["axis1.position_ref"] == (top + 50) * LSB
+    frame = telemetry.frame(sample(axis1_position=wrapped(top + 60), axis1_position_ref=top))
+    assert frame.values["axis1.position_ref"] == top * LSB
+
+
+def test_a_new_epoch_starts_anew() -> None:
+    telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
+    telemetry.frame(sample(axis1_position=2**31 - 1))
+    frame = telemetry.frame(sample(epoch=1, axis1_position=-(2**31)))
+    assert frame.axes[0].position_offset == 0
+
+
+def test_states_and_faults() -> None:
+    frame = Telemetry(CATALOGUE, LAYOUT.variables).frame(
+        sample(axis1_state=3, axis1_substate=3, axis2_state=0, axis2_faults=6, applied_tick=7, applied_count=9)
+    )
+    assert [a.label for a in frame.axes] == ["RUN/SPIN", "FAULT"]
+    assert [(a.spinning, a.faulted) for a in frame.axes] == [(True, False), (False, True)]
+    assert (frame.faults, frame.applied_tick, frame.applied_count) == ((0, 6), 7, 9)
+
+
+def test_values_are_si_in_the_order_of_the_columns() -> None:
+    telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
+    frame = telemetry.frame(sample(axis2_i_q=CATALOGUE["axis2.i_q"].to_raw(1.5)))
+    assert list(frame.values) == telemetry.columns
+    assert frame.values["axis2.i_q"] == pytest.approx(1.5, abs=1e-3)
+
+
+def test_the_tick_is_the_extended_one() -> None:
+    assert Telemetry(CATALOGUE, LAYOUT.variables).frame(sample(tick=2**40)).values["tick"] == 2**40
+
+
+def test_required_variables_come_first_and_once() -> None:
+    names = telemetry_variables(CATALOGUE, ["u_dc", "tick", "u_dc"])
+    assert names == [*required_variables(), "u_dc"]
+
+
+def test_the_default_telemetry_fits_the_scope_of_the_firmware() -> None:
+    from servo_bridge.parameters import PARAMETERS
+
+    names = telemetry_variables(CATALOGUE, PARAMETERS["telemetry"].default)
+    assert len(names) <= 24
+    assert sum(CATALOGUE[name].size for name in names) <= 80  # more than 100 samples per second at 115200 baud
+
+
+@pytest.mark.parametrize(("name", "text"), [("axis3.position", "no variable"), ("snapshot", "is a block")])
+def test_what_cannot_be_sampled_is_named(name: str, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        telemetry_variables(CATALOGUE, [name])
