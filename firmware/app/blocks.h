@@ -46,6 +46,7 @@ typedef struct {
     frac32_t speed_limit[HAL_AXES];
     frac32_t acceleration_limit[HAL_AXES];
     frac16_t i_q_limit[HAL_AXES];
+    uint16_t features[HAL_AXES]; /* FEATURE_ bits */
     uint16_t host_timeout; /* slow ticks */
 } parameter_block_t;
 

@@ -88,6 +88,7 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
     axis->limits.acceleration =
         clip(parameter->acceleration_limit[i], PARAM_ACCELERATION_LIMIT_MIN, PARAM_ACCELERATION_LIMIT_MAX, &clipped);
     axis->limits.i_q = (frac16_t)clip(parameter->i_q_limit[i], PARAM_I_Q_LIMIT_MIN, PARAM_I_Q_LIMIT_MAX, &clipped);
+    axis->features = parameter->features[i];
     axis->command.clipped = axis->command.clipped || clipped;
 }
 

@@ -89,6 +89,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.speed_limit[i] = config->speed_limit;
         servo->parameter.acceleration_limit[i] = config->acceleration_limit;
         servo->parameter.i_q_limit[i] = config->i_q_limit;
+        servo->parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX; /* all of them */
         servo->belief.torque_constant[i] = config->torque_constant;
     }
     servo->tick = 0;

@@ -27,37 +27,38 @@ CHECK(11, SIZE(command.clear_faults) == 4);
 CHECK(12, SIZE(parameter.speed_limit) == 8);
 CHECK(13, SIZE(parameter.acceleration_limit) == 8);
 CHECK(14, SIZE(parameter.i_q_limit) == 4);
-CHECK(15, SIZE(parameter.host_timeout) == 2);
-CHECK(16, SIZE(snapshot.axis[0].position) == 4);
-CHECK(17, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(18, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(19, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(20, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(21, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(22, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(23, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(24, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(25, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(26, SIZE(snapshot.axis[0].state) == 2);
-CHECK(27, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(28, SIZE(snapshot.axis[0].faults) == 2);
-CHECK(29, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(30, SIZE(belief.torque_constant[0]) == 2);
-CHECK(31, SIZE(snapshot.axis[1].position) == 4);
-CHECK(32, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(33, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(34, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(35, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(36, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(37, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(38, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(39, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(40, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(41, SIZE(snapshot.axis[1].state) == 2);
-CHECK(42, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(43, SIZE(snapshot.axis[1].faults) == 2);
-CHECK(44, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(45, SIZE(belief.torque_constant[1]) == 2);
+CHECK(15, SIZE(parameter.features) == 4);
+CHECK(16, SIZE(parameter.host_timeout) == 2);
+CHECK(17, SIZE(snapshot.axis[0].position) == 4);
+CHECK(18, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(19, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(20, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(21, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(22, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(23, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(24, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(25, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(26, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(27, SIZE(snapshot.axis[0].state) == 2);
+CHECK(28, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(29, SIZE(snapshot.axis[0].faults) == 2);
+CHECK(30, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(31, SIZE(belief.torque_constant[0]) == 2);
+CHECK(32, SIZE(snapshot.axis[1].position) == 4);
+CHECK(33, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(34, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(35, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(36, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(37, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(38, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(39, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(40, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(41, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(42, SIZE(snapshot.axis[1].state) == 2);
+CHECK(43, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(44, SIZE(snapshot.axis[1].faults) == 2);
+CHECK(45, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(46, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -100,6 +101,7 @@ static const char strings[] =
     "param.speed_limit\0"
     "param.acceleration_limit\0"
     "param.i_q_limit\0"
+    "param.features\0"
     "param.host_timeout\0"
     "axis1.position\0"
     "axis1.position_ref\0"
@@ -165,37 +167,38 @@ static const tsa_entry_t entries[] = {
     {288, 226, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
     {306, 226, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
     {331, 199, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {347, 192, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {366, 214, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {381, 214, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {400, 226, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {412, 226, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {428, 199, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {438, 199, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {448, 199, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {462, 199, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {472, 199, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {482, 199, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {496, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {508, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {523, 192, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {536, 192, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {549, 199, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {571, 214, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {586, 214, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {605, 226, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {617, 226, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {633, 199, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {643, 199, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {653, 199, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {667, 199, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {677, 199, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {687, 199, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {701, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {713, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {728, 192, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {741, 192, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {754, 199, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {347, 192, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {362, 192, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {381, 214, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {396, 214, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {415, 226, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {427, 226, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {443, 199, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {453, 199, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {463, 199, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {477, 199, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {487, 199, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {497, 199, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {511, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {523, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {538, 192, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {551, 192, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {564, 199, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {586, 214, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {601, 214, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {620, 226, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {632, 226, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {648, 199, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {658, 199, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {668, 199, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {682, 199, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {692, 199, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {702, 199, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {716, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {728, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {743, 192, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {756, 192, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {769, 199, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

@@ -28,6 +28,7 @@ typedef struct {
     frac32_t speed_limit;       /* default of the writable limit */
     frac32_t acceleration_limit; /* default of the writable limit: speed per slow tick */
 
+    frac16_t u_dc_nominal; /* assumed while the ripple compensation is off */
     frac16_t u_dc_most;  /* over-voltage */
     frac16_t u_dc_least; /* under-voltage */
     uint16_t offset_tolerance;  /* ADC codes that an amplifier offset may lie off mid-scale */

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x1BF794C8)
+#define CATALOGUE_HASH UINT32_C(0xD7C87FC0)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -43,6 +43,11 @@ typedef enum {
 #define LIMIT_SPEED UINT16_C(0x0004) /* speed set-point at its limit */
 #define LIMIT_SETPOINT UINT16_C(0x0008) /* a set-point was clipped to its limits */
 
+#define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
+#define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
+#define FEATURE_BUS_COMPENSATION UINT16_C(0x0004) /* duties follow the ripple of the DC bus */
+#define FEATURE_DEAD_TIME UINT16_C(0x0008) /* compensation of dead time and switch drops */
+
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
 #define COMMAND_IDENTIFY 3
@@ -65,6 +70,8 @@ typedef enum {
 #define PARAM_ACCELERATION_LIMIT_MAX INT32_C(102534791)
 #define PARAM_I_Q_LIMIT_MIN INT32_C(397)
 #define PARAM_I_Q_LIMIT_MAX INT32_C(15888)
+#define PARAM_FEATURES_MIN INT32_C(0)
+#define PARAM_FEATURES_MAX INT32_C(15)
 #define PARAM_HOST_TIMEOUT_MIN INT32_C(100)
 #define PARAM_HOST_TIMEOUT_MAX INT32_C(60000)
 

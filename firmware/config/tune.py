@@ -80,8 +80,8 @@ def uint16(name: str, value: float) -> int:
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "board": (
-        "pwm_frequency", "slow_divider", "timer_clock", "over_voltage", "under_voltage", "host_timeout", "dead_time",
-        "switch_drop", "voltage_use",
+        "pwm_frequency", "slow_divider", "timer_clock", "nominal_voltage", "over_voltage", "under_voltage",
+        "host_timeout", "dead_time", "switch_drop", "voltage_use",
     ),
     "motor": ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia"),
     "encoder": ("lines",),
@@ -245,6 +245,7 @@ def axis_literal(axis: Axis, board: Mapping[str, float], s: Scales) -> str:
         ("i_q_limit", frac16("limits.current", i_limit / s.i)),
         ("speed_limit", frac32("limits.speed", v_limit / s.speed)),
         ("acceleration_limit", frac32("limits.acceleration", axis("limits.acceleration") * ts / s.speed)),
+        ("u_dc_nominal", frac16("nominal_voltage", board["nominal_voltage"] / s.u_dc)),
         ("u_dc_most", frac16("over_voltage", board["over_voltage"] / s.u_dc)),
         ("u_dc_least", frac16("under_voltage", board["under_voltage"] / s.u_dc)),
         ("offset_tolerance", uint16("offset_tolerance", axis("sensing.offset_tolerance"))),

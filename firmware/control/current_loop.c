@@ -43,6 +43,8 @@ current_loop_output_t current_loop_step(current_loop_t *loop, const current_loop
     const int32_t reciprocal = (INT32_C(1) << 29) / bus;
     const ab_t modulation = {over_bus(u.alpha, reciprocal), over_bus(u.beta, reciprocal)};
     out.modulation = svm(modulation);
-    out.modulation.duty = dead_time_compensate(&config->dead_time, out.modulation.duty, current, reciprocal);
+    if (!loop->dead_time_off) {
+        out.modulation.duty = dead_time_compensate(&config->dead_time, out.modulation.duty, current, reciprocal);
+    }
     return out;
 }

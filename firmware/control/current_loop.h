@@ -20,6 +20,7 @@ typedef struct {
 typedef struct {
     pi_state_t d;
     pi_state_t q;
+    bool dead_time_off; /* leave the duties as the SVM made them */
 } current_loop_t;
 
 typedef struct {

@@ -75,6 +75,7 @@ typedef struct axis {
 
     axis_command_t command;
     axis_limits_t limits;
+    uint16_t features;      /* FEATURE_ bits: parts of the control that are on */
     bool requested;         /* the drive is wanted: enable was written and nothing has withdrawn it */
     uint16_t stop_faults;   /* faults to raise once the axis has been ramped down */
     uint16_t faults;        /* captured faults */

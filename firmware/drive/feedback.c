@@ -36,7 +36,9 @@ static bool encoder_source_slow(axis_t *axis)
         mt_speed_edge(&axis->encoder.speed, &axis->config->mt_speed, &axis->config->encoder, axis->encoder.edge);
     }
     const uint32_t age = hal_edge_age(axis->hal, axis->index);
-    mt_speed_slow(&axis->encoder.speed, age);
+    /* The plain M/T method knows of an edge that does not come only when its timer has run out. */
+    const bool counts = (axis->features & FEATURE_ENHANCED_MT) != 0U || age >= HAL_EDGE_AGE_OVERFLOW;
+    mt_speed_slow(&axis->encoder.speed, counts ? age : 0U);
     hal_capture_arm(axis->hal, axis->index);
 
     /* Count first, then index: every wrap that the count shows then has its pulse. */

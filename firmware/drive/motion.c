@@ -145,7 +145,11 @@ static frac16_t speed_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
-    const frac32_t i_q = pi_step(&m->speed_pi, &axis->config->speed, error, 0, f32_from_f16(axis->limits.i_q));
+    pi_gains_t gains = axis->config->speed;
+    if ((axis->features & FEATURE_ANTI_WINDUP) == 0U) {
+        gains.kc = 0;
+    }
+    const frac32_t i_q = pi_step(&m->speed_pi, &gains, error, 0, f32_from_f16(axis->limits.i_q));
     if (m->speed_pi.excess != 0) {
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_CURRENT);
     }

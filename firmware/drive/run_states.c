@@ -26,7 +26,11 @@ static void measure(axis_t *axis)
 static void drive(axis_t *axis, frac16_t theta_e, frac16_t omega_e)
 {
     const abc_t current = current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
-    const frac16_t u_dc = sat16((int32_t)hal_adc_bus(axis->hal) * 8); /* unfiltered: it is the ripple that counts */
+    /* Unfiltered: it is the ripple that counts. */
+    const frac16_t u_dc = ((axis->features & FEATURE_BUS_COMPENSATION) != 0U)
+                              ? sat16((int32_t)hal_adc_bus(axis->hal) * 8)
+                              : axis->config->u_dc_nominal;
+    axis->current_loop.dead_time_off = (axis->features & FEATURE_DEAD_TIME) == 0U;
     const current_loop_output_t out = current_loop_step(&axis->current_loop, &axis->config->current_loop, current,
                                                         axis->current_ref, theta_e, omega_e, u_dc);
     const abc_t duty = out.modulation.duty;
