@@ -1,0 +1,157 @@
+"""``servo-sim``: the virtual board in simulated time, from the command line and without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.board import Board
+from servo_twin.plant import PlantConfig, PlantError
+from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
+
+__all__ = ["main", "parser"]
+
+
+def parser() -> argparse.ArgumentParser:
+    """Command line of ``servo-sim``."""
+    result = argparse.ArgumentParser(prog="servo-sim", description="The virtual board in simulated time, without ROS.")
+    verbs = result.add_subparsers(dest="verb", required=True, metavar="COMMAND")
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--seed", type=int, default=1, help="seed of every random number (default: %(default)s)")
+    common.add_argument("--plant", type=Path, help="plant file (default: the packaged one)")
+    common.add_argument("--json", action="store_true", help="figures as JSON on standard output")
+
+    info = verbs.add_parser("info", parents=[common], help="what is really there: motors, inverter, bus")
+    info.set_defaults(run=_info)
+
+    mover = verbs.add_parser("move", parents=[common], help="find the rotors, move, measure")
+    mover.add_argument("--turns", type=float, default=5.0, help="distance (default: %(default)s)")
+    mover.add_argument("--axis", type=int, choices=range(1, AXES + 1), help="only this axis (default: both)")
+    mover.add_argument("--time", type=float, help="length of the recording [s] (default: by the distance)")
+    mover.add_argument("--plot", type=Path, metavar="FILE", help="draw position, speed and current to this file")
+    mover.set_defaults(run=_move)
+
+    bench = verbs.add_parser("bench", parents=[common], help="real-time factor of one board with two axes")
+    bench.add_argument("--time", type=float, default=10.0, help="simulated time [s] (default: %(default)s)")
+    bench.set_defaults(run=_bench)
+    return result
+
+
+def _board(args: argparse.Namespace) -> Board:
+    return Board(PlantConfig.load(args.plant) if args.plant else None, seed=args.seed)
+
+
+def _info(args: argparse.Namespace) -> int:
+    with _board(args) as board:
+        plant = asdict(board.plant)
+    if args.json:
+        print(json.dumps(plant, indent=2))
+        return 0
+    bus = plant.pop("bus")
+    axes = plant.pop("axes")
+    print("\n".join(f"{key:14} {value}" for key, value in plant.items()))
+    print("bus\n" + "\n".join(f"  {key:14} {value}" for key, value in bus.items()))
+    width = max(len(str(axes[0][key])) for key in axes[0])
+    print(" " * 17 + "  ".join(f"{axis_name(k):{width}}" for k in range(AXES)))
+    for key in axes[0]:
+        print(f"  {key:14} " + "  ".join(f"{axis[key]!s:{width}}" for axis in axes))
+    return 0
+
+
+def _move(args: argparse.Namespace) -> int:
+    axes = range(AXES) if args.axis is None else [args.axis - 1]
+    seconds = args.time if args.time is not None else 1.0 + 2.5 * abs(args.turns) / 45.0
+    with _board(args) as board:
+        search = enable(board)
+        results, log = move(board, {axis: turns(args.turns) for axis in axes}, seconds)
+        if args.plot:
+            _plot(board, log, [axis_name(axis) for axis in axes], args.plot)
+    search_time = float(time_axis(search)[-1])
+    if args.json:
+        print(json.dumps({"search_time": search_time, "moves": [asdict(result) for result in results]}, indent=2))
+    else:
+        print(f"both rotors found {search_time:.2f} s after reset")
+        _print_moves(results)
+    return 0 if all(result.settling_time is not None for result in results) else 1
+
+
+def _print_moves(results: Sequence[MoveResult]) -> None:
+    print("axis    target  reached  overshoot  steady state  settling   speed    i_q")
+    print("        counts   counts     counts        counts        ms   rad/s      A")
+    for r in results:
+        settling = "never" if r.settling_time is None else f"{1e3 * r.settling_time:.1f}"
+        print(
+            f"{r.axis} {r.target:8} {r.reached:8} {r.overshoot:10} {r.steady_state:13} {settling:>9}"
+            f" {r.speed_most:7.1f} {r.i_q_most:6.2f}"
+        )
+
+
+def _plot(board: Board, log: object, names: Sequence[str], path: Path) -> None:
+    try:
+        import matplotlib
+    except ImportError:
+        raise SimulationError("--plot needs matplotlib: pip install 'servo_twin[viewer]'") from None
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    import numpy as np
+
+    rows = np.asarray(log)
+    values, times = board.si(rows), time_axis(rows)
+    figure, plots = plt.subplots(3, len(names), sharex=True, squeeze=False, figsize=(6.5 * len(names), 8), dpi=120)
+    for column, name in enumerate(names):
+        for plot, quantity, unit in zip(
+            plots[:, column], ("position", "speed", "i_q"), ("rad", "rad/s", "A"), strict=True
+        ):
+            plot.plot(times, values[f"{name}.{quantity}_ref"], color="0.6", label="set-point")
+            plot.plot(times, values[f"{name}.{quantity}"], label="shaft" if quantity != "i_q" else "measured")
+            plot.set_ylabel(f"{quantity} [{unit}]")
+            plot.grid(alpha=0.3)
+        plots[0, column].set_title(name)
+        plots[0, column].legend()
+        plots[-1, column].set_xlabel("time since reset [s]")
+    figure.tight_layout()
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def _bench(args: argparse.Namespace) -> int:
+    with _board(args) as board:
+        enable(board)
+        board.write("cmd.mode", [1] * AXES)
+        board.write("cmd.speed", [100.0, -50.0])
+        begin = time.process_time()
+        board.run(args.time)
+        used = time.process_time() - begin
+    factor = args.time / used
+    if args.json:
+        print(json.dumps({"simulated_s": args.time, "cpu_s": used, "real_time_factor": factor}))
+    else:
+        print(f"{args.time:g} s of two spinning axes took {used:.3f} s of one core: real-time factor {factor:.0f}")
+    return 0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Returns
+    -------
+    int
+        0 when it succeeded, 1 when the board did not do what was asked, 2 for a wrong usage.
+    """
+    args = parser().parse_args(argv)
+    try:
+        return int(args.run(args))
+    except (SimulationError, PlantError, OSError, ValueError) as error:
+        print(f"servo-sim: {error}", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,146 @@
+"""Child processes that never outlive their parent: started with a log each, stopped in order and in bounded time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+__all__ = ["Child", "ChildError", "executable", "stop_all", "wait_until"]
+
+_POLL: Final = 0.05  # [s]
+_TERM_PATIENCE: Final = 8.0  # from SIGTERM to SIGKILL [s]
+
+
+class ChildError(RuntimeError):
+    """A child could not be started, or has ended when it should not have; the text says which and what it said."""
+
+
+def executable(name: str) -> Path:
+    """Path of a console script, beside the running Python.
+
+    Raises
+    ------
+    ChildError
+        If it is not installed.
+    """
+    path = Path(sys.executable).with_name(name)
+    if not path.exists():
+        raise ChildError(f"{name} is not installed beside {sys.executable}: run `make setup`")
+    return path
+
+
+class Child:
+    """One process in a group of its own; what it prints goes to a log file.
+
+    Parameters
+    ----------
+    name : str
+        For messages, and name of the log.
+    command : sequence of str
+        Program and arguments.
+    log : Path
+        File that takes its output.
+    environment : mapping
+        The whole environment of the child.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], log: Path, environment: Mapping[str, str]) -> None:
+        self.name = name
+        self.log = log
+        with log.open("wb") as output:
+            try:
+                self._process = subprocess.Popen(
+                    list(command),
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    env=dict(environment),
+                    start_new_session=True,
+                )
+            except OSError as error:
+                raise ChildError(f"{name} cannot be started: {error}") from error
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    @property
+    def exit_status(self) -> int | None:
+        return self._process.poll()
+
+    def text(self) -> str:
+        """Everything that it has printed."""
+        return self.log.read_text(encoding="utf-8", errors="replace")
+
+    def last_words(self, lines: int = 12) -> str:
+        """Last lines of its output, indented."""
+        return "\n".join("    " + line for line in self.text().splitlines()[-lines:])
+
+    def check(self) -> None:
+        """Raise `ChildError` if it has ended."""
+        if not self.running:
+            raise ChildError(
+                f"{self.name} has ended with status {self.exit_status}; its last words ({self.log}):\n"
+                f"{self.last_words()}"
+            )
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+        if self.running:
+            self._process.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """End whatever is left of its group."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+
+    def stop(self, patience: float = _TERM_PATIENCE) -> bool:
+        """End it; returns False when it had to be killed."""
+        self.terminate()
+        try:
+            self._process.wait(patience)
+            orderly = True
+        except subprocess.TimeoutExpired:
+            orderly = False
+        self.kill()
+        self._process.wait()
+        return orderly
+
+
+def stop_all(children: Sequence[Child]) -> list[str]:
+    """Stop the children in this order, each in bounded time; returns the names of those that had to be killed."""
+    return [child.name for child in children if not child.stop()]
+
+
+def wait_until(condition: Callable[[], bool], children: Sequence[Child], patience: float) -> bool:
+    """Wait for a condition while all children live; False when the patience [s] is over.
+
+    Raises
+    ------
+    ChildError
+        If a child ends meanwhile.
+    """
+    for _ in _ticks(patience):
+        if condition():
+            return True
+        for child in children:
+            child.check()
+    return condition()
+
+
+def _ticks(patience: float) -> Iterator[None]:
+    end = time.monotonic() + patience
+    while time.monotonic() < end:
+        yield
+        time.sleep(_POLL)

@@ -1,0 +1,140 @@
+"""Runs of one virtual board in simulated time: bring both axes under control, command, record. No ROS, no clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
+
+from servo_twin.board import Board
+
+__all__ = ["MoveResult", "SimulationError", "enable", "move", "record", "time_axis"]
+
+_BOOT = 0.03  # reset to STOP [s]
+_SEARCH_MOST = 6.0  # rotor search of both axes [s]
+_STEP = 0.01  # between two looks at the state [s]
+
+
+class SimulationError(RuntimeError):
+    """The board did not do what the run needs; the text says what it did."""
+
+
+@dataclass(frozen=True)
+class MoveResult:
+    """One position move of one axis.
+
+    Attributes
+    ----------
+    axis : str
+        Name of the axis.
+    target, reached : int
+        Position commanded and at the end [counts].
+    overshoot : int
+        Farthest beyond the target [counts].
+    settling_time : float or None
+        From the command until the shaft stays within the tolerance [s]; None when it does not.
+    steady_state : int
+        Largest distance from the target over the last quarter of the recording [counts].
+    speed_most, i_q_most : float
+        Largest magnitudes on the way [rad/s], [A].
+    """
+
+    axis: str
+    target: int
+    reached: int
+    overshoot: int
+    settling_time: float | None
+    steady_state: int
+    speed_most: float
+    i_q_most: float
+
+
+def time_axis(log: NDArray[np.void]) -> NDArray[np.float64]:
+    """Time since reset of recorded snapshots [s]."""
+    return np.asarray(log["tick"], dtype=np.float64) * (PERIOD_NS * 1e-9)
+
+
+def record(board: Board, seconds: float) -> NDArray[np.void]:
+    """Run for some simulated time [s] and keep every snapshot."""
+    return board.record(board.time_ns + round(seconds * 1e9))
+
+
+def enable(board: Board) -> NDArray[np.void]:
+    """Switch a fresh board on and bring both axes to SPIN; returns what was recorded meanwhile.
+
+    Raises
+    ------
+    SimulationError
+        If an axis ends in a fault or does not find its rotor.
+    """
+    catalogue = board.catalogue
+    board.run(_BOOT)
+    board.write("cmd.enable", [1] * AXES)
+    logs: list[NDArray[np.void]] = []
+    for _ in range(round(_SEARCH_MOST / _STEP)):
+        logs.append(record(board, _STEP))
+        last = logs[-1][-1]
+        for axis in range(AXES):
+            if faults := catalogue.active("faults", int(last[f"{axis_name(axis)}.faults"])):
+                raise SimulationError(f"{axis_name(axis)}: " + "; ".join(f"{f.name}: {f.cause}" for f in faults))
+        spin = catalogue.enums["substate_t"]["SPIN"]
+        run = catalogue.enums["state_t"]["RUN"]
+        if all(last[f"{axis_name(a)}.state"] == run and last[f"{axis_name(a)}.substate"] == spin for a in range(AXES)):
+            return np.concatenate(logs)
+    raise SimulationError(f"an axis did not find its rotor within {_SEARCH_MOST:g} s")
+
+
+def move(
+    board: Board, targets: dict[int, int], seconds: float, tolerance: int = 2
+) -> tuple[list[MoveResult], NDArray[np.void]]:
+    """Command positions [counts] by axis and measure the moves.
+
+    Parameters
+    ----------
+    board : Board
+        With the axes in SPIN.
+    targets : dict
+        Axis index to position [counts].
+    seconds : float
+        Length of the recording [s].
+    tolerance : int
+        Distance from the target that counts as arrived [counts].
+    """
+    start = {axis: board.read_raw(f"{axis_name(axis)}.position")[0] for axis in targets}
+    raw = board.read_raw("cmd.position")
+    for axis, target in targets.items():
+        raw[axis] = target
+    for axis in set(range(AXES)) - set(targets):
+        raw[axis] = board.read_raw(f"{axis_name(axis)}.position")[0]
+    board.write_raw("cmd.position", raw)
+    log = record(board, seconds)
+    return [_measure(board, log, axis, start[axis], target, tolerance) for axis, target in targets.items()], log
+
+
+def _measure(board: Board, log: NDArray[np.void], axis: int, start: int, target: int, tolerance: int) -> MoveResult:
+    name = axis_name(axis)
+    position = np.asarray(log[f"{name}.position"], dtype=np.int64)
+    direction = 1 if target >= start else -1
+    outside = np.nonzero(np.abs(position - target) > tolerance)[0]
+    times = time_axis(log)
+    arrived = outside.size == 0 or outside[-1] + 1 < position.size
+    settling = float(times[outside[-1] + 1] - times[0]) if outside.size and arrived else (0.0 if arrived else None)
+    si = board.si(log)
+    return MoveResult(
+        name,
+        target,
+        int(position[-1]),
+        max(int((direction * (position - target)).max()), 0),
+        settling,
+        int(np.abs(position[-position.size // 4 :] - target).max()),
+        float(np.abs(si[f"{name}.speed"]).max()),
+        float(np.abs(si[f"{name}.i_q"]).max()),
+    )
+
+
+def turns(value: float) -> int:
+    """Turns in counts."""
+    return round(value * COUNTS_PER_TURN)

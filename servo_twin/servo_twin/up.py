@@ -1,0 +1,281 @@
+"""``servo-up``: virtual board, bridge, twin and viewer together, on one machine and without ROS's launch.
+
+Brings them up one after the other, says how to use them, and stays until Ctrl-C. With ``--demo`` it lets ``servo-demo``
+move both axes instead and leaves a recording and a picture. Whatever happens, no child stays behind, and the bridge,
+which switches the outputs off, is the first to be stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Final, NoReturn
+
+from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
+
+__all__ = ["Stack", "main", "parser"]
+
+_BOARD_PATIENCE: Final = 10.0  # [s]
+_CONNECT_PATIENCE: Final = 15.0
+_VIEWER_PATIENCE: Final = 30.0  # the first start of the viewer compiles nothing but reads a lot
+_DEMO_PATIENCE: Final = 240.0
+_URL: Final = re.compile(r"http://\S+")
+
+_HOW_TO: Final = """
+With ROS 2 (in another terminal{domain}):
+  ros2 service call /servo/enable std_srvs/srv/SetBool "{{data: true}}"
+  ros2 topic pub --once /servo/axis1/position std_msgs/msg/Float64 "{{data: 6.28}}"
+  ros2 topic pub --once /servo/joint_commands sensor_msgs/msg/JointState \\
+    "{{name: [axis1, axis2], position: [31.4, -31.4]}}"
+  ros2 topic echo /servo/joint_states
+Without:
+  {bin}/servo-command enable
+  {bin}/servo-command position axis1=6.28 axis2=-6.28
+  {bin}/servo-command state
+  {bin}/servo-command disable
+Ctrl-C ramps down, switches the outputs off and ends everything."""
+
+
+class _StopRequested(Exception):
+    """SIGINT or SIGTERM."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """Command line of ``servo-up``."""
+    result = argparse.ArgumentParser(
+        prog="servo-up", description="Bring up board, bridge, twin and viewer; stay until Ctrl-C."
+    )
+    result.add_argument("--port", help="serial port or pyserial URL of a real board (default: a virtual board)")
+    result.add_argument("--baud", type=int, default=115200, help="line speed [bit/s] (default: %(default)s)")
+    result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
+    result.add_argument("--plant", type=Path, help="plant file of the virtual board")
+    result.add_argument("--no-web", action="store_true", help="no viewer in the browser")
+    result.add_argument("--record", type=Path, help="record to this .rrd file")
+    result.add_argument(
+        "--domain-id", type=int, help="ROS domain (default: $ROS_DOMAIN_ID, or one of its own with --demo)"
+    )
+    result.add_argument("--demo", action="store_true", help="move both axes, leave a recording and a picture, and end")
+    result.add_argument(
+        "--out", type=Path, default=Path("out"), help="folder for logs and results (default: %(default)s)"
+    )
+    return result
+
+
+class Stack:
+    """The processes of one session, in a private folder for the virtual serial port.
+
+    Parameters
+    ----------
+    out : Path
+        Folder for the logs.
+    environment : mapping
+        Environment of all children.
+    """
+
+    def __init__(self, out: Path, environment: Mapping[str, str]) -> None:
+        self._environment = environment
+        self._log = out / "log"
+        self._log.mkdir(parents=True, exist_ok=True)
+        self.children: list[Child] = []
+
+    def start(self, name: str, *arguments: str) -> Child:
+        """Start one of our executables.
+
+        Raises
+        ------
+        ChildError
+            If it cannot be started.
+        """
+        child = Child(name, [str(executable(name)), *arguments], self._log / f"{name}.log", self._environment)
+        self.children.append(child)
+        return child
+
+    def wait(self, child: Child, text: str, patience: float) -> bool:
+        """Wait until a child has printed something; False when the patience [s] is over."""
+        return wait_until(lambda: text in child.text(), self.children, patience)
+
+    def stop(self) -> list[str]:
+        """Stop the bridge, which switches the outputs off, then the rest; names of those that had to be killed."""
+        order = {"servo_bridge": 0, "servo_viewer": 1, "servo_twin": 2}
+        killed = stop_all(sorted(self.children, key=lambda child: order.get(child.name, 3)))
+        self.children.clear()
+        return killed
+
+
+def _ros(**parameters: object) -> list[str]:
+    """Arguments that set parameters of a node."""
+    result = ["--ros-args"]
+    for name, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        result += ["-p", f"{name}:={text}"]
+    return result
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
+    link = folder / "board"
+    plant = ["--plant", str(args.plant)] if args.plant else []
+    _say(f"virtual board on {link}, {args.baud} baud, seed {args.seed}")
+    stack.start("virtual_board", "--link", str(link), "--baud", str(args.baud), "--seed", str(args.seed), *plant)
+    if not wait_until(link.exists, stack.children, _BOARD_PATIENCE):
+        raise ChildError(f"the virtual board made no port within {_BOARD_PATIENCE:g} s")
+    return str(link)
+
+
+def _bring_up(stack: Stack, args: argparse.Namespace, folder: Path, record: Path | None) -> None:
+    """Start everything and say what happens.
+
+    Raises
+    ------
+    ChildError
+        If a child does not come up.
+    """
+    port = args.port or _virtual_board(stack, args, folder)
+    bridge = stack.start("servo_bridge", *_ros(port=port, baud=args.baud))
+    # The twin knows the model of the virtual board, but not its luck: start angles and noise are others.
+    twin = stack.start("servo_twin", *_ros(seed=args.seed + 1))
+    web = not (args.no_web or args.demo)
+    viewer = None
+    if web or record:
+        viewer = stack.start("servo_viewer", *_ros(record=record or "''", web=web))
+    if stack.wait(bridge, "connected to", _CONNECT_PATIENCE):
+        _say(f"bridge connected to {port}")
+    else:
+        _say(f"bridge: no board on {port} yet; it keeps trying. It says:\n{bridge.last_words(3)}")
+    _say(f"twin follows (log: {twin.log})")
+    if web and viewer is not None:
+        found = wait_until(lambda: _URL.search(viewer.text()) is not None, stack.children, _VIEWER_PATIENCE)
+        match = _URL.search(viewer.text())
+        _say(f"viewer: {match.group(0) if found and match else 'not up yet, see ' + str(viewer.log)}")
+    if record:
+        _say(f"recording to {record}")
+
+
+def _stay(stack: Stack, args: argparse.Namespace) -> NoReturn:
+    domain = os.environ.get("ROS_DOMAIN_ID") if args.domain_id is None else str(args.domain_id)
+    setting = f", ROS_DOMAIN_ID={domain}" if domain not in (None, "0") else ""
+    _say(_HOW_TO.format(bin=Path(sys.executable).parent, domain=setting))
+    while True:
+        wait_until(lambda: False, stack.children, 3600.0)
+
+
+def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
+    """Let ``servo-demo`` move the axes, its output shown; returns its exit status."""
+    command = [str(executable("servo-demo")), "--require-twin", "--json", str(out / "demo.json")]
+    demo = subprocess.Popen(command, stdin=subprocess.DEVNULL, env=dict(environment), start_new_session=True)
+    try:
+        ended = wait_until(lambda: demo.poll() is not None, stack.children, _DEMO_PATIENCE)
+        if not ended:
+            _say(f"servo-demo did not end within {_DEMO_PATIENCE:g} s")
+        return demo.returncode if ended else 1
+    finally:
+        if demo.poll() is None:
+            demo.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                demo.wait(5.0)
+            demo.kill()
+
+
+def _finish_demo(record: Path, out: Path) -> None:
+    """Check the recording and draw the picture.
+
+    Raises
+    ------
+    ChildError
+        If the recording is damaged.
+    """
+    from servo_twin.picture import draw
+
+    check = subprocess.run([str(executable("rerun")), "rrd", "verify", str(record)], capture_output=True, text=True)
+    if check.returncode != 0:
+        raise ChildError(f"the recording {record} is damaged:\n{check.stderr}")
+    picture = out / "demo.png"
+    draw(record, picture)
+    _say(f"recording  {record}   (look at it with {executable('rerun')} {record})\npicture    {picture}")
+
+
+@contextlib.contextmanager
+def _signals_raise() -> Iterator[None]:
+    """Turn SIGINT and SIGTERM into `_StopRequested`, and ignore them while things are being stopped."""
+
+    def request(_signum: int, _frame: FrameType | None) -> NoReturn:
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)
+        raise _StopRequested
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, request) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _environment(args: argparse.Namespace) -> dict[str, str]:
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if args.domain_id is not None:
+        environment["ROS_DOMAIN_ID"] = str(args.domain_id)
+    elif args.demo:
+        # Another servo may be up on this machine; the demonstration must not move its shafts.
+        environment["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+    return environment
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run until Ctrl-C, or until the demonstration is over.
+
+    Returns
+    -------
+    int
+        0 after an orderly end; 1 when a child fails or the demonstration does not succeed; 2 for a wrong usage.
+    """
+    args = parser().parse_args(argv)
+    if args.demo and args.port:
+        parser().error("--demo moves the shafts without asking: it runs on the virtual board only, not on --port")
+    environment = _environment(args)
+    args.out.mkdir(parents=True, exist_ok=True)
+    record = args.out / "demo.rrd" if args.demo else args.record
+    stack = Stack(args.out, environment)
+    status = 0
+    with tempfile.TemporaryDirectory(prefix="servo-") as folder, _signals_raise():
+        try:
+            _bring_up(stack, args, Path(folder), record)
+            if not args.demo:
+                _stay(stack, args)
+            status = _run_demo(stack, environment, args.out)
+        except _StopRequested:
+            _say("\nstopping: outputs off, then everything else")
+            status = 130 if args.demo else 0
+        except ChildError as error:
+            _say(f"servo-up: {error}")
+            status = 1
+        finally:
+            killed = stack.stop()
+        if killed:
+            _say(f"had to be killed: {', '.join(killed)}")
+            status = status or 1
+        if args.demo and status != 130 and record and record.exists():
+            try:
+                _finish_demo(record, args.out)
+            except (ChildError, ValueError) as error:
+                _say(f"servo-up: {error}")
+                status = status or 1
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""Child processes never outlive their parent, and say why they ended."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
+
+STUBBORN = """
+import os, signal, subprocess, sys
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+grandchild = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"])
+print("ready", grandchild.pid, flush=True)
+signal.pause()
+"""
+POLITE = "import signal; signal.signal(signal.SIGTERM, lambda *_: exit(0)); print('ready', flush=True); signal.pause()"
+
+
+@pytest.fixture
+def children() -> Iterator[list[Child]]:
+    started: list[Child] = []
+    yield started
+    for child in started:
+        child.kill()
+
+
+def start(children: list[Child], folder: Path, code: str) -> Child:
+    child = Child(f"child{len(children)}", [sys.executable, "-c", code], folder / f"{len(children)}.log", os.environ)
+    children.append(child)
+    return child
+
+
+def ready(child: Child) -> bool:
+    return "ready" in child.text()
+
+
+def alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def test_a_polite_child_ends_by_itself(children: list[Child], tmp_path: Path) -> None:
+    child = start(children, tmp_path, POLITE)
+    assert wait_until(lambda: ready(child), children, 10.0)
+    assert child.stop() is True
+    assert child.exit_status == 0
+
+
+def test_a_stubborn_child_is_killed_with_its_whole_group(children: list[Child], tmp_path: Path) -> None:
+    child = start(children, tmp_path, STUBBORN)
+    assert wait_until(lambda: ready(child), children, 10.0)
+    grandchild = int(child.text().split()[1])
+    assert child.stop(patience=0.2) is False
+    assert not child.running
+    assert wait_until(lambda: not alive(grandchild), [], 5.0)
+
+
+def test_all_are_stopped_in_order_and_the_killed_ones_are_named(children: list[Child], tmp_path: Path) -> None:
+    for _ in range(2):
+        start(children, tmp_path, POLITE)
+    assert wait_until(lambda: all(map(ready, children)), children, 10.0)
+    assert stop_all(children) == []
+    assert not any(child.running for child in children)
+
+
+def test_a_child_that_dies_is_named_with_its_last_words(children: list[Child], tmp_path: Path) -> None:
+    child = start(children, tmp_path, "print('the reason'); raise SystemExit(3)")
+    with pytest.raises(ChildError, match=r"(?s)child0 has ended with status 3.*the reason"):
+        wait_until(lambda: False, [child], 10.0)
+
+
+def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ChildError, match="gone cannot be started"):
+        Child("gone", ["/no/such/program"], tmp_path / "log", os.environ)
+    with pytest.raises(ChildError, match="make setup"):
+        executable("no-such-script")
+
+
+def test_waiting_ends_with_the_patience(children: list[Child], tmp_path: Path) -> None:
+    child = start(children, tmp_path, POLITE)
+    assert wait_until(lambda: False, [child], 0.1) is False

@@ -1,0 +1,89 @@
+"""``servo-sim``: runs in simulated time from the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from servo_twin.board import Board
+from servo_twin.cli import main
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError, enable, move, turns
+
+
+def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["move", "--seed", "4", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert 0.0 < figures["search_time"] < 1.2
+    for result in figures["moves"]:
+        assert result["target"] == 20000
+        assert abs(result["reached"] - 20000) <= 2
+        assert result["overshoot"] <= 2
+        assert result["steady_state"] <= 2
+        assert result["settling_time"] < 0.5
+        assert result["speed_most"] < 315.0
+
+
+def test_the_same_seed_gives_the_same_figures_and_another_one_others(capsys: pytest.CaptureFixture[str]) -> None:
+    texts = []
+    for seed in ("5", "5", "6"):
+        assert main(["move", "--seed", seed, "--axis", "1", "--turns", "0.5", "--json"]) == 0
+        texts.append(capsys.readouterr().out)
+    assert texts[0] == texts[1] != texts[2]
+
+
+def test_a_move_that_is_not_watched_long_enough_has_not_arrived(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["move", "--turns", "20", "--time", "0.1"]) == 1
+    assert "never" in capsys.readouterr().out
+
+
+def test_the_plot_is_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "move.png"
+    assert main(["move", "--turns", "0.1", "--time", "0.3", "--plot", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_info_shows_the_plant_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text("[axis2]\ninertia = 3.0e-5\n")
+    assert main(["info", "--plant", str(plant), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["axes"][1]["inertia"] == 3.0e-5
+    assert main(["info"]) == 0
+    assert "capacitance" in capsys.readouterr().out
+
+
+def test_the_bench_measures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "--time", "0.2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["real_time_factor"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [("[axis1]\ninertia = -1", "inertia"), ("[axis9]\nr_s = 1", "axis9"), ("not toml", "plant")],
+)
+def test_a_bad_plant_file_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, complaint: str
+) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text(content)
+    assert main(["move", "--plant", str(plant)]) == 1
+    assert complaint in capsys.readouterr().err
+
+
+def test_a_shaft_that_is_held_fast_is_reported() -> None:
+    with Board(PlantConfig.load(), seed=2) as board:
+        board.lock_shaft(1)
+        with pytest.raises(SimulationError, match="axis2: ROTOR_SEARCH"):
+            enable(board)
+
+
+def test_only_the_named_axis_moves() -> None:
+    with Board(seed=7) as board:
+        enable(board)
+        before = board.read_raw("axis1.position")[0]
+        results, log = move(board, {1: turns(-2.0)}, 0.8)
+        assert [r.axis for r in results] == ["axis2"]
+        assert abs(results[0].reached + 8000) <= 2
+        assert abs(int(log["axis1.position"][-1]) - before) <= 2
