@@ -1,0 +1,71 @@
+"""Declarations for cffi straight from the firmware's headers, so that a test can never assume another layout.
+
+cffi parses C without bodies and without the system's headers. The preprocessor sees empty standard headers here, and
+what has a body (the inline functions) is left out: ``core_probe.c`` gives those to the tests.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from firmware_compiler import FIRMWARE, TEST
+
+_WIDTHS = "".join(
+    f"#define {sign}INT{bits}_C(x) x\n"
+    f"#define {sign}INT{bits}_MAX {(1 << (bits - (sign == ''))) - 1}\n"
+    f"#define {sign}INT{bits}_MIN {0 if sign else -(1 << (bits - 1))}\n"
+    for sign in ("", "U")
+    for bits in (8, 16, 32, 64)
+)
+_STANDARD = {
+    "stdint.h": _WIDTHS,
+    "stdbool.h": "#define bool _Bool\n#define true 1\n#define false 0\n",
+    "stddef.h": "#define NULL 0\n",
+}
+
+
+def _without_bodies(text: str) -> str:
+    """Drop every function that has a body."""
+    kept: list[str] = []
+    position = 0
+    for match in re.finditer(r"static inline[^;{]*\{", text):
+        if match.start() < position:
+            continue
+        depth, end = 1, match.end()
+        while depth:
+            depth += {"{": 1, "}": -1}.get(text[end], 0)
+            end += 1
+        kept.append(text[position : match.start()])
+        position = end
+    return "".join(kept) + text[position:]
+
+
+def _without_choices(text: str) -> str:
+    """Work out ``(a < b ? c : d)`` in array sizes: cffi has no conditional expressions."""
+
+    def choose(match: re.Match[str]) -> str:
+        a, b, c, d = map(int, match.groups())
+        return str(c if a < b else d)
+
+    return re.sub(r"\((\d+) < (\d+) \? (\d+) : (\d+)\)", choose, text)
+
+
+def declarations(folder: Path, headers: Sequence[str]) -> str:
+    """What cffi needs to know from some headers; `folder` is for files of this function.
+
+    The macros of the headers do not come along: cffi only wants types and functions.
+    """
+    for name, text in _STANDARD.items():
+        (folder / name).write_text(f"#pragma once\n{text}", encoding="ascii")
+    includes = "".join(f'#include "{header}"\n' for header in headers)
+    result = subprocess.run(
+        ["gcc", "-E", "-P", "-std=c99", "-nostdinc", f"-I{folder}", f"-I{FIRMWARE}", f"-I{TEST}", "-"],
+        input=includes,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return _without_choices(_without_bodies(result.stdout))

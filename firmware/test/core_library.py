@@ -1,0 +1,47 @@
+"""The whole firmware as one host library with the fake board, typed by its own headers."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import cffi
+from c_declarations import declarations
+from firmware_compiler import FIRMWARE, CompileC
+from hypothesis import settings
+
+# Every test module of the core imports this one before it declares a property: the same examples in every run.
+settings.register_profile("core", derandomize=True, deadline=None, database=None)
+settings.load_profile("core")
+
+ROOMS = ("math", "control", "sensing", "drive", "app", "comm", "config")
+
+
+def _files(pattern: str) -> tuple[str, ...]:
+    return tuple(sorted(str(path.relative_to(FIRMWARE)) for room in ROOMS for path in (FIRMWARE / room).glob(pattern)))
+
+
+CORE_SOURCES = _files("*.c")
+BOARD_SOURCES = (*CORE_SOURCES, "test/core_probe.c", "test/fake_hal.c")
+
+
+class Core(NamedTuple):
+    """The library and its types."""
+
+    ffi: cffi.FFI
+    lib: Any
+
+
+@lru_cache(maxsize=1)
+def _cdef() -> str:
+    with TemporaryDirectory() as folder:
+        return declarations(Path(folder), [*_files("*.h"), "core_probe.h", "fake_hal.h"])
+
+
+def load_core(compile_c: CompileC) -> Core:
+    """Build the library once per session; every test module makes a fixture of it."""
+    core = Core(*compile_c("core", BOARD_SOURCES, _cdef()))
+    assert core.ffi.sizeof("servo_t") == core.lib.probe_servo_size()
+    return core

@@ -1,0 +1,70 @@
+/* fake_hal.h - a board without physics: a test writes what the firmware reads and reads what it writes. */
+#ifndef TEST_FAKE_HAL_H
+#define TEST_FAKE_HAL_H
+
+#include "hal/hal.h"
+
+#define FAKE_EVENTS 512
+#define FAKE_SERIAL 512
+
+typedef enum {
+    FAKE_ADC_SELECT, /* value: pair */
+    FAKE_ADC_CURRENTS,
+    FAKE_ADC_OFFSETS,
+    FAKE_ADC_BUS, /* axis: 0xFFFF */
+    FAKE_PWM_DUTY, /* value: duty of phase a */
+    FAKE_PWM_ENABLE, /* value: on */
+    FAKE_BREAK_CLEAR,
+    FAKE_ENCODER_COUNT,
+    FAKE_ENCODER_PRESET, /* value: count */
+    FAKE_INDEX_COUNT,
+    FAKE_CAPTURE_ARM,
+    FAKE_CAPTURE_TAKE, /* value: an edge was there */
+    FAKE_EDGE_AGE,
+    FAKE_WATCHDOG, /* axis: 0xFFFF */
+} fake_call_t;
+
+typedef struct {
+    uint16_t call; /* fake_call_t */
+    uint16_t axis;
+    int32_t value;
+} fake_event_t;
+
+typedef struct {
+    /* what the firmware reads */
+    uint16_t current_code[3]; /* per phase */
+    uint16_t offset_code[3];
+    uint16_t count;
+    uint16_t index;
+    uint32_t age;
+    edge_capture_t edge;
+    bool edge_waits;
+    bool over_current; /* as long as it lasts, the latch cannot be released */
+    bool break_latched;
+    /* what the firmware has done */
+    phase_pair_t pair;
+    int16_t duty[3];
+    bool outputs_on;
+    bool armed;
+    uint32_t times_on;  /* transitions of the outputs from off to on */
+    uint32_t times_off; /* and back */
+} fake_axis_t;
+
+struct hal {
+    fake_axis_t axis[HAL_AXES];
+    uint16_t bus_code;
+    uint32_t watchdog;
+    uint8_t serial_in[FAKE_SERIAL];
+    uint16_t serial_in_size;
+    uint16_t serial_in_taken;
+    uint8_t serial_out[FAKE_SERIAL];
+    uint16_t serial_out_size;
+    bool logging;
+    uint16_t events;
+    fake_event_t event[FAKE_EVENTS];
+};
+
+/* Mid-scale currents, a bus of 24 V, shafts at rest for a long time. */
+void fake_hal_init(hal_t *hal);
+
+#endif

@@ -1,0 +1,220 @@
+"""A whole servo on the fake board: commands in, states out, shafts moved by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from core_library import Core
+from quad_timer import AGE_OVERFLOW, COUNTS, QuadTimer
+from servo_msgs_py.catalogue import Catalogue
+
+FAULT, INIT, STOP, RUN = range(4)
+CALIB, READY, ALIGN, SPIN, FREEWHEEL, STARTUP = range(6)
+POSITION, SPEED, TORQUE = range(3)
+
+OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, CURRENT_OFFSET, ROTOR_SEARCH, ENCODER, HOST_SILENT = (
+    1 << bit for bit in range(7)
+)
+LIMIT_CURRENT, LIMIT_VOLTAGE, LIMIT_SPEED, LIMIT_SETPOINT = (1 << bit for bit in range(4))
+
+PULL: Final = 0  # rotor_search_phase_t
+PERIODS: Final = 8
+VARIABLES: Final = 0x1000
+TIMER_PER_TICK: Final = 390.625
+FULL_SPEED: Final = 523.5987755982989  # rad/s
+CODE_24V: Final = 2708
+
+
+def speed(rad_s: float) -> int:
+    """Raw speed [rad/s]."""
+    return round(rad_s / FULL_SPEED * 2**31)
+
+
+def rad_s(raw: int) -> float:
+    """Speed of a raw number [rad/s]."""
+    return raw / 2**31 * FULL_SPEED
+
+
+def amps(current: float) -> int:
+    """Raw current [A]."""
+    return round(current / 8.25 * 2**15)
+
+
+def bus_code(volts: float) -> int:
+    """Code of the 12-bit converter."""
+    return round(volts / 36.3 * 4096)
+
+
+class Bench:
+    """Two axes that a test commands through the variables of the contract.
+
+    Attributes
+    ----------
+    servo, hal : cdata
+        The firmware's state and the fake board; both may be looked into and written.
+    shaft : list of QuadTimer
+        The encoders; `turn` and the rotor search move them.
+    """
+
+    def __init__(self, core: Core) -> None:
+        self.core = core
+        self.catalogue = Catalogue.load()
+        self.hal: Any = core.ffi.new("hal_t *")
+        self.servo: Any = core.ffi.new("servo_t *")
+        self.shaft = [QuadTimer(), QuadTimer()]
+        self._rotor = [0.3, -0.2]  # turns electrical between the rotor and encoder zero
+        self._speed = [0.0, 0.0]  # counts per slow tick
+        self._rest = [0.0, 0.0]
+        self.shaft_is_free = [True, True]  # it twitches when the search pulls
+        self._shown = [0, 0]  # counter value that the firmware was given
+        self.ticks = 0
+        core.lib.fake_hal_init(self.hal)
+        core.lib.servo_init(self.servo, self.hal)
+
+    # ---- time ----------------------------------------------------------------------------------------------------
+
+    def slow(self, ticks: int = 1) -> None:
+        """Slow ticks; every one ends just after its snapshot."""
+        for _ in range(ticks):
+            self.ticks += 1
+            for i in range(2):
+                self._move(i)
+            self.core.lib.probe_run(self.servo, PERIODS)
+
+    def until(self, condition: Callable[[], bool], ticks: int) -> int:
+        """Run until a condition holds; returns the ticks it took, fails after `ticks`."""
+        for k in range(ticks):
+            if condition():
+                return k
+            self.slow()
+        assert condition(), f"not within {ticks} slow ticks: {self.states()}"
+        return ticks
+
+    def _move(self, i: int) -> None:
+        timer, hal = self.shaft[i], self.hal.axis[i]
+        if hal.count != self._shown[i]:  # the firmware has preset it
+            timer.count = hal.count - 65536 if hal.count > 32767 else hal.count
+        self._rest[i] += self._speed[i]
+        edges = round(self._rest[i])
+        self._rest[i] -= edges
+        self._follow_search(i)
+        timer.move(edges)
+        if edges:
+            hal.edge.count, hal.edge.time = timer.raw, int(self.ticks * TIMER_PER_TICK) & 0xFFFF
+            hal.edge_waits = True
+            hal.age = 0
+        else:
+            hal.age = min(hal.age + 391, AGE_OVERFLOW)
+        hal.count, hal.index = timer.raw, timer.index
+        self._shown[i] = timer.raw
+
+    def _follow_search(self, i: int) -> None:
+        """A rotor without friction that twitches towards the vector of the search."""
+        axis = self.axis(i)
+        if (axis.sm.state, axis.substate, axis.search.phase) != (RUN, ALIGN, PULL) or axis.search.current == 0:
+            return
+        rotor = self._rotor[i] + self.shaft[i].shaft * 2 / COUNTS
+        towards = (axis.search.theta_m / 65536 - rotor + 0.5) % 1.0 - 0.5
+        if self.shaft_is_free[i] and abs(towards) > 0.002:
+            self.shaft[i].move(4 if towards > 0 else -4)
+            self.hal.axis[i].age = 0
+
+    def turn(self, axis: int, speed: float) -> None:
+        """Turn a shaft from now on [rad/s], whatever the firmware does."""
+        self._speed[axis] = speed * 0.5e-3 * COUNTS / 6.283185307179586
+
+    def follow(self, ticks: int, axis: int = 0) -> list[tuple[int, int]]:
+        """Let an ideal shaft obey the speed set-point; returns position_ref and position of every tick."""
+        log = []
+        for _ in range(ticks):
+            self.turn(axis, rad_s(self.view(axis).speed_ref))
+            self.slow()
+            log.append((self.view(axis).position_ref, self.view(axis).position))
+        return log
+
+    # ---- the host's side ------------------------------------------------------------------------------------------
+
+    def address(self, name: str, element: int = 0) -> int:
+        """Address of a variable, or of one element of it, on the wire."""
+        variable = self.catalogue.variables[name]
+        path: list[str | int] = []
+        for part in variable.path.replace("[", ".").replace("]", "").split("."):
+            path.append(int(part) if part.isdigit() else part)
+        offset: int = self.core.ffi.offsetof("servo_t", *path)
+        return VARIABLES + offset + element * variable.element_size
+
+    def write_raw(self, name: str, raw: Sequence[int]) -> None:
+        """Write a whole variable, integers."""
+        data = self.catalogue.variables[name].encode_raw(raw)
+        assert self.core.lib.servo_write(self.servo, self.address(name), data, len(data)) == 0
+
+    def write(self, axis: int, **commands: int) -> None:
+        """Write elements of one axis, in this order: ``write(0, mode=SPEED, speed=1000)``; raw numbers."""
+        for name, value in commands.items():
+            variable = self.catalogue.variables[f"cmd.{name}"]
+            data = int(value).to_bytes(variable.element_size, "little", signed=value < 0)
+            assert self.core.lib.servo_write(self.servo, self.address(variable.name, axis), data, len(data)) == 0
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Write a parameter of both axes, SI."""
+        variable = self.catalogue.variables[f"param.{name}"]
+        raw = variable.to_raw(value)
+        self.write_raw(variable.name, [raw] * variable.count)
+
+    def frame_arrives(self) -> None:
+        """A valid request of a host: read the catalogue hash (0x21 READMEM)."""
+        body = bytes([0x21, 3, 0x80, 0x20, 4])
+        crc = 0
+        for byte in body:
+            crc = self.core.lib.crc8_add(crc, byte)
+        for k, byte in enumerate(b"+" + body + bytes([crc])):
+            self.hal.serial_in[k] = byte
+        self.hal.serial_in_taken, self.hal.serial_in_size = 0, len(body) + 2
+        self.hal.serial_out_size = 0
+
+    def axis(self, i: int) -> Any:
+        """The firmware's ``axis_t``."""
+        return self.servo.axis[i]
+
+    def view(self, i: int) -> Any:
+        """The published snapshot of an axis."""
+        return self.servo.snapshot.axis[i]
+
+    def states(self) -> list[tuple[int, int, int]]:
+        """Main state, sub-state and faults of both axes, as published."""
+        return [(self.view(i).state, self.view(i).substate, self.view(i).faults) for i in range(2)]
+
+    # ---- ways to a state ------------------------------------------------------------------------------------------
+
+    def to_stop(self) -> None:
+        self.until(lambda: all(self.view(i).state == STOP for i in range(2)), 100)
+
+    def to_substate(self, axis: int, substate: int, ticks: int = 2000) -> None:
+        self.until(lambda: (self.view(axis).state, self.view(axis).substate) == (RUN, substate), ticks)
+
+    def to_spin(self, *axes: int) -> None:
+        """From anywhere without a fault: enable and let the rotor be found."""
+        self.to_stop()
+        for axis in axes:
+            self.write(axis, enable=1)
+        for axis in axes:
+            self.to_substate(axis, SPIN)
+
+    def clear(self, axis: int) -> None:
+        self.write(axis, clear_faults=1)
+        self.slow()
+
+    # ---- what the firmware has called ---------------------------------------------------------------------------
+
+    def log(self) -> None:
+        """Record the calls of the firmware from now on."""
+        self.hal.events, self.hal.logging = 0, True
+
+    def calls(self) -> list[tuple[str, int, int]]:
+        """Recorded calls: name, axis, value; recording stops."""
+        assert self.hal.events < len(self.hal.event), "the log is full"
+        self.hal.logging = False
+        names = self.core.ffi.typeof("fake_call_t").elements
+        events = [self.hal.event[k] for k in range(self.hal.events)]
+        return [(names[e.call].removeprefix("FAKE_").lower(), e.axis, e.value) for e in events]

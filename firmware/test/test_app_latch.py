@@ -1,0 +1,170 @@
+"""From the host's writes to the commands of one tick: elements, freshness, consistency."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bench import SPEED, TORQUE, Bench
+
+FIELDS = ("position", "speed", "i_q", "mode", "enable", "quick_stop", "clear_faults")
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    bench = Bench(core)
+    bench.to_stop()
+    return bench
+
+
+def marks_of(core: Core, offset: int, size: int) -> Any:
+    marks = core.ffi.new("latch_marks_t *")
+    core.lib.latch_reset(marks)
+    core.lib.latch_mark(marks, offset, size)
+    return marks
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("field", FIELDS)
+def test_one_element_marks_one_axis_of_one_field(core: Core, field: str, axis: int) -> None:
+    offset = core.ffi.offsetof("command_block_t", field)
+    size = core.ffi.sizeof(core.ffi.typeof("command_block_t").fields[FIELDS.index(field)][1].type.item)
+    marks = marks_of(core, offset + axis * size, size)
+    assert marks.any
+    assert list(marks.axes) == [(1 << axis) if name == field else 0 for name in FIELDS]
+
+
+@given(data=st.data())
+def test_any_range_marks_exactly_what_it_touches(core: Core, data: st.DataObject) -> None:
+    total = core.ffi.sizeof("command_block_t")
+    begin = data.draw(st.integers(0, total - 1))
+    size = data.draw(st.integers(1, total - begin))
+    marks = marks_of(core, begin, size)
+    for k, field in enumerate(FIELDS):
+        offset = core.ffi.offsetof("command_block_t", field)
+        element = core.ffi.sizeof(core.ffi.typeof("command_block_t").fields[k][1].type.item)
+        touched = [
+            begin < offset + (axis + 1) * element and offset + axis * element < begin + size for axis in range(2)
+        ]
+        assert marks.axes[k] == sum(1 << axis for axis in range(2) if touched[axis])
+
+
+def test_element_write_touches_one_axis(bench: Bench) -> None:
+    bench.write(1, enable=1)
+    bench.slow()
+    assert not bench.axis(0).requested
+    assert bench.axis(1).requested
+
+
+def test_freshness_lasts_one_tick(bench: Bench) -> None:
+    bench.write(0, position=100)
+    bench.slow()
+    assert bench.axis(0).command.fresh_position
+    assert not bench.axis(1).command.fresh_position
+    bench.slow()
+    assert not bench.axis(0).command.fresh_position
+    assert bench.axis(0).command.position == 100
+
+
+@pytest.mark.parametrize("value", [2, 255, 65535])
+def test_enable_other_than_one_is_no_enable(bench: Bench, value: int) -> None:
+    bench.write_raw("cmd.enable", [value, value])
+    bench.slow(3)
+    assert not bench.axis(0).requested
+
+
+def test_whole_block_in_one_write(bench: Bench) -> None:
+    """Every field of both axes at once: the mode is known when the set-point counts."""
+    bench.to_spin(0, 1)
+    bench.write_raw("cmd.mode", [SPEED, TORQUE])
+    bench.write_raw("cmd.speed", [2**27, 0])
+    bench.write_raw("cmd.i_q", [0, 1234])
+    bench.slow(2)
+    assert bench.view(0).speed_ref > 0
+    assert bench.view(1).i_q_ref == 1234
+
+
+def test_read_only_variables_refuse_writes(bench: Bench, core: Core) -> None:
+    for name in ("tick", "axis1.position", "axis2.faults", "catalogue_hash", "snapshot", "axis1.torque_constant"):
+        assert core.lib.servo_write(bench.servo, bench.address(name), b"\0\0", 2) != 0
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_write_that_straddles_the_block_is_refused(bench: Bench, core: Core, name: str) -> None:
+    variable = bench.catalogue.variables[f"cmd.{name}"]
+    address, size = bench.address(variable.name), variable.size
+    assert core.lib.servo_write(bench.servo, address, bytes(size + 1), size + 1) != 0
+    assert core.lib.servo_write(bench.servo, address + size - 1, bytes(2), 2) != 0
+
+
+# ---- applied_tick, hold ---------------------------------------------------------------------------------------------
+
+
+def test_applied_tick_is_that_of_the_slow_tick_after_the_write(bench: Bench) -> None:
+    snapshot = bench.servo.snapshot
+    before, count = snapshot.applied_tick, snapshot.applied_count
+    bench.slow(3)
+    assert (snapshot.applied_tick, snapshot.applied_count) == (before, count), "nothing was written"
+    bench.write(0, position=5)
+    bench.slow()
+    assert snapshot.applied_tick == snapshot.tick
+    assert snapshot.applied_count == count + 1
+    tick = snapshot.tick
+    bench.slow(2)
+    assert (snapshot.applied_tick, snapshot.tick) == (tick, tick + 16)
+
+
+def test_writes_between_two_slow_ticks_take_effect_together(bench: Bench, core: Core) -> None:
+    count = bench.servo.snapshot.applied_count
+    bench.write(0, position=7)
+    core.lib.probe_run(bench.servo, 3)
+    bench.write(1, position=8)
+    core.lib.probe_run(bench.servo, 5)
+    assert bench.servo.snapshot.applied_count == count + 1
+    assert [bench.axis(i).command.position for i in range(2)] == [7, 8]
+    assert all(bench.axis(i).command.fresh_position for i in range(2))
+
+
+def test_held_block_is_not_read_and_not_lost(bench: Bench) -> None:
+    """While the server copies, nothing is latched and no snapshot published; afterwards the write still counts."""
+    tick = bench.servo.snapshot.tick
+    bench.write(0, enable=1)
+    bench.servo.held = True
+    bench.slow(3)
+    assert not bench.axis(0).requested
+    assert bench.servo.snapshot.tick == tick
+    bench.servo.held = False
+    bench.slow()
+    assert bench.axis(0).requested
+    assert bench.servo.snapshot.tick == bench.servo.snapshot.applied_tick == tick + 32
+
+
+def test_held_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.write(0, enable=1, mode=SPEED, position=1, speed=2, i_q=3, quick_stop=1, clear_faults=1)
+    bench.slow()
+    command = bench.axis(0).command
+    one_shot = [name for name in dir(command) if name.startswith("fresh_")] + ["clear_faults"]
+    assert len(one_shot) == 7
+    assert all(getattr(command, name) for name in one_shot)
+    bench.servo.held = True
+    bench.slow()
+    assert command.quick_stop
+    assert not any(getattr(command, name) for name in one_shot)
+    bench.servo.held = False
+
+
+def test_counter_of_applied_writes_wraps(bench: Bench) -> None:
+    bench.servo.applied_count = 0xFFFF
+    bench.write(0, position=1)
+    bench.slow()
+    assert bench.servo.snapshot.applied_count == 0

@@ -1,0 +1,225 @@
+"""The current loop: decoupling, bus-ripple compensation, voltage limit, dead time, and its step response."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from hypothesis import given
+from hypothesis import strategies as st
+
+U_FS, I_FS, UDC_FS = 24.2, 8.25, 36.3
+OMEGA_FS = 2 * 5000.0 * math.pi / 30.0  # electrical
+BUS_24V = 21664
+SQRT3 = math.sqrt(3.0)
+MOTOR = {"r": 0.55, "l_d": 0.403e-3, "l_q": 0.512e-3, "psi": 0.0154}  # what servo.toml believes of axis 1
+
+
+def frac16(x: float) -> int:
+    return min(max(round(x * 32768), -32768), 32767)
+
+
+class Loop:
+    """The C current loop in volts, amperes and radians."""
+
+    def __init__(self, core: Core, dead_time: bool = False, controllers: bool = True) -> None:
+        self._core = core
+        self.config: Any = core.ffi.new("current_loop_config_t *", core.lib.probe_config().axis[0].current_loop)
+        if not dead_time:
+            self.config.dead_time.duty = 0
+            self.config.dead_time.v_drop = 0
+        if not controllers:
+            for gains in (self.config.d, self.config.q):
+                gains.kp = gains.ki = gains.kc = 0
+        self._state = core.ffi.new("current_loop_t *")
+        core.lib.current_loop_reset(self._state)
+
+    def step(
+        self,
+        i_dq: complex = 0j,
+        reference: complex = 0j,
+        theta: float = 0.0,
+        omega: float = 0.0,
+        bus: int = BUS_24V,
+    ) -> Any:
+        """One period with the currents of a rotor frame [A]; theta and omega electrical [rad, rad/s]."""
+        i = i_dq * complex(math.cos(theta), math.sin(theta))
+        phases = [frac16((i * complex(-0.5, -SQRT3 / 2.0) ** k).real / I_FS) for k in range(3)]
+        angle = round(theta / math.pi * 32768) & 0xFFFF
+        return self._core.lib.current_loop_step(
+            self._state,
+            self.config,
+            dict(zip("abc", phases, strict=True)),
+            {"d": frac16(reference.real / I_FS), "q": frac16(reference.imag / I_FS)},
+            angle - 65536 if angle >= 32768 else angle,
+            frac16(omega / OMEGA_FS),
+            bus,
+        )
+
+
+def dq_volts(out: Any) -> complex:
+    return complex(out.voltage.d, out.voltage.q) / 32768 * U_FS
+
+
+def stator_volts(out: Any, bus: int) -> complex:
+    """Mean stator voltage that the duties give on this bus [V]."""
+    a = complex(-0.5, SQRT3 / 2.0)
+    duty = (out.modulation.duty.a, out.modulation.duty.b, out.modulation.duty.c)
+    return complex(2.0 / 3.0 * bus / 32768 * UDC_FS * sum(d / 32767 * a**k for k, d in enumerate(duty)))
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+def test_measured_current_is_in_the_rotor_frame(core: Core) -> None:
+    for theta in np.linspace(-math.pi, math.pi, 13):
+        out = Loop(core).step(i_dq=1.0 - 2.0j, theta=float(theta))
+        assert out.current.d / 32768 * I_FS == pytest.approx(1.0, abs=2e-3)
+        assert out.current.q / 32768 * I_FS == pytest.approx(-2.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("omega", [600.0, -600.0])
+@pytest.mark.parametrize("i_dq", [0j, 3.0 + 0j, 3.0j, -2.0 + 1.5j])
+def test_decoupling_is_e18_to_e21(core: Core, omega: float, i_dq: complex) -> None:
+    """u_d = -omega L_q i_q, u_q = omega (L_d i_d + psi): with the controllers out of the way nothing else is left."""
+    out = Loop(core, controllers=False).step(i_dq=i_dq, reference=i_dq, omega=omega)
+    expected = complex(-omega * MOTOR["l_q"] * i_dq.imag, omega * (MOTOR["l_d"] * i_dq.real + MOTOR["psi"]))
+    assert dq_volts(out) == pytest.approx(expected, abs=5e-3)
+
+
+@pytest.mark.parametrize("bus", [16000, 18000, BUS_24V, 27000, 30000])
+@pytest.mark.parametrize("theta", [0.0, 0.7, 2.0, -2.9])
+def test_bus_ripple_is_compensated(core: Core, bus: int, theta: float) -> None:
+    """The same reference gives the same volts from any bus."""
+    loop = Loop(core)
+    loop.config.d.ki = loop.config.q.ki = 0
+    reference = complex(1.0, 6.0)
+    out = loop.step(reference=reference, theta=theta, bus=bus)
+    gain = complex(loop.config.d.kp, loop.config.q.kp) / 2**24 * U_FS / I_FS
+    wanted = complex(gain.real * reference.real, gain.imag * reference.imag)
+    wanted *= min(1.0, 9.5 / abs(wanted))
+    assert stator_volts(out, bus) / complex(math.cos(theta), math.sin(theta)) == pytest.approx(dq_volts(out), abs=0.01)
+    if bus >= 18000:
+        assert dq_volts(out) == pytest.approx(complex(gain.real * 1.0, gain.imag * 6.0), abs=0.01) or out.limited
+
+
+@given(
+    i=st.tuples(st.floats(-5.5, 5.5), st.floats(-5.5, 5.5)),
+    reference=st.tuples(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0)),
+    theta=st.floats(-math.pi, math.pi),
+    omega=st.floats(-OMEGA_FS, OMEGA_FS),
+    bus=st.integers(0, 32767),
+)
+def test_voltage_limit(
+    core: Core, i: tuple[float, float], reference: tuple[float, float], theta: float, omega: float, bus: int
+) -> None:
+    """A circle below the linear range, whatever is asked; and duties that leave two low sides time for a sample."""
+    loop = Loop(core)
+    for _ in range(3):
+        out = loop.step(complex(*i), complex(*reference), theta, omega, bus)
+    limit = max(bus, 8192) / 32768 * loop.config.modulation_limit / 32768 * U_FS
+    assert abs(dq_volts(out)) <= limit + 2e-3
+    if abs(dq_volts(out)) < 0.99 * limit:
+        assert not out.limited
+    duty = sorted((out.modulation.duty.a, out.modulation.duty.b, out.modulation.duty.c))
+    assert duty[1] <= 0.92 * 32768
+    assert duty[0] >= 0.0
+    assert duty[2] <= 32767
+
+
+def test_flux_axis_goes_first(core: Core) -> None:
+    """Both controllers ask for too much: the d voltage gets the limit, q the rest of the circle."""
+    loop = Loop(core)
+    for _ in range(30):
+        out = loop.step(reference=8.0 + 8.0j)
+    limit = 24.0 / UDC_FS * loop.config.modulation_limit / 32768 * U_FS
+    assert out.limited
+    assert dq_volts(out).real == pytest.approx(limit, abs=0.02)
+    assert abs(dq_volts(out).imag) < 0.3
+
+
+def test_voltage_leads_by_the_delay(core: Core) -> None:
+    """The duties act one period after the sample: the vector is turned to where the rotor will be."""
+    loop = Loop(core, controllers=False)
+    omega = 700.0
+    out = loop.step(omega=omega)
+    turned = math.atan2(stator_volts(out, BUS_24V).imag, stator_volts(out, BUS_24V).real) - math.pi / 2.0
+    assert turned == pytest.approx(omega / 16000.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("omega", [0.0, 600.0, -600.0])
+def test_step_response_on_a_motor(core: Core, omega: float) -> None:
+    """Closed over E18..E21 with half a period of delay: i_q steps to 2 A at 1 kHz bandwidth, i_d hardly notices."""
+    loop, ts, steps = Loop(core), 1.0 / 16000.0, 10
+    i, theta, duty_volts = 0j, 0.3, 0j
+    log = []
+    for k in range(160):
+        out = loop.step(i, 2.0j if k >= 80 else 0j, theta, omega)
+        for n in range(steps):
+            if n == steps // 2:
+                duty_volts = stator_volts(out, BUS_24V)
+            u = duty_volts * complex(math.cos(theta), -math.sin(theta))
+            d_i = complex(
+                (u.real - MOTOR["r"] * i.real + omega * MOTOR["l_q"] * i.imag) / MOTOR["l_d"],
+                (u.imag - MOTOR["r"] * i.imag - omega * (MOTOR["l_d"] * i.real + MOTOR["psi"])) / MOTOR["l_q"],
+            )
+            i += d_i * ts / steps
+            theta = (theta + omega * ts / steps + math.pi) % (2 * math.pi) - math.pi
+        log.append(i)
+    before, after = np.array(log[40:80]), np.array(log[80:])
+    assert np.max(np.abs(before)) < 0.05
+    assert np.max(after.imag) < 2.0 * 1.15
+    assert after[7].imag > 1.5  # 0.5 ms; at +600 rad/s the voltage is limited
+    assert after[-20:].imag == pytest.approx(2.0, abs=0.04)
+    assert np.max(np.abs(after.real)) < 0.25
+    assert after[-20:].real == pytest.approx(0.0, abs=0.04)
+
+
+def test_anti_windup_of_the_current_loop(core: Core) -> None:
+    """After a second at the voltage limit the loop leaves it within a few periods."""
+    loop = Loop(core)
+    for _ in range(2000):
+        out = loop.step(reference=4.0j)  # the current does not come: locked at the limit
+    assert out.limited
+    for _ in range(3):
+        out = loop.step(i_dq=4.5j, reference=4.0j)
+    assert not out.limited
+
+
+def test_dead_time_is_added_in_the_direction_of_the_current(core: Core) -> None:
+    plain, compensated = Loop(core), Loop(core, dead_time=True)
+    current = 2.0 + 0j  # phase a +2 A, b and c -1 A
+    a, b = plain.step(i_dq=current, reference=current), compensated.step(i_dq=current, reference=current)
+    loss = 1e-6 * 16000.0 + 0.7 / 24.0
+    got = [(getattr(b.modulation.duty, p) - getattr(a.modulation.duty, p)) / 32768 for p in "abc"]
+    assert got == pytest.approx([loss, -loss, -loss], abs=3e-4)
+
+
+def test_dead_time_is_softened_around_zero_and_leaves_full_duties_alone(core: Core) -> None:
+    loop = Loop(core, dead_time=True)
+    reciprocal = 2**29 // BUS_24V
+    loss = 1e-6 * 16000.0 + 0.7 / 24.0
+
+    def change(duty: int, amps: float) -> float:
+        i = frac16(amps / I_FS)
+        x = core.lib.dead_time_compensate(
+            core.ffi.addressof(loop.config, "dead_time"),
+            {"a": duty, "b": duty, "c": duty},
+            {"a": i, "b": i, "c": i},
+            reciprocal,
+        )
+        return float((x.a - duty) / 32768)
+
+    assert change(16000, 0.0) == 0.0
+    assert change(16000, 0.04) == pytest.approx(loss / 2.0, abs=5e-4)
+    assert change(16000, -0.04) == pytest.approx(-loss / 2.0, abs=5e-4)
+    assert change(16000, -3.0) == pytest.approx(-loss, abs=5e-4)
+    assert change(0, -3.0) == change(0, 3.0) == change(32767, 3.0) == change(32767, -3.0) == 0.0
+    assert change(100, -3.0) == -100 / 32768
+    assert change(32700, 3.0) == 67 / 32768

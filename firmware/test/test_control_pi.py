@@ -1,0 +1,157 @@
+"""PI controller with back-calculation anti-windup (DRM E34..E37)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+ONE = 2**31
+GAIN_ONE = 2**24
+
+
+def raw(x: float) -> int:
+    return min(max(round(x * ONE), -ONE), ONE - 1)
+
+
+class Controller:
+    """The C controller in numbers between -1 and 1."""
+
+    def __init__(self, core: Core, kp: float, ki: float, kc: float) -> None:
+        self._lib = core.lib
+        self._gains = core.ffi.new("pi_gains_t *", [round(k * GAIN_ONE) for k in (kp, ki, kc)])
+        self.state: Any = core.ffi.new("pi_state_t *")
+        self._lib.pi_reset(self.state, 0)
+
+    def step(self, error: float, limit: float, feed_forward: float = 0.0) -> float:
+        return float(self._lib.pi_step(self.state, self._gains, raw(error), raw(feed_forward), raw(limit)) / ONE)
+
+    @property
+    def integral(self) -> float:
+        return float(self.state.integral / ONE)
+
+
+class Reference:
+    """E35..E37 as the text means them: the anti-windup term is part of the integral."""
+
+    def __init__(self, kp: float, ki: float, kc: float) -> None:
+        self.kp, self.ki, self.kc = kp, ki, kc
+        self.integral = 0.0
+        self.excess = 0.0
+
+    def step(self, error: float, limit: float, feed_forward: float = 0.0) -> float:
+        self.integral += self.ki * error + self.kc * self.excess
+        presat = self.kp * error + self.integral + feed_forward
+        out = min(max(presat, -limit), limit)
+        self.excess = out - presat
+        return out
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+def test_worked_by_hand(core: Core) -> None:
+    """Kp = 1/2, Kp Ki Ts = 1/4, Kc = 1/2, limit 3/8, error 1/2, 1/2, -1/4: all numbers are exact."""
+    pi = Controller(core, 0.5, 0.25, 0.5)
+    # k = 1: u_p = 1/4, u_i = 1/8, u_presat = 3/8: just not limited
+    assert pi.step(0.5, 0.375) == 0.375
+    assert pi.integral == 0.125
+    assert pi.state.excess == 0
+    # k = 2: u_i = 1/4, u_presat = 1/2: limited by 1/8
+    assert pi.step(0.5, 0.375) == 0.375
+    assert pi.integral == 0.25
+    assert pi.state.excess / ONE == -0.125
+    # k = 3: u_c = -1/16 goes into the integrator: u_i = 1/4 - 1/16 - 1/16 = 1/8; u_p = -1/8; u = 0
+    assert pi.step(-0.25, 0.375) == 0.0
+    assert pi.integral == 0.125
+
+
+def test_without_anti_windup_the_same_error_leaves_later(core: Core) -> None:
+    pi = Controller(core, 0.5, 0.25, 0.0)
+    for _ in range(2):
+        pi.step(0.5, 0.375)
+    assert pi.step(-0.25, 0.375) == 0.0625  # u_i = 1/4 - 1/16, u_p = -1/8
+
+
+@given(
+    errors=st.lists(st.floats(-0.4, 0.4), min_size=1, max_size=60),
+    limit=st.floats(0.05, 0.9),
+    kc=st.sampled_from([0.0, 0.25, 0.5, 0.9]),
+    ff=st.floats(-0.3, 0.3),
+)
+@settings(max_examples=150)
+def test_equals_the_float_model(core: Core, errors: Sequence[float], limit: float, kc: float, ff: float) -> None:
+    """As long as nothing saturates at +-1.0, every step is within rounding of the reals."""
+    pi, model = Controller(core, 0.7, 0.01, kc), Reference(0.7, 0.01, kc)
+    for error in errors:
+        assert pi.step(error, limit, ff) == pytest.approx(model.step(error, limit, ff), abs=2e-7)
+        assert pi.integral == pytest.approx(model.integral, abs=2e-7)
+
+
+@given(
+    errors=st.lists(st.integers(-ONE, ONE - 1), min_size=1, max_size=40),
+    gains=st.tuples(*[st.integers(-ONE, ONE - 1)] * 2, st.integers(0, GAIN_ONE - 1)),
+    limit=st.integers(0, ONE - 1),
+    ff=st.integers(-ONE, ONE - 1),
+)
+def test_never_leaves_its_limits(
+    core: Core, errors: Sequence[int], gains: tuple[int, int, int], limit: int, ff: int
+) -> None:
+    state, g = core.ffi.new("pi_state_t *"), core.ffi.new("pi_gains_t *", gains)
+    core.lib.pi_reset(state, 0)
+    for error in errors:
+        assert -limit <= core.lib.pi_step(state, g, error, ff, limit) <= limit
+
+
+def test_integral_settles_at_the_limit_with_anti_windup_and_winds_up_without(core: Core) -> None:
+    """Back-calculation: in saturation the integral stays within Kp Ki Ts e / Kc of what the limit needs."""
+    with_aw, without = Controller(core, 0.5, 0.01, 0.5), Controller(core, 0.5, 0.01, 0.0)
+    for _ in range(60):
+        with_aw.step(0.5, 0.3)
+        without.step(0.5, 0.3)
+    assert with_aw.integral == pytest.approx(0.3 - 0.25 + 0.005 / 0.5, abs=1e-3)
+    assert without.integral == pytest.approx(60 * 0.005, abs=1e-3)
+
+
+def test_reset_takes_over_without_a_jump(core: Core) -> None:
+    pi = Controller(core, 2.0, 0.01, 0.5)
+    core.lib.pi_reset(pi.state, raw(0.2))
+    assert pi.step(0.0, 0.5) == pytest.approx(0.2, abs=1e-9)
+
+
+def speed_loop(core: Core, anti_windup: bool) -> tuple[float, float]:
+    """DRM F21/F22: 500 rpm and 20 Hz, no load, 1 A; overshoot [rpm] and lag [deg] of the shaft of axis 1."""
+    ts, k_t, inertia, friction = 0.5e-3, 0.0462, 0.8e-5, 2e-3
+    amplitude, omega = 500.0 * np.pi / 30.0, 2.0 * np.pi * 20.0
+    gains = core.lib.probe_config().axis[0].speed
+    pi = Controller(core, gains.kp / GAIN_ONE, gains.ki / GAIN_ONE, gains.kc / GAIN_ONE if anti_windup else 0.0)
+    speed, log = 0.0, []
+    time = np.arange(0.0, 4.0 / 20.0, ts)
+    for reference in amplitude * np.sin(omega * time):
+        torque = k_t * 8.25 * pi.step((reference - speed) / 523.6, 1.0 / 8.25)
+        for _ in range(10):
+            drag = friction * np.sign(speed) if abs(speed) > 0.1 else np.clip(torque, -friction, friction)
+            speed += (torque - drag) / inertia * ts / 10.0
+        log.append(speed)
+    steady = slice(len(log) // 4, None)  # three whole periods
+    shaft = np.vdot(np.exp(1j * omega * time[steady]), np.array(log)[steady])
+    overshoot = (np.max(np.abs(log[steady])) - amplitude) * 30.0 / np.pi
+    return float(overshoot), float(-90.0 - np.degrees(np.angle(shaft)))
+
+
+def test_speed_loop_of_f21_and_f22(core: Core) -> None:
+    """With anti-windup almost no overshoot and a small lag; without, overshoot and lag at every peak."""
+    overshoot, lag = speed_loop(core, anti_windup=True)
+    plain_overshoot, plain_lag = speed_loop(core, anti_windup=False)
+    assert overshoot < 25.0  # 5 % of the amplitude
+    assert lag < 15.0
+    assert plain_overshoot > 100.0
+    assert plain_lag > lag + 10.0

@@ -1,0 +1,126 @@
+"""The core on other targets: sanitizers on the host, and a 16-bit int."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from core_library import CORE_SOURCES
+from firmware_compiler import FIRMWARE, STRICT, CompileProgram, has_library
+
+AVR = ["-mmcu=atmega1284p", "-Os"]
+SANITIZE = "-fsanitize=undefined,address -fno-sanitize-recover=all -fno-omit-frame-pointer"
+INSIDE = "FIRMWARE_TESTS_SANITIZED"
+VECTOR_SOURCES = [
+    *(s for s in CORE_SOURCES if s.startswith(("math/", "control/", "sensing/", "config/"))),
+    "drive/current_sense.c",
+    "test/core_vectors.c",
+]
+
+
+@pytest.mark.skipif(INSIDE in os.environ, reason="this is the sanitized run")
+def test_state_machine_tests_pass_with_sanitizers() -> None:
+    """Every board test once more on a library with address and undefined-behaviour checks."""
+    if not has_library("gcc", "libasan.so"):
+        pytest.skip("gcc has no address sanitizer")
+    runtime = subprocess.run(
+        ["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    folder = Path(__file__).parent
+    tests = sorted(
+        str(path) for room in ("control", "sensing", "drive", "app") for path in folder.glob(f"test_{room}_*.py")
+    )
+    tests.remove(str(folder / "test_sensing_rotor_search.py"))  # spends its time in the shaft model
+    environment = {
+        **os.environ,
+        INSIDE: "1",
+        "FIRMWARE_CFLAGS": SANITIZE,
+        "LD_PRELOAD": runtime,
+        "ASAN_OPTIONS": "detect_leaks=0",
+        "UBSAN_OPTIONS": "print_stacktrace=1",
+    }
+    result = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-x", "-s", "-p", "no:cacheprovider", *tests],
+        env=environment,
+        cwd=FIRMWARE.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout[-3000:] + result.stderr[:6000]
+    assert re.search(r"\d{3} passed", result.stdout)
+
+
+def test_sanitizers_bite(compile_program: CompileProgram, tmp_path: Path) -> None:
+    """The options above do find an overflow: without this, a run without findings proves nothing."""
+    if not has_library("gcc", "libasan.so"):
+        pytest.skip("gcc has no address sanitizer")
+    source = tmp_path / "overflow.c"
+    source.write_text("int main(int n, char **v) { (void)v; return 2147483647 + n; }\n", encoding="ascii")
+    program = compile_program("overflow", [source], SANITIZE.split())
+    result = subprocess.run([str(program)], capture_output=True, text=True, check=False)
+    assert result.returncode != 0
+    assert "signed integer overflow" in result.stderr
+
+
+def needs_avr() -> None:
+    if not has_library("avr-gcc", "libc.a"):
+        pytest.skip("avr-gcc with avr-libc is not installed")
+
+
+def test_compiles_with_16_bit_int(tmp_path: Path) -> None:
+    """All of the core, warnings as errors."""
+    needs_avr()
+    command = ["avr-gcc", *STRICT, *AVR, f"-I{FIRMWARE}", "-c", *(str(FIRMWARE / s) for s in CORE_SOURCES)]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert len(list(tmp_path.glob("*.o"))) == len(CORE_SOURCES)
+
+
+def sums(output: str) -> dict[str, str]:
+    return dict(re.findall(r"(\w+) ([0-9A-F]{8})", re.sub(r"\x1b\[[0-9;]*m", "", output)))
+
+
+def test_same_numbers_with_16_bit_int(compile_program: CompileProgram) -> None:
+    """Bit for bit: a missing cast that the host's 32-bit int hides changes a sum here."""
+    needs_avr()
+    if shutil.which("simavr") is None:
+        pytest.skip("simavr is not installed")
+    host = compile_program("core_vectors_host", VECTOR_SOURCES, ["-O1"])
+    expected = sums(subprocess.run([str(host)], capture_output=True, text=True, check=True).stdout)
+    assert len(expected) == 6
+    assert len(set(expected.values())) == 6
+    elf = compile_program("core_vectors.elf", VECTOR_SOURCES, AVR, (), "avr-gcc")
+    target = subprocess.run(
+        ["simavr", "-m", "atmega1284p", "-f", "16000000", str(elf)],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=120.0,
+        check=False,
+    )
+    assert sums(target.stdout + target.stderr) == expected
+
+
+def test_no_file_scope_state(tmp_path: Path) -> None:
+    """Many boards may live in one process: no object file has writable data."""
+    command = ["gcc", *STRICT, "-O0", "-fno-pie", f"-I{FIRMWARE}", "-c", *(str(FIRMWARE / s) for s in CORE_SOURCES)]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    objects = sorted(str(path) for path in tmp_path.glob("*.o"))
+    assert len(objects) == len(CORE_SOURCES)
+    listing = subprocess.run(["nm", *objects], capture_output=True, text=True, check=True).stdout
+    assert re.search(r"\sR servo_config$", listing, re.MULTILINE)
+    assert not re.findall(r"\s[bBdDcC] \w+$", listing, re.MULTILINE)
+
+
+def test_no_floating_point() -> None:
+    """`double` is 32 bits on some targets: the core knows only integers."""
+    for source in CORE_SOURCES:
+        text = re.sub(r"/\*.*?\*/", "", (FIRMWARE / source).read_text(encoding="utf-8"), flags=re.DOTALL)
+        text = re.sub(r'"[^"]*"', "", text)
+        assert not re.search(r"\b(float|double)\b|\b\d+\.\d", text), source

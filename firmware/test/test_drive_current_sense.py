@@ -1,0 +1,161 @@
+"""Current reconstruction, offsets and bus voltage (DRM 2.3.2, 4.2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bench import Bench, bus_code
+
+AB, BC, CA = range(3)
+PHASES = {AB: (0, 1), BC: (1, 2), CA: (2, 0)}
+MID = 2048 << 16
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def sense(core: Core) -> Any:
+    s = core.ffi.new("current_sense_t *")
+    core.lib.current_sense_reset(s)
+    return s
+
+
+def read(core: Core, sense: Any, pair: int, first: int, second: int) -> list[int]:
+    sense.pair = pair
+    i = core.lib.current_sense_read(sense, (first, second))
+    return [i.a, i.b, i.c]
+
+
+@pytest.mark.parametrize("sector", range(1, 7))
+def test_longest_low_sides_are_sampled(core: Core, sector: int) -> None:
+    """The phase left out is the one with the longest high side in this sector."""
+    import math
+
+    angle = math.radians(60 * sector - 30)
+    vector = {"alpha": round(25000 * math.cos(angle)), "beta": round(25000 * math.sin(angle))}
+    duty = core.lib.svm(vector).duty
+    high_sides = [duty.a, duty.b, duty.c]
+    left_out = high_sides.index(max(high_sides))
+    assert left_out not in PHASES[core.lib.current_sense_pair(sector)]
+
+
+@pytest.mark.parametrize("pair", [AB, BC, CA])
+def test_third_current_is_the_negative_sum(core: Core, sense: Any, pair: int) -> None:
+    first, second = PHASES[pair]
+    i = read(core, sense, pair, 2048 + 500, 2048 - 200)
+    assert i[first] == 500 * 16
+    assert i[second] == -200 * 16
+    assert sum(i) == 0
+
+
+@given(first=st.integers(0, 4095), second=st.integers(0, 4095), pair=st.integers(0, 2))
+def test_full_range_saturates_and_never_wraps(core: Core, first: int, second: int, pair: int) -> None:
+    sense = core.ffi.new("current_sense_t *")
+    core.lib.current_sense_reset(sense)
+    i = read(core, sense, pair, first, second)
+    a, b = PHASES[pair]
+    assert i[a] == (first - 2048) * 16
+    assert i[b] == (second - 2048) * 16
+    assert i[3 - a - b] == min(max(-(i[a] + i[b]), -32768), 32767)
+
+
+def test_offset_is_taken_off_with_its_fraction(core: Core, sense: Any) -> None:
+    sense.offset[0] = MID + (10 << 16) + 0x8000  # 10.5 codes
+    assert read(core, sense, AB, 2058, 2048)[0] == -8
+    assert read(core, sense, AB, 2059, 2048)[0] == 8
+    sense.offset[0] = MID + 0x900  # 9/256 codes: rounded to 1/16
+    assert read(core, sense, AB, 2048, 2048)[0] == -1
+
+
+def calibrate(core: Core, sense: Any, offsets: list[int]) -> int:
+    samples = 0
+    done = False
+    while not done:
+        first, second = PHASES[sense.pair]
+        done = core.lib.current_sense_calibrate(sense, (offsets[first], offsets[second]))
+        samples += 1
+        assert samples <= 2000
+    return samples
+
+
+def test_calibration_measures_all_three_amplifiers(core: Core, sense: Any) -> None:
+    calibrate(core, sense, [2010, 2100, 2048])
+    assert [o / 65536 for o in sense.offset] == [2010.0, 2100.0, 2048.0]
+    assert read(core, sense, BC, 2100, 2048) == [0, 0, 0]
+
+
+def test_calibration_averages_noise(core: Core, sense: Any) -> None:
+    done, k = False, 0
+    while not done:
+        done = core.lib.current_sense_calibrate(sense, (2040 + k % 16, 2050 - k % 16))
+        k += 1
+    assert sense.offset[0] / 65536 == pytest.approx(2047.5, abs=0.01)
+    assert sense.offset[1] / 65536 == pytest.approx(2042.5, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("codes", "plausible"),
+    [([1948, 2148, 2048], True), ([1947, 2048, 2048], False), ([2048, 2048, 2149], False), ([0, 4095, 2048], False)],
+)
+def test_plausible_offsets(core: Core, sense: Any, codes: list[int], plausible: bool) -> None:
+    calibrate(core, sense, codes)
+    assert bool(core.lib.current_sense_offsets_plausible(sense, 100)) is plausible
+
+
+def test_drift_is_followed_slowly(core: Core, sense: Any) -> None:
+    sense.duty = (16384, 16384, 16384)
+    for _ in range(256):
+        core.lib.current_sense_track(sense, (2058, 2048), 3277)
+    assert sense.offset[0] / 65536 == pytest.approx(2048 + 10 * 0.632, abs=0.1)
+    for _ in range(4000):
+        core.lib.current_sense_track(sense, (2058, 2048), 3277)
+    assert sense.offset[0] / 65536 == pytest.approx(2058, abs=0.01)
+    assert sense.offset[1] == sense.offset[2] == MID
+
+
+@pytest.mark.parametrize("pair", [AB, BC, CA])
+def test_short_high_sides_give_no_offset(core: Core, sense: Any, pair: int) -> None:
+    """Only a high side that conducts long enough leaves the shunt without current."""
+    first, second = PHASES[pair]
+    duty = [3276, 3276, 3276]
+    duty[first] = 3277
+    sense.pair, sense.duty = pair, tuple(duty)
+    core.lib.current_sense_track(sense, (2100, 2100), 3277)
+    assert sense.offset[first] > MID
+    assert sense.offset[second] == MID
+
+
+# ---- the bus (E46, E47) -------------------------------------------------------------------------------------------
+
+
+def test_24_volts_is_21665_of_which_a_12_bit_converter_delivers_21664(core: Core) -> None:
+    assert round(24.0 / 36.3, 6) == 0.661157
+    assert round(24.0 / 36.3 * 2**15) == 21665
+    bench = Bench(core)
+    assert bench.catalogue.variables["u_dc"].to_raw(24.0) == 21665
+    assert bus_code(24.0) == bench.hal.bus_code == 2708
+    bench.to_stop()
+    bench.slow(20)
+    assert bench.servo.snapshot.u_dc == pytest.approx(21664, abs=1)
+
+
+def test_bus_filter(core: Core) -> None:
+    """First order, 16 PWM periods; the full scale does not wrap."""
+    bench = Bench(core)
+    bench.to_stop()
+    bench.slow(20)
+    bench.hal.bus_code = bus_code(28.0)
+    bench.slow(2)  # 16 periods
+    rise = (bench.axis(0).u_dc - 21664) / ((bus_code(28.0) << 3) - 21664)
+    assert rise == pytest.approx(1.0 - (15 / 16) ** 16, abs=0.01)
+    bench.hal.bus_code = 4095
+    bench.slow(50)
+    assert bench.axis(0).u_dc == pytest.approx(4095 << 3, abs=1)

@@ -1,0 +1,359 @@
+"""Faults: raised from every state, cleared only when their cause is gone, and never followed by motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from servo_bench import (
+    ALIGN,
+    CALIB,
+    CODE_24V,
+    CURRENT_OFFSET,
+    ENCODER,
+    FAULT,
+    FREEWHEEL,
+    HOST_SILENT,
+    INIT,
+    OVER_CURRENT,
+    OVER_VOLTAGE,
+    READY,
+    ROTOR_SEARCH,
+    RUN,
+    SPIN,
+    STOP,
+    UNDER_VOLTAGE,
+    Bench,
+    bus_code,
+)
+
+RUN_SUBSTATES = [CALIB, READY, ALIGN, SPIN, FREEWHEEL]
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    return Bench(core)
+
+
+def go_to(bench: Bench, axis: int, substate: int) -> None:
+    bench.to_stop()
+    bench.write(axis, enable=1)
+    if substate == FREEWHEEL:
+        bench.to_substate(axis, SPIN)
+        bench.turn(axis, 20.0)
+        bench.slow(5)
+        bench.write(axis, enable=0)
+    bench.to_substate(axis, substate)
+
+
+def over_voltage(bench: Bench) -> None:
+    bench.hal.bus_code = bus_code(34.0)
+
+
+def under_voltage(bench: Bench) -> None:
+    bench.hal.bus_code = bus_code(15.0)
+
+
+def over_current(bench: Bench) -> None:
+    bench.hal.axis[0].over_current = True
+
+
+CAUSES = [(over_voltage, OVER_VOLTAGE), (under_voltage, UNDER_VOLTAGE), (over_current, OVER_CURRENT)]
+
+
+def remove_causes(bench: Bench) -> None:
+    bench.hal.bus_code = CODE_24V
+    bench.hal.axis[0].over_current = False
+    bench.slow(20)
+
+
+@pytest.mark.parametrize(("cause", "fault"), CAUSES)
+@pytest.mark.parametrize("substate", RUN_SUBSTATES)
+def test_fault_from_every_sub_state(bench: Bench, substate: int, cause: Callable[[Bench], None], fault: int) -> None:
+    go_to(bench, 0, substate)
+    cause(bench)
+    bench.slow(20)
+    assert bench.view(0).state == FAULT
+    assert bench.view(0).faults == fault
+    hal = bench.hal.axis[0]
+    assert not hal.outputs_on
+    assert list(hal.duty) == [16384] * 3
+    view = bench.view(0)
+    assert (view.i_q, view.i_d, view.i_q_ref, view.u_d, view.u_q) == (0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(("cause", "fault"), CAUSES)
+def test_fault_from_stop_and_init(core: Core, cause: Callable[[Bench], None], fault: int) -> None:
+    bench = Bench(core)
+    bench.to_stop()
+    cause(bench)
+    bench.slow(20)
+    assert bench.view(0).state == FAULT
+    bench = Bench(core)
+    cause(bench)
+    bench.slow(15)
+    assert bench.view(0).state == (INIT if fault == UNDER_VOLTAGE else FAULT)
+    bench.slow(40)
+    assert (bench.view(0).state, bench.view(0).faults) == (FAULT, fault)
+
+
+def test_over_current_opens_the_switches_in_the_next_fast_loop(bench: Bench) -> None:
+    bench.to_spin(0, 1)
+    bench.hal.axis[0].over_current = True
+    bench.core.lib.probe_run(bench.servo, 1)
+    assert not bench.hal.axis[0].outputs_on
+    assert bench.axis(0).sm.state == FAULT
+    assert bench.axis(1).sm.state == RUN
+
+
+def test_break_interrupt_opens_them_at_once(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.hal.axis[0].over_current = True
+    bench.core.lib.servo_break_isr(bench.servo, 0)
+    assert not bench.hal.axis[0].outputs_on
+    bench.slow()
+    assert bench.view(0).faults == OVER_CURRENT
+
+
+@pytest.mark.parametrize(("cause", "fault"), CAUSES)
+def test_clear_works_only_when_the_cause_is_gone(bench: Bench, cause: Callable[[Bench], None], fault: int) -> None:
+    bench.to_spin(0)
+    cause(bench)
+    bench.slow(20)
+    for _ in range(3):
+        bench.clear(0)
+        assert (bench.view(0).state, bench.view(0).faults) == (FAULT, fault)
+    remove_causes(bench)
+    assert (bench.view(0).state, bench.view(0).faults) == (FAULT, fault), "a fault stays until it is cleared"
+    bench.clear(0)
+    assert (bench.view(0).state, bench.view(0).faults) == (INIT, 0)
+    bench.slow(40)
+    assert bench.view(0).state == STOP
+
+
+def test_clear_keeps_the_faults_whose_cause_remains(bench: Bench) -> None:
+    bench.to_spin(0)
+    over_voltage(bench)
+    over_current(bench)
+    bench.slow(20)
+    assert bench.view(0).faults == OVER_VOLTAGE | OVER_CURRENT
+    bench.hal.axis[0].over_current = False
+    bench.clear(0)
+    assert (bench.view(0).state, bench.view(0).faults) == (FAULT, OVER_VOLTAGE)
+
+
+def test_no_motion_after_a_fault_without_a_new_enable(bench: Bench) -> None:
+    """Neither the old enable, nor one written during the fault or with the clear, arms the axis again."""
+    bench.to_spin(0)
+    over_current(bench)
+    bench.slow(2)
+    bench.write(0, enable=1)
+    bench.slow()
+    remove_causes(bench)
+    bench.write(0, enable=1, clear_faults=1)
+    bench.slow(200)
+    assert bench.view(0).state == STOP
+    assert not bench.hal.axis[0].outputs_on
+    bench.write(0, enable=1)
+    bench.to_substate(0, SPIN)
+
+
+def test_clear_is_one_shot_and_does_nothing_outside_fault(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.clear(0)
+    assert bench.servo.command.clear_faults[0] == 0
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+    over_current(bench)
+    bench.slow(2)
+    bench.hal.axis[0].over_current = False
+    bench.slow(50)
+    assert bench.view(0).state == FAULT, "the clear from before the fault does not count"
+
+
+def test_outputs_never_come_on_with_a_fault_pending(bench: Bench) -> None:
+    """A fault that is raised in the very slow loop that would leave CALIB."""
+    bench.to_stop()
+    bench.write(0, enable=1)
+    bench.to_substate(0, CALIB)
+    bench.until(lambda: bool(bench.axis(0).calibrated) or bench.axis(0).sense.samples > 500, 200)
+    times_on = bench.hal.axis[0].times_on
+    bench.axis(0).encoder.position.turns += 1  # index and count disagree
+    bench.slow(5)
+    assert bench.view(0).faults == ENCODER
+    assert bench.hal.axis[0].times_on == times_on
+
+
+@pytest.mark.parametrize("codes", [(2048, 2048, 2200), (1800, 2048, 2048), (0, 0, 0), (4095, 4095, 4095)])
+def test_offset_far_from_mid_scale_is_refused(bench: Bench, codes: tuple[int, int, int]) -> None:
+    bench.to_stop()
+    for phase, code in enumerate(codes):
+        bench.hal.axis[0].current_code[phase] = code
+    bench.write(0, enable=1)
+    bench.until(lambda: bench.view(0).state == FAULT, 300)
+    assert bench.view(0).faults == CURRENT_OFFSET
+    assert bench.hal.axis[0].times_on == 0
+    for phase in range(3):
+        bench.hal.axis[0].current_code[phase] = 2048
+    bench.clear(0)
+    bench.to_spin(0)
+
+
+def test_shaft_held_fast_fails_the_search(bench: Bench) -> None:
+    bench.to_stop()
+    bench.shaft_is_free[0] = False
+    bench.write(0, enable=1)
+    ticks = bench.until(lambda: bench.view(0).state == FAULT, 2500)
+    assert bench.view(0).faults == ROTOR_SEARCH
+    assert ticks * 0.5e-3 < 1.2
+    assert not bench.hal.axis[0].outputs_on
+
+
+def test_search_with_a_shaft_turned_from_outside_ends_in_a_fault(bench: Bench) -> None:
+    bench.to_stop()
+    bench.shaft_is_free[0] = False
+    bench.write(0, enable=1)
+    bench.to_substate(0, ALIGN)
+    bench.turn(0, 20.0)
+    bench.until(lambda: bench.view(0).state == FAULT, 12000)
+    assert bench.view(0).faults == ROTOR_SEARCH
+
+
+def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.shaft[0].index_works = False
+    bench.turn(0, 100.0)
+    bench.until(lambda: bench.view(0).state == FAULT, 300)
+    assert bench.view(0).faults == ENCODER
+    bench.turn(0, 0.0)
+    bench.shaft[0].index_works = True
+    bench.slow(200)
+    bench.clear(0)
+    bench.slow(40)
+    assert (bench.view(0).state, bench.view(0).faults) == (STOP, 0)
+    bench.to_spin(0)
+    bench.turn(0, 100.0)
+    bench.slow(400)
+    assert bench.view(0).state == RUN
+
+
+def test_fault_of_one_axis_leaves_the_other_alone(bench: Bench) -> None:
+    bench.to_spin(0, 1)
+    over_current(bench)
+    bench.slow(50)
+    assert bench.view(0).state == FAULT
+    assert (bench.view(1).state, bench.view(1).substate, bench.view(1).faults) == (RUN, SPIN, 0)
+
+
+def test_bus_faults_stop_both(bench: Bench) -> None:
+    bench.to_spin(0, 1)
+    over_voltage(bench)
+    bench.slow(10)
+    assert [(s[0], s[2]) for s in bench.states()] == [(FAULT, OVER_VOLTAGE)] * 2
+
+
+@pytest.mark.parametrize(("volts", "state"), [(16.3, STOP), (15.7, FAULT), (32.7, STOP), (33.3, FAULT)])
+def test_voltage_limits(bench: Bench, volts: float, state: int) -> None:
+    bench.to_stop()
+    bench.hal.bus_code = bus_code(volts)
+    bench.slow(50)
+    assert bench.view(0).state == state
+
+
+def test_captured_fault_always_reaches_the_state_machine(bench: Bench) -> None:
+    """Even if the flag that announces it were lost to an interrupt."""
+    bench.to_spin(0)
+    bench.axis(0).faults = OVER_CURRENT
+    bench.slow()
+    assert bench.view(0).state == FAULT
+
+
+# ---- the host falls silent ----------------------------------------------------------------------------------------
+
+
+def test_board_without_a_host_is_not_supervised(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.slow(3000)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+
+
+def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
+    bench.frame_arrives()
+    bench.set_parameter("host_timeout", 0.1)
+    bench.to_stop()
+    for axis in range(2):
+        bench.write(axis, enable=1)
+    for _ in range(30):
+        bench.frame_arrives()
+        bench.slow(30)
+    assert [s[:2] for s in bench.states()] == [(RUN, SPIN)] * 2
+    bench.turn(0, 50.0)
+    bench.frame_arrives()
+    bench.slow(190)
+    assert bench.view(0).substate == SPIN, "not before the time-out"
+    bench.slow(13)
+    assert bench.view(0).substate == SPIN, "the shaft is ramped down before the fault"
+    assert bench.hal.axis[0].outputs_on
+    assert (bench.view(1).state, bench.view(1).faults) == (FAULT, HOST_SILENT), "this one stood still"
+    bench.turn(0, 0.0)
+    bench.until(lambda: bench.view(0).state == FAULT, 1200)
+    assert bench.view(0).faults == HOST_SILENT
+    assert not bench.hal.axis[0].outputs_on
+
+
+def test_returning_host_must_clear_and_enable(bench: Bench) -> None:
+    bench.frame_arrives()
+    bench.to_spin(0)
+    bench.slow(1500)
+    assert bench.view(0).faults == HOST_SILENT
+    bench.frame_arrives()
+    bench.slow(100)
+    assert bench.view(0).state == FAULT
+    bench.clear(0)
+    bench.slow(100)
+    assert bench.view(0).state == STOP
+    bench.frame_arrives()
+    bench.write(0, enable=1)
+    for _ in range(40):
+        bench.frame_arrives()
+        bench.slow(30)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+
+
+def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -> None:
+    bench.frame_arrives()
+    bench.to_spin(0)
+    bench.turn(0, 100.0)
+    bench.until(lambda: not bench.axis(0).requested, 1100)
+    bench.frame_arrives()
+    bench.write(0, enable=1)
+    bench.slow(10)
+    assert not bench.axis(0).requested
+    bench.turn(0, 0.0)
+    bench.until(lambda: bench.view(0).state == FAULT, 1200)
+
+
+def test_time_out_of_zero_is_clipped(bench: Bench) -> None:
+    bench.frame_arrives()
+    bench.slow()
+    bench.write_raw("param.host_timeout", [0])
+    bench.to_stop()
+    bench.frame_arrives()
+    bench.write(0, enable=1)
+    bench.slow(60)
+    assert bench.view(0).state == RUN
+    bench.until(lambda: bench.view(0).faults == HOST_SILENT, 200)
+
+
+def test_silence_of_set_points_is_no_silence_of_the_host(bench: Bench) -> None:
+    bench.to_spin(0)
+    for _ in range(100):
+        bench.frame_arrives()
+        bench.slow(30)
+    assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)

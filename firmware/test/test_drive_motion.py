@@ -1,0 +1,312 @@
+"""From commands to i_q*: fresh writes, modes, ramps, limits (DRM 2.5..2.7)."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from servo_bench import (
+    ALIGN,
+    LIMIT_CURRENT,
+    LIMIT_SETPOINT,
+    LIMIT_SPEED,
+    LIMIT_VOLTAGE,
+    POSITION,
+    SPEED,
+    SPIN,
+    TORQUE,
+    Bench,
+    amps,
+    rad_s,
+    speed,
+)
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    bench = Bench(core)
+    bench.to_spin(0)
+    bench.slow(2)
+    return bench
+
+
+# ---- fresh writes ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["position", "speed", "i_q"])
+def test_set_point_from_before_spin_does_not_move_the_axis(core: Core, name: str) -> None:
+    bench = Bench(core)
+    bench.to_stop()
+    mode = {"position": POSITION, "speed": SPEED, "i_q": TORQUE}[name]
+    value = {"position": 5000, "speed": speed(100.0), "i_q": amps(1.0)}[name]
+    bench.write(0, mode=mode, **{name: value})
+    bench.write(0, enable=1)
+    bench.to_substate(0, ALIGN)
+    bench.write(0, mode=mode, **{name: value})
+    bench.to_substate(0, SPIN)
+    for _ in range(100):
+        bench.slow()
+        view = bench.view(0)
+        assert (view.i_q_ref, view.speed_ref) == (0, 0)
+        assert abs(view.position_ref - view.position) <= 1
+    bench.write(0, **{name: value})
+    bench.slow(20)
+    view = bench.view(0)
+    assert (view.i_q_ref, view.speed_ref) != (0, 0), "written again, it counts"
+
+
+def test_nothing_of_the_motion_before_a_fault_is_left(bench: Bench) -> None:
+    """Neither the ramp nor the integral part of the speed controller."""
+    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.slow(200)  # the shaft does not obey: the integral fills
+    assert bench.view(0).i_q_ref > amps(3.0)
+    bench.hal.axis[0].over_current = True
+    bench.slow(2)
+    bench.hal.axis[0].over_current = False
+    bench.clear(0)
+    bench.to_spin(0)
+    for _ in range(50):
+        assert (bench.view(0).speed_ref, bench.view(0).i_q_ref) == (0, 0)
+        bench.slow()
+
+
+def test_write_of_the_other_axis_is_no_fresh_write(core: Core) -> None:
+    bench = Bench(core)
+    bench.to_spin(0, 1)
+    bench.servo.command.position[0] = 4000  # stands in memory
+    bench.write(1, position=2000)
+    bench.slow(50)
+    assert bench.view(0).position_ref == bench.view(0).position
+    assert bench.view(1).position_ref > 0
+
+
+def test_both_axes_start_in_the_same_tick(core: Core) -> None:
+    bench = Bench(core)
+    bench.to_spin(0, 1)
+    bench.write_raw("cmd.position", [3000, -3000])
+    bench.slow(10)
+    assert bench.view(0).position_ref - bench.view(0).position > 0
+    assert bench.view(1).position_ref - bench.view(1).position < 0
+    a, b = (abs(bench.axis(i).motion.path.ramp) for i in range(2))
+    assert a == b
+
+
+# ---- position -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("target", [400, 4000, -12345, 100 * 4000])
+def test_position_move_ends_on_target_without_overshoot(bench: Bench, target: int) -> None:
+    bench.write(0, position=target)
+    log = bench.follow(500 + abs(target) // 95)
+    sign = 1 if target > 0 else -1
+    assert max(sign * position for _, position in log) <= abs(target) + 1
+    assert abs(log[-1][1] - target) <= 1
+    assert log[-1][0] == target
+    assert rad_s(bench.view(0).speed_ref) == 0.0
+
+
+def test_position_lag_is_that_of_a_proportional_controller(bench: Bench) -> None:
+    """E44: at constant speed the shaft trails by speed / K_v (60 1/s), no more."""
+    bench.set_parameter("speed_limit", 100.0)
+    bench.write(0, position=100_000)
+    log = bench.follow(600)
+    reference, position = log[-1]
+    assert (reference - position) * 2 * 3.14159265 / 4000 == pytest.approx(100.0 / 60.0, rel=0.03)
+
+
+def test_new_target_on_the_way(bench: Bench) -> None:
+    bench.write(0, position=20_000)
+    bench.follow(100)
+    bench.write(0, position=-1000)
+    log = bench.follow(900)
+    references = [reference for reference, _ in log]
+    steps = [b - a for a, b in itertools.pairwise(references)]
+    assert max(abs(b - a) for a, b in itertools.pairwise(steps)) <= 25, "no jump of the speed"
+    assert abs(log[-1][1] + 1000) <= 1
+
+
+def test_speed_limit_parameter_limits_moves(bench: Bench) -> None:
+    bench.set_parameter("speed_limit", 50.0)
+    bench.write(0, position=40_000)
+    fastest = 0.0
+    for _ in range(300):
+        bench.turn(0, rad_s(bench.view(0).speed_ref))
+        bench.slow()
+        fastest = max(fastest, rad_s(bench.view(0).speed_ref))
+    assert fastest == pytest.approx(50.0, rel=1e-3)
+
+
+def test_position_is_held_against_a_push(bench: Bench) -> None:
+    """The speed loop's integral part brings the current that pushes back."""
+    bench.shaft[0].move(40)
+    bench.slow(20)
+    assert bench.view(0).position == 40
+    assert bench.view(0).position_ref == 0
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(-60.0 * 40 * 2 * 3.14159265 / 4000, rel=0.02)
+    assert bench.view(0).i_q_ref < 0
+
+
+# ---- speed ----------------------------------------------------------------------------------------------------------
+
+
+def test_speed_is_ramped_at_the_acceleration_limit(bench: Bench) -> None:
+    bench.set_parameter("acceleration_limit", 1000.0)
+    bench.write(0, mode=SPEED, speed=speed(100.0))
+    references = []
+    for _ in range(260):
+        bench.slow()
+        references.append(rad_s(bench.view(0).speed_ref))
+    steps = [b - a for a, b in itertools.pairwise(references)]
+    assert max(steps) == pytest.approx(1000.0 * 0.5e-3, rel=1e-3)
+    assert references[-1] == pytest.approx(100.0, rel=1e-6)
+    assert references[150] == pytest.approx(151 * 0.5, rel=0.01)
+
+
+def test_speed_set_point_is_limited_and_says_so(bench: Bench) -> None:
+    bench.set_parameter("speed_limit", 100.0)
+    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.slow(200)
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(100.0, rel=1e-6)
+    assert bench.view(0).limits & LIMIT_SPEED
+    bench.write(0, speed=speed(50.0))
+    bench.slow(200)
+    assert not bench.view(0).limits & LIMIT_SPEED
+
+
+def test_current_limit(bench: Bench) -> None:
+    bench.set_parameter("i_q_limit", 1.0)
+    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.slow(100)  # the shaft does not obey
+    assert bench.view(0).i_q_ref == pytest.approx(amps(1.0), abs=1)
+    assert bench.view(0).limits & LIMIT_CURRENT
+
+
+def test_voltage_limit_says_so(bench: Bench) -> None:
+    bench.write(0, mode=TORQUE, i_q=amps(3.0))
+    bench.slow(50)  # no current flows on this bench: the loop asks for all the voltage
+    assert bench.view(0).limits & LIMIT_VOLTAGE
+    assert bench.view(0).faults == 0, "a limit is not a fault"
+
+
+# ---- torque ---------------------------------------------------------------------------------------------------------
+
+
+def test_torque_mode_passes_the_current_on(bench: Bench) -> None:
+    bench.write(0, mode=TORQUE, i_q=amps(-1.5))
+    bench.slow(2)
+    assert bench.view(0).i_q_ref == amps(-1.5)
+
+
+def test_torque_mode_limits_the_current_and_says_so(bench: Bench) -> None:
+    bench.set_parameter("i_q_limit", 2.0)
+    bench.write(0, mode=TORQUE, i_q=amps(3.0))
+    bench.slow(2)
+    assert bench.view(0).i_q_ref == pytest.approx(amps(2.0), abs=1)
+    assert bench.view(0).limits & LIMIT_CURRENT
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_torque_mode_keeps_the_speed_limit(bench: Bench, sign: int) -> None:
+    bench.set_parameter("speed_limit", 100.0)
+    bench.write(0, mode=TORQUE, i_q=amps(sign * 2.0))
+    bench.turn(0, sign * 120.0)
+    bench.slow(50)
+    assert bench.view(0).i_q_ref * sign < 0, "above the limit it brakes"
+    assert bench.view(0).limits & LIMIT_SPEED
+    bench.turn(0, sign * 50.0)
+    bench.slow(50)
+    assert bench.view(0).i_q_ref == amps(sign * 2.0)
+    assert not bench.view(0).limits & LIMIT_SPEED
+
+
+# ---- changing over --------------------------------------------------------------------------------------------------
+
+
+def test_mode_alone_brings_the_axis_to_rest(bench: Bench) -> None:
+    bench.write(0, mode=SPEED, speed=speed(80.0))
+    bench.follow(100)
+    bench.write(0, mode=POSITION)
+    log = bench.follow(400)
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(0.0, abs=0.5)
+    assert abs(log[-1][0] - log[-1][1]) <= 1
+    bench.write(0, mode=TORQUE)
+    bench.slow(3)
+    assert bench.view(0).i_q_ref == 0
+    bench.write(0, mode=SPEED)
+    bench.slow(100)
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(0.0, abs=0.5)
+
+
+def test_position_takes_over_a_turning_shaft_without_a_jump(bench: Bench) -> None:
+    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.follow(200)
+    bench.write(0, mode=POSITION, position=bench.view(0).position + 20_000)
+    references = []
+    for _ in range(40):
+        bench.turn(0, rad_s(bench.view(0).speed_ref))
+        bench.slow()
+        references.append(rad_s(bench.view(0).speed_ref))
+    assert references[0] == pytest.approx(100.0, abs=3.0)
+    assert min(references) > 95.0
+    assert max(abs(b - a) for a, b in itertools.pairwise(references)) < 8.0
+
+
+def test_speed_takes_over_from_torque_without_a_jump(bench: Bench) -> None:
+    bench.turn(0, 60.0)
+    bench.write(0, mode=TORQUE, i_q=amps(1.0))
+    bench.slow(20)
+    bench.write(0, mode=SPEED, speed=speed(60.0))
+    bench.slow()
+    assert bench.view(0).i_q_ref == pytest.approx(amps(1.0), abs=amps(0.15))
+
+
+def test_set_point_of_another_mode_is_ignored(bench: Bench) -> None:
+    bench.write(0, mode=SPEED, speed=speed(30.0))
+    bench.slow(50)
+    bench.write(0, position=9999, i_q=amps(2.0))
+    bench.slow(50)
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(30.0, rel=1e-6)
+    assert bench.view(0).position_ref == bench.view(0).position
+
+
+def test_unknown_mode_changes_nothing(bench: Bench) -> None:
+    bench.write(0, mode=SPEED, speed=speed(30.0))
+    bench.slow(50)
+    bench.write(0, mode=7)
+    bench.slow(50)
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(30.0, rel=1e-6)
+
+
+# ---- clipping -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_set_points_are_clipped_and_reported(bench: Bench, sign: int) -> None:
+    bench.write(0, position=sign * 2_000_000_000)
+    bench.slow(2)
+    assert bench.axis(0).command.position == sign * 954929659
+    assert bench.view(0).limits & LIMIT_SETPOINT
+    assert not bench.view(1).limits & LIMIT_SETPOINT
+    bench.write(0, position=0)
+    bench.slow(2)
+    assert not bench.view(0).limits & LIMIT_SETPOINT
+
+
+def test_parameters_are_clipped(bench: Bench) -> None:
+    bench.write_raw("param.speed_limit", [0, 2**31 - 1])
+    bench.write_raw("param.acceleration_limit", [-5, 2**31 - 1])
+    bench.write_raw("param.i_q_limit", [0, 32767])
+    bench.slow(2)
+    limits = [bench.axis(i).limits for i in range(2)]
+    assert rad_s(limits[0].speed) == pytest.approx(0.1, rel=1e-3)
+    assert rad_s(limits[1].speed) == pytest.approx(419.0, rel=1e-6)
+    assert limits[0].acceleration == pytest.approx(2051, abs=1)
+    assert [x.i_q for x in limits] == [pytest.approx(amps(0.1), abs=1), pytest.approx(amps(4.0), abs=1)]
+    assert all(bench.view(i).limits & LIMIT_SETPOINT for i in range(2))

@@ -1,0 +1,339 @@
+"""States, sub-states and transitions of one axis as DRM 4.5 lists them (F36, F37)."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from servo_bench import (
+    ALIGN,
+    CALIB,
+    CODE_24V,
+    FREEWHEEL,
+    INIT,
+    PULL,
+    READY,
+    RUN,
+    SPEED,
+    SPIN,
+    STOP,
+    TORQUE,
+    Bench,
+)
+
+HALF = 16384
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    return Bench(core)
+
+
+def at_rest(bench: Bench, axis: int) -> bool:
+    """Everything electrical is zero and every phase at 50 %."""
+    a = bench.axis(axis)
+    zeros = (a.current.d, a.current.q, a.voltage.d, a.voltage.q, a.current_ref.d, a.current_ref.q)
+    return not any(zeros) and list(bench.hal.axis[axis].duty) == [HALF] * 3
+
+
+def test_reset_leads_through_init_to_stop_with_the_outputs_off(bench: Bench) -> None:
+    assert bench.axis(0).sm.state == INIT
+    bench.slow()
+    assert bench.view(0).state == INIT
+    bench.to_stop()
+    bench.slow(200)
+    assert [s[0] for s in bench.states()] == [STOP, STOP]
+    for axis in range(2):
+        assert bench.hal.axis[axis].times_on == 0
+        assert at_rest(bench, axis)
+
+
+def test_init_lasts_until_the_bus_filter_has_settled(bench: Bench) -> None:
+    """Else the rising filter would be taken for under-voltage."""
+    ticks = bench.until(lambda: bench.view(0).state == STOP, 100)
+    assert ticks == bench.core.lib.probe_config().axis[0].settle_ticks
+    assert bench.axis(0).u_dc == pytest.approx(CODE_24V << 3, rel=1e-3)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_enable_leads_one_axis_to_spin(bench: Bench, axis: int) -> None:
+    bench.to_stop()
+    bench.write(axis, enable=1)
+    seen: list[tuple[int, int]] = []
+    for _ in range(1500):
+        bench.slow()
+        now = (bench.view(axis).state, bench.view(axis).substate)
+        if not seen or seen[-1] != now:
+            seen.append(now)
+        assert bench.view(1 - axis).state == STOP
+        assert not bench.hal.axis[1 - axis].outputs_on
+    assert seen == [(RUN, CALIB), (RUN, READY), (RUN, ALIGN), (RUN, SPIN)]
+
+
+def test_calib_measures_offsets_with_the_outputs_off(bench: Bench) -> None:
+    bench.to_stop()
+    hal = bench.hal.axis[0]
+    hal.current_code[0], hal.current_code[1], hal.current_code[2] = 2040, 2051, 2060
+    bench.write(0, enable=1)
+    bench.slow()
+    assert bench.view(0).substate == CALIB
+    while bench.view(0).substate == CALIB:
+        assert not hal.outputs_on
+        assert at_rest(bench, 0)
+        bench.slow()
+    offsets = [o / 65536 for o in bench.axis(0).sense.offset]
+    assert offsets == pytest.approx([2040, 2051, 2060], abs=0.5)
+
+
+def test_calib_uses_only_samples_of_the_pair_it_asked_for(bench: Bench) -> None:
+    """The first samples after Stop -> Run and after the change of pair are already true."""
+    bench.to_stop()
+    for phase, code in enumerate((2000, 2050, 2100)):
+        bench.hal.axis[1].current_code[phase] = code
+    bench.write(1, enable=1)
+    bench.to_substate(1, READY)
+    assert [o / 65536 for o in bench.axis(1).sense.offset] == pytest.approx([2000, 2050, 2100], abs=0.02)
+
+
+def test_ready_shorts_the_windings(bench: Bench) -> None:
+    """50 % on every phase, outputs on; currents are sampled."""
+    bench.to_stop()
+    bench.write(0, enable=1)
+    bench.to_substate(0, READY)
+    assert bench.hal.axis[0].outputs_on
+    assert list(bench.hal.axis[0].duty) == [HALF] * 3
+
+
+def test_align_pulls_and_rests(bench: Bench) -> None:
+    """A growing current vector, then 50 % while the shaft comes to rest."""
+    bench.to_stop()
+    bench.write(0, enable=1)
+    bench.to_substate(0, ALIGN)
+    phases = set()
+    for _ in range(600):
+        bench.slow()
+        axis = bench.axis(0)
+        if axis.substate != ALIGN:
+            break
+        phases.add(axis.search.phase)
+        assert bench.hal.axis[0].outputs_on
+        if axis.search.phase == PULL:
+            assert axis.current_ref.d == pytest.approx(axis.search.current / 65536, abs=1)
+            assert axis.current_ref.q == 0
+        else:
+            assert list(bench.hal.axis[0].duty) == [HALF] * 3
+    assert phases == {0, 1}
+    assert bench.axis(0).substate == SPIN
+
+
+def test_align_presets_the_counter_to_the_angle_found(bench: Bench) -> None:
+    bench.to_stop()
+    bench.write(0, enable=1)
+    bench.to_substate(0, SPIN)
+    bench.slow()
+    rotor = (bench._rotor[0] + bench.shaft[0].shaft * 2 / 4000) * 65536
+    error = (bench.view(0).theta_e - rotor + 32768) % 65536 - 32768
+    assert abs(error) / 65536 * 360 < 2.0
+    assert bench.view(0).position == 0, "positions count from where the rotor was first found (E41)"
+
+
+def test_preset_of_the_counter_is_no_movement(bench: Bench) -> None:
+    """A capture from before the preset and one from after it have no difference in common."""
+    bench.to_stop()
+    bench.write(0, enable=1)
+    bench.to_substate(0, ALIGN)
+    hal = bench.hal.axis[0]
+    while bench.view(0).substate == ALIGN:
+        hal.edge.count, hal.edge.time, hal.edge_waits = hal.count, (hal.edge.time + 391) & 0xFFFF, True
+        bench.slow()
+    assert hal.count != bench.shaft[0].raw, "the preset was a jump"
+    for _ in range(3):
+        hal.edge.count, hal.edge.time, hal.edge_waits = hal.count, (hal.edge.time + 391) & 0xFFFF, True
+        bench.slow()
+        assert bench.view(0).speed == 0
+
+
+def test_spin_begins_by_holding_where_the_shaft_is(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.slow(20)
+    view = bench.view(0)
+    assert (view.speed_ref, view.i_q_ref, view.position, view.position_ref) == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("substate", [CALIB, READY, ALIGN])
+def test_disable_before_spin_stops_at_once(bench: Bench, substate: int) -> None:
+    bench.to_stop()
+    bench.write(0, enable=1)
+    bench.to_substate(0, substate)
+    bench.write(0, enable=0)
+    bench.slow(2)
+    assert bench.view(0).state == STOP
+    assert not bench.hal.axis[0].outputs_on
+    assert at_rest(bench, 0)
+
+
+def test_stop_from_spin_goes_through_freewheel_and_ready(bench: Bench) -> None:
+    """Run -> Stop: from SPIN never directly; FREEWHEEL with open switches until the rotor is still."""
+    bench.to_spin(0)
+    bench.turn(0, 60.0)  # something keeps the shaft going
+    bench.slow(10)
+    bench.write(0, enable=0)
+    bench.to_substate(0, FREEWHEEL)
+    bench.slow(400)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, FREEWHEEL), "the rotor still turns"
+    assert not bench.hal.axis[0].outputs_on
+    assert at_rest(bench, 0)
+    bench.turn(0, 0.0)
+    ticks = bench.until(lambda: bench.view(0).state == STOP, 300)
+    assert ticks * 0.5 >= 80  # ms without an edge
+    assert bench.view(0).substate == READY
+    assert not bench.hal.axis[0].outputs_on
+
+
+def test_stop_ramps_down_first(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.turn(0, 100.0)
+    bench.write(0, mode=SPEED, speed=int(100 / 523.6 * 2**31))
+    bench.slow(100)
+    bench.write(0, enable=0)
+    bench.slow()
+    start = bench.view(0).speed_ref
+    assert start == pytest.approx(100 / 523.6 * 2**31, rel=0.05)
+    references = [start]
+    while bench.view(0).substate == SPIN:
+        assert bench.hal.axis[0].outputs_on
+        bench.turn(0, bench.view(0).speed_ref / 2**31 * 523.6)
+        bench.slow()
+        references.append(bench.view(0).speed_ref)
+    steps = [(a - b) / 2**31 * 523.6 / 0.5e-3 for a, b in itertools.pairwise(references)]
+    assert max(steps) <= 4000.0 * 1.01  # servo.toml: limits.acceleration
+    assert bench.view(0).substate == FREEWHEEL
+    assert len(references) == pytest.approx(100.0 / 4000.0 / 0.5e-3, abs=15)
+
+
+def test_stop_of_a_shaft_that_will_not_slow_down_ends_all_the_same(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.turn(0, 100.0)
+    bench.slow(50)
+    bench.write(0, enable=0)
+    bench.to_substate(0, FREEWHEEL, 1100)
+
+
+def test_enable_during_freewheel_searches_the_rotor_again_once_it_is_still(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.turn(0, 30.0)
+    bench.write(0, enable=0)
+    bench.to_substate(0, FREEWHEEL)
+    bench.write(0, enable=1)
+    bench.slow(50)
+    assert bench.view(0).substate == FREEWHEEL
+    bench.turn(0, 0.0)
+    bench.to_substate(0, ALIGN)
+    bench.to_substate(0, SPIN)
+    bench.slow(100)
+    assert bench.view(0).state == RUN
+
+
+def test_enable_during_the_ramp_down_keeps_spinning(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.turn(0, 100.0)
+    bench.slow(20)
+    bench.write(0, enable=0)
+    bench.slow(3)
+    bench.write(0, enable=1)
+    bench.turn(0, 0.0)
+    bench.slow(400)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+
+
+def test_position_survives_a_new_alignment(bench: Bench) -> None:
+    """Turns and zero stay; only the counter is preset anew."""
+    bench.to_spin(0)
+    bench.turn(0, 200.0)
+    bench.slow(300)
+    bench.turn(0, 0.0)
+    bench.slow(5)
+    travelled = bench.view(0).position
+    assert travelled == pytest.approx(200 * 0.15 / 6.2832 * 4000, rel=0.02)
+    bench.write(0, enable=0)
+    bench.until(lambda: bench.view(0).state == STOP, 1500)
+    before = bench.shaft[0].shaft
+    bench.write(0, enable=1)
+    bench.to_substate(0, SPIN)
+    assert bench.view(0).position == travelled + bench.shaft[0].shaft - before
+    assert bench.view(0).faults == 0
+
+
+def test_axes_run_independently(bench: Bench) -> None:
+    bench.to_spin(0, 1)
+    bench.write(0, enable=0)
+    bench.until(lambda: bench.view(0).state == STOP, 500)
+    assert (bench.view(1).state, bench.view(1).substate) == (RUN, SPIN)
+    bench.write(0, enable=1)
+    bench.to_substate(0, SPIN)
+    assert (bench.view(1).state, bench.view(1).substate) == (RUN, SPIN)
+
+
+@pytest.mark.parametrize(
+    ("substate", "sampled", "tracked"),
+    [(CALIB, True, False), (READY, True, True), (ALIGN, True, True), (SPIN, True, True), (FREEWHEEL, True, True)],
+)
+def test_what_every_sub_state_samples(bench: Bench, substate: int, sampled: bool, tracked: bool) -> None:
+    """DRM 4.5: currents in all sub-states, the bus always, offsets in READY (before it ends) and later."""
+    bench.to_stop()
+    bench.write(0, enable=1)
+    if substate == FREEWHEEL:
+        bench.to_substate(0, SPIN)
+        bench.turn(0, 20.0)
+        bench.slow(5)
+        bench.write(0, enable=0)
+    if substate == READY:
+        bench.to_substate(0, CALIB)
+        bench.until(lambda: bool(bench.axis(0).calibrated), 100)
+        bench.axis(0).substate = READY
+    else:
+        bench.to_substate(0, substate)
+    bench.log()
+    bench.core.lib.probe_run(bench.servo, 8)
+    calls = bench.calls()
+    assert ("adc_currents", 0, 0) in calls or not sampled
+    assert (("adc_offsets", 0, 0) in calls) is tracked
+    assert sum(name == "adc_bus" for name, _, _ in calls) >= 16
+
+
+def test_offsets_are_followed_only_while_the_high_side_is_long_enough(bench: Bench) -> None:
+    """At full modulation the phase with the shortest high side keeps the offset it has."""
+    bench.to_spin(0)
+    bench.write(0, mode=TORQUE, i_q=3000)
+    bench.slow(30)  # no current flows on this bench: the loop asks for all the voltage
+    duty = list(bench.hal.axis[0].duty)
+    sense = bench.axis(0).sense
+    assert [sense.duty.a, sense.duty.b, sense.duty.c] == duty
+    shortest = duty.index(min(duty))
+    assert duty[shortest] < 3277
+    for phase in range(3):
+        bench.hal.axis[0].offset_code[phase] = 2090
+    before = list(sense.offset)
+    bench.slow(20)
+    moved = [after != b for after, b in zip(sense.offset, before, strict=True)]
+    assert not moved[shortest]
+    assert any(moved)
+
+
+def test_stop_and_fault_keep_filtering_the_bus(bench: Bench) -> None:
+    bench.to_stop()
+    bench.hal.bus_code = CODE_24V + 100
+    bench.slow(20)
+    assert bench.servo.snapshot.u_dc == pytest.approx((CODE_24V + 100) << 3, abs=2)
+    bench.hal.axis[0].over_current = True
+    bench.slow(1)
+    bench.hal.bus_code = CODE_24V
+    bench.slow(20)
+    assert bench.axis(0).u_dc == pytest.approx(CODE_24V << 3, abs=2)

@@ -1,0 +1,74 @@
+"""Sine, cosine and square root: every angle, and roots over the whole range."""
+
+from __future__ import annotations
+
+from math import isqrt
+
+import numpy as np
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture(scope="module")
+def waves(core: Core) -> tuple[np.ndarray, np.ndarray]:
+    """Sine and cosine of angle raw values 0 .. 65535 (0x8000 is -pi)."""
+    sines, cosines = np.zeros(65536, dtype=np.int16), np.zeros(65536, dtype=np.int16)
+    core.lib.probe_sin_cos_all(core.ffi.from_buffer("int16_t[]", sines), core.ffi.from_buffer("int16_t[]", cosines))
+    return sines.astype(np.int64), cosines.astype(np.int64)
+
+
+def test_at_most_one_lsb_off_at_every_angle(waves: tuple[np.ndarray, np.ndarray]) -> None:
+    turn = 2.0 * np.pi * np.arange(65536) / 65536.0
+    for wave, exact in zip(waves, (np.sin(turn), np.cos(turn)), strict=True):
+        ideal = np.clip(exact * 32768.0, -32768.0, 32767.0)
+        assert np.max(np.abs(wave - np.round(ideal))) <= 1, "more than one LSB off the best number"
+        assert np.max(np.abs(wave - ideal)) < 1.01
+        assert abs(np.mean(wave - ideal)) < 0.01
+
+
+def test_symmetries_are_exact(waves: tuple[np.ndarray, np.ndarray]) -> None:
+    sines, cosines = waves
+    angle = np.arange(65536)
+    assert np.array_equal(sines, -sines[-angle])  # odd
+    assert np.array_equal(cosines, cosines[-angle])  # even
+    assert np.array_equal(cosines, np.roll(sines, -16384))
+    assert np.array_equal(sines, -np.roll(sines, 32768))
+
+
+def test_ends_and_quarters(core: Core) -> None:
+    for angle, expected in ((0, (0, 32767)), (16384, (32767, 0)), (-16384, (-32767, 0)), (-32768, (0, -32767))):
+        value = core.lib.sin_cos(angle)
+        assert (value.sin, value.cos) == expected
+
+
+def test_length_never_exceeds_what_a_rotation_can_take(waves: tuple[np.ndarray, np.ndarray]) -> None:
+    """transforms.c adds two products in 32 bits: |sin| + |cos| must stay below 2 x 32767."""
+    sines, cosines = waves
+    assert np.max((np.abs(sines) + np.abs(cosines)) * 32768 + 0x4000) < 2**31
+
+
+def test_root_is_rounded_down(core: Core) -> None:
+    rng = np.random.default_rng(7)
+    around = [2 * r * r + d for r in (1, 2, 3, 127, 128, 255, 256, 23170, 32766, 32767) for d in (-2, -1, 0, 1)]
+    x = np.concatenate([[0, 1, 2, 3, 2**31 - 1, 2**31 - 2, -1, -(2**31)], around, rng.integers(0, 2**31, 20000)])
+    x = np.concatenate([x, (2.0 ** rng.uniform(0, 31, 20000)).astype(np.int64)]).astype(np.int32)
+    roots = np.zeros(x.size, dtype=np.int16)
+    core.lib.probe_f16_sqrt_many(core.ffi.from_buffer("int32_t[]", x), core.ffi.from_buffer("int16_t[]", roots), x.size)
+    expected = [isqrt(int(v) // 2) if v > 0 else 0 for v in x]
+    assert roots.tolist() == expected
+
+
+def test_root_of_a_square_is_exact(core: Core) -> None:
+    roots = np.arange(32768, dtype=np.int32)
+    squares = 2 * roots * roots
+    result = np.zeros(roots.size, dtype=np.int16)
+    core.lib.probe_f16_sqrt_many(
+        core.ffi.from_buffer("int32_t[]", squares), core.ffi.from_buffer("int16_t[]", result), roots.size
+    )
+    assert np.array_equal(result, roots)
