@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from servo_msgs_py.units import PERIOD_NS
+from servo_twin.board import Board
 from servo_twin.plant import PlantConfig
-from servo_twin.twin import Pair, TwinSettings
+from servo_twin.twin import Pair, Twin, TwinSettings
 from twin_rig import CATALOGUE, COLUMNS, EPOCH_NS, TwinRig, apart, worst, worst_counts
 
 from servo_msgs_py import topics
@@ -259,8 +260,8 @@ class TestReports:
             assert said[-1].startswith("waiting: ")
 
     def test_a_table_without_what_it_needs_is_refused(self, rig: TwinRig) -> None:
-        with pytest.raises(ValueError, match="no applied_count, axis2.i_q"):
-            columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
+        columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
+        with pytest.raises(ValueError, match=r"no applied_count, axis2\.i_q"):
             rig.twin.samples(columns, np.zeros((1, len(columns))))
 
 
@@ -357,3 +358,59 @@ class TestLongUp:
         pairs = rig.move([2.0, 2.0])
         assert apart(pairs) == []
         assert pairs[-1].twin["axis1.position"] == pytest.approx(frame + 4 * math.pi, abs=CLOSE * COUNT)
+
+
+def test_torque_constants_outlast_the_board_that_named_them(rig: TwinRig) -> None:
+    assert rig.twin.torque_constants == []
+    rig.run(0.1)
+    expected = [axis.torque_constant for axis in PlantConfig.load().axes]
+    assert rig.twin.torque_constants == pytest.approx(expected, rel=1e-3)
+    rig.twin.resync("asked")
+    assert len(rig.twin.torque_constants) == 2
+
+
+def test_a_twin_that_finds_no_rotor_costs_little_and_is_said() -> None:
+    stuck = PlantConfig.load()
+    stuck = stuck.with_axis(0, friction=10.0)
+    boards: list[Board] = []
+
+    def new_board() -> Board:
+        boards.append(Board(stuck, seed=2))
+        return boards[-1]
+
+    with TwinRig() as rig:
+        rig.twin = Twin(new_board)
+        rig.up()
+        pairs = rig.run(1.0)
+        assert apart(pairs) == ["axis1 is RUN/SPIN, its twin FAULT"]
+        # It tries again, not with every sample but each time that it has waited for agreement.
+        assert 2 <= len(boards) <= 4
+        assert rig.twin.simulated_ticks * PERIOD_NS * 1e-9 < 2.0
+
+
+def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> None:
+    rig.up()
+    rig.listening = False
+    rig.write("cmd.mode", [1, 1])
+    rig.run(2.5)
+    rig.listening = True
+    rig.run(0.3)
+    assert rig.twin.synchronisations == 2
+    rig.write("cmd.speed", [50.0, 50.0])
+    pairs = rig.run(0.3)
+    assert pairs[-1].twin["axis1.speed"] == pytest.approx(50.0, abs=2.0)
+
+
+def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
+    rig.up()
+    queued = rig.twin.step
+    rig.twin.step = lambda most=64: []  # type: ignore[method-assign, misc]
+    rig.write("cmd.mode", [1, 1])
+    rig.run(0.3)
+    rig.twin.step = queued  # type: ignore[method-assign]
+    rig.twin.discard("too much")
+    rig.run(0.3)
+    rig.write("cmd.i_q", [0.5, 0.5])  # not obeyed in speed mode
+    pairs = rig.run(0.3)
+    assert abs(pairs[-1].real["axis1.speed"]) < 1.0
+    assert abs(pairs[-1].twin["axis1.speed"]) < 1.0

@@ -1,0 +1,301 @@
+"""``servo_twin``: the twin as a ROS 2 node.
+
+A thin shell: callbacks hand telemetry and commands to `TwinWorker`, whose thread simulates and publishes. Everything
+goes by the board's ticks; the only clock here is the one that stamps messages.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Sequence
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.convert import (
+    applied_from_message,
+    diagnostic_array,
+    diagnostic_status,
+    joint_state,
+    joint_state_from_values,
+    snapshot_message,
+    snapshot_table,
+)
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_srvs.srv import Trigger
+
+from servo_msgs_py import topics
+from servo_twin.board import Board
+from servo_twin.plant import PlantConfig, PlantError
+from servo_twin.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
+from servo_twin.ros_parameters import Described, ParameterError, declare
+from servo_twin.spinning import run
+from servo_twin.twin import Pair, Twin, TwinSettings
+from servo_twin.worker import TwinWorker
+
+__all__ = ["PARAMETERS", "ServoTwin", "main"]
+
+_SLOW: Final = 0.5  # backlog that is worth a warning [s]
+
+PARAMETERS: Final = {
+    "board_namespace": Described("/servo", "namespace of the node that is followed"),
+    "joints": Described(["axis1", "axis2"], "joint names in the order of the axes"),
+    "plant": Described("", "TOML file with what differs from the packaged plant.toml; empty: nothing"),
+    "seed": Described(1, "of the sensor noise of the twin's board", 0, 2**31 - 1),
+    "position_tolerance": Described(0.05, "largest position residual of a healthy twin [rad]", 1e-4, 1e3),
+    "velocity_tolerance": Described(10.0, "largest velocity residual of a healthy twin [rad/s]", 1e-3, 1e4),
+    "effort_tolerance": Described(0.05, "largest effort residual of a healthy twin [N m]", 1e-5, 1e3),
+    "healthy_after": Described(0.5, "how long the residual has to be small first [s]", 0.0, 60.0),
+    "unhealthy_after": Described(0.1, "how long the residual may be large [s]", 0.0, 60.0),
+    "patience": Described(
+        0.05, "how much newer telemetry may be before a late report of a command counts as lost [s]", 0.0, 1.0
+    ),
+    "variable_rate": Described(20.0, "rate of the residual/<variable> topics [Hz]", 0.1, 1000.0),
+}
+"""Every parameter of the node. ``config/servo_twin.yaml`` lists the same defaults."""
+
+
+class ServoTwin(Node):
+    """The node.
+
+    Parameters
+    ----------
+    node_arguments : keyword arguments
+        For `rclpy.node.Node`.
+
+    Attributes
+    ----------
+    failure : str
+        Why it cannot go on; empty while it can.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter does not make sense.
+    """
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("servo_twin", namespace="twin", **node_arguments)
+        self.failure = ""
+        self._log = Node.get_logger(self)
+        self._values = declare(self, PARAMETERS)
+        self._joints = _joints(self._values["joints"])
+        self._board_namespace = str(self._values["board_namespace"]).rstrip("/")
+        self._twin = Twin(self._board_factory(), TwinSettings(patience=self._values["patience"]), Catalogue.load())
+        self._monitor = HealthMonitor(
+            Thresholds(
+                position=self._values["position_tolerance"],
+                velocity=self._values["velocity_tolerance"],
+                effort=self._values["effort_tolerance"],
+                hold=self._values["healthy_after"],
+                grace=self._values["unhealthy_after"],
+            )
+        )
+        self._lock = threading.Lock()  # the monitor and what was said last are used by both threads
+        self._board_trouble = ""
+        self._samples_before = 0
+        self._synchronisation = 0
+        self._worst: Residual | None = None
+        self._next_variables = 0
+        self._said: dict[str, object] = {}
+        self._advertise()
+        self._worker = TwinWorker(self._twin, self._publish, self._worker_failed)
+        self._worker.start()
+        self._subscribe()
+        self.create_service(Trigger, topics.RESYNC, self._on_resync)
+        self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._say()
+
+    # ---- construction
+    def _board_factory(self) -> Any:
+        try:
+            plant = PlantConfig.load(self._values["plant"] or None)
+        except (PlantError, OSError) as error:
+            raise ParameterError(f"parameter plant: {error}") from None
+        seed = self._values["seed"]
+        return lambda: Board(plant, seed=seed)
+
+    def _advertise(self) -> None:
+        deep, latched = topics.telemetry_qos(), topics.latched_qos()
+        self._joint_states = self.create_publisher(JointState, topics.JOINT_STATES, deep)
+        self._snapshot = self.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
+        self._residual = self.create_publisher(JointState, topics.RESIDUAL, deep)
+        self._variables = {name: self.create_publisher(Float64, topics.residual_topic(name), deep) for name in COMPARED}
+        self._state = self.create_publisher(String, topics.STATE, latched)
+        self._healthy = self.create_publisher(Bool, topics.HEALTHY, latched)
+        self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
+
+    def _subscribe(self) -> None:
+        board, deep = self._board_namespace, topics.telemetry_qos(200)
+        applied = f"{board}/{topics.COMMANDS_APPLIED}"
+        self.create_subscription(Float64MultiArray, f"{board}/{topics.SNAPSHOT}", self._on_snapshot, deep)
+        self.create_subscription(Float64MultiArray, applied, self._on_applied, deep)
+        self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, topics.latched_qos())
+
+    # ---- what comes in
+    def _on_snapshot(self, message: Float64MultiArray) -> None:
+        try:
+            columns, table = snapshot_table(message)
+        except ValueError as error:
+            self._log.warning(f"{self._board_namespace}/{topics.SNAPSHOT}: {error}", throttle_duration_sec=10.0)
+            return
+        self._worker.samples(columns, table)
+
+    def _on_applied(self, message: Float64MultiArray) -> None:
+        try:
+            command = applied_from_message(message)
+        except ValueError as error:
+            self._log.warning(str(error), throttle_duration_sec=10.0)
+            return
+        self._worker.command(command)
+
+    def _on_board_state(self, message: String) -> None:
+        with self._lock:
+            lost = message.data.startswith("DISCONNECTED")
+            self._board_trouble = "the board is not connected" if lost else ""
+            if lost:
+                self._monitor.interrupt(self._board_trouble)
+        self._say()
+
+    def _on_resync(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._worker.resync("asked to begin anew")
+        response.success = True
+        response.message = "the twin begins anew as soon as the shafts are at rest"
+        return response
+
+    # ---- what goes out, in the worker's thread
+    def _publish(self, pairs: list[Pair]) -> None:
+        if self._twin.synchronisations != self._synchronisation:
+            self._synchronisation = self._twin.synchronisations
+            text = f"following {self._board_namespace}, synchronisation {self._synchronisation}"
+            self._log.info(text, throttle_duration_sec=1.0)
+        if pairs:
+            self._publish_table(pairs)
+            for pair in pairs:
+                self._publish_joints(pair, self._compare(pair))
+        elif self._twin.status:
+            with self._lock:
+                self._monitor.interrupt(self._board_trouble or f"synchronising: {self._twin.status}")
+        self._say()
+
+    def _compare(self, pair: Pair) -> Residual | None:
+        with self._lock:
+            if pair.difference:
+                self._monitor.interrupt(f"synchronising: {pair.difference}")
+                return None
+            result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants)
+            if not self._board_trouble:
+                self._monitor.update(result)
+            self._worst = result if self._worst is None else _larger(self._worst, result)
+            return result
+
+    def _publish_table(self, pairs: Sequence[Pair]) -> None:
+        names = list(pairs[-1].twin)
+        rows = [
+            [*pair.twin.values(), *divmod(pair.stamp_ns, 1_000_000_000)] for pair in pairs if list(pair.twin) == names
+        ]
+        self._snapshot.publish(snapshot_message([*names, *topics.STAMP_COLUMNS], rows))
+
+    def _publish_joints(self, pair: Pair, difference: Residual | None) -> None:
+        stamp = pair.stamp_ns
+        self._joint_states.publish(joint_state_from_values(self._joints, stamp, pair.twin, self._twin.torque_constants))
+        if difference is None:
+            return
+        self._residual.publish(
+            joint_state(self._joints, stamp, difference.position, difference.velocity, difference.effort)
+        )
+        if stamp >= self._next_variables or self._next_variables - stamp > 2_000_000_000:
+            self._next_variables = stamp + round(1e9 / self._values["variable_rate"])
+            for name, publisher in self._variables.items():
+                publisher.publish(Float64(data=difference.values[name]))
+
+    def _worker_failed(self, error: Exception) -> None:
+        self.failure = f"the simulation failed: {error!r}"
+
+    # ---- what goes out regularly, or when it changes
+    def _say(self) -> None:
+        """Publish state and health where they have changed."""
+        with self._lock:
+            labels = self._twin.labels()
+            if self._twin.status or not labels:
+                text = f"SYNCHRONISING {self._twin.status}"
+            else:
+                text = " ".join(f"{joint}={label}" for joint, label in zip(self._joints, labels, strict=True))
+            healthy = self._monitor.healthy
+            if self._said.get(topics.STATE) != text:
+                self._said[topics.STATE] = text
+                self._state.publish(String(data=text))
+            if self._said.get(topics.HEALTHY) != healthy:
+                before, self._said[topics.HEALTHY] = self._said.get(topics.HEALTHY), healthy
+                self._healthy.publish(Bool(data=healthy))
+                if healthy:
+                    self._log.info("healthy: twin and board agree")
+                elif before is not None:
+                    self._log.warning(f"not healthy: {self._monitor.reason}")
+
+    def _every_second(self) -> None:
+        figures = self._worker.figures()
+        with self._lock:
+            if figures.samples == self._samples_before:
+                self._monitor.interrupt(self._board_trouble or f"no telemetry from {self._board_namespace}")
+            self._samples_before = figures.samples
+            worst, self._worst = self._worst, None
+            healthy, reason = self._monitor.healthy, self._monitor.reason
+        self._say()
+        slow = figures.backlog > _SLOW
+        residuals = {} if worst is None else {f"largest {name}": f"{value:.4g}" for name, value in worst.values.items()}
+        statuses = [
+            self._status(
+                "comparison",
+                DiagnosticStatus.OK if healthy else DiagnosticStatus.WARN,
+                "healthy" if healthy else reason,
+                residuals | {"synchronisations": self._twin.synchronisations},
+            ),
+            self._status(
+                "simulation",
+                DiagnosticStatus.WARN if slow else DiagnosticStatus.OK,
+                f"{figures.backlog:.1f} s behind the board" if slow else "keeps up",
+                {
+                    "backlog [s]": f"{figures.backlog:.3f}",
+                    "load": f"{figures.load:.2f}",
+                    "samples": figures.samples,
+                    "overruns": figures.overruns,
+                },
+            ),
+        ]
+        self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))
+
+    def _status(self, part: str, level: bytes, message: str, values: dict[str, object]) -> DiagnosticStatus:
+        return diagnostic_status(f"{self.get_name()}: {part}", level, message, self._board_namespace, values)
+
+    # ---- end
+    def shutdown(self) -> None:
+        """End the thread and the node."""
+        self._worker.stop()
+        Node.destroy_node(self)
+
+
+def _larger(first: Residual, second: Residual) -> Residual:
+    """Per variable the value that is further from zero."""
+    values = {name: max(first.values[name], second.values[name], key=abs) for name in COMPARED}
+    return Residual(second.tick, values, second.position, second.velocity, second.effort)
+
+
+def _joints(names: Sequence[str]) -> list[str]:
+    if len(names) != AXES or len(set(names)) != AXES:
+        raise ParameterError(f"parameter joints is {list(names)}; give {AXES} different names")
+    return list(names)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until Ctrl-C or SIGTERM; returns the exit status."""
+    return run("servo_twin", ServoTwin, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

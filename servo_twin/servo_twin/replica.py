@@ -1,0 +1,130 @@
+"""A virtual board that is led by ticks: run to a tick, write so that it takes effect at a tick.
+
+The firmware latches writes at the start of a slow tick and takes its snapshot at the end of the same one. So a write
+between two slow ticks takes effect with the later one, on the real board as here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
+from servo_msgs_py.convert import state_label
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+
+__all__ = ["ReplayBoard", "Replica", "slow_tick"]
+
+_WRAP: Final = 1 << 32
+
+
+class ReplayBoard(Protocol):
+    """What a replica needs of a `servo_twin.board.Board`."""
+
+    catalogue: Catalogue
+
+    def record(self, until_ns: int) -> NDArray[np.void]: ...
+    def read(self, name: str) -> Value: ...
+    def address(self, name: str) -> int: ...
+    def write_memory(self, address: int, data: bytes) -> None: ...
+    def close(self) -> None: ...
+
+
+def slow_tick(tick: int) -> int:
+    """Last slow tick that is not after `tick`."""
+    return tick - tick % SLOW_PERIODS
+
+
+class Replica:
+    """One board, moved from slow tick to slow tick.
+
+    Parameters
+    ----------
+    board : Board
+        A board that was just switched on.
+
+    Attributes
+    ----------
+    tick : int
+        Last slow tick that is over [PWM periods since reset].
+    raw : mapping
+        Raw integers of the snapshot of that tick, by variable name; empty before the first.
+    """
+
+    def __init__(self, board: ReplayBoard) -> None:
+        self._board = board
+        self._catalogue = board.catalogue
+        self.tick = 0
+        self.raw: Mapping[str, int] = {}
+
+    def close(self) -> None:
+        """Give the board's memory back."""
+        self._board.close()
+
+    def run_to(self, tick: int) -> None:
+        """Run until slow tick `tick` is over; one that is over already does nothing.
+
+        Raises
+        ------
+        ValueError
+            If it is no slow tick.
+        """
+        if tick % SLOW_PERIODS:
+            raise ValueError(f"tick {tick} is not a multiple of {SLOW_PERIODS}")
+        if tick <= self.tick:
+            return
+        log = self._board.record(tick * PERIOD_NS)
+        self.tick = tick
+        self.raw = dict(zip(log.dtype.names or (), log[-1].tolist(), strict=True))
+        assert self.raw["tick"] == tick % _WRAP
+
+    def run_until(self, condition: Callable[[], bool], most: int, step: int = 16 * SLOW_PERIODS) -> bool:
+        """Run until the condition holds, at most `most` ticks; returns whether it does.
+
+        Parameters
+        ----------
+        condition : callable
+            Looked at every `step` ticks.
+        most : int
+            Longest run [PWM periods].
+        step : int
+            A multiple of a slow tick [PWM periods].
+        """
+        end = self.tick + most
+        while not condition():
+            if self.tick >= end:
+                return False
+            self.run_to(self.tick + step)
+        return True
+
+    def write(self, variable: str, raw: Sequence[int], mask: int) -> None:
+        """Write the masked axes of a command variable; takes effect with the next slow tick.
+
+        Parameters
+        ----------
+        variable : str
+            Name of an array with one element per axis.
+        raw : sequence of int
+            Firmware integers, one per axis.
+        mask : int
+            Bit per axis; bit 0 is axis 1. Writing an axis makes its set-point fresh, so the others are left alone.
+        """
+        size = self._catalogue[variable].element_size
+        data = self._catalogue[variable].encode_raw(raw)
+        address = self._board.address(variable)
+        for axis in range(AXES):
+            if mask >> axis & 1:
+                self._board.write_memory(address + axis * size, data[axis * size : (axis + 1) * size])
+
+    def label(self, axis: int) -> str:
+        """State of an axis, such as ``STOP`` or ``RUN/SPIN``."""
+        if not self.raw:
+            return "INIT"
+        prefix = axis_name(axis)
+        return state_label(self._catalogue, self.raw[f"{prefix}.state"], self.raw[f"{prefix}.substate"])
+
+    def read(self, variable: str) -> Value:
+        """SI value of any variable."""
+        return self._board.read(variable)

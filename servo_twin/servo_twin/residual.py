@@ -1,0 +1,151 @@
+"""Real minus twin, and whether that is small enough. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import PERIOD_NS
+
+__all__ = ["COMPARED", "HealthMonitor", "Residual", "Thresholds", "residual"]
+
+COMPARED: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in ("position", "speed", "i_q"))
+"""Variables whose difference is a residual."""
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Real minus twin at one tick.
+
+    Attributes
+    ----------
+    tick : int
+        PWM periods since reset of the real board.
+    values : mapping
+        Difference of every variable of `COMPARED`, SI.
+    position, velocity, effort : tuple of float
+        Per axis [rad], [rad/s], [N m].
+    """
+
+    tick: int
+    values: Mapping[str, float]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+
+def residual(
+    tick: int, real: Mapping[str, float], twin: Mapping[str, float], torque_constants: Sequence[float]
+) -> Residual:
+    """Real minus twin; both need the variables of `COMPARED`, SI.
+
+    Parameters
+    ----------
+    tick : int
+        Tick of both samples.
+    real, twin : mapping
+        SI values by variable name.
+    torque_constants : sequence of float
+        Per axis [N m/A].
+    """
+    values = {name: real[name] - twin[name] for name in COMPARED}
+    axes = [axis_name(axis) for axis in range(AXES)]
+    return Residual(
+        tick,
+        values,
+        tuple(values[f"{axis}.position"] for axis in axes),
+        tuple(values[f"{axis}.speed"] for axis in axes),
+        tuple(k * values[f"{axis}.i_q"] for k, axis in zip(torque_constants, axes, strict=True)),
+    )
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """What counts as small.
+
+    Attributes
+    ----------
+    position : float
+        Largest difference of a position [rad].
+    velocity : float
+        Of a speed [rad/s].
+    effort : float
+        Of a torque [N m].
+    hold : float
+        How long the residual has to stay small before the twin is healthy [s].
+    grace : float
+        How long it may be large before the twin is not [s].
+    """
+
+    position: float = 0.05
+    velocity: float = 10.0
+    effort: float = 0.05
+    hold: float = 0.5
+    grace: float = 0.1
+
+
+class HealthMonitor:
+    """Follows the residual and says whether the twin describes the board.
+
+    Parameters
+    ----------
+    thresholds : Thresholds
+        What counts as small.
+
+    Attributes
+    ----------
+    healthy : bool
+        Whether it does.
+    reason : str
+        Why not; empty when healthy.
+    """
+
+    def __init__(self, thresholds: Thresholds) -> None:
+        self.thresholds = thresholds
+        self.healthy = False
+        self.reason = "nothing compared yet"
+        self._small_since: int | None = None
+        self._large_since: int | None = None
+
+    def interrupt(self, reason: str) -> None:
+        """There is nothing to compare, for this reason."""
+        self.healthy = False
+        self.reason = reason
+        self._small_since = self._large_since = None
+
+    def update(self, residual: Residual) -> bool:
+        """Take a residual; returns `healthy`."""
+        problem = self._problem(residual)
+        if problem:
+            self._small_since = None
+            if self._large_since is None:
+                self._large_since = residual.tick
+            if not self.healthy or _seconds(residual.tick - self._large_since) >= self.thresholds.grace:
+                self.healthy, self.reason = False, problem
+        else:
+            self._large_since = None
+            if self._small_since is None:
+                self._small_since = residual.tick
+            if _seconds(residual.tick - self._small_since) >= self.thresholds.hold:
+                self.healthy, self.reason = True, ""
+            elif not self.healthy:
+                self.reason = "the residual has been small for a moment only"
+        return self.healthy
+
+    def _problem(self, residual: Residual) -> str:
+        limits = self.thresholds
+        for name, unit, values, limit in (
+            ("position", "rad", residual.position, limits.position),
+            ("velocity", "rad/s", residual.velocity, limits.velocity),
+            ("effort", "N m", residual.effort, limits.effort),
+        ):
+            for axis, value in enumerate(values):
+                if abs(value) > limit:
+                    return f"{axis_name(axis)}: {name} differs by {value:+.3g} {unit}, allowed are {limit:g}"
+        return ""
+
+
+def _seconds(ticks: int) -> float:
+    return ticks * (PERIOD_NS * 1e-9)

@@ -1,0 +1,156 @@
+"""Samples of the board as the twin needs them: ticks, raw positions, kinds of states, rest. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.convert import state_label
+
+from servo_msgs_py import topics
+
+__all__ = ["Activity", "RestWatch", "Sample", "SampleReader", "activity"]
+
+_COMMON: Final = ("tick", "applied_tick", "applied_count")
+_PER_AXIS: Final = ("position", "speed", "i_q", "state", "substate")
+_REST_COUNTS: Final = 2  # the controller leaves a shaft alone that is one count off
+
+
+class Activity(Enum):
+    """What an axis does, as far as two boards have to agree on it."""
+
+    IDLE = "off or coasting"
+    SEARCHING = "searching its rotor"
+    ACTIVE = "under control"
+
+
+def activity(label: str) -> Activity:
+    """Kind of a state label such as ``RUN/SPIN``."""
+    if label == "RUN/SPIN":
+        return Activity.ACTIVE
+    return Activity.SEARCHING if label.startswith("RUN/") and label != "RUN/FREEWHEEL" else Activity.IDLE
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample of the real board.
+
+    Attributes
+    ----------
+    tick : int
+        PWM periods since reset, extended past 32 bits.
+    stamp_ns : int
+        ROS time of the tick [ns].
+    applied_tick, applied_count : int
+        As the board sent them: uint32 and uint16.
+    labels : tuple of str
+        State of every axis, such as ``STOP`` or ``RUN/SPIN``.
+    position, position_ref : tuple of int
+        Shaft position and shaped set-point of every axis [counts].
+    values : mapping
+        Everything in the sample, SI, by column name.
+    """
+
+    tick: int
+    stamp_ns: int
+    applied_tick: int
+    applied_count: int
+    labels: tuple[str, ...]
+    position: tuple[int, ...]
+    position_ref: tuple[int, ...]
+    values: Mapping[str, float]
+
+
+class SampleReader:
+    """Makes samples of the rows of telemetry tables.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        For scales and names of states.
+    """
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self._catalogue = catalogue
+        self._axes = [axis_name(axis) for axis in range(AXES)]
+        self._lsb = catalogue[f"{self._axes[0]}.position"].lsb
+        self._labels: dict[tuple[int, int], str] = {}
+
+    def rows(self, columns: Sequence[str], table: NDArray[np.float64]) -> list[Sample]:
+        """One sample per row.
+
+        Raises
+        ------
+        ValueError
+            If a column is missing that the twin needs.
+        """
+        needed = [*_COMMON, *topics.STAMP_COLUMNS, *(f"{a}.{name}" for a in self._axes for name in _PER_AXIS)]
+        missing = [name for name in needed if name not in columns]
+        if missing:
+            raise ValueError(f"the snapshot has no {', '.join(missing)}; the twin cannot compare without")
+        return [self._sample(dict(zip(columns, row, strict=True))) for row in table.tolist()]
+
+    def _sample(self, values: Mapping[str, float]) -> Sample:
+        position = tuple(round(values[f"{axis}.position"] / self._lsb) for axis in self._axes)
+        reference = tuple(
+            round(values[name] / self._lsb) if (name := f"{axis}.position_ref") in values else counts
+            for axis, counts in zip(self._axes, position, strict=True)
+        )
+        labels = tuple(
+            self._label(int(values[f"{axis}.state"]), int(values[f"{axis}.substate"])) for axis in self._axes
+        )
+        second, nanosecond = (int(values[name]) for name in topics.STAMP_COLUMNS)
+        return Sample(
+            tick=int(values["tick"]),
+            stamp_ns=second * 1_000_000_000 + nanosecond,
+            applied_tick=int(values["applied_tick"]),
+            applied_count=int(values["applied_count"]),
+            labels=labels,
+            position=position,
+            position_ref=reference,
+            values=values,
+        )
+
+    def _label(self, state: int, substate: int) -> str:
+        key = state, substate
+        if key not in self._labels:
+            self._labels[key] = state_label(self._catalogue, state, substate)
+        return self._labels[key]
+
+
+class RestWatch:
+    """Whether the shafts have been at rest lately.
+
+    Parameters
+    ----------
+    ticks : int
+        How long a shaft has to stand still [PWM periods].
+    """
+
+    def __init__(self, ticks: int) -> None:
+        self._ticks = ticks
+        self._seen: deque[tuple[int, tuple[int, ...]]] = deque()
+
+    def forget(self) -> None:
+        """The samples seen so far have nothing to do with what comes."""
+        self._seen.clear()
+
+    def add(self, sample: Sample) -> None:
+        """Look at a sample."""
+        self._seen.append((sample.tick, sample.position))
+        # One sample beyond the time is kept, so that the samples span it.
+        while len(self._seen) > 1 and self._seen[1][0] <= sample.tick - self._ticks:
+            self._seen.popleft()
+
+    def at_rest(self, axis: int) -> bool:
+        """Whether the shaft of an axis has stood still for the whole time."""
+        if not self._seen or self._seen[-1][0] - self._seen[0][0] < self._ticks:
+            return False
+        positions = [position[axis] for _, position in self._seen]
+        return max(positions) - min(positions) <= _REST_COUNTS

@@ -1,0 +1,364 @@
+"""The twin: a virtual board of its own that gets the same commands at the same ticks as the real one. Pure.
+
+Nothing here looks at a clock. Samples of the real board come in with their ticks; the twin's board is run to the
+corresponding tick of its own, ``own = real + shift``, and what both say at that tick makes a pair. On the way every
+command write is repeated, with the same raw integers, so that it takes effect at the corresponding tick. Two boards
+that differ in nothing give the same numbers, bit for bit.
+
+The shift is chosen when the twin begins: 0 if everything since the reset of the board is known, otherwise when the
+shafts are at rest. A rotor search ends with luck, some ticks earlier on one board than on the other. When the real axis
+has found its rotor and the twin has not, the twin is run ahead until it has, which changes the shift; afterwards
+positions differ by whole counts, which are added to what the twin says and taken off what it is told.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+
+from servo_twin.axis_tie import AxisTie
+from servo_twin.ledger import CommandLedger
+from servo_twin.replica import ReplayBoard, Replica, slow_tick
+from servo_twin.samples import Activity, RestWatch, Sample, SampleReader, activity
+
+__all__ = ["Pair", "Twin", "TwinSettings"]
+
+_OWN: Final = frozenset({"tick", "applied_tick", "applied_count"})  # columns that count on each board for itself
+_SETTLE: Final = 2.0  # longest time from reset to STOP [s]
+
+
+@dataclass(frozen=True)
+class TwinSettings:
+    """Times of the twin, all in board time [s].
+
+    Attributes
+    ----------
+    patience : float
+        How much newer telemetry may be before a sample stops waiting for a command that it says has taken effect.
+    from_reset : float
+        A board that is not up for longer is followed from its reset on, if all commands since are known.
+    gap : float
+        Silence of the telemetry after which the twin begins anew instead of following.
+    rest : float
+        How long the shafts have to be at rest before the twin begins in the middle.
+    search : float
+        How much longer a rotor search may take on one board than on the other.
+    disagreement : float
+        How long one board may be off and the other on otherwise.
+    """
+
+    patience: float = 0.05
+    from_reset: float = 5.0
+    gap: float = 2.0
+    rest: float = 0.1
+    search: float = 4.0
+    disagreement: float = 0.5
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Both boards at the same tick.
+
+    Attributes
+    ----------
+    tick : int
+        Of the real board.
+    stamp_ns : int
+        ROS time of the real sample [ns].
+    real : mapping
+        The real sample, SI, by column name.
+    twin : mapping
+        The twin's values, SI, in the frame of the real board; every column of `real` that the twin has.
+    difference : str
+        Empty when the two can be compared; otherwise what keeps them apart, for people.
+    """
+
+    tick: int
+    stamp_ns: int
+    real: Mapping[str, float]
+    twin: Mapping[str, float]
+    difference: str
+
+
+class Twin:
+    """Follows one real board.
+
+    Parameters
+    ----------
+    new_board : callable
+        Switches on another virtual board.
+    settings : TwinSettings, optional
+        Times.
+    catalogue : Catalogue, optional
+        Table of variables; the packaged one by default.
+
+    Attributes
+    ----------
+    status : str
+        Why the twin does not follow; empty while it does.
+    synchronisations : int
+        How often it has begun.
+    torque_constants : list of float
+        What the firmware takes for the torque per current of every axis [N m/A]; empty before it has begun.
+    """
+
+    def __init__(
+        self,
+        new_board: Callable[[], ReplayBoard],
+        settings: TwinSettings | None = None,
+        catalogue: Catalogue | None = None,
+    ) -> None:
+        self.settings = settings or TwinSettings()
+        self.status = "no telemetry yet"
+        self.synchronisations = 0
+        self.torque_constants: list[float] = []
+        self._catalogue = catalogue or Catalogue.load()
+        self._new_board = new_board
+        self._reader = SampleReader(self._catalogue)
+        self._ledger = CommandLedger()
+        self._rest = RestWatch(_ticks(self.settings.rest))
+        self._queue: deque[Sample] = deque()
+        self._last: Sample | None = None
+        self._replica: Replica | None = None
+        self._shift = 0
+        self._axes = [AxisTie(axis) for axis in range(AXES)]
+
+    # ---- in
+    def command(self, command: AppliedCommand) -> None:
+        """Take a write that took effect on the real board; the order of arrival does not matter."""
+        if not self._ledger.add(command):
+            self._remember(command)  # too late to be replayed, but not to be known
+
+    def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+        """Take samples of the real board, in the order of their ticks.
+
+        Raises
+        ------
+        ValueError
+            If a column is missing that the twin needs.
+        """
+        self._queue.extend(self._reader.rows(columns, table))
+
+    def resync(self, reason: str) -> None:
+        """Throw the twin's board away and begin anew as soon as the real one is at rest."""
+        self._drop(reason)
+        if self._last is not None:
+            self._settle(self._last)
+
+    def discard(self, reason: str) -> None:
+        """As `resync`, and do not look at the samples that wait."""
+        if self._queue:
+            self._last = self._queue[-1]
+            self._queue.clear()
+        self.resync(reason)
+
+    def close(self) -> None:
+        """Throw the twin's board away."""
+        self._drop("closed")
+
+    # ---- out
+    @property
+    def newest_tick(self) -> int | None:
+        """Tick of the newest sample that has come."""
+        newest = self._queue[-1] if self._queue else self._last
+        return None if newest is None else newest.tick
+
+    @property
+    def tick(self) -> int | None:
+        """Tick of the last sample that was dealt with."""
+        return None if self._last is None else self._last.tick
+
+    @property
+    def simulated_ticks(self) -> int:
+        """Ticks that the twin's present board has run."""
+        return 0 if self._replica is None else self._replica.tick
+
+    def labels(self) -> list[str]:
+        """State of every axis of the twin, such as ``RUN/SPIN``; empty while there is none."""
+        replica = self._replica
+        return [] if replica is None else [replica.label(axis) for axis in range(AXES)]
+
+    # ---- following
+    def step(self, most: int = 64) -> list[Pair]:
+        """Deal with waiting samples, at most so many; fewer when one waits for its commands.
+
+        Returns
+        -------
+        list of Pair
+            One per sample while the twin follows.
+        """
+        pairs: list[Pair] = []
+        for _ in range(most):
+            if not self._queue:
+                break
+            sample = self._queue[0]
+            self._check_time(sample)
+            if self._waits(sample):
+                break
+            self._queue.popleft()
+            pair = self._take(sample)
+            if pair is not None:
+                pairs.append(pair)
+        return pairs
+
+    def _check_time(self, sample: Sample) -> None:
+        """Notice resets of the board and gaps of its telemetry."""
+        if self._last is None:
+            return
+        step = sample.tick - self._last.tick
+        if step < 0:
+            self._drop("the board was reset")
+            self._ledger.forget()
+            self._last = None
+            for axis in self._axes:
+                axis.memory.clear()
+        elif step > _ticks(self.settings.gap) and self._replica is not None:
+            self.resync(f"no telemetry for {step * PERIOD_NS * 1e-9:.1f} s of board time")
+
+    def _waits(self, sample: Sample) -> bool:
+        """Whether the sample has to wait for commands; gives up when they are too late."""
+        if self._replica is None:
+            return False
+        missing = self._missing(sample)
+        if not missing:
+            return False
+        if self._queue[-1].tick - sample.tick <= _ticks(self.settings.patience):
+            return True
+        self.resync(f"{missing} command{'s' if missing > 1 else ''} took effect that nobody reported")
+        return False
+
+    def _take(self, sample: Sample) -> Pair | None:
+        if self._last is not None and sample.tick == self._last.tick:
+            return None
+        self._rest.add(sample)
+        began = self._replica is None and self._begin(sample)
+        replica = self._replica
+        if replica is not None and not began:
+            self._replay(replica, sample)
+        self._settle(sample)
+        self._last = sample
+        if replica is None:
+            return None
+        self._align(replica, sample)
+        difference = self._difference(replica, sample)
+        if self._replica is None:
+            return None
+        return Pair(sample.tick, sample.stamp_ns, sample.values, self._values(replica, sample), difference)
+
+    def _settle(self, sample: Sample) -> None:
+        """Everything that took effect up to this sample is dealt with."""
+        if self._missing(sample):
+            for axis in self._axes:
+                axis.memory.clear()
+        for command in self._ledger.until(sample.tick):
+            self._remember(command)
+        self._ledger.settle(sample.tick, sample.applied_count)
+
+    def _missing(self, sample: Sample) -> int:
+        return self._ledger.missing(sample.tick, sample.applied_tick, sample.applied_count)
+
+    # ---- beginning
+    def _begin(self, sample: Sample) -> bool:
+        """Switch the twin's board on if this sample allows it; returns whether it does."""
+        if self._ledger.from_reset and not self._missing(sample) and sample.tick <= _ticks(self.settings.from_reset):
+            replica = self._switch_on()
+            for axis in self._axes:
+                axis.begin()
+            self._replay(replica, sample)
+            return True
+        for number, label in enumerate(sample.labels):
+            if activity(label) is Activity.SEARCHING:
+                self.status = f"waiting: {axis_name(number)} is searching its rotor"
+                return False
+            if not self._rest.at_rest(number):
+                self.status = f"waiting: {axis_name(number)} is not at rest"
+                return False
+        replica = self._switch_on()
+        replica.run_until(lambda: set(self.labels()) == {"STOP"}, _ticks(_SETTLE))
+        active = sum(axis.begin(sample, replica) << number for number, axis in enumerate(self._axes))
+        replica.write("cmd.enable", [1] * AXES, active)
+        self._shift = replica.tick - sample.tick
+        return True
+
+    def _switch_on(self) -> Replica:
+        self._replica = replica = Replica(self._new_board())
+        constants = (replica.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
+        self.torque_constants = [float(value) for value in constants if isinstance(value, (int, float))]
+        self._shift = 0
+        self.synchronisations += 1
+        self.status = ""
+        return replica
+
+    def _drop(self, reason: str) -> None:
+        if self._replica is not None:
+            self._replica.close()
+            self._replica = None
+        self._rest.forget()
+        self.status = reason
+
+    # ---- replaying
+    def _replay(self, replica: Replica, sample: Sample) -> None:
+        """Run to the sample, with every command on the way."""
+        for command in self._ledger.until(sample.tick):
+            replica.run_to(slow_tick(command.tick + self._shift - 1))
+            for axis in self._axes:
+                axis.repeat(replica, command)
+        replica.run_to(sample.tick + self._shift)
+
+    def _remember(self, command: AppliedCommand) -> None:
+        for axis in self._axes:
+            axis.remember(command)
+
+    def _align(self, replica: Replica, sample: Sample) -> None:
+        """Tie the axes together that have come under control on both boards."""
+        for number, axis in enumerate(self._axes):
+            if axis.wants_to_catch_up(replica, sample) and self._others_rest(number, sample):
+                axis.catch_up(replica, _ticks(self.settings.search))
+                self._shift = replica.tick - sample.tick
+            axis.align(replica)
+
+    def _others_rest(self, number: int, sample: Sample) -> bool:
+        return all(
+            self._rest.at_rest(other)
+            for other in range(AXES)
+            if other != number and activity(sample.labels[other]) is Activity.ACTIVE
+        )
+
+    # ---- comparing
+    def _difference(self, replica: Replica, sample: Sample) -> str:
+        """What keeps the boards from being compared; begins anew when that lasts too long."""
+        differences: list[str] = []
+        for axis in self._axes:
+            text, searching = axis.difference(replica, sample)
+            if axis.apart_since is None:
+                continue
+            differences.append(text)
+            limit = self.settings.search if searching else self.settings.disagreement
+            if sample.tick - axis.apart_since > _ticks(limit):
+                self.resync(text)
+                break
+        return "; ".join(differences)
+
+    def _values(self, replica: Replica, sample: Sample) -> dict[str, float]:
+        """The twin's values under the columns of the sample."""
+        raw = dict(replica.raw)
+        for axis in self._axes:
+            raw.update(axis.in_real_frame(replica))
+        values = {"tick": float(sample.tick)}
+        for name in sample.values:
+            if name in raw and name not in _OWN:
+                values[name] = raw[name] * self._catalogue[name].lsb
+        return values
+
+
+def _ticks(seconds: float) -> int:
+    """Board time [s] in PWM periods, a multiple of a slow tick."""
+    return round(seconds * 1e9 / (PERIOD_NS * SLOW_PERIODS)) * SLOW_PERIODS

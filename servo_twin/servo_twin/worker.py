@@ -1,0 +1,172 @@
+"""The thread that simulates, so that callbacks stay short. Knows no ROS."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.twin import Pair, Twin
+
+__all__ = ["TwinWorker", "WorkerFigures"]
+
+_CHUNK: Final = 16  # samples between two looks at what has come
+_WAITING: Final = 1000  # messages that may wait
+_MOST_BACKLOG: Final = 3.0  # of board time that may wait [s]
+
+
+@dataclass(frozen=True)
+class WorkerFigures:
+    """How the simulation gets on.
+
+    Attributes
+    ----------
+    samples : int
+        Samples of the real board that were dealt with.
+    backlog : float
+        Board time between the newest sample and the last one dealt with [s].
+    load : float
+        Share of the time that the thread worked since `TwinWorker.figures` was called before.
+    overruns : int
+        How often everything that waited was thrown away because there was too much of it.
+    """
+
+    samples: int
+    backlog: float
+    load: float
+    overruns: int
+
+
+class TwinWorker:
+    """Feeds a twin from any thread and runs it in one of its own.
+
+    Parameters
+    ----------
+    twin : Twin
+        Used by the thread alone from `start` on.
+    publish : callable
+        Called by the thread with new pairs, and with an empty list when the twin's status may have changed.
+    failed : callable
+        Called by the thread, which ends, when something goes wrong that should not.
+    """
+
+    def __init__(
+        self,
+        twin: Twin,
+        publish: Callable[[list[Pair]], None],
+        failed: Callable[[Exception], None],
+    ) -> None:
+        self._twin = twin
+        self._publish = publish
+        self._failed = failed
+        self._inbox: deque[Callable[[], None]] = deque()
+        self._condition = threading.Condition()
+        self._stopping = False
+        self._overrun = False
+        self._overruns = 0
+        self._samples = 0
+        self._backlog = 0.0
+        self._busy = 0.0
+        self._last_look = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="twin", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self, timeout: float = 5.0) -> None:
+        """End the thread and the twin."""
+        with self._condition:
+            self._stopping = True
+            self._condition.notify()
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+
+    # ---- from any thread
+    def command(self, command: AppliedCommand) -> None:
+        """A command that took effect on the real board."""
+        self._post(lambda: self._twin.command(command))
+
+    def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+        """Samples of the real board; a table that the twin cannot use is reported as its status."""
+        self._post(lambda: self._take(columns, table))
+
+    def resync(self, reason: str) -> None:
+        """Begin anew."""
+        self._post(lambda: self._twin.resync(reason))
+
+    def figures(self) -> WorkerFigures:
+        """How it gets on; the load is that since the call before."""
+        now = time.monotonic()
+        busy, self._busy = self._busy, 0.0
+        elapsed, self._last_look = now - self._last_look, now
+        load = min(busy / elapsed, 1.0) if elapsed > 0.0 else 0.0
+        return WorkerFigures(self._samples, self._backlog, load, self._overruns)
+
+    def _post(self, job: Callable[[], None]) -> None:
+        with self._condition:
+            if len(self._inbox) >= _WAITING:
+                self._inbox.clear()
+                self._overrun = True
+            self._inbox.append(job)
+            self._condition.notify()
+
+    # ---- in the thread
+    def _run(self) -> None:
+        try:
+            while True:
+                with self._condition:
+                    while not (self._inbox or self._stopping):
+                        self._condition.wait()
+                    if self._stopping:
+                        break
+                begun = time.monotonic()
+                self._work()
+                self._busy += time.monotonic() - begun
+        except Exception as error:
+            self._failed(error)
+        finally:
+            self._twin.close()
+
+    def _work(self) -> None:
+        """Deal with everything that has come, looking for more after every few samples."""
+        while not self._stopping:
+            jobs, overrun = self._fetch()
+            for job in jobs:
+                job()
+            self._measure()
+            if overrun or self._backlog > _MOST_BACKLOG:
+                self._overruns += 1
+                self._twin.discard("the simulation cannot keep up with the board")
+            before = self._twin.tick
+            pairs = self._twin.step(_CHUNK)
+            self._measure()
+            self._publish(pairs)
+            if not jobs and self._twin.tick == before:
+                return
+
+    def _fetch(self) -> tuple[list[Callable[[], None]], bool]:
+        with self._condition:
+            jobs, overrun = list(self._inbox), self._overrun
+            self._inbox.clear()
+            self._overrun = False
+        return jobs, overrun
+
+    def _measure(self) -> None:
+        newest, done = self._twin.newest_tick, self._twin.tick
+        behind = newest - done if newest is not None and done is not None else 0
+        self._backlog = max(behind, 0) * PERIOD_NS * 1e-9
+
+    def _take(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+        self._samples += len(table)
+        try:
+            self._twin.samples(columns, table)
+        except ValueError as error:
+            self._twin.resync(str(error))

@@ -1,0 +1,77 @@
+"""The picture of a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from servo_twin.picture import draw, main
+from servo_twin.recording import Recording, RecordingError
+from servo_twin.viewer import Viewer
+from viewer_rig import CATALOGUE, COLUMNS, EVERY, START_NS, move, stamp
+
+from servo_twin import scene
+
+pytest.importorskip("rerun")
+image = pytest.importorskip("matplotlib.image")
+
+
+def _record(file: Path, *, twin: bool = True, samples: int = 1000) -> None:
+    viewer = Viewer(Recording(file), CATALOGUE, START_NS)
+    viewer.start()
+    viewer.board(COLUMNS, move(lag=0.01, samples=samples))
+    if twin:
+        viewer.twin(COLUMNS, move(lag=0.02, samples=samples))
+        for k in range(samples):
+            viewer.residual(stamp(EVERY * k), {"position": [0.004, -0.003], "velocity": [], "effort": []})
+    assert viewer.close()
+
+
+def _has(picture: np.ndarray, source: str) -> bool:
+    """Whether the colour of a source is in a picture."""
+    colour = np.array(scene.COLOURS[source]) / 255.0
+    return bool((np.abs(picture[..., :3] - colour).max(axis=-1) < 0.06).sum() > 300)
+
+
+def test_the_picture_shows_set_point_board_twin_and_residual(tmp_path: Path) -> None:
+    file, png = tmp_path / "run.rrd", tmp_path / "out" / "run.png"
+    _record(file)
+    draw(file, png)
+    picture = image.imread(png)
+    assert picture.shape[:2] == (1000, 1600)
+    # The set-point is drawn translucent.
+    for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL):
+        assert _has(picture, source), source
+
+
+def test_without_a_twin_there_is_a_picture_of_the_board(tmp_path: Path) -> None:
+    file, png = tmp_path / "run.rrd", tmp_path / "run.png"
+    _record(file, twin=False)
+    assert main([str(file), str(png)]) == 0
+    picture = image.imread(png)
+    assert _has(picture, scene.BOARD)
+    assert not _has(picture, scene.TWIN)
+
+
+def test_shafts_at_rest_make_a_picture_too(tmp_path: Path) -> None:
+    _record(tmp_path / "run.rrd", samples=1)
+    draw(tmp_path / "run.rrd", tmp_path / "run.png")
+    assert image.imread(tmp_path / "run.png").shape[:2] == (1000, 1600)
+
+
+def test_an_empty_recording_is_named_with_what_may_be_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "empty.rrd"
+    viewer = Viewer(Recording(file), CATALOGUE, START_NS)
+    viewer.start()
+    assert viewer.close()
+    with pytest.raises(RecordingError, match="holds no telemetry of a board: was the bridge connected"):
+        draw(file, tmp_path / "run.png")
+    assert main([str(file), str(tmp_path / "run.png")]) == 1
+    assert "holds no telemetry" in capsys.readouterr().err
+    assert not (tmp_path / "run.png").exists()
+
+
+def test_a_missing_recording_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "none.rrd"), str(tmp_path / "run.png")]) == 1
+    assert "there is no recording" in capsys.readouterr().err

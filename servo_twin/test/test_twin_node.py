@@ -1,0 +1,292 @@
+"""The twin's node under real rclpy; the telemetry comes from a virtual board that runs as fast as it can."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from numpy.typing import NDArray
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from servo_msgs_py.convert import AppliedCommand, applied_message, from_stamp, snapshot_message, snapshot_table
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.node import PARAMETERS, ServoTwin, main
+from servo_twin.ros_parameters import ParameterError
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_srvs.srv import Trigger
+from twin_rig import EPOCH_NS, TwinRig
+
+from servo_msgs_py import topics
+
+DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() % 100
+CONFIG = Path(__file__).resolve().parents[1] / "config" / "servo_twin.yaml"
+BATCH = 5  # samples in a message, as the bridge sends them
+
+
+class Rig:
+    """Twin node, a node in the part of bridge and user, and the board behind it, on one executor."""
+
+    def __init__(self, **parameters: Any) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.executor = EventsExecutor(context=self.context)
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        try:
+            self.node = ServoTwin(context=self.context, parameter_overrides=overrides)
+        except BaseException:
+            rclpy.shutdown(context=self.context)
+            raise
+        self.user = Node("user", namespace="servo", context=self.context)
+        deep, latched = topics.telemetry_qos(1000), topics.latched_qos()
+        self.snapshot = self.user.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
+        self.applied = self.user.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
+        self.state = self.user.create_publisher(String, topics.STATE, latched)
+        self.messages: dict[str, list[Any]] = {}
+        self._listen("/twin/joint_states", JointState, deep)
+        self._listen("/twin/snapshot", Float64MultiArray, deep)
+        self._listen("/twin/residual", JointState, deep)
+        self._listen("/twin/residual/axis1/position", Float64, deep)
+        self._listen("/diagnostics", DiagnosticArray, deep)
+        self._listen("/twin/state", String, latched)
+        self._listen("/twin/healthy", Bool, latched)
+        self.resync = self.user.create_client(Trigger, "/twin/resync")
+        self.executor.add_node(self.node)
+        self.executor.add_node(self.user)
+        self.board = TwinRig(real_seed=5)
+        self.board.twin.close()
+        self.board.twin = self  # type: ignore[assignment]
+        self._rows: list[list[float]] = []
+        self._columns: list[str] = []
+        self.until(self._matched, 20.0)
+
+    def _listen(self, name: str, kind: Any, qos: Any) -> None:
+        self.messages[name] = []
+        self.user.create_subscription(kind, name, self.messages[name].append, qos)
+
+    def _matched(self) -> bool:
+        publishers = (self.snapshot, self.applied, self.state)
+        return (
+            all(p.get_subscription_count() for p in publishers)
+            and all(self.user.count_publishers(name) for name in self.messages)
+            and self.resync.service_is_ready()
+            and bool(self.messages["/twin/state"] and self.messages["/twin/healthy"])
+        )
+
+    # ---- the board's twin, over ROS
+    def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+        self._columns = list(columns)
+        self._rows += table.tolist()
+        if len(self._rows) >= BATCH:
+            self.snapshot.publish(snapshot_message(self._columns, self._rows))
+            self._rows.clear()
+            self.executor.spin_once(timeout_sec=0.0)
+
+    def command(self, command: AppliedCommand) -> None:
+        self.applied.publish(applied_message(command))
+
+    def step(self) -> list[Any]:
+        return []
+
+    def close(self) -> None:
+        """Nothing of its own."""
+
+    # ---- steps
+    def until(self, condition: Callable[[], object], timeout: float = 10.0) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, (self.last("/twin/state"), self.last("/twin/healthy"))
+            self.executor.spin_once(timeout_sec=0.01)
+
+    def caught_up(self) -> None:
+        """The twin has published the newest full batch."""
+        newest = self.board.real.tick - len(self._rows) * self.board.every
+        self.until(lambda: self.rows() and self.rows()[-1]["tick"] == newest)
+
+    def last(self, name: str) -> Any:
+        return self.messages[name][-1].data if self.messages[name] else None
+
+    def rows(self) -> list[dict[str, float]]:
+        return [
+            dict(zip(names, row, strict=True))
+            for names, table in map(snapshot_table, self.messages["/twin/snapshot"])
+            for row in table.tolist()
+        ]
+
+    def status(self, part: str) -> DiagnosticStatus:
+        found = [s for m in self.messages["/diagnostics"] for s in m.status if s.name == f"servo_twin: {part}"]
+        return found[-1] if found else DiagnosticStatus(message="no diagnostics yet")
+
+    def residual_ticks(self) -> dict[int, JointState]:
+        """Residuals by the tick of their real sample."""
+        messages = self.messages["/twin/residual"]
+        return {(from_stamp(m.header.stamp) - EPOCH_NS) // PERIOD_NS: m for m in messages}
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.executor.remove_node(self.node)
+        self.executor.remove_node(self.user)
+        self.node.shutdown()
+        self.user.destroy_node()
+        self.executor.shutdown()
+        rclpy.shutdown(context=self.context)
+        self.board.real.close()
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with Rig() as rig:
+        yield rig
+
+
+def test_says_that_it_waits(rig: Rig) -> None:
+    assert rig.last("/twin/state") == "SYNCHRONISING no telemetry yet"
+    assert rig.last("/twin/healthy") is False
+    rig.until(lambda: rig.status("comparison").message == "no telemetry from /servo")
+    assert rig.status("comparison").level == b"\x01"
+    assert rig.status("simulation").level == b"\x00"
+
+
+def test_follows_and_publishes_the_boards_topics(rig: Rig) -> None:
+    rig.board.up()
+    rig.board.move([2.0, -1.0])
+    rig.caught_up()
+    joints, rows = rig.messages["/twin/joint_states"], rig.rows()
+    rig.until(lambda: len(joints) == len(rig.rows()))
+    rows = rig.rows()
+    assert rig.last("/twin/state") == "axis1=RUN/SPIN axis2=RUN/SPIN"
+    assert list(rows[0]) == [*(name for name in rows[0] if not name.startswith("stamp")), "stamp.sec", "stamp.nanosec"]
+    assert next(iter(rows[0])) == "tick"
+    assert [row["tick"] for row in rows] == [96.0 * k for k in range(1, len(rows) + 1)]
+    for message, row in zip(joints, rows, strict=True):
+        stamp = EPOCH_NS + int(row["tick"]) * PERIOD_NS
+        assert from_stamp(message.header.stamp) == stamp
+        assert (int(row["stamp.sec"]), int(row["stamp.nanosec"])) == divmod(stamp, 1_000_000_000)
+        assert list(message.position) == [row["axis1.position"], row["axis2.position"]]
+        assert list(message.velocity) == [row["axis1.speed"], row["axis2.speed"]]
+    assert joints[-1].position[0] == pytest.approx(4 * np.pi, abs=0.02)
+    assert list(joints[-1].name) == ["axis1", "axis2"]
+    # 3/2 p psi_m of the firmware's beliefs
+    assert joints[-1].effort[0] == pytest.approx(rows[-1]["axis1.i_q"] * 0.0462, rel=1e-3)
+
+
+def test_residuals_are_stamped_with_the_real_sample_and_left_out_while_searching(rig: Rig) -> None:
+    rig.board.up()
+    rig.board.move([2.0, -1.0])
+    rig.caught_up()
+    newest = rig.rows()[-1]["tick"]
+    rig.until(lambda: newest in rig.residual_ticks())
+    ticks = rig.residual_ticks()
+    searching = {int(row["tick"]) for row in rig.rows() if row["axis1.substate"] == 2 and row["axis1.state"] == 3}
+    assert searching
+    assert not searching & set(ticks)
+    worst = max(max(map(abs, m.position)) for m in ticks.values())
+    assert 0.0 < worst < 0.03
+    assert all(len(m.position) == len(m.velocity) == len(m.effort) == 2 for m in ticks.values())
+    single = rig.messages["/twin/residual/axis1/position"]
+    assert 3 <= len(single) < len(ticks) / 3
+
+
+def test_healthy_when_small_for_long_enough_and_not_while_synchronising(rig: Rig) -> None:
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+    rig.board.write("cmd.enable", [1, 1])
+    rig.board.until("RUN/SPIN")
+    rig.board.run(0.7)
+    rig.until(lambda: [m.data for m in rig.messages["/twin/healthy"]] == [False, True, False, True])
+    assert rig.last("/twin/state") == "axis1=RUN/SPIN axis2=RUN/SPIN"
+
+
+def test_tolerances_are_parameters() -> None:
+    with Rig(position_tolerance=1e-4, unhealthy_after=0.0, healthy_after=0.0) as rig:
+        rig.board.run(0.1)
+        rig.until(lambda: rig.last("/twin/healthy"))
+        rig.board.up()
+        rig.board.move([5.0, -5.0])
+        rig.caught_up()
+        healths = [m.data for m in rig.messages["/twin/healthy"]]
+        assert len(healths) >= 4
+
+
+def test_a_lost_board_makes_it_unhealthy(rig: Rig) -> None:
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+    rig.state.publish(String(data="DISCONNECTED gone"))
+    rig.until(lambda: rig.last("/twin/healthy") is False)
+    rig.until(lambda: rig.status("comparison").message == "the board is not connected")
+    rig.state.publish(String(data="axis1=STOP axis2=STOP"))
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+
+
+def test_silence_makes_it_unhealthy(rig: Rig) -> None:
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+    rig.until(lambda: rig.last("/twin/healthy") is False)
+    rig.until(lambda: rig.status("comparison").message == "no telemetry from /servo")
+
+
+def test_resync_answers_at_once(rig: Rig) -> None:
+    rig.board.run(0.3)
+    rig.caught_up()
+    future = rig.resync.call_async(Trigger.Request())
+    rig.until(future.done)
+    assert future.result().success
+    assert "at rest" in future.result().message
+    rig.board.run(0.3)
+    rig.caught_up()
+    rig.until(lambda: any(v.key == "synchronisations" and v.value == "2" for v in rig.status("comparison").values))
+
+
+def test_messages_of_another_form_do_no_harm(rig: Rig) -> None:
+    rig.snapshot.publish(Float64MultiArray(data=[1.0, 2.0]))
+    rig.applied.publish(Float64MultiArray(data=[1.5]))
+    rig.snapshot.publish(snapshot_message(["tick"], [[8.0]]))
+    rig.until(lambda: "the snapshot has no" in rig.last("/twin/state"))
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"joints": ["a", "a"]}, "joints"),
+        ({"plant": "/nowhere/plant.toml"}, "plant"),
+        ({"seed": -1}, "seed"),
+        ({"position_tolerance": "small"}, "position_tolerance"),
+    ],
+)
+def test_parameters_that_make_no_sense(parameters: dict[str, Any], said: str) -> None:
+    with pytest.raises(ParameterError, match=said):
+        Rig(**parameters)
+
+
+def test_main_says_it_in_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["--ros-args", "-p", "plant:=/nowhere.toml"]) == 2
+    error = capfd.readouterr().err
+    assert "servo_twin: parameter plant" in error
+    assert "Traceback" not in error
+
+
+def test_the_yaml_lists_every_parameter_with_its_default() -> None:
+    text = CONFIG.read_text()
+    for name, parameter in PARAMETERS.items():
+        (line,) = [line.strip() for line in text.splitlines() if line.strip().startswith(f"{name}:")]
+        value = line.split(":", 1)[1].strip()
+        default = parameter.default
+        if isinstance(default, list):
+            assert value == f"[{', '.join(default)}]"
+        else:
+            assert type(default)(value.strip('"')) == default, name

@@ -1,0 +1,151 @@
+"""The thread that simulates: order, overload, failure, end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from servo_twin.twin import Pair, Twin
+from servo_twin.worker import TwinWorker
+from twin_rig import COLUMNS, TwinRig
+
+PATIENCE = 10.0  # [s]
+
+
+class Recorder:
+    """Takes what a worker publishes; wakes up whoever waits for something in it."""
+
+    def __init__(self) -> None:
+        self.pairs: list[Pair] = []
+        self.statuses: list[str] = []
+        self.failures: list[Exception] = []
+        self._changed = threading.Condition()
+        self.worker: TwinWorker | None = None
+
+    def publish(self, twin: Twin, pairs: list[Pair]) -> None:
+        with self._changed:
+            self.pairs += pairs
+            self.statuses.append(twin.status)
+            self._changed.notify_all()
+
+    def failed(self, error: Exception) -> None:
+        with self._changed:
+            self.failures.append(error)
+            self._changed.notify_all()
+
+    def wait_for(self, condition: Any) -> None:
+        with self._changed:
+            assert self._changed.wait_for(condition, PATIENCE)
+
+
+class Line:
+    """A rig whose samples and commands go through a worker."""
+
+    def __init__(self) -> None:
+        self.recorder = Recorder()
+        self.rig = TwinRig(real_seed=5, twin_seed=5)
+        self.twin = self.rig.twin
+        self.worker = TwinWorker(self.twin, lambda p: self.recorder.publish(self.twin, p), self.recorder.failed)
+        self.rig.twin = self  # type: ignore[assignment]
+
+    # ---- in the part of the twin
+    def samples(self, columns: Any, table: Any) -> None:
+        self.worker.samples(columns, table)
+
+    def command(self, command: Any) -> None:
+        self.worker.command(command)
+
+    def step(self) -> list[Pair]:
+        return []
+
+    def close(self) -> None:
+        self.worker.stop()
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    line = Line()
+    with line.rig:
+        yield line
+
+
+def test_what_goes_in_comes_out_in_order_and_exact(line: Line) -> None:
+    line.worker.start()
+    line.rig.up()
+    line.rig.move([2.0, -2.0], seconds=0.3)
+    last = line.rig.real.tick
+    line.recorder.wait_for(lambda: line.recorder.pairs and line.recorder.pairs[-1].tick == last)
+    assert [p.tick for p in line.recorder.pairs] == list(range(96, last + 1, 96))
+    assert all(p.twin["axis1.position"] == p.real["axis1.position"] for p in line.recorder.pairs)
+    figures = line.worker.figures()
+    assert figures.samples == len(line.recorder.pairs)
+    assert figures.overruns == 0
+    assert 0.0 < figures.load <= 1.0
+
+
+def test_what_came_before_the_start_is_not_lost(line: Line) -> None:
+    line.rig.run(0.1)
+    line.worker.start()
+    line.recorder.wait_for(lambda: len(line.recorder.pairs) >= 16)
+
+
+def test_too_many_messages_make_it_begin_anew(line: Line) -> None:
+    line.rig.run(0.3)
+    row = np.zeros((1, len(COLUMNS)))
+    for tick in range(8, 8 * 1100, 8):
+        row[0, 0] = tick
+        line.worker.samples(COLUMNS, row.copy())
+    line.worker.start()
+    line.recorder.wait_for(lambda: "the simulation cannot keep up with the board" in line.recorder.statuses)
+    assert line.worker.figures().overruns == 1
+
+
+def test_too_much_board_time_makes_it_begin_anew(line: Line) -> None:
+    line.rig.run(0.1)
+    table = np.zeros((500, len(COLUMNS)))
+    table[:, 0] = np.arange(500) * 800 + 80_000
+    line.worker.samples(COLUMNS, table)
+    line.worker.start()
+    line.recorder.wait_for(lambda: "the simulation cannot keep up with the board" in line.recorder.statuses)
+    figures = line.worker.figures()
+    assert (figures.overruns, figures.backlog) == (1, 0.0)
+
+
+def test_a_table_of_no_use_is_said(line: Line) -> None:
+    line.worker.start()
+    line.worker.samples(["tick"], np.zeros((1, 1)))
+    line.recorder.wait_for(lambda: any("the snapshot has no applied_tick" in s for s in line.recorder.statuses))
+    line.rig.run(0.1)
+    line.recorder.wait_for(lambda: line.recorder.pairs)
+
+
+def test_resync(line: Line) -> None:
+    line.worker.start()
+    line.rig.run(0.3)
+    line.worker.resync("asked")
+    line.rig.run(0.3)
+    last = line.rig.real.tick
+    line.recorder.wait_for(lambda: line.recorder.pairs and line.recorder.pairs[-1].tick == last)
+    assert line.twin.synchronisations == 2
+
+
+def test_a_failure_is_told_and_ends_the_thread(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(most: int) -> list[Pair]:
+        raise ZeroDivisionError("broken")
+
+    monkeypatch.setattr(line.twin, "step", broken)
+    line.worker.start()
+    line.rig.sample()
+    line.recorder.wait_for(lambda: line.recorder.failures)
+    assert isinstance(line.recorder.failures[0], ZeroDivisionError)
+
+
+def test_stops_while_there_is_work(line: Line) -> None:
+    line.rig.run(3.0)
+    line.worker.start()
+    line.worker.stop(PATIENCE)
+    assert line.twin.status == "closed"
+    assert "twin" not in [thread.name for thread in threading.enumerate()]

@@ -1,0 +1,50 @@
+"""Points on their way into a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from servo_twin.curves import Curves, Hand
+
+
+def test_points_come_out_once_and_in_order() -> None:
+    curves = Curves()
+    curves.add(np.array([0.0, 0.1]), {"a": np.array([1.0, 2.0]), "b": np.array([5.0, 6.0])})
+    curves.add(np.array([0.2]), {"a": np.array([3.0])})
+    taken = curves.take()
+    assert [part.tolist() for part in taken["a"]] == [[0.0, 0.1, 0.2], [1.0, 2.0, 3.0]]
+    assert [part.tolist() for part in taken["b"]] == [[0.0, 0.1], [5.0, 6.0]]
+    assert curves.take() == {}
+
+
+@pytest.mark.parametrize("later", [0.7, -3.0])
+def test_silence_breaks_a_curve_even_between_two_writes(later: float) -> None:
+    curves = Curves()
+    curves.add(np.array([1.0]), {"a": np.array([1.0])})
+    curves.take()
+    curves.add(np.array([1.0 + later]), {"a": np.array([2.0])})
+    times, values = curves.take()["a"]
+    assert times[0] == pytest.approx(1.0, abs=1e-3)
+    assert np.isnan(values[0])
+    assert values[1:].tolist() == [2.0]
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 1000])
+def test_a_hand_moves_thirty_times_a_second_however_the_rows_arrive(chunk: int) -> None:
+    hand = Hand()
+    times = np.arange(1000) * 0.002
+    for first in range(0, 1000, chunk):
+        part = times[first : first + chunk]
+        hand.add(part, 10.0 * part)
+    taken, angles = hand.take()
+    assert 55 <= len(taken) <= 60
+    assert np.diff(taken).min() >= 1.0 / 30.0 - 1e-9
+    assert angles == pytest.approx(10.0 * taken)
+    assert len(hand.take()[0]) == 0
+
+
+def test_a_hand_goes_on_after_time_went_back() -> None:
+    hand = Hand()
+    hand.add(np.array([5.0]), np.array([1.0]))
+    hand.add(np.array([0.1]), np.array([2.0]))
+    assert hand.take()[1].tolist() == [1.0, 2.0]

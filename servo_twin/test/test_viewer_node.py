@@ -1,0 +1,254 @@
+"""The viewer as a process of its own, with a board and a twin that the test plays over ROS."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_state, snapshot_message
+from servo_twin.recording import RecordingError, read_scalars, read_texts
+from servo_twin.viewer_node import PARAMETERS
+from servo_twin.web_page import free_port
+from std_msgs.msg import Bool, Float64MultiArray, String
+from viewer_rig import COLUMNS, EVERY, FAULT, move, stamp, verify
+
+from servo_msgs_py import topics
+from servo_twin import scene
+
+pytest.importorskip("rerun")
+pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # one that is still being written
+
+DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 20 + os.getpid() % 80
+PATIENCE = 30.0  # [s]
+YAML = Path(__file__).resolve().parents[1] / "config" / "servo_viewer.yaml"
+MAIN = "import sys; from servo_twin.viewer_node import main; sys.exit(main())"
+
+
+def _wait(condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"not within {seconds:g} s: {what}"
+        time.sleep(0.05)
+
+
+class ViewerProcess:
+    """The process and what it printed."""
+
+    def __init__(self, folder: Path, **parameters: object) -> None:
+        self._log = folder / "log"
+        arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
+        with self._log.open("w") as output:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", MAIN, "--ros-args", *arguments],
+                stdout=output,
+                stderr=output,
+                env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), RERUN_STRICT="1"),
+            )
+
+    def text(self) -> str:
+        return self._log.read_text()
+
+    def wait_for(self, pattern: str) -> re.Match[str]:
+        def there() -> bool:
+            assert self.process.poll() is None or re.search(pattern, self.text()), self.text()
+            return re.search(pattern, self.text()) is not None
+
+        _wait(there, f"{pattern} in the output:\n{self.text()}")
+        found = re.search(pattern, self.text())
+        assert found
+        return found
+
+    def stop(self, number: signal.Signals) -> int:
+        """Exit status after a signal, which has to come within 5 s."""
+        self.process.send_signal(number)
+        return self.process.wait(5.0)
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., ViewerProcess]]:
+    started: list[ViewerProcess] = []
+
+    def run(**parameters: object) -> ViewerProcess:
+        started.append(ViewerProcess(tmp_path, **parameters))
+        return started[-1]
+
+    yield run
+    for viewer in started:
+        if viewer.process.poll() is None:
+            viewer.process.kill()
+        viewer.process.wait()
+
+
+Start = Callable[..., ViewerProcess]
+
+
+class Robot:
+    """Publishers of a board and of a twin."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.node = Node("robot", context=self.context)
+        deep, latched = topics.telemetry_qos(500), topics.latched_qos()
+        self._made: dict[str, Any] = {
+            name: self.node.create_publisher(kind, name, qos)
+            for name, kind, qos in (
+                ("/servo/snapshot", Float64MultiArray, deep),
+                ("/twin/snapshot", Float64MultiArray, deep),
+                ("/twin/residual", JointState, deep),
+                ("/servo/state", String, latched),
+                ("/twin/healthy", Bool, latched),
+                ("/diagnostics", DiagnosticArray, 10),
+            )
+        }
+        self.start_ns = self.node.get_clock().now().nanoseconds
+
+    def wait_for_viewer(self) -> None:
+        _wait(lambda: all(p.get_subscription_count() for p in self._made.values()), "subscriptions of the viewer")
+        self.start_ns = self.node.get_clock().now().nanoseconds
+
+    def publish(self, topic: str, message: Any) -> None:
+        self._made[topic].publish(message)
+
+    def rows(self, topic: str, *, samples: int = 500, **shape: float) -> None:
+        table = move(samples=samples, start_ns=self.start_ns, **shape)  # type: ignore[arg-type]
+        if topic == "/servo/snapshot":
+            words = [COLUMNS.index(f"axis1.{name}") for name in ("state", "substate", "faults")]
+            table[-100:, words] = (*FAULT, 1 << 2)
+        for k in range(0, samples, 10):
+            self.publish(topic, snapshot_message(COLUMNS, table[k : k + 10].tolist()))
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+
+@pytest.fixture
+def robot() -> Iterator[Robot]:
+    made = Robot()
+    yield made
+    made.close()
+
+
+def _points(file: Path, entity: str) -> int:
+    """Points of a curve in a file that is still being written."""
+    with contextlib.suppress(RecordingError):
+        return len(read_scalars(file, entity)[0])
+    return 0
+
+
+def _texts(file: Path, source: str) -> list[str]:
+    """Lines of a log in a file that is still being written."""
+    with contextlib.suppress(RecordingError):
+        return [text for _, text in read_texts(file, f"/log/{source}")]
+    return []
+
+
+BOARD_SPEED = scene.series_entity(1, "speed", scene.BOARD)
+TWIN_SPEED = scene.series_entity(1, "speed", scene.TWIN)
+RESIDUAL = scene.residual_entity(0, "position")
+
+
+def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Robot, tmp_path: Path) -> None:
+    file = tmp_path / "new" / "run.rrd"
+    viewer = start(record=file, web="false")
+    viewer.wait_for("recording to ")
+    robot.wait_for_viewer()
+    robot.publish("/servo/state", String(data="axis1=STOP axis2=STOP"))
+    robot.publish("/twin/healthy", Bool(data=True))
+    robot.rows("/servo/snapshot")
+    robot.rows("/twin/snapshot", lag=0.01)
+    for k in range(500):
+        when = stamp(EVERY * k, robot.start_ns)
+        robot.publish("/twin/residual", joint_state(["left", "right"], when, [0.25, 0.5], [1.0, 1.0], [0.0, 0.0]))
+    trouble = diagnostic_status("servo_bridge: link", DiagnosticStatus.WARN, "2 timeouts", "board", {})
+    robot.publish("/diagnostics", diagnostic_array(stamp(EVERY, robot.start_ns), [trouble]))
+    _wait(lambda: [_points(file, name) for name in (BOARD_SPEED, TWIN_SPEED, RESIDUAL)] == [500] * 3, "all points")
+    _wait(lambda: all(_texts(file, name) for name in ("diagnostics", "link", "twin")), "all lines of the log")
+    assert viewer.stop(signal.SIGTERM) == 0
+    assert "Traceback" not in viewer.text()
+    result = verify(file)
+    assert result.returncode == 0, result.stderr
+    board, twin = read_scalars(file, BOARD_SPEED), read_scalars(file, TWIN_SPEED)
+    assert board[0] == pytest.approx(twin[0], abs=1e-6)
+    assert set(read_scalars(file, RESIDUAL)[1]) == {0.25}
+    assert read_scalars(file, RESIDUAL)[0] == pytest.approx(board[0], abs=1e-6)
+    states = [state for _, state in read_texts(file, scene.state_entity("axis1"), "StateChange:state")]
+    assert states == ["STOP", "RUN/SPIN", "FAULT"]
+    assert [state for _, state in read_texts(file, scene.state_entity("twin"), "StateChange:state")] == ["FOLLOWS"]
+    assert any("OVER_CURRENT" in text and "clear the fault" in text for _, text in read_texts(file, "/log/axis1"))
+    assert [text for _, text in read_texts(file, "/log/diagnostics")] == ["diagnostics: servo_bridge: link: 2 timeouts"]
+
+
+def test_without_a_twin_the_board_is_recorded_until_ctrl_c(start: Start, robot: Robot, tmp_path: Path) -> None:
+    file = tmp_path / "run.rrd"
+    viewer = start(record=file, web="false")
+    robot.wait_for_viewer()
+    robot.publish("/servo/snapshot", Float64MultiArray(data=[1.0, 2.0]))  # no telemetry table
+    robot.rows("/servo/snapshot")
+    _wait(lambda: _points(file, BOARD_SPEED) == 500, "500 points")
+    assert viewer.stop(signal.SIGINT) == 0
+    assert "not a telemetry table" in viewer.text()
+    assert "Traceback" not in viewer.text()
+    assert verify(file).returncode == 0
+    assert _points(file, TWIN_SPEED) == 0
+
+
+def test_the_page_is_served_beside_ports_in_use_and_ends_with_the_node(start: Start, tmp_path: Path) -> None:
+    with socket.socket() as busy:
+        busy.bind(("127.0.0.1", 0))
+        busy.listen()
+        taken = busy.getsockname()[1]
+        viewer = start(record=tmp_path / "run.rrd", web_port=taken, grpc_port=free_port(taken + 100))
+        url = viewer.wait_for(r"http://127\.0\.0\.1:(\d+)\S*")
+        assert int(url.group(1)) != taken
+        viewer.wait_for(f"web_port {taken} is in use")
+        with urllib.request.urlopen(url.group(0), timeout=10.0) as answer:
+            assert answer.status == 200
+        assert viewer.stop(signal.SIGTERM) == 0
+    assert "Traceback" not in viewer.text()
+    assert verify(tmp_path / "run.rrd").returncode == 0
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", int(url.group(1)))) != 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"web": "false"}, "nothing to do: set parameter record"),
+        ({"web": "false", "record": "/dev/null/run.rrd"}, "/dev/null/run.rrd cannot be written"),
+        ({"web_port": 80}, "parameter web_port"),
+        ({"web": "perhaps"}, "parameter web"),
+    ],
+)
+def test_parameters_that_make_no_sense_end_it_with_one_sentence(
+    start: Start, parameters: dict[str, object], message: str
+) -> None:
+    viewer = start(**parameters)
+    assert viewer.process.wait(PATIENCE) == 2
+    assert message in viewer.text()
+    assert "Traceback" not in viewer.text()
+
+
+def test_the_yaml_lists_every_parameter_with_its_default() -> None:
+    listed = yaml.safe_load(YAML.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
+    assert listed == {name: parameter.default for name, parameter in PARAMETERS.items()}

@@ -1,0 +1,278 @@
+"""From telemetry to a recording on disk, read back with rerun's own reader."""
+
+from __future__ import annotations
+
+import builtins
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.recording import Recording, RecordingError, read_scalars, read_texts
+from servo_twin.viewer import Viewer
+from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, START_NS, move, stamp, verify
+
+from servo_twin import scene
+
+pytest.importorskip("rerun")
+
+OVER_CURRENT = 1 << 2
+
+
+@pytest.fixture(autouse=True)
+def strict(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let rerun raise what it otherwise only warns of."""
+    monkeypatch.setenv("RERUN_STRICT", "1")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "run.rrd"
+
+
+@pytest.fixture
+def record(file: Path) -> Callable[[Callable[[Viewer], None]], Viewer]:
+    """Records what a function hands to the viewer."""
+
+    def run(feed: Callable[[Viewer], None]) -> Viewer:
+        viewer = Viewer(Recording(file), CATALOGUE, START_NS)
+        viewer.start()
+        feed(viewer)
+        assert viewer.close()
+        assert viewer.failure == ""
+        return viewer
+
+    return run
+
+
+Record = Callable[[Callable[[Viewer], None]], Viewer]
+
+
+def test_board_and_twin_come_back_to_the_tick(record: Record, file: Path) -> None:
+    board, twin = move(lag=0.01), move(lag=0.011)
+
+    def feed(viewer: Viewer) -> None:
+        for k in range(0, 1000, 10):
+            viewer.board(COLUMNS, board[k : k + 10])
+            viewer.twin(COLUMNS, twin[k : k + 10])
+
+    viewer = record(feed)
+    assert viewer.dropped == 0
+    result = verify(file)
+    assert result.returncode == 0, result.stderr
+    expected = EVERY * np.arange(1000) * PERIOD_NS * 1e-9
+    for axis in (0, 1):
+        for quantity in scene.QUANTITIES:
+            for source, table in ((scene.SET_POINT, board), (scene.BOARD, board), (scene.TWIN, twin)):
+                times, values = read_scalars(file, scene.series_entity(axis, quantity.name, source))
+                assert times == pytest.approx(expected, abs=2e-9), (axis, quantity.name, source)
+                assert np.array_equal(values, table[:, COLUMNS.index(quantity.column(source, axis))])
+
+
+def test_a_missing_twin_is_no_trouble(record: Record, file: Path) -> None:
+    record(lambda viewer: viewer.board(COLUMNS, move()))
+    assert verify(file).returncode == 0
+    assert len(read_scalars(file, scene.series_entity(0, "position", scene.BOARD))[0]) == 1000
+    assert len(read_scalars(file, scene.series_entity(0, "position", scene.TWIN))[0]) == 0
+
+
+def test_residuals_lie_at_the_ticks_of_their_samples(record: Record, file: Path) -> None:
+    def feed(viewer: Viewer) -> None:
+        viewer.board(COLUMNS, move())
+        for tick in (640, 1280):
+            viewer.residual(stamp(tick), {"position": [0.1, -0.2], "velocity": [1.0, 2.0], "effort": []})
+
+    record(feed)
+    times, values = read_scalars(file, scene.residual_entity(1, "position"))
+    assert times == pytest.approx([0.04, 0.08], abs=2e-9)
+    assert values.tolist() == [-0.2, -0.2]
+    assert len(read_scalars(file, scene.residual_entity(1, "effort"))[0]) == 0
+
+
+def test_states_and_faults_are_told_at_their_tick_with_cause_and_remedy(record: Record, file: Path) -> None:
+    rows = move()
+    words = [COLUMNS.index(f"axis2.{name}") for name in ("state", "substate", "faults")]
+    rows[600:700, words] = (*FAULT, OVER_CURRENT)
+
+    def feed(viewer: Viewer) -> None:
+        for part in np.array_split(rows, 37):
+            viewer.board(COLUMNS, part)
+
+    record(feed)
+    states = read_texts(file, scene.state_entity("axis2"), "StateChange:state")
+    assert [state for _, state in states] == ["STOP", "RUN/SPIN", "FAULT", "RUN/SPIN"]
+    assert [moment for moment, _ in states] == pytest.approx([0.0, 0.5, 2.4, 2.8], abs=1e-6)
+    lines = read_texts(file, "/log/axis2")
+    flag = next(flag for flag in CATALOGUE.flags["faults"] if flag.mask == OVER_CURRENT)
+    fault = next((moment, text) for moment, text in lines if flag.cause in text)
+    assert fault[0] == pytest.approx(2.4)
+    assert flag.name in fault[1]
+    assert flag.remedy in fault[1]
+    assert (pytest.approx(2.8), f"axis2: {flag.name} cleared") in lines
+    levels = dict(read_texts(file, "/log/axis2", "TextLog:level"))
+    assert "ERROR" in levels.values()
+    assert [text for _, text in read_texts(file, "/log/axis1")] == ["axis1: STOP", "axis1: STOP -> RUN/SPIN"]
+
+
+def test_the_link_and_the_twin_have_states(record: Record, file: Path) -> None:
+    def feed(viewer: Viewer) -> None:
+        viewer.board_state(START_NS + 50_000_000, "DISCONNECTED no board answers on /dev/ttyUSB0")
+        viewer.board(COLUMNS, move(start_ns=START_NS + 100_000_000, samples=10))
+        viewer.board_state(START_NS + 100_000_000, "axis1=STOP axis2=STOP")
+        viewer.board_state(START_NS + 101_000_000, "axis1=STOP axis2=RUN/SPIN")
+        viewer.healthy(START_NS + 120_000_000, True)
+        viewer.healthy(START_NS + 130_000_000, True)
+        viewer.healthy(START_NS + 140_000_000, False)
+        viewer.board_state(START_NS + 400_000_000, "DISCONNECTED the port vanished")
+
+    record(feed)
+    link = read_texts(file, scene.state_entity("link"), "StateChange:state")
+    assert [state for _, state in link] == ["DISCONNECTED", "CONNECTED", "DISCONNECTED"]
+    assert [moment for moment, _ in link] == pytest.approx([0.05, 0.1, 0.4], abs=1e-6)
+    twin = read_texts(file, scene.state_entity("twin"), "StateChange:state")
+    assert [state for _, state in twin] == ["FOLLOWS", "APART"]
+    axis = read_texts(file, scene.state_entity("axis1"), "StateChange:state")
+    assert [state for _, state in axis] == ["STOP", "DISCONNECTED"]
+    texts = [text for _, text in read_texts(file, "/log/link")]
+    assert texts[0] == "link: DISCONNECTED no board answers on /dev/ttyUSB0"
+    assert texts[-1] == "link: DISCONNECTED the port vanished"
+
+
+def test_diagnostics_are_told_when_they_change_and_faults_only_once(record: Record, file: Path) -> None:
+    rows = move(samples=20)
+    rows[:, COLUMNS.index("axis1.faults")] = OVER_CURRENT
+    flag = next(flag for flag in CATALOGUE.flags["faults"] if flag.mask == OVER_CURRENT)
+
+    def feed(viewer: Viewer) -> None:
+        viewer.board(COLUMNS, rows)
+        for level, message in (
+            (0, "163 samples/s"),
+            (0, "164 samples/s"),
+            (1, "in the last second: 2 timeouts"),
+            (1, "in the last second: 3 timeouts"),
+            (1, "in the last second: 3 crc errors"),
+            (0, "160 samples/s"),
+        ):
+            viewer.diagnosis(stamp(0), "servo_bridge: link", level, message)
+        viewer.diagnosis(stamp(0), "servo_bridge: axis1", 2, f"{flag.name}: {flag.cause} ({flag.remedy})")
+        viewer.diagnosis(stamp(0), "servo_bridge: board", 3, "silent")
+
+    record(feed)
+    texts = [text.removeprefix("diagnostics: servo_bridge: ") for _, text in read_texts(file, "/log/diagnostics")]
+    assert texts == [
+        "link: in the last second: 2 timeouts",
+        "link: in the last second: 3 crc errors",
+        "link: 160 samples/s",
+        "board: silent",
+    ]
+
+
+def test_a_reset_of_the_board_is_told_and_breaks_the_curves(record: Record, file: Path) -> None:
+    def feed(viewer: Viewer) -> None:
+        viewer.board(COLUMNS, move(first=160_000, samples=10, start_ns=START_NS - 10_000_000_000))
+        viewer.board(COLUMNS, move(first=0, samples=10, start_ns=START_NS + 3_000_000_000))
+
+    record(feed)
+    times, values = read_scalars(file, scene.series_entity(0, "speed", scene.BOARD))
+    assert np.all(np.diff(times) > 0.0)
+    assert times[-1] == pytest.approx(3.0 + 9 * 0.004, abs=1e-6)
+    assert np.isnan(values).sum() == 1
+    assert "reset" in read_texts(file, "/log/board")[0][1]
+
+
+def test_unusable_messages_are_told_once_and_the_rest_is_recorded(record: Record, file: Path) -> None:
+    def feed(viewer: Viewer) -> None:
+        for _ in range(3):
+            viewer.board(["time", "axis1.position"], np.zeros((2, 2)))
+        viewer.twin(COLUMNS, move(samples=0))
+        viewer.board(COLUMNS, move(samples=10))
+
+    record(feed)
+    assert len(read_scalars(file, scene.series_entity(1, "i_q", scene.BOARD))[0]) == 10
+    assert [text for _, text in read_texts(file, "/log/viewer")] == [
+        "viewer: a message was left out: telemetry without the column tick"
+    ]
+
+
+class _Stalled:
+    """A recording whose first write waits for the test."""
+
+    def __init__(self) -> None:
+        self.entered, self.go = threading.Event(), threading.Event()
+        self.texts: list[str] = []
+        self.closed = False
+
+    def scalars(self, *_: Any) -> None:
+        self.entered.set()
+        assert self.go.wait(30.0)
+
+    def angles(self, *_: Any) -> None: ...
+    def state(self, *_: Any) -> None: ...
+
+    def text(self, source: str, moment: float, level: str, text: str) -> None:
+        self.texts.append(f"{level} {text}")
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_stalled_recording_holds_nobody_up_and_losses_are_counted() -> None:
+    recording = _Stalled()
+    viewer = Viewer(recording, CATALOGUE, START_NS, capacity=10, period=0.01)
+    viewer.start()
+    rows = move(samples=1)
+    viewer.board(COLUMNS, rows)
+    assert recording.entered.wait(10.0)
+    begun = time.monotonic()
+    for _ in range(25):
+        viewer.board(COLUMNS, rows)
+    assert time.monotonic() - begun < 1.0
+    assert viewer.dropped == 15
+    assert not viewer.close(timeout=0.05)
+    recording.go.set()
+    assert viewer.close()
+    assert recording.closed
+    assert "WARN 15 messages dropped: too slow" in recording.texts
+
+
+def test_a_recording_that_fails_is_reported_and_closed() -> None:
+    class Broken(_Stalled):
+        def scalars(self, *_: Any) -> None:
+            raise OSError("no space left on device")
+
+    recording = Broken()
+    viewer = Viewer(recording, CATALOGUE, START_NS, period=0.01)
+    viewer.start()
+    viewer.board(COLUMNS, move(samples=1))
+    assert viewer.close()
+    assert viewer.failure == "the recording cannot be written: no space left on device"
+    assert recording.closed
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match=r"file/run\.rrd cannot be written"):
+        Recording(tmp_path / "file" / "run.rrd")
+
+
+def test_a_missing_rerun_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch, file: Path) -> None:
+    original = builtins.__import__
+
+    def without_rerun(name: str, *arguments: Any, **options: Any) -> Any:
+        if name.split(".")[0] == "rerun":
+            raise ImportError("No module named 'rerun'")
+        return original(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without_rerun)
+    with pytest.raises(RecordingError, match="pip install 'rerun-sdk"):
+        Recording(file)
+
+
+def test_what_is_no_recording_is_named(file: Path) -> None:
+    file.write_bytes(b"no recording at all" * 20)
+    with pytest.raises(RecordingError, match="cannot be read as a recording"):
+        read_scalars(file, "/plot")

@@ -1,0 +1,71 @@
+"""Telemetry of two shafts that move from rest to rest, as the bridge and the twin publish it. For tests."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_msgs_py import topics
+
+CATALOGUE = Catalogue.load()
+START_NS = 1_700_000_000_000_000_123  # ROS time at which the recordings begin
+EVERY = 64  # ticks between two samples: 4 ms
+STOP, SPIN, FAULT = (2, 0), (3, 3), (0, 0)
+QUANTITIES = ("position", "position_ref", "speed", "speed_ref", "i_q", "i_q_ref", "state", "substate", "faults")
+COLUMNS = ["tick", *(f"axis{n}.{name}" for n in (1, 2) for name in QUANTITIES), *topics.STAMP_COLUMNS]
+
+
+def stamp(tick: int, start_ns: int = START_NS) -> int:
+    """ROS time of a tick [ns]; tick 0 is the start of the recording."""
+    return start_ns + tick * PERIOD_NS
+
+
+def move(
+    first: int = 0, samples: int = 1000, *, lag: float = 0.0, error: float = 0.0, start_ns: int = START_NS
+) -> NDArray[np.float64]:
+    """Rows of `COLUMNS`: both axes go smoothly there, axis 1 by 5 turns and axis 2 by -2, within 2 s from 1 s on.
+
+    Parameters
+    ----------
+    first : int
+        Tick of the first row.
+    samples : int
+        Rows.
+    lag : float
+        Of the measured behind the set-point [s].
+    error : float
+        Of the measured position, added [rad].
+    start_ns : int
+        ROS time of tick 0 [ns].
+    """
+    ticks = first + EVERY * np.arange(samples)
+    times = ticks * PERIOD_NS * 1e-9
+    parts = [ticks.astype(np.float64)[:, None]]
+    for turns in (5.0, -2.0):
+
+        def phase(late: float) -> NDArray[np.float64]:
+            return np.clip((times - late - 1.0) / 2.0, 0.0, 1.0)
+
+        amplitude = 2.0 * np.pi * turns
+        place = [amplitude * (3 * phase(late) ** 2 - 2 * phase(late) ** 3) for late in (lag, 0.0)]
+        speed = [amplitude * 3.0 * (phase(late) - phase(late) ** 2) for late in (lag, 0.0)]
+        current = [np.full(samples, 0.1 * turns), np.full(samples, 0.12 * turns)]
+        words = [np.where(times < 0.5, stop, spin) for stop, spin in zip(STOP, SPIN, strict=True)]
+        parts.append(np.column_stack([place[0] + error, place[1], *speed, *current, *words, np.zeros(samples)]))
+    stamps = [divmod(stamp(int(tick), start_ns), 1_000_000_000) for tick in ticks]
+    return np.column_stack([*parts, np.array(stamps, dtype=np.float64)])
+
+
+def verify(path: Path) -> subprocess.CompletedProcess[str]:
+    """What ``rerun rrd verify`` says of a file."""
+    beside = Path(sys.executable).with_name("rerun")
+    command = str(beside) if beside.exists() else shutil.which("rerun")
+    assert command
+    return subprocess.run([command, "rrd", "verify", str(path)], capture_output=True, text=True, timeout=60)
