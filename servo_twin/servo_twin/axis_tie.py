@@ -1,0 +1,157 @@
+"""How one axis of the twin is tied to the same axis of the real board: offset, set-points, agreement. Pure."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.convert import AppliedCommand
+
+from servo_twin.replica import Replica
+from servo_twin.samples import Activity, Sample, activity
+
+__all__ = ["AxisTie"]
+
+_SET_POINTS: Final = ("cmd.position", "cmd.speed", "cmd.i_q")  # by control mode
+_COUNTS: Final = ("position", "position_ref")
+
+
+class AxisTie:
+    """One axis.
+
+    Parameters
+    ----------
+    number : int
+        Index of the axis.
+
+    Attributes
+    ----------
+    memory : dict
+        Last raw number that was written to every command variable, as far as it is known.
+    apart_since : int or None
+        Real tick since which the two cannot be compared; None while they can.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.memory: dict[str, int] = {}
+        self.apart_since: int | None = None
+        self._number = number
+        self._name = axis_name(number)
+        self._release()
+        self._offset = 0  # real minus twin [counts]
+
+    def _release(self) -> None:
+        """The real axis is not under control."""
+        self._hold: int | None = None  # where the real axis held when it came under control [counts]
+        self._aligned = False  # the offset is that of this time under control
+        self._chased = False  # the twin has been run ahead for this axis
+        self._withheld = False  # a set-point came before the axis was aligned
+
+    # ---- beginning
+    def begin(self, sample: Sample | None = None, replica: Replica | None = None) -> bool:
+        """Tie anew: in the middle with a sample and a board in STOP, or without from the reset of both boards.
+
+        Returns
+        -------
+        bool
+            Whether the real axis is under control, so that the twin's has to be enabled.
+        """
+        self.apart_since = None
+        self._offset = 0
+        self._release()
+        if sample is None or replica is None:
+            self.memory.update({"cmd.mode": 0, "cmd.quick_stop": 0})
+            return False
+        self._offset = sample.position[self._number] - replica.raw[f"{self._name}.position"]
+        if activity(sample.labels[self._number]) is not Activity.ACTIVE:
+            return False
+        self._hold = sample.position_ref[self._number]
+        return True
+
+    # ---- commands
+    def remember(self, command: AppliedCommand) -> None:
+        """Note what was written to the real axis."""
+        if command.mask >> self._number & 1:
+            self.memory[command.variable] = command.raw[self._number]
+            if command.variable == "cmd.enable" and command.raw[self._number] == 1:
+                self.memory["cmd.quick_stop"] = 0  # as in the firmware
+
+    def repeat(self, replica: Replica, command: AppliedCommand) -> None:
+        """Write to the twin's axis what was written to the real one, as far as the command means it."""
+        if not command.mask >> self._number & 1:
+            return
+        if command.variable in _SET_POINTS:
+            if self._hold is not None and not self._aligned:
+                self._withheld = True
+                self.remember(command)
+                return
+            if "cmd.mode" not in self.memory:
+                # Never told, so the set-point that the board obeys has to tell.
+                self.memory["cmd.mode"] = _SET_POINTS.index(command.variable)
+                self._write(replica, "cmd.mode", self.memory["cmd.mode"])
+        self._write(replica, command.variable, command.raw[self._number])
+        self.remember(command)
+
+    def _write(self, replica: Replica, variable: str, raw: int) -> None:
+        own = _int32(raw - self._offset) if variable == "cmd.position" else raw
+        replica.write(variable, [own] * AXES, 1 << self._number)
+
+    # ---- aligning
+    def wants_to_catch_up(self, replica: Replica, sample: Sample) -> bool:
+        """Whether the real axis has come under control and the twin's has not; says so once each time."""
+        if activity(sample.labels[self._number]) is not Activity.ACTIVE:
+            self._release()
+            return False
+        if self._hold is None:
+            self._hold = sample.position_ref[self._number]
+        return not (self._aligned or self._chased or self.controls(replica))
+
+    def catch_up(self, replica: Replica, most: int) -> None:
+        """Run the twin's board ahead until this axis is under control or has failed, at most `most` ticks."""
+        self._chased = True
+        replica.run_until(lambda: self.controls(replica) or replica.label(self._number) == "FAULT", most)
+
+    def controls(self, replica: Replica) -> bool:
+        """Whether the twin's axis is under control."""
+        return activity(replica.label(self._number)) is Activity.ACTIVE
+
+    def align(self, replica: Replica) -> None:
+        """Choose the offset, once both axes have come under control and before either gets a set-point."""
+        if self._hold is not None and not self._aligned and self.controls(replica):
+            self._offset = self._hold - replica.raw[f"{self._name}.position_ref"]
+            self._aligned = True
+            self._restore(replica)
+
+    def _restore(self, replica: Replica) -> None:
+        """Bring a newly aligned axis to the commands that the real one has had."""
+        mode = self.memory.get("cmd.mode", 0)
+        variables = ["cmd.mode"] if mode else []
+        if self._withheld:
+            variables.append(_SET_POINTS[mode])
+            self._withheld = False
+        if self.memory.get("cmd.quick_stop", 0):
+            variables.append("cmd.quick_stop")
+        for variable in variables:
+            if variable in self.memory:
+                self._write(replica, variable, self.memory[variable])
+
+    # ---- comparing
+    def difference(self, replica: Replica, sample: Sample) -> tuple[str, bool]:
+        """What keeps the two from being compared, empty if nothing does, and whether that is a matter of a search."""
+        real, twin = sample.labels[self._number], replica.label(self._number)
+        kinds = {activity(real), activity(twin)}
+        if kinds == {Activity.IDLE} or (kinds == {Activity.ACTIVE} and self._aligned):
+            self.apart_since = None
+            return "", False
+        if self.apart_since is None:
+            self.apart_since = sample.tick
+        return f"{self._name} is {real}, its twin {twin}", Activity.SEARCHING in kinds
+
+    def in_real_frame(self, replica: Replica) -> dict[str, int]:
+        """Positions of the twin's axis in the frame of the real board [counts], by variable name."""
+        names = [f"{self._name}.{name}" for name in _COUNTS]
+        return {name: replica.raw[name] + self._offset for name in names}
+
+
+def _int32(value: int) -> int:
+    return (value + 0x8000_0000) % (1 << 32) - 0x8000_0000

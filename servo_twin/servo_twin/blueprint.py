@@ -1,0 +1,60 @@
+"""How the rerun viewer lays a recording out."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from servo_twin import scene
+
+__all__ = ["blueprint"]
+
+_WINDOW: Final = 15.0  # what the plots show of the past [s]
+
+
+def blueprint() -> Any:
+    """Per axis position, speed, current and residual; beside them shafts, states and log."""
+    import rerun.blueprint as rrb
+    from rerun.blueprint.encodings import TextLogColumnKind
+
+    relative = rrb.TimeRangeBoundary.cursor_relative
+    start, end = relative(seconds=-_WINDOW), relative(seconds=0.0)
+    time_axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
+    window = rrb.VisibleTimeRange(scene.TIMELINE, start=start, end=end)
+
+    def plot(name: str, origin: str, contents: list[str]) -> Any:
+        return rrb.TimeSeriesView(
+            name=name,
+            origin=origin,
+            contents=contents,
+            axis_x=time_axis,
+            time_ranges=[window],
+            plot_legend=rrb.Corner2D.LeftTop,
+        )
+
+    columns = []
+    for axis, name in scene.axes():
+        origin = f"/plot/{name}"
+        plots = [plot(f"{name}: {q.title} [{q.unit}]", origin, [f"+ {origin}/{q.name}/**"]) for q in scene.QUANTITIES]
+        residuals = [
+            plot(f"{name}: residual {field} [{unit}]", origin, [f"+ {scene.residual_entity(axis, field)}"])
+            for field, unit in scene.RESIDUALS.items()
+        ]
+        columns.append(rrb.Vertical(*plots, rrb.Tabs(*residuals, active_tab=0), name=name))
+    shafts = rrb.Spatial3DView(
+        name="shafts",
+        origin="/shafts",
+        background=(24, 26, 30),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=[0.13, -0.03, 0.43], look_target=[0.13, 0.0, 0.0], eye_up=[0, 1, 0]),
+    )
+    states = rrb.StateTimelineView(name="states", origin="/state", time_view=time_axis)
+    kinds = [TextLogColumnKind.LogLevel, TextLogColumnKind.Body]
+    log = rrb.TextLogView(name="log", origin="/log", columns=rrb.TextLogColumns(text_log_columns=kinds))
+    return rrb.Blueprint(
+        rrb.Horizontal(*columns, rrb.Vertical(shafts, states, log, row_shares=[4, 3, 3]), column_shares=[3, 3, 2]),
+        rrb.TimePanel(state="collapsed", timeline=scene.TIMELINE, play_state="following"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )

@@ -1,0 +1,214 @@
+"""A picture of a recording: position and speed of both axes with set-point, board and twin, and the residual.
+
+Run as ``python -m servo_twin.picture RECORDING PICTURE``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.units import COUNTS_PER_TURN
+
+from servo_twin import scene
+from servo_twin.recording import RecordingError, read_scalars, read_texts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw", "main"]
+
+_Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+_SIZE: Final = (16.0, 10.0)  # [inch]
+_DPI: Final = 100
+_MARGIN: Final = 0.5  # shown before the first and after the last movement [s]
+_MOVING: Final = 0.5  # speed above which a shaft moves [rad/s]
+_TURN: Final = 2.0 * np.pi
+_INK: Final = "#2b2f36"
+_FAINT: Final = "#e4e7ec"
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One row of plots."""
+
+    quantity: str
+    label: str
+    factor: float
+
+
+_ROWS: Final = (
+    _Row("position", "position [turns]", 1.0 / _TURN),
+    _Row("speed", "speed [rad/s]", 1.0),
+)
+_RESIDUAL: Final = "board − twin [counts]"
+_LABELS: Final = {scene.SET_POINT: "set-point", scene.BOARD: "board", scene.TWIN: "twin"}
+# The twin lies on the board: drawn thin and dashed above it, both can be seen.
+_STYLES: Final[dict[str, dict[str, Any]]] = {
+    scene.SET_POINT: {"linewidth": 4.5, "alpha": 0.55, "zorder": 2},
+    scene.BOARD: {"linewidth": 2.0, "zorder": 3},
+    scene.TWIN: {"linewidth": 1.3, "linestyle": (0, (4, 3)), "zorder": 4},
+}
+
+
+def draw(rrd: Path, png: Path) -> None:
+    """Draw a recording.
+
+    Parameters
+    ----------
+    rrd : Path
+        Recording of `servo_twin.viewer_node`.
+    png : Path
+        Picture to write; its folder is made.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or holds no telemetry, or matplotlib is not installed.
+    OSError
+        If the picture cannot be written.
+    """
+    if not rrd.is_file():
+        raise RecordingError(f"there is no recording {rrd}")
+    curves = {
+        (axis, row.quantity, source): read_scalars(rrd, scene.series_entity(axis, row.quantity, source))
+        for axis, _ in scene.axes()
+        for row in _ROWS
+        for source in _LABELS
+    }
+    residuals = [read_scalars(rrd, scene.residual_entity(axis, "position")) for axis, _ in scene.axes()]
+    if not any(len(curves[axis, "position", scene.BOARD][0]) for axis, _ in scene.axes()):
+        raise RecordingError(f"{rrd} holds no telemetry of a board: was the bridge connected while it was recorded?")
+    speeds = [curves[axis, "speed", scene.BOARD] for axis, _ in scene.axes()]
+    states = [read_texts(rrd, scene.state_entity(name), "StateChange:state") for _, name in scene.axes()]
+    figure = _figure(curves, residuals, states, _span(speeds))
+    png.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(png, dpi=_DPI, format="png")
+
+
+def _span(speeds: Sequence[_Curve]) -> tuple[float, float]:
+    """From the first movement to the last, with a margin; everything when nothing moves."""
+    times = np.concatenate([time for time, _ in speeds])
+    moving = np.concatenate([time[np.abs(np.nan_to_num(speed)) > _MOVING] for time, speed in speeds])
+    first, last = float(times.min()), float(times.max())
+    if len(moving):
+        first, last = max(first, float(moving.min()) - _MARGIN), min(last, float(moving.max()) + _MARGIN)
+    return first, max(last, first + 1e-3)
+
+
+def _figure(
+    curves: dict[tuple[int, str, str], _Curve],
+    residuals: Sequence[_Curve],
+    states: Sequence[list[tuple[float, str]]],
+    span: tuple[float, float],
+) -> Figure:
+    try:
+        from matplotlib.figure import Figure
+        from matplotlib.layout_engine import ConstrainedLayoutEngine
+    except ImportError as error:
+        raise RecordingError(f"matplotlib cannot be imported ({error}); install it: pip install matplotlib") from None
+    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
+    figure = Figure(figsize=_SIZE, layout=layout, facecolor="white")
+    grid: Any = figure.subplots(len(_ROWS) + 1, len(residuals), sharex=True, squeeze=False, height_ratios=[3, 3, 2])
+    for axis, name in scene.axes():
+        column: list[Axes] = list(grid[:, axis])
+        column[0].set_title(name, fontsize=15, fontweight="bold", color=_INK, loc="left")
+        for plot, row in zip(column, _ROWS, strict=False):
+            for source in _LABELS:
+                time, value = curves[axis, row.quantity, source]
+                if len(time):
+                    colour = _colour(source)
+                    plot.plot(
+                        time - span[0], value * row.factor, color=colour, label=_LABELS[source], **_STYLES[source]
+                    )
+        _residual(column[-1], residuals[axis], span)
+        for plot, label in zip(column, [*(row.label for row in _ROWS), _RESIDUAL], strict=True):
+            _dress(plot, label if axis == 0 else "")
+            _shade(plot, states[axis], span)
+            _fit(plot, span)
+        column[-1].set_xlabel("board time [s]", color=_INK, fontsize=11)
+    figure.suptitle("Two axes: the board and its twin", x=0.01, ha="left", fontsize=18, color=_INK)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=len(labels), frameon=False, fontsize=13)
+    return figure
+
+
+def _residual(plot: Axes, curve: _Curve, span: tuple[float, float]) -> None:
+    time, value = curve
+    if not len(time):
+        plot.text(0.5, 0.5, "no twin", transform=plot.transAxes, ha="center", va="center", color="#8a909a", fontsize=13)
+        return
+    counts = value * (COUNTS_PER_TURN / _TURN)
+    plot.plot(time, counts, color=_colour(scene.RESIDUAL), linewidth=1.5, zorder=3)
+    shown = counts[(time >= span[0]) & (time <= span[1]) & np.isfinite(counts)]
+    if len(shown):
+        text = f"largest {np.abs(shown).max():.1f} counts, rms {np.sqrt(np.mean(shown**2)):.2f}"
+        plot.set_title(text, loc="right", fontsize=10, color=_colour(scene.RESIDUAL))
+
+
+def _dress(plot: Axes, label: str) -> None:
+    plot.set_ylabel(label, color=_INK, fontsize=11)
+    plot.grid(color=_FAINT, linewidth=0.8)
+    plot.set_axisbelow(True)
+    plot.tick_params(colors=_INK, labelsize=10)
+    for side, spine in plot.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color("#b8bec8")
+
+
+def _shade(plot: Axes, states: list[tuple[float, str]], span: tuple[float, float]) -> None:
+    """Shade the times in which an axis is not under control: faults red, everything else but RUN/SPIN grey."""
+    ends = [time for time, _ in states[1:]] + [np.inf]
+    for (begin, state), end in zip(states, ends, strict=True):
+        begin, end = max(begin, span[0]), min(end, span[1])
+        if state != "RUN/SPIN" and begin < end:
+            colour = _colour_of(scene.STATE_COLOURS["FAULT"]) if state == "FAULT" else "#8a909a"
+            plot.axvspan(begin, end, color=colour, alpha=0.12, linewidth=0, zorder=0)
+
+
+def _fit(plot: Axes, span: tuple[float, float]) -> None:
+    """Show the span, and of the values those that lie in it."""
+    plot.set_xlim(*span)
+    shown = [np.empty(0)]
+    for line in plot.lines:
+        time, value = (np.asarray(data, dtype=np.float64) for data in line.get_data())
+        shown.append(value[(time >= span[0]) & (time <= span[1]) & np.isfinite(value)])
+    values = np.concatenate(shown)
+    if len(values):
+        low, high = float(values.min()), float(values.max())
+        margin = 0.06 * (high - low) or 1.0
+        plot.set_ylim(low - margin, high + margin)
+
+
+def _colour(source: str) -> str:
+    return _colour_of(scene.COLOURS[source])
+
+
+def _colour_of(colour: scene.Colour) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Draw one recording; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="servo_twin.picture", description="Draw a picture of a recording.")
+    parser.add_argument("recording", type=Path, help="recording of servo_viewer (.rrd)")
+    parser.add_argument("picture", type=Path, help="picture to write (.png)")
+    args = parser.parse_args(argv)
+    try:
+        draw(args.recording, args.picture)
+    except (RecordingError, OSError) as error:
+        print(f"servo_twin.picture: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,247 @@
+"""Recording for the rerun viewer: the file, the server for the browser, and reading a file back.
+
+This module and `blueprint` are the only ones that know rerun; it is imported when it is first used, so that
+everything else works without.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_twin import scene
+from servo_twin.blueprint import blueprint
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+__all__ = ["Recording", "RecordingError", "import_rerun", "read_scalars", "read_texts"]
+
+_APPLICATION: Final = "servo"
+_SERVER_MEMORY: Final = "256MiB"  # what a browser that comes late can still see
+_FLUSH_TIMEOUT: Final = 3.0  # [s]
+_LEVELS: Final = ("DEBUG", "INFO", "WARN", "ERROR")
+# The three curves often lie on each other: drawn in this order and ever thinner, all can be seen.
+_WIDTHS: Final = {scene.BOARD: 3.5, scene.SET_POINT: 2.0, scene.TWIN: 1.0}
+_DIAL: Final = 0.10  # radius of the dial behind the hands [m]
+
+
+class RecordingError(ValueError):
+    """A recording cannot be made or read; the text says why and what to do."""
+
+
+def import_rerun() -> ModuleType:
+    """Import rerun.
+
+    Raises
+    ------
+    RecordingError
+        If it is not installed.
+    """
+    # Numbers of use are nobody's business, and a machine without network shall not wait for it.
+    os.environ.setdefault("RERUN_ANALYTICS", "false")
+    try:
+        import rerun
+    except ImportError as error:
+        raise RecordingError(
+            f"rerun cannot be imported ({error}); "
+            "install it with `pip install 'rerun-sdk==0.41.*'` (Python 3.11 or newer)"
+        ) from None
+    return rerun
+
+
+class Recording:
+    """An open recording.
+
+    Parameters
+    ----------
+    path : Path, optional
+        File to write; an existing one is replaced.
+    grpc_port : int, optional
+        Port on the loopback interface from which a viewer gets the data.
+
+    Raises
+    ------
+    RecordingError
+        If rerun is not installed or the file cannot be written.
+    """
+
+    def __init__(self, path: Path | None = None, grpc_port: int | None = None) -> None:
+        self._rr = rr = import_rerun()
+        self._stream = rr.RecordingStream(_APPLICATION, batcher_config=rr.ChunkBatcherConfig(flush_tick=0.2))
+        self._stream.set_log_tick_enabled(False)
+        self._stream.set_log_time_enabled(False)
+        self.uri = ""
+        sinks: list[Any] = []
+        if path is not None:
+            _check_writable(path)
+            sinks.append(rr.FileSink(str(path)))
+        if grpc_port is not None:
+            server = rr.GrpcServerSink(bind_ip="127.0.0.1", port=grpc_port, server_memory_limit=_SERVER_MEMORY)
+            self.uri = server.uri
+            sinks.append(server)
+        self._stream.set_sinks(*sinks, default_blueprint=blueprint())
+        self._styles()
+        self._shafts()
+
+    # ---- what never changes
+    def _styles(self) -> None:
+        """Names and colours of curves and states."""
+        rr, log = self._rr, self._static
+        for axis, name in scene.axes():
+            for quantity in scene.QUANTITIES:
+                for source in (scene.SET_POINT, scene.BOARD, scene.TWIN):
+                    style = rr.SeriesLines(
+                        names=source.replace("_", "-"),
+                        colors=[scene.COLOURS[source]],
+                        widths=_WIDTHS[source],
+                        aggregation_policy="MinMax",
+                    )
+                    log(scene.series_entity(axis, quantity.name, source), style)
+            for field, unit in scene.RESIDUALS.items():
+                style = rr.SeriesLines(
+                    names=f"board - twin [{unit}]",
+                    colors=[scene.COLOURS[scene.RESIDUAL]],
+                    widths=1.5,
+                    aggregation_policy="MinMax",
+                )
+                log(scene.residual_entity(axis, field), style)
+            log(scene.state_entity(name), self._states())
+        for name in ("link", "twin"):
+            log(scene.state_entity(name), self._states())
+
+    def _states(self) -> Any:
+        names = list(scene.STATE_COLOURS)
+        return self._rr.StateConfiguration(values=names, labels=names, colors=list(scene.STATE_COLOURS.values()))
+
+    def _shafts(self) -> None:
+        """Two dials side by side, each with the hand of the board and that of the twin."""
+        rr, log = self._rr, self._static
+        log("/shafts", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        angles = np.arange(12) * (np.pi / 6.0)
+        rays = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(12)])
+        marks = np.stack([0.90 * _DIAL * rays, 0.99 * _DIAL * rays], axis=1)
+        hands = {scene.BOARD: (0.88, 0.010, 0.0028), scene.TWIN: (0.66, 0.004, 0.0075)}  # length, height, radius
+        for axis, name in scene.axes():
+            place = f"/shafts/{name}"
+            log(place, rr.Transform3D(translation=[2.6 * _DIAL * axis, 0.0, 0.0]))
+            log(
+                f"{place}/dial",
+                rr.Cylinders3D(
+                    lengths=[0.01, 0.06],
+                    radii=[_DIAL, 0.016],
+                    centers=[[0, 0, -0.006], [0, 0, -0.02]],
+                    colors=[(58, 62, 70), (150, 152, 158)],
+                    fill_mode="solid",
+                ),
+            )
+            log(f"{place}/marks", rr.LineStrips3D(marks, radii=0.0012, colors=[(200, 203, 210)]))
+            label = rr.Points3D([[0, -1.18 * _DIAL, 0]], radii=0.0, labels=[name], show_labels=True)
+            log(f"{place}/name", label)
+            for source, (length, height, radius) in hands.items():
+                entity = scene.shaft_entity(axis, source)
+                hand = rr.Arrows3D(
+                    vectors=[[length * _DIAL, 0, 0]],
+                    origins=[[0, 0, height]],
+                    radii=radius,
+                    colors=[scene.COLOURS[source]],
+                )
+                log(f"{entity}/hand", hand)
+
+    def _static(self, entity: str, what: Any) -> None:
+        self._stream.log(entity, what, static=True)
+
+    # ---- what comes
+    def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+        """Points of a curve; NaN draws a gap."""
+        rr = self._rr
+        self._stream.send_columns(entity, indexes=[self._column(times)], columns=rr.Scalars.columns(scalars=values))
+
+    def angles(self, entity: str, times: NDArray[np.float64], angles: NDArray[np.float64]) -> None:
+        """Angles of a hand [rad]."""
+        # Quaternions x, y, z, w of a turn about z; the angle is many turns.
+        half = np.remainder(angles, 4.0 * np.pi) / 2.0
+        zero = np.zeros_like(half)
+        quaternions = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
+        columns = self._rr.Transform3D.columns(quaternion=quaternions)
+        self._stream.send_columns(entity, indexes=[self._column(times)], columns=columns)
+
+    def state(self, name: str, time: float, state: str) -> None:
+        """A state from `time` on."""
+        self._stream.set_time(scene.TIMELINE, duration=time)
+        self._stream.log(scene.state_entity(name), self._rr.StateChange(state=state))
+
+    def text(self, source: str, time: float, level: str, text: str) -> None:
+        """A line of the log; `level` is DEBUG, INFO, WARN or ERROR."""
+        assert level in _LEVELS
+        self._stream.set_time(scene.TIMELINE, duration=time)
+        self._stream.log(f"/log/{source}", self._rr.TextLog(f"{source}: {text}", level=level))
+
+    def _column(self, times: NDArray[np.float64]) -> Any:
+        return self._rr.TimeColumn(scene.TIMELINE, duration=times)
+
+    def close(self) -> None:
+        """Write everything that waits and close file and server."""
+        with contextlib.suppress(Exception):  # a file system that is full; the file is readable up to there
+            self._stream.flush(timeout_sec=_FLUSH_TIMEOUT)
+        self._stream.disconnect()
+
+
+def _check_writable(path: Path) -> None:
+    """Find out before rerun does, whose complaints go to its own log."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb"):
+            pass
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+# ---- reading back
+def read_scalars(path: Path, entity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times [s] and values of a curve, in the order of time; empty when it is not there.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read as a recording.
+    """
+    times, values = _read(path, entity, "Scalars:scalars")
+    return times, values.astype(np.float64)
+
+
+def read_texts(path: Path, entity: str, component: str = "TextLog:text") -> list[tuple[float, str]]:
+    """Times [s] and texts of a log or, with ``StateChange:state``, of a state."""
+    times, values = _read(path, entity, component)
+    return list(zip(times.tolist(), map(str, values), strict=True))
+
+
+def _read(path: Path, entity: str, component: str) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    import_rerun()
+    from rerun.chunk import RrdReader
+
+    times: list[Any] = []
+    values: list[Any] = []
+    try:
+        chunks = RrdReader(path).stream().filter(content=entity, is_static=False, components=component)
+        for chunk in chunks:
+            if scene.TIMELINE not in chunk.timeline_names:
+                continue
+            batch = chunk.to_record_batch()
+            batch = batch.filter(batch[component].is_valid())
+            times.append(np.asarray(batch[scene.TIMELINE].cast("int64")) * 1e-9)
+            values.append(batch[component].flatten().to_numpy(zero_copy_only=False))
+    except (OSError, ValueError, RuntimeError) as error:
+        raise RecordingError(
+            f"{path} cannot be read as a recording: {error}; if its end is missing, `rerun rrd optimize` may save the rest"
+        ) from None
+    if not times:
+        return np.empty(0), np.empty(0)
+    time, value = np.concatenate(times), np.concatenate(values)
+    order = np.argsort(time, kind="stable")
+    return time[order], value[order]

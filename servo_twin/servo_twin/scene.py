@@ -1,0 +1,113 @@
+"""What a recording shows and under which names: shared by those who write it, lay it out and read it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, axis_name
+
+__all__ = [
+    "BOARD",
+    "COLOURS",
+    "QUANTITIES",
+    "RESIDUAL",
+    "RESIDUALS",
+    "SET_POINT",
+    "STATE_COLOURS",
+    "TIMELINE",
+    "TWIN",
+    "Colour",
+    "Quantity",
+    "axes",
+    "residual_entity",
+    "series_entity",
+    "shaft_entity",
+    "state_entity",
+]
+
+Colour = tuple[int, int, int]
+
+TIMELINE: Final = "board_time"
+"""Seconds of board ticks since the recording began."""
+
+SET_POINT: Final = "set_point"
+BOARD: Final = "board"
+TWIN: Final = "twin"
+RESIDUAL: Final = "residual"
+
+COLOURS: Final[dict[str, Colour]] = {
+    SET_POINT: (150, 155, 165),
+    BOARD: (42, 120, 214),
+    TWIN: (240, 130, 30),
+    RESIDUAL: (200, 50, 90),
+}
+"""One colour per source, the same in every view and picture."""
+
+STATE_COLOURS: Final[dict[str, Colour]] = {
+    "FAULT": (200, 40, 40),
+    "INIT": (130, 130, 140),
+    "STOP": (95, 105, 120),
+    "RUN/CALIB": (190, 160, 50),
+    "RUN/READY": (70, 140, 190),
+    "RUN/ALIGN": (200, 130, 40),
+    "RUN/SPIN": (50, 160, 80),
+    "RUN/FREEWHEEL": (120, 150, 120),
+    "RUN/STARTUP": (170, 120, 190),
+    "DISCONNECTED": (60, 60, 60),
+    "CONNECTED": (50, 160, 80),
+    "FOLLOWS": (50, 160, 80),
+    "APART": (200, 130, 40),
+}
+"""States of the axes, of the link and of the twin."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One plot per axis: the columns of the telemetry that it shows."""
+
+    name: str
+    title: str
+    unit: str
+    measured: str
+    set_point: str
+
+    def column(self, source: str, axis: int) -> str:
+        """Column of the telemetry for a series."""
+        return f"{axis_name(axis)}.{self.set_point if source == SET_POINT else self.measured}"
+
+
+QUANTITIES: Final = (
+    Quantity("position", "position", "rad", "position", "position_ref"),
+    Quantity("speed", "speed", "rad/s", "speed", "speed_ref"),
+    Quantity("i_q", "current i_q", "A", "i_q", "i_q_ref"),
+)
+
+RESIDUALS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
+"""Fields of the residual, board minus twin, and their units."""
+
+
+def axes() -> Iterator[tuple[int, str]]:
+    """Index and name of every axis."""
+    return ((axis, axis_name(axis)) for axis in range(AXES))
+
+
+def series_entity(axis: int, quantity: str, source: str) -> str:
+    """Where a curve lies: ``/plot/axis1/position/board``."""
+    return f"/plot/{axis_name(axis)}/{quantity}/{source}"
+
+
+def residual_entity(axis: int, field: str) -> str:
+    """Where a residual lies: ``/plot/axis1/residual/position``."""
+    return f"/plot/{axis_name(axis)}/residual/{field}"
+
+
+def state_entity(name: str) -> str:
+    """Where a state lies: of an axis, of the ``link`` or of the ``twin``."""
+    return f"/state/{name}"
+
+
+def shaft_entity(axis: int, source: str) -> str:
+    """Where the hand of a shaft lies: ``/shafts/axis1/board``."""
+    return f"/shafts/{axis_name(axis)}/{source}"

@@ -1,0 +1,177 @@
+"""``servo_viewer``: board and twin in the rerun viewer, as a ROS 2 node.
+
+A thin shell: what is published goes to `Viewer`, whose thread writes it into a file, to a page on the loopback
+interface, or both. It sends nothing to the board.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.convert import from_stamp, snapshot_table
+from std_msgs.msg import Bool, Float64MultiArray, String
+
+from servo_msgs_py import topics
+from servo_twin import scene
+from servo_twin.recording import Recording, RecordingError
+from servo_twin.ros_parameters import Described, ParameterError, declare
+from servo_twin.spinning import run
+from servo_twin.viewer import Viewer
+from servo_twin.web_page import WebPage, WebPageError, free_port
+
+__all__ = ["PARAMETERS", "ServoViewer", "main"]
+
+PARAMETERS: Final = {
+    "record": Described("", "file for the recording (.rrd); one that exists is replaced; empty: none"),
+    "web": Described(True, "serve the live viewer to a browser on this machine"),
+    "grpc_port": Described(
+        9876, "port of the data for the live viewer; the next free one if it is in use", 1024, 65535
+    ),
+    "web_port": Described(9090, "port of the page of the live viewer; the next free one if it is in use", 1024, 65535),
+    "board_namespace": Described("/servo", "namespace of the node whose board is shown"),
+    "twin_namespace": Described("/twin", "namespace of the twin's node; it may be missing"),
+}
+"""Every parameter of the node. ``config/servo_viewer.yaml`` lists the same defaults."""
+
+
+class ServoViewer(Node):
+    """The node.
+
+    Parameters
+    ----------
+    node_arguments : keyword arguments
+        For `rclpy.node.Node`.
+
+    Attributes
+    ----------
+    failure : str
+        Why it cannot go on; empty while it can.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter does not make sense or asks for what is not possible here.
+    """
+
+    def __init__(self, **node_arguments: Any) -> None:
+        super().__init__("servo_viewer", **node_arguments)
+        self.failure = ""
+        self._log = Node.get_logger(self)
+        self._values = declare(self, PARAMETERS)
+        if not (self._values["record"] or self._values["web"]):
+            raise ParameterError("nothing to do: set parameter record to a file, or web to true")
+        self._page: WebPage | None = None
+        try:
+            recording = self._open()
+        except (RecordingError, WebPageError) as error:
+            raise ParameterError(str(error)) from None
+        self._dropped = 0
+        self._viewer = Viewer(recording, Catalogue.load(), self._now())
+        self._viewer.start()
+        self._subscribe()
+        self.create_timer(1.0, self._every_second, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    # ---- construction
+    def _open(self) -> Recording:
+        record = self._values["record"]
+        path = Path(record).expanduser().absolute() if record else None
+        if not self._values["web"]:
+            recording = Recording(path)
+        else:
+            port = self._port("grpc_port")
+            recording = Recording(path, port)
+            try:
+                self._page = WebPage(self._port("web_port", but=port), recording.uri)
+            except WebPageError:
+                recording.close()
+                raise
+        if path is not None:
+            print(f"recording to {path}", flush=True)
+        if self._page is not None:
+            print(f"viewer on this machine: {self._page.url}", flush=True)
+        return recording
+
+    def _port(self, name: str, but: int | None = None) -> int:
+        wanted: int = self._values[name]
+        port = free_port(wanted, but)
+        if port != wanted:
+            self._log.warning(f"{name} {wanted} is in use (another viewer?); using {port}")
+        return port
+
+    def _subscribe(self) -> None:
+        board, twin = (str(self._values[f"{name}_namespace"]).rstrip("/") for name in ("board", "twin"))
+        # Rows come late after a stall rather than never; what the recording cannot take is counted in `Viewer`.
+        deep, latched = topics.telemetry_qos(500), topics.latched_qos()
+        viewer = self._viewer
+        for namespace, take in ((board, viewer.board), (twin, viewer.twin)):
+            topic = f"{namespace}/{topics.SNAPSHOT}"
+            self.create_subscription(Float64MultiArray, topic, partial(self._on_snapshot, topic, take), deep)
+        self.create_subscription(JointState, f"{twin}/{topics.RESIDUAL}", self._on_residual, deep)
+        self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, latched)
+        self.create_subscription(Bool, f"{twin}/{topics.HEALTHY}", self._on_healthy, latched)
+        self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, 50)
+
+    # ---- what comes in
+    def _on_snapshot(
+        self, topic: str, take: Callable[[Sequence[str], NDArray[Any]], None], message: Float64MultiArray
+    ) -> None:
+        try:
+            columns, table = snapshot_table(message)
+        except ValueError as error:
+            self._log.warning(f"{topic}: {error}", throttle_duration_sec=10.0)
+            return
+        take(columns, table)
+
+    def _on_residual(self, message: JointState) -> None:
+        fields = {field: list(getattr(message, field)) for field in scene.RESIDUALS}
+        self._viewer.residual(from_stamp(message.header.stamp), fields)
+
+    def _on_board_state(self, message: String) -> None:
+        self._viewer.board_state(self._now(), message.data)
+
+    def _on_healthy(self, message: Bool) -> None:
+        self._viewer.healthy(self._now(), message.data)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        stamp = from_stamp(message.header.stamp)
+        for status in message.status:
+            self._viewer.diagnosis(stamp, status.name, status.level[0], status.message)
+
+    def _every_second(self) -> None:
+        self.failure = self.failure or self._viewer.failure
+        dropped = self._viewer.dropped
+        if dropped != self._dropped:
+            self._log.warning(f"{dropped - self._dropped} messages dropped: writing the recording is too slow")
+            self._dropped = dropped
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    # ---- end
+    def shutdown(self) -> None:
+        """Write what waits, close the recording, end the page and the node; takes a few seconds at most."""
+        if not self._viewer.close():
+            self._log.error("the recording could not be closed in time; `rerun rrd optimize` may repair it")
+        if self._page is not None:
+            self._page.close()
+        Node.destroy_node(self)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until Ctrl-C or SIGTERM; returns the exit status."""
+    return run("servo_viewer", ServoViewer, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

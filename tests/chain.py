@@ -1,0 +1,352 @@
+"""The whole chain as processes, a serial cable that can be pulled, and a user on ROS topics. For tests."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+import pytest
+import rclpy
+import serial
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Log
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from servo_msgs_py.convert import applied_from_message, snapshot_table
+from servo_msgs_py.units import PERIOD_NS
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from servo_msgs_py import topics
+
+DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() * 37 % 100
+MARK = "SERVO_TEST_MARK"
+BOARD, BRIDGE, TWIN, TOOL = "servo_twin.virtual_board", "servo_bridge.node", "servo_twin.node", "servo_bridge.tool"
+
+
+class Process:
+    """One process, its output in a file."""
+
+    def __init__(self, name: str, command: Sequence[str], log: Path, environment: Mapping[str, str]) -> None:
+        self.name = name
+        self.log = log
+        with log.open("wb") as output:
+            self._popen = subprocess.Popen(
+                list(command),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(environment),
+                start_new_session=True,
+            )
+
+    @property
+    def running(self) -> bool:
+        return self._popen.poll() is None
+
+    def text(self) -> str:
+        return self.log.read_text(errors="replace")
+
+    def send(self, number: int) -> None:
+        self._popen.send_signal(number)
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = 10.0) -> int:
+        """Send a signal and return the exit status."""
+        if self.running:
+            self.send(number)
+        return self._popen.wait(timeout)
+
+    def kill(self) -> None:
+        if self.running:
+            self._popen.kill()
+            self._popen.wait()
+
+
+class Cable:
+    """A serial cable between a port and a TCP address; it can be pulled and plugged in again."""
+
+    def __init__(self, port: Path) -> None:
+        self._port = port
+        self._address: tuple[str, int] = ("127.0.0.1", 0)
+        self._stop: threading.Event | None = None
+        self._thread: threading.Thread | None = None
+        self.plug()
+
+    @property
+    def url(self) -> str:
+        return f"socket://127.0.0.1:{self._address[1]}"
+
+    def plug(self) -> None:
+        """Connect both ends."""
+        listener = socket.create_server(self._address)
+        self._address = listener.getsockname()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._carry, args=(listener, self._stop), daemon=True)
+        self._thread.start()
+
+    def pull(self) -> None:
+        """Let go; both ends notice."""
+        if self._stop is not None and self._thread is not None:
+            self._stop.set()
+            self._thread.join(5.0)
+            self._stop = None
+
+    def _carry(self, listener: socket.socket, stop: threading.Event) -> None:
+        with listener, serial.Serial(str(self._port), 115200, timeout=0) as board:
+            while not stop.is_set():
+                if not select.select([listener], [], [], 0.05)[0]:
+                    continue
+                host, _ = listener.accept()
+                host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                with host, contextlib.suppress(OSError):
+                    self._pump(host, board, stop)
+
+    @staticmethod
+    def _pump(host: socket.socket, board: Any, stop: threading.Event) -> None:
+        while not stop.is_set():
+            ready, _, _ = select.select([host, board], [], [], 0.05)
+            if host in ready:
+                data = host.recv(4096)
+                if not data:
+                    return
+                board.write(data)
+            if board in ready:
+                host.sendall(board.read(4096))
+
+
+class Chain:
+    """Virtual board, bridge and twin; parts are started and stopped one by one.
+
+    Parameters
+    ----------
+    folder : Path
+        For the port and the logs.
+    baud : int
+        Line speed.
+    """
+
+    def __init__(self, folder: Path, baud: int = 115200) -> None:
+        self.folder = folder
+        self.port = folder / "board"
+        self.baud = baud
+        self._mark = uuid.uuid4().hex
+        self._started: list[Process] = []
+        self._environment = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN), MARK: self._mark, "PYTHONUNBUFFERED": "1"}
+
+    def _start(self, module: str, *arguments: str) -> Process:
+        return self._launch(module, [sys.executable, "-m", module, *arguments])
+
+    def _launch(self, name: str, command: Sequence[str]) -> Process:
+        process = Process(name, command, self.folder / f"{len(self._started)}-{name}.log", self._environment)
+        self._started.append(process)
+        return process
+
+    def script(self, name: str, *arguments: str) -> Process:
+        """Start a console script that is installed beside the running Python; skips the test if there is none."""
+        path = Path(sys.executable).with_name(name)
+        if not path.exists():
+            pytest.skip(f"{name} is not installed beside {sys.executable}")
+        return self._launch(name, [str(path), *arguments])
+
+    def board(self, seed: int = 5) -> Process:
+        """Start a board and wait for its port."""
+        board = self._start(BOARD, "--link", str(self.port), "--baud", str(self.baud), "--seed", str(seed))
+        wait_for(self.port.exists, 10.0, board.text)
+        return board
+
+    def bridge(self, port: str | None = None, **parameters: object) -> Process:
+        values = {"port": port or self.port, "baud": self.baud, **parameters}
+        return self._start(BRIDGE, "--ros-args", *(f for k, v in values.items() for f in ("-p", f"{k}:={v}")))
+
+    def twin(self) -> Process:
+        return self._start(TWIN)
+
+    def processes(self) -> dict[int, str]:
+        """Everything that descends from what was started here and still lives: command lines by process id."""
+        mark = f"{MARK}={self._mark}".encode()
+        found = {}
+        for folder in Path("/proc").iterdir():
+            if folder.name.isdigit():
+                with contextlib.suppress(OSError):
+                    if mark in (folder / "environ").read_bytes().split(b"\0"):
+                        found[int(folder.name)] = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        return found
+
+    def look(self, *names: str) -> dict[str, Any]:
+        """Values of variables, read by ``servo-tool`` past the bridge, which must not be running."""
+        command = [sys.executable, "-m", TOOL, "--port", str(self.port), "--baud", str(self.baud), "get", "--json"]
+        done = subprocess.run([*command, *names], capture_output=True, text=True, timeout=20.0, env=self._environment)
+        assert done.returncode == 0, done.stderr
+        values: dict[str, Any] = json.loads(done.stdout)
+        return values
+
+    def end(self) -> None:
+        """Stop whatever still runs, the last first."""
+        for process in reversed(self._started):
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.stop(signal.SIGTERM, 5.0)
+            process.kill()
+
+    def logs(self) -> str:
+        return "\n".join(f"---- {p.name}\n{p.text()}" for p in self._started)
+
+
+class User:
+    """Somebody who uses the servo over ROS topics and services."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.executor = EventsExecutor(context=self.context)
+        self.node = Node("user", context=self.context)
+        self.messages: dict[str, list[Any]] = {}
+        deep, latched = topics.telemetry_qos(1000), topics.latched_qos()
+        for name, kind, qos in (
+            ("/servo/joint_states", JointState, deep),
+            ("/servo/snapshot", Float64MultiArray, deep),
+            ("/servo/commands_applied", Float64MultiArray, deep),
+            ("/servo/state", String, latched),
+            ("/servo/armed", Bool, latched),
+            ("/twin/joint_states", JointState, deep),
+            ("/twin/residual", JointState, deep),
+            ("/twin/state", String, latched),
+            ("/twin/healthy", Bool, latched),
+            ("/diagnostics", DiagnosticArray, deep),
+            ("/rosout", Log, deep),
+        ):
+            self.messages[name] = []
+            self.node.create_subscription(kind, name, self.messages[name].append, qos)
+        qos = topics.command_qos()
+        self.joint_commands = self.node.create_publisher(JointState, "/servo/joint_commands", qos)
+        self.commands = self.node.create_publisher(Float64MultiArray, "/servo/commands", qos)
+        self.position = [self.node.create_publisher(Float64, f"/servo/axis{n}/position", qos) for n in (1, 2)]
+        self._enable = self.node.create_client(SetBool, "/servo/enable")
+        self._quick_stop = self.node.create_client(Trigger, "/servo/quick_stop")
+        self._clear = self.node.create_client(Trigger, "/servo/clear_faults")
+        self.executor.add_node(self.node)
+
+    def close(self) -> None:
+        self.executor.remove_node(self.node)
+        self.node.destroy_node()
+        self.executor.shutdown()
+        rclpy.shutdown(context=self.context)
+
+    # ---- doing
+    def until(self, condition: Callable[[], object], timeout: float = 15.0, what: str = "") -> None:
+        """Turn the executor until the condition holds; an assertion when it does not in time."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, f"{what or 'not'} within {timeout} s: {self.states()}"
+            self.executor.spin_once(timeout_sec=0.01)
+
+    def connected(self) -> bool:
+        """Bridge there and everything matched, board there."""
+        publishers = (self.joint_commands, self.commands, *self.position)
+        clients = (self._enable, self._quick_stop, self._clear)
+        return (
+            all(p.get_subscription_count() for p in publishers)
+            and all(c.service_is_ready() for c in clients)
+            and "=" in self.last("/servo/state")
+        )
+
+    def call(self, client: Any, request: Any) -> tuple[bool, str]:
+        future = client.call_async(request)
+        self.until(future.done, 5.0, "the service does not answer")
+        return bool(future.result().success), str(future.result().message)
+
+    def enable(self, on: bool = True) -> tuple[bool, str]:
+        return self.call(self._enable, SetBool.Request(data=on))
+
+    def quick_stop(self) -> tuple[bool, str]:
+        return self.call(self._quick_stop, Trigger.Request())
+
+    def clear_faults(self) -> tuple[bool, str]:
+        return self.call(self._clear, Trigger.Request())
+
+    def spinning(self) -> None:
+        """Enable, and wait until both axes obey."""
+        success, message = self.enable()
+        assert success, message
+        self.until(lambda: self.last("/servo/armed") is True, what="not armed")
+
+    # ---- seeing
+    def last(self, name: str) -> Any:
+        return self.messages[name][-1].data if self.messages[name] else ""
+
+    def states(self) -> dict[str, Any]:
+        return {name: self.last(name) for name in ("/servo/state", "/servo/armed", "/twin/state", "/twin/healthy")}
+
+    def position_of(self, axis: int) -> float:
+        """Position of an axis [rad]."""
+        return float(self.messages["/servo/joint_states"][-1].position[axis])
+
+    def rows(self, start: int = 0) -> list[dict[str, float]]:
+        """Telemetry rows of all snapshot messages from number `start` on."""
+        return [row for message in self.messages["/servo/snapshot"][start:] for row in rows_of(message)]
+
+    def applied(self) -> list[str]:
+        """Variables written since the start, in order."""
+        return [applied_from_message(m).variable for m in self.messages["/servo/commands_applied"]]
+
+    def seconds(self, duration: float) -> int:
+        """Let so much board time go by; returns the number of the first snapshot message of it."""
+        start = len(self.messages["/servo/snapshot"])
+
+        def passed() -> bool:
+            messages = self.messages["/servo/snapshot"][start:]
+            return bool(messages) and board_time(messages[-1]) - board_time(messages[0]) >= duration
+
+        self.until(passed, duration + 10.0)
+        return start
+
+    def rejections(self) -> list[str]:
+        """What the bridge has said about set-points that it refused."""
+        return [m.msg for m in self.messages["/rosout"] if m.msg.startswith("rejected")]
+
+    def status(self, name: str) -> DiagnosticStatus:
+        found = [s for m in self.messages["/diagnostics"] for s in m.status if s.name == name]
+        return found[-1] if found else DiagnosticStatus(message="no diagnostics yet")
+
+
+def rows_of(message: Float64MultiArray) -> list[dict[str, float]]:
+    """Rows of a snapshot message, by column name."""
+    names, table = snapshot_table(message)
+    return [dict(zip(names, row, strict=True)) for row in table.tolist()]
+
+
+def board_time(message: Float64MultiArray) -> float:
+    """Time of the first row of a snapshot message since the reset of the board [s]."""
+    return float(message.data[0]) * PERIOD_NS * 1e-9
+
+
+def wait_for(condition: Callable[[], object], timeout: float, why: Callable[[], str] = str) -> None:
+    """Look again and again until something outside this process holds."""
+    deadline = time.monotonic() + timeout
+    pause = threading.Event()
+    while not condition():
+        assert time.monotonic() < deadline, f"not within {timeout} s: {why()}"
+        pause.wait(0.02)
+
+
+@contextlib.contextmanager
+def user() -> Iterator[User]:
+    result = User()
+    try:
+        yield result
+    finally:
+        result.close()

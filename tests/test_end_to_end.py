@@ -1,0 +1,347 @@
+"""The whole chain: firmware and plant behind a real pty, bridge and twin as processes, a user on ROS topics."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chain import DOMAIN, Cable, Chain, Process, User, user, wait_for
+from sensor_msgs.msg import JointState
+from servo_msgs_py.convert import from_stamp
+from servo_msgs_py.units import PERIOD_NS
+from std_msgs.msg import Float64, Float64MultiArray
+
+pytestmark = pytest.mark.slow
+
+TURN = 2.0 * math.pi
+COUNT = TURN / 4000
+BOTH = ["axis1", "axis2"]
+SPIN = "axis1=RUN/SPIN axis2=RUN/SPIN"
+STOP = "axis1=STOP axis2=STOP"
+
+
+@pytest.fixture(scope="class")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[User]:
+    """Board, bridge and twin that the tests of normal work share."""
+    chain = Chain(tmp_path_factory.mktemp("chain"))
+    with user() as me:
+        try:
+            chain.board()
+            chain.bridge()
+            chain.twin()
+            me.until(me.connected, 30.0, "the bridge is not connected")
+            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+            yield me
+        finally:
+            chain.end()
+            print(chain.logs())
+
+
+@pytest.fixture
+def me(running: User) -> User:
+    """The user, both axes under control and at rest."""
+    if running.last("/servo/state") != SPIN or not running.last("/servo/armed"):
+        running.spinning()
+    running.until(lambda: at_rest(running), what="the shafts do not rest")
+    return running
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> Iterator[Chain]:
+    """A chain of its own for a test that breaks it."""
+    chain = Chain(tmp_path)
+    try:
+        yield chain
+    finally:
+        chain.end()
+        print(chain.logs())
+
+
+def at_rest(me: User) -> bool:
+    newest = [m.position for m in me.messages["/servo/joint_states"][-20:]]
+    return len(newest) == 20 and bool(np.all(np.ptp(np.array(newest), axis=0) <= 2 * COUNT))
+
+
+def reached(me: User, *targets: float) -> Callable[[], bool]:
+    """Both shafts stand within two counts of their targets [rad]."""
+
+    def look() -> bool:
+        return at_rest(me) and all(abs(me.position_of(k) - target) <= 2.5 * COUNT for k, target in enumerate(targets))
+
+    return look
+
+
+def go(me: User, *targets: float) -> None:
+    """Move both axes to targets [rad] and wait until they are there."""
+    me.joint_commands.publish(JointState(name=BOTH, position=list(targets)))
+    me.until(reached(me, *targets), 10.0, f"not at {targets}")
+
+
+class TestNormalWork:
+    def test_a_position_on_the_topic_of_one_joint(self, me: User) -> None:
+        go(me, 0.0, 0.0)
+        me.position[0].publish(Float64(data=TURN))
+        me.until(reached(me, TURN, 0.0), 10.0)
+
+    def test_both_joints_move_from_the_same_tick(self, me: User) -> None:
+        go(me, 0.0, 0.0)
+        start = len(me.messages["/servo/snapshot"])
+        before = len(me.applied())
+        go(me, 5 * TURN, -5 * TURN)
+        assert me.applied()[before:] == ["cmd.position"]
+        rows = me.rows(start)
+        moving = [next(r["tick"] for r in rows if abs(r[f"axis{n}.position_ref"]) > 5 * COUNT) for n in (1, 2)]
+        assert moving[0] == moving[1]
+        # No overshoot: neither shaft is ever seen beyond its target by more than it may rest off it.
+        assert max(r["axis1.position"] for r in rows) <= 5 * TURN + 2.5 * COUNT
+        assert min(r["axis2.position"] for r in rows) >= -5 * TURN - 2.5 * COUNT
+
+    def test_an_array_of_positions(self, me: User) -> None:
+        me.commands.publish(Float64MultiArray(data=[1.0, -1.0]))
+        me.until(reached(me, 1.0, -1.0), 10.0)
+
+    def test_speed_times_out_and_the_shaft_stops(self, me: User) -> None:
+        me.joint_commands.publish(JointState(name=["axis1"], velocity=[50.0]))
+        me.until(lambda: me.messages["/servo/joint_states"][-1].velocity[0] > 45.0, 5.0)
+        me.until(lambda: at_rest(me), 5.0)
+        assert me.last("/servo/state") == SPIN
+
+    def test_quick_stop_holds_until_enabled_again(self, me: User) -> None:
+        go(me, 0.0, 0.0)
+        me.joint_commands.publish(JointState(name=BOTH, position=[40 * TURN, -40 * TURN]))
+        me.until(lambda: me.position_of(0) > 10 * TURN, 5.0)
+        assert me.quick_stop()[0]
+        me.until(lambda: at_rest(me), 5.0)
+        assert 10 * TURN < me.position_of(0) < 30 * TURN
+        assert me.last("/servo/state") == SPIN
+        held = me.position_of(0)
+        me.position[0].publish(Float64(data=0.0))
+        me.seconds(0.3)
+        assert me.position_of(0) == pytest.approx(held, abs=2 * COUNT)
+        me.spinning()
+        go(me, 0.0, 0.0)
+
+    def test_telemetry_is_fast_enough_and_stamped_with_board_time(self, me: User) -> None:
+        start = len(me.messages["/servo/joint_states"])
+        me.seconds(2.0)
+        stamps = [from_stamp(m.header.stamp) for m in me.messages["/servo/joint_states"][start:]]
+        assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
+        assert (len(stamps) - 1) / ((stamps[-1] - stamps[0]) * 1e-9) >= 100.0
+        rows = {(int(r["stamp.sec"]), int(r["stamp.nanosec"])): r for r in me.rows()}
+        # A stamp is board time, so it grows with the tick and not with the arrival.
+        ticks = [rows[divmod(s, 1_000_000_000)]["tick"] for s in stamps[:100]]
+        drift = np.diff(stamps[:100]) - np.diff(ticks) * PERIOD_NS
+        assert np.median(np.abs(drift)) < 200_000
+
+    def test_the_twin_stays_beside_the_board(self, me: User) -> None:
+        me.until(lambda: me.last("/twin/healthy") is True)
+        start, residuals = len(me.messages["/twin/joint_states"]), len(me.messages["/twin/residual"])
+        go(me, 3 * TURN, -2 * TURN)
+        go(me, 0.0, 0.0)
+        newest = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
+        me.until(lambda: from_stamp(me.messages["/twin/residual"][-1].header.stamp) >= newest, 5.0)
+        twin = me.messages["/twin/joint_states"][start:]
+        real = {from_stamp(m.header.stamp): m for m in me.messages["/servo/joint_states"]}
+        assert max(m.position[0] for m in twin) > 2.9 * TURN
+        # At the very same instants, and the residual is their difference.
+        assert all(from_stamp(m.header.stamp) in real for m in twin)
+        by_stamp = {from_stamp(m.header.stamp): m for m in twin}
+        compared = [m for m in me.messages["/twin/residual"][residuals:] if from_stamp(m.header.stamp) in by_stamp]
+        assert len(compared) > 100
+        for message in compared:
+            stamp = from_stamp(message.header.stamp)
+            difference = np.array(real[stamp].position) - np.array(by_stamp[stamp].position)
+            assert list(message.position) == pytest.approx(list(difference), abs=1e-9)
+            assert np.max(np.abs(message.position)) < 0.05
+            assert np.max(np.abs(message.velocity)) < 10.0
+        assert me.last("/twin/healthy") is True
+        assert me.last("/twin/state") == SPIN
+
+    @pytest.mark.parametrize(
+        ("wrong", "said"),
+        [
+            (JointState(name=["elbow"], position=[1.0]), "elbow"),
+            (JointState(name=BOTH, position=[1.0]), "position"),
+            (JointState(name=["axis1", "axis1"], position=[1.0, 2.0]), "axis1"),
+            (JointState(name=BOTH, position=[math.nan, 1.0]), "nan"),
+            (JointState(name=BOTH, position=[1.0, math.inf]), "inf"),
+            (JointState(name=BOTH, position=[1.0, 1e9]), "axis2"),
+            (JointState(name=["axis1"], velocity=[1e4]), "axis1"),
+            (JointState(name=BOTH), ""),
+            (Float64MultiArray(data=[1.0]), "commands"),
+            (Float64MultiArray(data=[1.0, 2.0, 3.0]), "commands"),
+            (Float64(data=math.nan), "nan"),
+        ],
+        ids=lambda value: "" if isinstance(value, str) else type(value).__name__,
+    )
+    def test_a_wrong_set_point_changes_nothing(self, me: User, wrong: object, said: str) -> None:
+        publisher = {JointState: me.joint_commands, Float64MultiArray: me.commands, Float64: me.position[1]}[
+            type(wrong)
+        ]
+        before, written = [me.position_of(0), me.position_of(1)], len(me.applied())
+        refused = len(me.rejections())
+        publisher.publish(wrong)
+        me.until(lambda: len(me.rejections()) > refused, 5.0, "not refused")
+        start = me.seconds(0.2)
+        assert len(me.applied()) == written
+        assert max(abs(r["axis1.position"] - before[0]) for r in me.rows(start)) <= 2 * COUNT
+        assert max(abs(r["axis2.position"] - before[1]) for r in me.rows(start)) <= 2 * COUNT
+        assert me.last("/servo/state") == SPIN
+        assert said in me.rejections()[-1].lower()
+
+    def test_disabled_means_off_and_set_points_are_refused(self, me: User) -> None:
+        assert me.enable(False)[0]
+        me.until(lambda: me.last("/servo/state") == STOP)
+        assert me.last("/servo/armed") is False
+        where = me.position_of(0)
+        refused = len(me.rejections())
+        me.position[0].publish(Float64(data=where + TURN))
+        me.until(lambda: len(me.rejections()) > refused, 5.0, "not refused")
+        me.seconds(0.2)
+        assert me.position_of(0) == pytest.approx(where, abs=2 * COUNT)
+        me.spinning()
+        me.seconds(0.3)
+        assert me.position_of(0) == pytest.approx(where, abs=100 * COUNT)
+
+
+class TestTrouble:
+    def test_ctrl_c_leaves_the_outputs_off_and_no_process_behind(self, chain: Chain) -> None:
+        board, bridge, twin = chain.board(), chain.bridge(), chain.twin()
+        with user() as me:
+            me.until(me.connected, 30.0)
+            me.spinning()
+            me.joint_commands.publish(JointState(name=BOTH, position=[50 * TURN, -50 * TURN]))
+            me.until(lambda: me.position_of(0) > TURN, 5.0)
+            assert bridge.stop(signal.SIGINT) == 0
+            me.until(lambda: me.last("/servo/armed") is False)
+            me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
+            me.until(lambda: me.last("/twin/healthy") is False)
+        seen = chain.look("axis1.state", "axis2.state", "cmd.enable", "axis1.faults")
+        assert seen["cmd.enable"] == [0, 0]
+        assert seen["axis1.faults"] == 0
+        wait_for(lambda: chain.look("axis1.state", "axis2.state") == {"axis1.state": 2, "axis2.state": 2}, 10.0)
+        assert twin.stop(signal.SIGINT) == 0
+        assert board.stop(signal.SIGINT) == 0
+        assert chain.processes() == {}
+        assert not chain.port.exists()
+        for process in (board, bridge, twin):
+            assert "Traceback" not in process.text()
+
+    def test_a_pulled_cable_stops_the_axes_and_nothing_re_arms(self, chain: Chain) -> None:
+        chain.board()
+        cable = Cable(chain.port)
+        bridge = chain.bridge(cable.url)
+        chain.twin()
+        with user() as me:
+            me.until(me.connected, 30.0)
+            me.spinning()
+            go(me, TURN, TURN)
+            cable.pull()
+            me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
+            me.until(lambda: me.last("/servo/armed") is False)
+            me.until(lambda: me.last("/twin/healthy") is False)
+            me.position[0].publish(Float64(data=9 * TURN))  # into the void
+            me.until(lambda: me.status("servo_bridge: link").level == b"\x02")
+            cable.plug()
+            me.until(lambda: me.last("/servo/state") == "axis1=FAULT axis2=FAULT", 20.0)
+            me.until(lambda: "HOST_SILENT" in me.status("servo_bridge: axis1").message)
+            me.seconds(0.5)
+            assert me.last("/servo/armed") is False
+            assert me.last("/servo/state") == "axis1=FAULT axis2=FAULT"
+            success, message = me.clear_faults()
+            assert success, message
+            me.until(lambda: me.last("/servo/state") == STOP)
+            me.seconds(0.3)
+            assert me.last("/servo/state") == STOP
+            assert me.last("/servo/armed") is False
+            me.spinning()
+            me.seconds(0.3)
+            assert me.position_of(0) == pytest.approx(TURN, abs=0.2)  # what was sent into the void is gone
+            me.until(lambda: me.last("/twin/healthy") is True, 20.0)
+            go(me, 2 * TURN, 0.0)
+            me.until(lambda: me.last("/twin/healthy") is True)
+        cable.pull()
+        assert bridge.running
+        assert "Traceback" not in bridge.text()
+
+    def test_a_board_that_vanishes_and_comes_back_anew(self, chain: Chain) -> None:
+        board, bridge = chain.board(), chain.bridge()
+        chain.twin()
+        with user() as me:
+            me.until(me.connected, 30.0)
+            me.spinning()
+            go(me, TURN, -TURN)
+            board.kill()
+            me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
+            me.until(lambda: me.last("/servo/armed") is False)
+            assert not me.enable()[0]
+            chain.port.unlink()
+            chain.board(seed=6)
+            me.until(lambda: me.last("/servo/state") == STOP, 20.0)
+            me.seconds(0.5)
+            assert me.last("/servo/state") == STOP
+            assert me.last("/servo/armed") is False
+            me.until(lambda: me.last("/twin/healthy") is True, 20.0)
+            me.spinning()
+            go(me, 2 * TURN, 0.0)
+        assert bridge.running
+        assert "Traceback" not in bridge.text()
+
+    def test_a_fast_line_carries_more(self, tmp_path: Path) -> None:
+        fast = Chain(tmp_path, baud=1_000_000)
+        try:
+            fast.board()
+            fast.bridge()
+            fast.twin()
+            with user() as me:
+                me.until(me.connected, 30.0)
+                me.spinning()
+                go(me, 5 * TURN, -5 * TURN)
+                start = len(me.messages["/servo/joint_states"])
+                me.seconds(1.0)
+                stamps = [from_stamp(m.header.stamp) for m in me.messages["/servo/joint_states"][start:]]
+                assert (len(stamps) - 1) / ((stamps[-1] - stamps[0]) * 1e-9) >= 250.0
+                me.until(lambda: me.last("/twin/healthy") is True)
+        finally:
+            fast.end()
+            print(fast.logs())
+
+
+class TestServoUp:
+    """``servo-up``, as ``make up`` runs it."""
+
+    @pytest.fixture
+    def up(self, chain: Chain) -> Process:
+        return chain.script("servo-up", "--no-web", "--out", str(chain.folder), "--domain-id", str(DOMAIN))
+
+    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    def test_stopping_it_stops_everything(self, chain: Chain, up: Process, number: int) -> None:
+        with user() as me:
+            me.until(me.connected, 30.0)
+            assert len(chain.processes()) >= 4
+            me.spinning()
+            go(me, TURN, -TURN)
+            me.until(lambda: me.last("/twin/healthy") is True)
+            assert up.stop(number, 30.0) == 0
+            me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
+            assert me.last("/servo/armed") is False
+        assert chain.processes() == {}
+        assert "Traceback" not in up.text()
+
+    def test_a_child_that_dies_is_named_and_takes_everything_down(self, chain: Chain, up: Process) -> None:
+        with user() as me:
+            me.until(me.connected, 30.0)
+            me.spinning()
+        (twin,) = [number for number, command in chain.processes().items() if "/bin/servo_twin " in f"{command} "]
+        os.kill(twin, signal.SIGKILL)
+        wait_for(lambda: not up.running, 30.0, up.text)
+        assert up.stop() == 1
+        assert "servo_twin has ended with status -9" in up.text()
+        assert chain.processes() == {}
+        assert "Traceback" not in up.text()
