@@ -35,6 +35,9 @@ typedef struct {
     frac16_t offset_duty_least; /* shortest high side during which an offset sample is true */
 
     uint16_t settle_ticks;    /* slow ticks in INIT until the bus filter has settled */
+    frac32_t stop_acceleration; /* least ramp of a stop, whatever the host's limit: speed per slow tick */
+    frac32_t runaway_margin;    /* speed beyond the limit, or gained against the current, that is not tolerated */
+    uint16_t runaway_ticks_most;
     uint16_t stall_ticks_most;  /* slow ticks at full current without movement */
     uint16_t search_ticks_most; /* slow ticks that the rotor search may take */
     frac32_t stop_speed;      /* below it a withdrawn drive may coast */

@@ -90,7 +90,9 @@ KEYS: Mapping[str, tuple[str, ...]] = {
         "current_bandwidth", "speed_bandwidth", "speed_ratio", "anti_windup", "position_gain", "path_current_use",
     ),
     "rotor_search": ("current", "ramp_time", "hold_time", "rest_time", "move_counts", "interval", "time_most"),
-    "timing": ("settle", "stall_most", "stop_speed", "stop_most"),
+    "timing": (
+        "settle", "stop_acceleration", "runaway_margin", "runaway_most", "stall_most", "stop_speed", "stop_most",
+    ),
     "sensing": ("sign_current", "offset_tolerance", "offset_duty"),
 }  # fmt: skip
 """Every group and its keys; a group must have these and no others."""
@@ -251,6 +253,9 @@ def axis_literal(axis: Axis, board: Mapping[str, float], s: Scales) -> str:
         ("offset_tolerance", uint16("offset_tolerance", axis("sensing.offset_tolerance"))),
         ("offset_duty_least", frac16("offset_duty", axis("sensing.offset_duty"))),
         ("settle_ticks", uint16("settle", axis("timing.settle") / ts)),
+        ("stop_acceleration", frac32("stop_acceleration", axis("timing.stop_acceleration") * ts / s.speed)),
+        ("runaway_margin", frac32("runaway_margin", axis("timing.runaway_margin") / s.speed)),
+        ("runaway_ticks_most", uint16("runaway_most", axis("timing.runaway_most") / ts)),
         ("stall_ticks_most", uint16("stall_most", axis("timing.stall_most") / ts)),
         ("search_ticks_most", uint16("time_most", search["time_most"] / ts)),
         ("stop_speed", frac32("stop_speed", axis("timing.stop_speed") / s.speed)),

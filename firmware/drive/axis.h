@@ -60,6 +60,8 @@ typedef struct {
     frac32_t speed_ramp;
     pi_state_t speed_pi;
     frac32_t speed_ref;
+    uint16_t runaway_ticks; /* slow ticks beyond the speed limit, or faster and faster against the current */
+    frac32_t braked_speed;  /* least speed since the full current has opposed the motion */
     uint16_t stall_ticks; /* slow ticks at full current without movement */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
 } motion_state_t;

@@ -141,6 +141,13 @@ static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
     return f32_add(from, f32_limit((int64_t)to - from, step));
 }
 
+/* A stop ends within a stated time, even where the host wants gentle starts. */
+static frac32_t stop_acceleration(const axis_t *axis)
+{
+    const frac32_t least = axis->config->stop_acceleration;
+    return (axis->limits.acceleration > least) ? axis->limits.acceleration : least;
+}
+
 static frac16_t speed_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -185,7 +192,29 @@ void motion_start(axis_t *axis)
     axis->motion.i_q_target = 0;
     axis->motion.speed_ref = 0;
     axis->motion.stall_ticks = 0;
+    axis->motion.runaway_ticks = 0;
     hold(axis);
+}
+
+/* ---- supervision ------------------------------------------------------------------------------------------------ */
+
+static uint16_t count_while(bool holds, uint16_t ticks) { return holds ? (uint16_t)(ticks + 1U) : 0U; }
+
+static void supervise(axis_t *axis, bool saturated)
+{
+    motion_state_t *m = &axis->motion;
+    const frac32_t speed = f32_abs(axis->feedback.speed);
+    const frac32_t margin = axis->config->runaway_margin;
+
+    /* Braking with the full current is no runaway as long as the shaft does not gain speed meanwhile. */
+    const bool opposed = saturated && ((axis->feedback.speed < 0) != (axis->current_ref.q < 0));
+    if (!opposed || speed < m->braked_speed) {
+        m->braked_speed = speed;
+    }
+    const bool gains = opposed && speed > f32_add(m->braked_speed, margin);
+    const bool beyond = speed > f32_add(axis->limits.speed, margin) && m->motion != MOTION_STOP;
+    m->runaway_ticks = count_while(gains || beyond, m->runaway_ticks);
+    m->stall_ticks = count_while(saturated && axis->feedback.still, m->stall_ticks);
 }
 
 void motion_step(axis_t *axis)
@@ -196,13 +225,14 @@ void motion_step(axis_t *axis)
     switch (m->motion) {
     case MOTION_TORQUE:
         axis->current_ref.q = torque_controller(axis);
+        supervise(axis, false);
         return;
     case MOTION_SPEED:
         m->speed_ramp = ramp(m->speed_ramp, limited_speed(axis, m->speed_target), axis->limits.acceleration);
         m->speed_ref = m->speed_ramp;
         break;
     case MOTION_STOP:
-        m->speed_ramp = ramp(m->speed_ramp, 0, axis->limits.acceleration);
+        m->speed_ramp = ramp(m->speed_ramp, 0, stop_acceleration(axis));
         m->speed_ref = m->speed_ramp;
         if (m->speed_ramp == 0) {
             m->stop_ticks++;
@@ -216,8 +246,10 @@ void motion_step(axis_t *axis)
         break;
     }
     axis->current_ref.q = speed_controller(axis);
-    m->stall_ticks = (m->speed_pi.excess != 0 && axis->feedback.still) ? (uint16_t)(m->stall_ticks + 1U) : 0U;
+    supervise(axis, m->speed_pi.excess != 0);
 }
+
+bool motion_runs_away(const axis_t *axis) { return axis->motion.runaway_ticks > axis->config->runaway_ticks_most; }
 
 bool motion_stalled(const axis_t *axis) { return axis->motion.stall_ticks > axis->config->stall_ticks_most; }
 

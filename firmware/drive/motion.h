@@ -13,6 +13,10 @@ void motion_step(axis_t *axis);
 /* True when the speed controller has pushed with all it has for too long and nothing has moved. */
 bool motion_stalled(const axis_t *axis);
 
+/* True when the shaft is well beyond its speed limit, or gains speed against all the current there is: a wrong encoder
+ * angle turns the torque round. */
+bool motion_runs_away(const axis_t *axis);
+
 /* True once a withdrawn drive has been ramped down, or has taken too long. */
 bool motion_stopped(const axis_t *axis);
 

@@ -95,10 +95,11 @@ static void freewheel_ready(axis_t *axis)
 }
 
 /* ---- CALIB: offsets of the current amplifiers, outputs off -------------------------------------------------------- */
+/* A coasting shaft, left over from a fault, is waited for here: READY would short its windings at full speed. */
 
 static void calib_fast(axis_t *axis)
 {
-    if (!axis->calibrated) {
+    if (!axis->calibrated && axis->feedback.still) {
         axis->calibrated = current_sense_calibrate(&axis->sense, hal_adc_currents(axis->hal, axis->index));
         choose_pair(axis, axis->sense.pair);
     }
@@ -106,7 +107,7 @@ static void calib_fast(axis_t *axis)
 
 static void calib_slow(axis_t *axis)
 {
-    if (!axis->calibrated) {
+    if (!axis->calibrated || !axis->feedback.still) {
         return;
     }
     if (current_sense_offsets_plausible(&axis->sense, axis->config->offset_tolerance)) {
@@ -167,7 +168,9 @@ static void spin_slow(axis_t *axis)
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->voltage_limited = false;
     }
-    if (motion_stalled(axis)) {
+    if (motion_runs_away(axis)) {
+        axis_raise(axis, FAULT_RUNAWAY);
+    } else if (motion_stalled(axis)) {
         axis_raise(axis, FAULT_STALLED);
     } else if (!axis->requested && motion_stopped(axis)) {
         spin_freewheel(axis);
