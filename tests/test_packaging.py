@@ -27,7 +27,7 @@ else:
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("servo_msgs_py", "servo_bridge", "servo_twin")
 EXECUTABLES = {
-    "servo_bridge": ("servo_bridge", "servo-demo", "servo-tool"),
+    "servo_bridge": ("servo_bridge", "servo-command", "servo-demo", "servo-tool"),
     "servo_twin": ("servo-sim", "servo-up", "servo_twin", "servo_viewer", "virtual_board"),
 }
 EXECUTABLE_NAMES = [(package, name) for package, names in EXECUTABLES.items() for name in names]

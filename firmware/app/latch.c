@@ -2,6 +2,8 @@
 
 #include <stddef.h>
 
+#include "drive/motion.h"
+
 typedef struct {
     uint16_t offset;
     uint16_t element;
@@ -84,10 +86,12 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
 {
     const uint16_t i = axis->index;
     bool clipped = false;
-    axis->limits.speed = clip(parameter->speed_limit[i], PARAM_SPEED_LIMIT_MIN, PARAM_SPEED_LIMIT_MAX, &clipped);
-    axis->limits.acceleration =
-        clip(parameter->acceleration_limit[i], PARAM_ACCELERATION_LIMIT_MIN, PARAM_ACCELERATION_LIMIT_MAX, &clipped);
-    axis->limits.i_q = (frac16_t)clip(parameter->i_q_limit[i], PARAM_I_Q_LIMIT_MIN, PARAM_I_Q_LIMIT_MAX, &clipped);
+    const axis_limits_t limits = {
+        clip(parameter->speed_limit[i], PARAM_SPEED_LIMIT_MIN, PARAM_SPEED_LIMIT_MAX, &clipped),
+        clip(parameter->acceleration_limit[i], PARAM_ACCELERATION_LIMIT_MIN, PARAM_ACCELERATION_LIMIT_MAX, &clipped),
+        (frac16_t)clip(parameter->i_q_limit[i], PARAM_I_Q_LIMIT_MIN, PARAM_I_Q_LIMIT_MAX, &clipped),
+    };
+    motion_limit(axis, limits);
     axis->features = parameter->features[i];
     axis->command.clipped = axis->command.clipped || clipped;
 }

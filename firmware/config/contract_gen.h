@@ -37,7 +37,7 @@ typedef enum {
 #define FAULT_ENCODER UINT16_C(0x0020) /* encoder count and emulated index disagree */
 #define FAULT_HOST_SILENT UINT16_C(0x0040) /* no valid frame from the host within the time-out */
 #define FAULT_STALLED UINT16_C(0x0080) /* full current and no movement: shaft held fast, or encoder dead */
-#define FAULT_RUNAWAY UINT16_C(0x0100) /* the shaft runs faster than its limit, or ever faster against the full current */
+#define FAULT_RUNAWAY UINT16_C(0x0100) /* the shaft gains speed against the full current or beyond its limit */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */

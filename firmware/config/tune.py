@@ -91,7 +91,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     ),
     "rotor_search": ("current", "ramp_time", "hold_time", "rest_time", "move_counts", "interval", "time_most"),
     "timing": (
-        "settle", "stop_acceleration", "runaway_margin", "runaway_most", "stall_most", "stop_speed", "stop_most",
+        "settle", "stop_acceleration", "runaway_margin", "runaway_most", "rest_most", "stall_most", "stop_speed", "stop_most",
     ),
     "sensing": ("sign_current", "offset_tolerance", "offset_duty"),
 }  # fmt: skip
@@ -256,6 +256,7 @@ def axis_literal(axis: Axis, board: Mapping[str, float], s: Scales) -> str:
         ("stop_acceleration", frac32("stop_acceleration", axis("timing.stop_acceleration") * ts / s.speed)),
         ("runaway_margin", frac32("runaway_margin", axis("timing.runaway_margin") / s.speed)),
         ("runaway_ticks_most", uint16("runaway_most", axis("timing.runaway_most") / ts)),
+        ("rest_ticks_most", uint16("rest_most", axis("timing.rest_most") / ts)),
         ("stall_ticks_most", uint16("stall_most", axis("timing.stall_most") / ts)),
         ("search_ticks_most", uint16("time_most", search["time_most"] / ts)),
         ("stop_speed", frac32("stop_speed", axis("timing.stop_speed") / s.speed)),

@@ -15,6 +15,16 @@ void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t o
     path->ramp = path->output + 2 * path->filter - step;
 }
 
+void path_retune(path_t *path, int32_t target, uint16_t from_omega_n_ts, uint16_t to_omega_n_ts)
+{
+    const path_position_t end = target * ONE_COUNT;
+    const path_position_t lead = (path->ramp - path->output) * from_omega_n_ts / to_omega_n_ts;
+    const path_position_t ramp = path->output + lead;
+    const bool passes = (lead > 0) ? (ramp > end) : (ramp < end);
+    path->filter = path->filter * from_omega_n_ts / to_omega_n_ts;
+    path->ramp = passes ? end : ramp;
+}
+
 void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts)
 {
     const path_position_t distance = target * ONE_COUNT - path->ramp;

@@ -18,6 +18,10 @@ typedef struct {
  * omega_n Ts in Q0.16, not zero. */
 void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t omega_n_ts);
 
+/* Go on with another omega_n at the same position and speed; the lead of the ramp grows or shrinks with the filter's lag,
+ * but not past `target`. */
+void path_retune(path_t *path, int32_t target, uint16_t from_omega_n_ts, uint16_t to_omega_n_ts);
+
 /* One slow tick towards `target` [counts], the ramp moving at most `step_limit` (24 fraction bits). */
 void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts);
 

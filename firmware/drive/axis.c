@@ -16,6 +16,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->limits.speed = config->speed_limit;
     axis->limits.acceleration = config->acceleration_limit;
     axis->limits.i_q = config->i_q_limit;
+    axis->path_omega_n_ts = config->path_omega_n_ts;
     axis->features = (uint16_t)PARAM_FEATURES_MAX;
     axis->command = (axis_command_t){0};
     axis->feedback = (feedback_t){0};

@@ -60,8 +60,8 @@ typedef struct {
     frac32_t speed_ramp;
     pi_state_t speed_pi;
     frac32_t speed_ref;
-    uint16_t runaway_ticks; /* slow ticks beyond the speed limit, or faster and faster against the current */
-    frac32_t braked_speed;  /* least speed since the full current has opposed the motion */
+    uint16_t runaway_ticks; /* slow ticks of gaining speed that should be lost */
+    frac32_t braked_speed;  /* least speed since it should have been falling */
     uint16_t stall_ticks; /* slow ticks at full current without movement */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
 } motion_state_t;
@@ -99,6 +99,7 @@ typedef struct axis {
     dq_t voltage;
     bool voltage_limited;
     motion_state_t motion;
+    uint16_t path_omega_n_ts; /* omega_n Ts of the path filter under the present limits, 16 fraction bits */
 } axis_t;
 
 void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index);

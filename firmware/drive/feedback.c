@@ -9,6 +9,7 @@ static void encoder_source_reset(axis_t *axis)
     encoder_reset(&axis->encoder.position, count, index);
     mt_speed_reset(&axis->encoder.speed);
     axis->encoder.edge_waits = false;
+    axis->encoder.skip_edge = false;
     axis->encoder.found = false;
     hal_capture_arm(axis->hal, axis->index);
 }
@@ -33,7 +34,10 @@ static bool encoder_source_slow(axis_t *axis)
     encoder_source_edge(axis);
     if (axis->encoder.edge_waits) {
         axis->encoder.edge_waits = false;
-        mt_speed_edge(&axis->encoder.speed, &axis->config->mt_speed, &axis->config->encoder, axis->encoder.edge);
+        if (!axis->encoder.skip_edge) {
+            mt_speed_edge(&axis->encoder.speed, &axis->config->mt_speed, &axis->config->encoder, axis->encoder.edge);
+        }
+        axis->encoder.skip_edge = false;
     }
     const uint32_t age = hal_edge_age(axis->hal, axis->index);
     /* The plain M/T method knows of an edge that does not come only when its timer has run out. */
@@ -67,6 +71,7 @@ static void encoder_source_align(axis_t *axis, frac16_t theta_e)
     /* The next captured count does not follow from the last one. */
     mt_speed_reset(&axis->encoder.speed);
     axis->encoder.edge_waits = false;
+    axis->encoder.skip_edge = true;
     hal_capture_arm(axis->hal, axis->index);
 }
 

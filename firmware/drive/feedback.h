@@ -34,6 +34,7 @@ typedef struct {
     mt_speed_t speed;
     edge_capture_t edge;
     volatile bool edge_waits;
+    bool skip_edge; /* the next edge may have been latched before the counter was preset */
     bool found; /* the rotor has been found before: positions count from there (E41) */
 } encoder_feedback_t;
 

@@ -15,6 +15,31 @@ static path_position_t step_of(const axis_t *axis, frac32_t speed)
 /* How far the shaft trails its position set-point at this speed: the position controller is a plain gain. */
 static int32_t lag_of(const axis_t *axis, frac32_t speed) { return speed / axis->config->position_gain; }
 
+/* E40 asks for accelerations up to omega_n v / e: with less current, or a higher speed, the filter has to be slower. */
+static uint16_t omega_n_ts_under(const axis_config_t *config, axis_limits_t limits)
+{
+    uint32_t omega = (uint32_t)config->path_omega_n_ts * (uint32_t)limits.i_q / (uint32_t)config->i_q_limit;
+    if (limits.speed > config->speed_limit) {
+        omega = omega * (uint32_t)(config->speed_limit >> 16) / (uint32_t)(limits.speed >> 16);
+    }
+    if (omega > config->path_omega_n_ts) {
+        return config->path_omega_n_ts;
+    }
+    return (omega == 0U) ? 1U : (uint16_t)omega;
+}
+
+void motion_limit(axis_t *axis, axis_limits_t limits)
+{
+    if (limits.i_q != axis->limits.i_q || limits.speed != axis->limits.speed) {
+        const uint16_t omega = omega_n_ts_under(axis->config, limits);
+        if (omega != axis->path_omega_n_ts) {
+            path_retune(&axis->motion.path, axis->motion.target, axis->path_omega_n_ts, omega);
+            axis->path_omega_n_ts = omega;
+        }
+    }
+    axis->limits = limits;
+}
+
 /* ---- entering a motion ------------------------------------------------------------------------------------------ */
 
 static void enter_position(axis_t *axis)
@@ -25,7 +50,7 @@ static void enter_position(axis_t *axis)
     }
     const frac32_t speed = axis->feedback.speed;
     path_reset(&m->path, i32_add_wrap(axis->feedback.position, lag_of(axis, speed)), step_of(axis, speed),
-               axis->config->path_omega_n_ts);
+               axis->path_omega_n_ts);
     m->motion = MOTION_POSITION;
 }
 
@@ -49,7 +74,7 @@ static void enter_stop(axis_t *axis)
 static void hold(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    path_reset(&m->path, axis->feedback.position, 0, axis->config->path_omega_n_ts);
+    path_reset(&m->path, axis->feedback.position, 0, axis->path_omega_n_ts);
     m->target = axis->feedback.position;
     m->motion = MOTION_POSITION;
 }
@@ -124,7 +149,7 @@ static frac32_t limited_speed(axis_t *axis, int64_t speed)
 static frac32_t position_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    path_step(&m->path, m->target, step_of(axis, axis->limits.speed), axis->config->path_omega_n_ts);
+    path_step(&m->path, m->target, step_of(axis, axis->limits.speed), axis->path_omega_n_ts);
     if (path_at_rest(&m->path, m->target)) {
         const int32_t off = i32_sub_wrap(m->target, axis->feedback.position);
         if (off <= REST_COUNTS && off >= -REST_COUNTS) {
@@ -206,14 +231,13 @@ static void supervise(axis_t *axis, bool saturated)
     const frac32_t speed = f32_abs(axis->feedback.speed);
     const frac32_t margin = axis->config->runaway_margin;
 
-    /* Braking with the full current is no runaway as long as the shaft does not gain speed meanwhile. */
+    /* Braked by the full current, or beyond its limit, the shaft has to lose speed, or at least not to gain any. */
     const bool opposed = saturated && ((axis->feedback.speed < 0) != (axis->current_ref.q < 0));
-    if (!opposed || speed < m->braked_speed) {
+    const bool beyond = speed > f32_add(axis->limits.speed, margin);
+    if (!(opposed || beyond) || speed < m->braked_speed) {
         m->braked_speed = speed;
     }
-    const bool gains = opposed && speed > f32_add(m->braked_speed, margin);
-    const bool beyond = speed > f32_add(axis->limits.speed, margin) && m->motion != MOTION_STOP;
-    m->runaway_ticks = count_while(gains || beyond, m->runaway_ticks);
+    m->runaway_ticks = count_while(speed > f32_add(m->braked_speed, margin), m->runaway_ticks);
     m->stall_ticks = count_while(saturated && axis->feedback.still, m->stall_ticks);
 }
 

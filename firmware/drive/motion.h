@@ -7,14 +7,17 @@
 /* SPIN begins: hold where the shaft is; what was commanded before does not count. */
 void motion_start(axis_t *axis);
 
+/* The limits of this tick, which the host may have changed. */
+void motion_limit(axis_t *axis, axis_limits_t limits);
+
 /* One slow tick: take fresh commands, shape, run the controllers, set `axis->current_ref`. */
 void motion_step(axis_t *axis);
 
 /* True when the speed controller has pushed with all it has for too long and nothing has moved. */
 bool motion_stalled(const axis_t *axis);
 
-/* True when the shaft is well beyond its speed limit, or gains speed against all the current there is: a wrong encoder
- * angle turns the torque round. */
+/* True when the shaft gains speed while it should lose it, against all the current there is or beyond the speed limit: a
+ * wrong encoder angle turns the torque round. */
 bool motion_runs_away(const axis_t *axis);
 
 /* True once a withdrawn drive has been ramped down, or has taken too long. */

@@ -48,6 +48,16 @@ static void enter(axis_t *axis, substate_t substate)
     axis->ticks = 0;
 }
 
+/* A shaft that something keeps turning must not start to move by itself, minutes later, when it comes to rest. */
+static void wait_for_rest(axis_t *axis)
+{
+    axis->ticks++;
+    if (axis->ticks > axis->config->rest_ticks_most) {
+        axis->ticks = 0;
+        axis->requested = false;
+    }
+}
+
 /* ---- transitions ------------------------------------------------------------------------------------------------ */
 
 static void calib_ready(axis_t *axis)
@@ -108,6 +118,7 @@ static void calib_fast(axis_t *axis)
 static void calib_slow(axis_t *axis)
 {
     if (!axis->calibrated || !axis->feedback.still) {
+        wait_for_rest(axis);
         return;
     }
     if (current_sense_offsets_plausible(&axis->sense, axis->config->offset_tolerance)) {
@@ -185,6 +196,7 @@ static void freewheel_slow(axis_t *axis)
 {
     track_offsets(axis);
     if (!axis->feedback.still) {
+        wait_for_rest(axis);
         return;
     }
     if (axis->requested) {

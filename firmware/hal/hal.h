@@ -8,6 +8,7 @@
  *   servo_m1_isr      t1, after the three conversions of motor 1
  *   servo_m2_isr      t3, at the end of the scan
  *   servo_edge_isr    on the captured encoder B edge of an axis, when the interrupt is armed
+ *   servo_break_isr   when the over-current latch of an axis has opened its switches
  *   servo_background  again and again, below every interrupt
  */
 #ifndef SERVO_HAL_H

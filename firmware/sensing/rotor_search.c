@@ -1,6 +1,7 @@
 #include "sensing/rotor_search.h"
 
 #define TURN INT32_C(65536)
+#define NARROW (TURN / 6) /* bounds within which "nothing moved" means "found" */
 
 static void pull(rotor_search_t *search, int32_t position)
 {
@@ -8,6 +9,7 @@ static void pull(rotor_search_t *search, int32_t position)
     search->current = 0;
     search->origin = position;
     search->timer = 0;
+    search->direction = 0;
     search->searches++;
 }
 
@@ -25,26 +27,25 @@ void rotor_search_start(rotor_search_t *search, int32_t position)
     search->theta_m = 0;
     search->theta_h = TURN / 2;
     search->searches = 0;
-    search->moved = false;
-    search->second_try = false;
+    search->from_side = false;
     pull(search, position);
 }
 
-/* The largest current has moved nothing. */
+/* The largest current has moved nothing. Within narrow bounds the rotor then lies on theta_M. Within wide ones it may as
+ * well lie opposite, where there is no torque either, or be held fast: a vector from the side tells. */
 static void nothing_moved(rotor_search_t *search, int32_t position)
 {
-    if (search->moved || search->second_try) {
-        /* The rotor lies on theta_M, or, when even two vectors at right angles moved nothing, it is held fast. */
-        search->phase = search->moved ? ROTOR_SEARCH_FOUND : ROTOR_SEARCH_FAILED;
+    if (search->from_side) {
+        search->phase = ROTOR_SEARCH_FAILED;
         search->current = 0;
-        return;
+    } else if (search->theta_h - search->theta_l <= NARROW) {
+        search->phase = ROTOR_SEARCH_FOUND;
+        search->current = 0;
+    } else {
+        search->from_side = true;
+        search->theta_m += TURN / 4;
+        rest(search, position);
     }
-    /* At 180 degrees from the first vector there is no torque either: ask again from the side. */
-    search->second_try = true;
-    search->theta_m = TURN / 4;
-    search->theta_l = search->theta_m - TURN / 2;
-    search->theta_h = search->theta_m + TURN / 2;
-    rest(search, position);
 }
 
 static void pull_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
@@ -52,12 +53,7 @@ static void pull_step(rotor_search_t *search, const rotor_search_config_t *confi
     const int32_t moved = i32_sub_wrap(position, search->origin);
     const int32_t distance = (moved < 0) ? -moved : moved;
     if (distance >= (int32_t)config->move_counts) {
-        if (moved > 0) {
-            search->theta_h = search->theta_m; /* pulled upwards: the rotor was below the vector */
-        } else {
-            search->theta_l = search->theta_m;
-        }
-        search->moved = true;
+        search->direction = (moved > 0) ? 1 : -1;
         rest(search, position);
         return;
     }
@@ -72,6 +68,26 @@ static void pull_step(rotor_search_t *search, const rotor_search_config_t *confi
     }
 }
 
+/* The direction of the twitch halves the bounds; then they go with the shaft (coordinate correction). */
+static void halve(rotor_search_t *search, int32_t shift)
+{
+    if (search->direction == 0) {
+        return; /* nothing is known yet; theta_M has been turned to the side */
+    }
+    if (search->from_side) {
+        /* The rotor lay a quarter turn below or above this vector. */
+        search->theta_l = search->theta_m - search->direction * (TURN / 4);
+        search->theta_h = search->theta_l;
+    } else if (search->direction > 0) {
+        search->theta_h = search->theta_m; /* pulled upwards: the rotor was below the vector */
+    } else {
+        search->theta_l = search->theta_m;
+    }
+    search->theta_l += shift;
+    search->theta_h += shift;
+    search->theta_m = asr32(search->theta_l + search->theta_h, 1);
+}
+
 static void rest_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (position != search->rest_position) {
@@ -82,12 +98,8 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
     if (search->timer < config->rest_ticks) {
         return;
     }
-    /* Coordinate correction: the bounds go with the shaft. */
     const int64_t moved = (int64_t)i32_sub_wrap(position, search->origin) * config->angle_per_count;
-    const int32_t shift = (int32_t)asr64(moved + INT64_C(0x8000), 16);
-    search->theta_l += shift;
-    search->theta_h += shift;
-    search->theta_m = asr32(search->theta_l + search->theta_h, 1);
+    halve(search, (int32_t)asr64(moved + INT64_C(0x8000), 16));
     if (search->theta_h - search->theta_l <= config->interval) {
         search->phase = ROTOR_SEARCH_FOUND;
     } else {

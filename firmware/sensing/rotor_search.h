@@ -36,8 +36,8 @@ typedef struct {
     int32_t rest_position;
     uint16_t timer;
     uint16_t searches; /* vectors tried so far */
-    bool moved;        /* some vector has moved the shaft */
-    bool second_try;   /* the first vector moved nothing and is repeated at 90 degrees */
+    int16_t direction; /* of the last twitch: -1, 1, or 0 when nothing moved */
+    bool from_side;    /* the vector that moved nothing is being checked from the side */
 } rotor_search_t;
 
 void rotor_search_start(rotor_search_t *search, int32_t position);

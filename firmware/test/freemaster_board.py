@@ -77,8 +77,10 @@ class Board:
 
     def read(self, address: int, size: int) -> tuple[int, bytes]:
         """freemaster_read: status and data."""
-        data = self._ffi.new("uint8_t[]", max(size, 1))
+        guard = b"\xee" * 8
+        data = self._ffi.new("uint8_t[]", bytes(size) + guard)
         status = self._lib.harness_read(self._harness, address, data, size)
+        assert bytes(self._ffi.buffer(data))[size:].startswith(guard), "wrote behind the room"
         return int(status), bytes(self._ffi.buffer(data, size))
 
     def write(self, address: int, data: bytes, mask: bytes | None = None) -> int:

@@ -117,9 +117,10 @@ harness_t *harness_new(void)
     scramble(harness);
     harness->hal.put_room = HARNESS_LINE;
 
-    const freemaster_app_t app = {harness,    harness->memory, fixture_memory_size, &fixture_table, "servo",
-                                  "two axes", "4.0",           "2026-01-01",        hold,           written,
-                                  command};
+    const freemaster_app_t app = {harness,        harness->memory, fixture_memory_size,
+                                  &fixture_table, "servo",         "two axes in memory, nothing turns",
+                                  "4.0",          "2026-01-01",    hold,
+                                  written,        command};
     memset(&harness->server, 0xEE, sizeof harness->server); /* init must not rely on cleared memory */
     freemaster_init(&harness->server, &app);
     return harness;

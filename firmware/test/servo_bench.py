@@ -13,8 +13,8 @@ FAULT, INIT, STOP, RUN = range(4)
 CALIB, READY, ALIGN, SPIN, FREEWHEEL, STARTUP = range(6)
 POSITION, SPEED, TORQUE = range(3)
 
-OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, CURRENT_OFFSET, ROTOR_SEARCH, ENCODER, HOST_SILENT = (
-    1 << bit for bit in range(7)
+OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, CURRENT_OFFSET, ROTOR_SEARCH, ENCODER, HOST_SILENT, STALLED, RUNAWAY = (
+    1 << bit for bit in range(9)
 )
 LIMIT_CURRENT, LIMIT_VOLTAGE, LIMIT_SPEED, LIMIT_SETPOINT = (1 << bit for bit in range(4))
 
@@ -132,6 +132,11 @@ class Bench:
             self.slow()
             log.append((self.view(axis).position_ref, self.view(axis).position))
         return log
+
+    def let_turn(self, axis: int, speed: float) -> None:
+        """Turn a spinning axis from outside [rad/s] without its controllers against it."""
+        self.write(axis, mode=TORQUE, i_q=0)
+        self.turn(axis, speed)
 
     # ---- the host's side ------------------------------------------------------------------------------------------
 

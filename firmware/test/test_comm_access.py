@@ -194,6 +194,8 @@ def test_direct_access_follows_the_same_rules(servo: Board) -> None:
     memory = servo.memory()
     base = SERVO.variables
     assert servo.read(base + 0x100, 300) == (0, memory[0x100 : 0x100 + 300]), "no limit of a frame"
+    assert servo.read(SERVO.table, 384) == (0, SERVO.wire_table())
+    assert servo.read(SERVO.strings, 9) == (0, b"M.var_u16")
     assert servo.read(base + 0x42, 2)[0] == 0x89
     assert servo.write(base + 0x2A, b"\x00\x00") == 0x89
     assert servo.write(base + 0x20, b"\x99\x88") == 0

@@ -13,7 +13,7 @@ KEYS = {
     "MTU": uleb(254),
     "VS": b"4.0\0",
     "NM": b"servo\0",
-    "DS": b"two axes\0",
+    "DS": b"two axes in memory, nothing turns\0",
     "BD": b"2026-01-01\0",
     "F1": b"\x02",
     "BA": uleb(SERVO.variables),
@@ -173,6 +173,10 @@ def test_result_data_of_an_older_command_are_gone(servo: Board) -> None:
     servo.ask(STATUS)
     servo.ask(SEND, b"\x05")
     assert servo.ask(STATUS) == Answer(0, b"\x05")
+    assert servo.ask(DATA, b"\x01\x00") == Answer(0x86)
+
+
+def test_no_data_before_the_first_command(servo: Board) -> None:
     assert servo.ask(DATA, b"\x01\x00") == Answer(0x86)
 
 

@@ -65,8 +65,15 @@ def test_largest_request(board_name: str, request: pytest.FixtureRequest) -> Non
 
 def test_length_fe_is_answered_and_ff_is_not(servo: Board) -> None:
     assert servo.send(double(bytes([0x20, 0xFE]) + bytes(254) + b"\x00")) == bytes.fromhex("2B 83 80")
+    assert servo.statistics().aborted == 0
     assert servo.send(double(bytes([0x20, 0xFF]) + bytes(300))) == b""
+    assert servo.statistics().aborted == 1
     assert servo.send(MTU_REQUEST) == mtu_answer(servo)
+
+
+def test_empty_payload_is_a_complete_frame(servo: Board) -> None:
+    assert servo.send(request(0x31)) == answer(0, b"\xff")
+    assert servo.statistics().aborted == 0
 
 
 @pytest.mark.parametrize(("board_name", "good", "bad"), [("sheet", 240, (241,)), ("servo", 252, (253, 254, 255))])
@@ -102,6 +109,7 @@ def test_smallest_buffer(new_board: Callable[[Layout], Board]) -> None:
         operand = bytes([slot]) + uleb(large(board)) + b"\x08"
         assert board.ask(0x26, bytes([0, 2, len(operand)]) + operand).status == 0
     assert board.ask(0x27, b"\x00") == Answer(0x84), "five slots of eight bytes"
+    assert board.ask(0x20, b"\x00DS\0") == Answer(0x84), "a description of 34 characters"
     assert board.violations() == 0
 
 

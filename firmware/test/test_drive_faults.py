@@ -228,7 +228,7 @@ def test_search_with_a_shaft_turned_from_outside_ends_in_a_fault(bench: Bench) -
 def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench) -> None:
     bench.to_spin(0)
     bench.shaft[0].index_works = False
-    bench.turn(0, 100.0)
+    bench.let_turn(0, 100.0)
     bench.until(lambda: bench.view(0).state == FAULT, 300)
     assert bench.view(0).faults == ENCODER
     bench.turn(0, 0.0)
@@ -238,7 +238,7 @@ def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench
     bench.slow(40)
     assert (bench.view(0).state, bench.view(0).faults) == (STOP, 0)
     bench.to_spin(0)
-    bench.turn(0, 100.0)
+    bench.let_turn(0, 100.0)
     bench.slow(400)
     assert bench.view(0).state == RUN
 
@@ -293,7 +293,7 @@ def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
         bench.frame_arrives()
         bench.slow(30)
     assert [s[:2] for s in bench.states()] == [(RUN, SPIN)] * 2
-    bench.turn(0, 50.0)
+    bench.let_turn(0, 50.0)
     bench.frame_arrives()
     bench.slow(190)
     assert bench.view(0).substate == SPIN, "not before the time-out"
@@ -329,7 +329,7 @@ def test_returning_host_must_clear_and_enable(bench: Bench) -> None:
 def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -> None:
     bench.frame_arrives()
     bench.to_spin(0)
-    bench.turn(0, 100.0)
+    bench.let_turn(0, 100.0)
     bench.until(lambda: not bench.axis(0).requested, 1100)
     bench.frame_arrives()
     bench.write(0, enable=1)

@@ -143,6 +143,36 @@ def test_speed_limit_parameter_limits_moves(bench: Bench) -> None:
     assert fastest == pytest.approx(50.0, rel=1e-3)
 
 
+@pytest.mark.parametrize(("amperes", "limit"), [(4.0, 314.0), (1.0, 314.0), (0.2, 314.0), (2.0, 100.0), (4.0, 419.0)])
+def test_moves_ask_for_half_of_the_current_limit(bench: Bench, amperes: float, limit: float) -> None:
+    """E40 takes at most omega_n v / e; the filter slows down with the limits that the host sets."""
+    bench.set_parameter("i_q_limit", amperes)
+    bench.set_parameter("speed_limit", limit)
+    bench.write(0, position=1_000_000)
+    outputs = []
+    for _ in range(1500):
+        bench.turn(0, rad_s(bench.view(0).speed_ref))
+        bench.slow()
+        outputs.append(bench.axis(0).motion.path.output / 2**24 * 2 * 3.14159265 / 4000)
+    speeds = [(b - a) / 0.5e-3 for a, b in itertools.pairwise(outputs)]
+    accelerations = [(b - a) / 0.5e-3 for a, b in itertools.pairwise(speeds)]
+    available = 0.0462 * amperes / 0.8e-5  # k_t i / J of axis 1
+    assert 0.05 * available < max(accelerations) <= 0.53 * available
+    assert max(speeds) <= limit * 1.001
+
+
+def test_new_limits_under_way_do_not_jump(bench: Bench) -> None:
+    """In the middle of a long move the shaped set-point goes on at its speed, whatever current the host allows."""
+    bench.write(0, position=1_000_000)
+    bench.follow(400)
+    for amperes in (1.0, 4.0, 0.5, 2.0):
+        bench.set_parameter("i_q_limit", amperes)
+        references = [reference for reference, _ in bench.follow(200)]
+        steps = [b - a for a, b in itertools.pairwise(references)]
+        assert min(steps) >= 96
+        assert max(steps) <= 104  # 100 counts per tick are 314 rad/s
+
+
 def test_position_is_held_against_a_push(bench: Bench) -> None:
     """The speed loop's integral part brings the current that pushes back."""
     bench.shaft[0].move(40)

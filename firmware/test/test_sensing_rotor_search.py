@@ -143,8 +143,11 @@ def test_position_may_start_anywhere(core: Core) -> None:
         core.lib.rotor_search_step(s, config, origin)
         moved = (origin + 3 + 2**31) % 2**32 - 2**31
         core.lib.rotor_search_step(s, config, moved)
-        assert s.phase == REST
-        assert s.theta_h == 0  # pulled upwards: the rotor was below the vector
+        assert (s.phase, s.direction) == (REST, 1)
+        for _ in range(config.rest_ticks):
+            core.lib.rotor_search_step(s, config, moved)
+        assert s.phase == PULL
+        assert s.theta_h == pytest.approx(3 * 65536 * 2 / 4000, abs=1)  # the rotor was below the vector; it moved by 3
 
 
 def test_rest_lasts_until_the_shaft_has_stood_still(core: Core) -> None:

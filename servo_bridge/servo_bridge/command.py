@@ -17,12 +17,14 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import rclpy
+from rcl_interfaces.msg import Log
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args, try_shutdown
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from servo_msgs_py import topics
@@ -30,6 +32,7 @@ from servo_msgs_py import topics
 __all__ = ["CommandError", "Commander", "main"]
 
 _STEP: Final = 0.02  # [s]
+_MATCH: Final = 0.3  # until a subscription hears what a running node publishes [s]
 _REPEAT: Final = 0.1  # between two velocity or effort set-points, which time out on silence [s]
 _QUANTITIES: Final = ("position", "velocity", "effort")
 _UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
@@ -102,10 +105,24 @@ class Commander(Node):
         return "\n".join(lines)
 
     def set_points(self, quantity: str, targets: dict[str, float], duration: float) -> None:
-        """Publish set-points by joint name; repeated for `duration` [s] when it is not 0."""
+        """Publish set-points by joint name; repeated for `duration` [s] when it is not 0.
+
+        Raises
+        ------
+        CommandError
+            If the bridge rejects them, or does not say within the patience that they took effect.
+        """
+        applied: list[Float64MultiArray] = []
+        rejected: list[str] = []
+        self.create_subscription(
+            Float64MultiArray, self._of(topics.COMMANDS_APPLIED), applied.append, topics.telemetry_qos()
+        )
+        self.create_subscription(Log, "/rosout", lambda m: self._notice(m, rejected), topics.telemetry_qos())
         topic = self._of(topics.JOINT_COMMANDS)
         publisher = self.create_publisher(JointState, topic, topics.command_qos())
         self.wait_for(publisher.get_subscription_count, f"nobody listens to {topic}")
+        self.wait_for(lambda: self.count_publishers("/rosout") > 1, "the log of the bridge was not found")
+        self._settle()
         message = JointState(name=list(targets))
         setattr(message, quantity, list(targets.values()))
         end = time.monotonic() + duration
@@ -114,9 +131,21 @@ class Commander(Node):
             pause = time.monotonic() + _REPEAT
             while time.monotonic() < min(pause, end):
                 self._runner.spin_once(timeout_sec=_STEP)
-            if time.monotonic() >= end:
+            if rejected or time.monotonic() >= end:
                 break
-        publisher.wait_for_all_acked()
+        self.wait_for(lambda: applied or rejected, "the bridge neither took nor rejected the set-points")
+        if rejected:
+            raise CommandError(rejected[0])
+
+    def _notice(self, message: Log, rejected: list[str]) -> None:
+        if message.name.endswith(".servo_bridge") and message.msg.startswith("rejected"):
+            rejected.append(message.msg)
+
+    def _settle(self) -> None:
+        """Let the new subscriptions be matched: what is published before is not heard."""
+        deadline = time.monotonic() + _MATCH
+        while time.monotonic() < deadline:
+            self._runner.spin_once(timeout_sec=_STEP)
 
     def close(self) -> None:
         """End the node."""
@@ -133,6 +162,16 @@ def _target(text: str) -> tuple[str, float]:
     if not (joint and separator and math.isfinite(number)):
         raise argparse.ArgumentTypeError(f"{text!r}: write JOINT=VALUE, for example axis1=6.28")
     return joint, number
+
+
+def _duration(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no duration in seconds")
+    return value
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -157,7 +196,12 @@ def _parser() -> argparse.ArgumentParser:
             verb_parser.set_defaults(duration=0.0)
         else:
             verb_parser.add_argument(
-                "--for", dest="duration", type=float, default=1.0, metavar="S", help="repeat for so long (default: 1)"
+                "--for",
+                dest="duration",
+                type=_duration,
+                default=1.0,
+                metavar="S",
+                help="repeat for so long (default: 1)",
             )
     return parser
 
@@ -165,7 +209,7 @@ def _parser() -> argparse.ArgumentParser:
 def _perform(commander: Commander, args: argparse.Namespace) -> str:
     if args.verb in _QUANTITIES:
         commander.set_points(args.verb, dict(args.targets), args.duration)
-        return "sent"
+        return "took effect"
     if args.verb == "state":
         return commander.state()
     if args.verb in ("enable", "disable"):
@@ -183,13 +227,13 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     argv = list(sys.argv if args is None else ["servo-command", *args])
     arguments = _parser().parse_args(remove_ros_args(argv)[1:])
-    rclpy.init(args=argv)
     commander: Commander | None = None
     try:
+        rclpy.init(args=argv)
         commander = Commander(EventsExecutor(), arguments.namespace.rstrip("/"), arguments.wait)
         print(_perform(commander, arguments))
         return 0
-    except CommandError as error:
+    except (CommandError, NameValidationException, RuntimeError) as error:
         print(f"servo-command: {error}", file=sys.stderr)
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -9,28 +9,20 @@ thread touches the rest.
 from __future__ import annotations
 
 import contextlib
-import re
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Future
 from functools import partial
 from typing import Any, Final, Protocol
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import ROSInterruptException
-from rclpy.executors import ExternalShutdownException
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import ok, try_shutdown
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
 from servo_msgs_py.convert import diagnostic_array, flag_texts
+from servo_msgs_py.node_shell import run
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
@@ -42,7 +34,7 @@ from servo_bridge.inbox import Inbox
 from servo_bridge.link import FinalWrite, Link, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
 from servo_bridge.link_statistics import LinkStatistics
 from servo_bridge.motion_services import MotionServices
-from servo_bridge.parameters import ParameterError, Settings, declare, watch
+from servo_bridge.parameters import PARAMETERS, ParameterError, Settings, declare, watch
 from servo_bridge.publications import Publications
 from servo_bridge.scope import ScopeLayout
 from servo_bridge.serial_port import LowLatency
@@ -114,6 +106,7 @@ class ServoBridge(Node):
         **node_arguments: Any,
     ) -> None:
         super().__init__("servo_bridge", namespace="servo", **node_arguments)
+        self.failure = ""  # nothing ends this node: it waits for a board that comes back
         self._log = Node.get_logger(self)
         self._catalogue = Catalogue.load()
         self._settings = declare(self, self._catalogue)
@@ -323,51 +316,12 @@ def _error_of(done: Future[Any]) -> str | None:
     return None if error is None else str(error)
 
 
-def _without_places(text: str) -> str:
-    """First line of an error of rcl without the places in its C sources."""
-    return re.sub(r", at \S+:\d+", "", text.splitlines()[0])
-
-
-def _catch_signals(stop: threading.Event) -> None:
-    """Let SIGINT and SIGTERM end the loop, so that the board is switched off while ROS still works."""
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: stop.set())
-
-
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until Ctrl-C or SIGTERM.
-
-    Returns
-    -------
-    int
-        0 after an orderly end, 2 when a parameter or an argument does not make sense.
-    """
-    stop = threading.Event()
-    try:
-        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        print(f"servo_bridge: {_without_places(str(error))}", file=sys.stderr)
-        return 2
-    _catch_signals(stop)
-    executor = EventsExecutor()
-    node: ServoBridge | None = None
-    try:
-        node = ServoBridge(executor.create_task)
-        executor.add_node(node)
-        while ok() and not stop.is_set():
-            executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
-    except ParameterError as error:
-        print(f"servo_bridge: {error}", file=sys.stderr)
-        return 2
-    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
-        pass
-    finally:
-        if node is not None:
-            executor.remove_node(node)
-            node.shutdown()
-        try_shutdown()
-    return 0
+    """Run the node until Ctrl-C or SIGTERM; returns the exit status."""
+    purpose = (
+        "The bridge: speaks FreeMASTER with the board on a serial port; variables become topics, topics set-points"
+    )
+    return run("servo_bridge", purpose, PARAMETERS, lambda executor: ServoBridge(executor.create_task), args)
 
 
 if __name__ == "__main__":

@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import ParameterException
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.node_shell import ParameterError, Spec
+from servo_msgs_py.node_shell import declare as declare_all
 
 from servo_bridge.arbiter import JointLimits
 from servo_bridge.telemetry import telemetry_variables
@@ -20,31 +21,6 @@ from servo_bridge.telemetry import telemetry_variables
 __all__ = ["PARAMETERS", "ParameterError", "Settings", "Spec", "declare", "settings_from", "watch"]
 
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-
-
-class ParameterError(ValueError):
-    """A parameter does not make sense; the text names it and says what does."""
-
-
-@dataclass(frozen=True)
-class Spec:
-    """One parameter: default, description, range, and whether it can change while the node runs."""
-
-    default: Any
-    description: str
-    low: float | None = None
-    high: float | None = None
-    read_only: bool = True
-
-    def descriptor(self) -> ParameterDescriptor:
-        """ROS descriptor."""
-        result = ParameterDescriptor(description=self.description, read_only=self.read_only)
-        if self.low is not None and self.high is not None:
-            if isinstance(self.default, int):
-                result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=0)]
-            else:
-                result.floating_point_range = [FloatingPointRange(from_value=self.low, to_value=self.high, step=0.0)]
-        return result
 
 
 PARAMETERS: Mapping[str, Spec] = {
@@ -176,13 +152,7 @@ def declare(node: Node, catalogue: Catalogue) -> Settings:
     ParameterError
         If a given value has the wrong type, is out of range or does not make sense.
     """
-    values: dict[str, Any] = {}
-    for name, spec in PARAMETERS.items():
-        try:
-            values[name] = node.declare_parameter(name, spec.default, spec.descriptor()).value
-        except ParameterException as error:
-            raise ParameterError(f"parameter {name}: {error}; it is meant as: {spec.description}") from None
-    return settings_from(values, catalogue)
+    return settings_from(declare_all(node, PARAMETERS), catalogue)
 
 
 def watch(node: Node, catalogue: Catalogue, changed: Callable[[Settings], None]) -> None:

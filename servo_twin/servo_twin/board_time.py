@@ -6,6 +6,7 @@ carry both. A reset of the board starts its ticks anew; the time line goes on.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Final
 
@@ -26,6 +27,13 @@ class BoardTime:
     ----------
     start_ns : int
         ROS time at which the recording began [ns].
+
+    Attributes
+    ----------
+    first : float
+        Time of the first telemetry [s]; infinite before.
+    resets : int
+        Resets of the board seen.
     """
 
     def __init__(self, start_ns: int) -> None:
@@ -34,12 +42,8 @@ class BoardTime:
         self._last_tick = 0
         self._stamps = np.empty(0, np.int64)
         self._times = np.empty(0)
+        self.first = math.inf
         self.resets = 0
-
-    @property
-    def started(self) -> bool:
-        """Whether there was any telemetry."""
-        return self._zero is not None
 
     @property
     def newest(self) -> float:
@@ -83,6 +87,7 @@ class BoardTime:
         else:
             first = max(self.newest + _PERIOD, -1.0 if stamp is None else self.of_stamp(stamp))
             self.resets += 1
+        self.first = min(self.first, first)
         self._zero = first - tick * _PERIOD
 
     def _remember(self, stamps: NDArray[np.int64], times: NDArray[np.float64]) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
+from servo_twin.experiments import command as experiment
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
 
@@ -41,6 +42,8 @@ def parser() -> argparse.ArgumentParser:
     bench = verbs.add_parser("bench", parents=[common], help="real-time factor of one board with two axes")
     bench.add_argument("--time", type=float, default=10.0, help="simulated time [s] (default: %(default)s)")
     bench.set_defaults(run=_bench)
+
+    experiment.add_parser(verbs, common)
     return result
 
 

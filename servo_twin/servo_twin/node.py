@@ -26,6 +26,7 @@ from servo_msgs_py.convert import (
     snapshot_message,
     snapshot_table,
 )
+from servo_msgs_py.node_shell import ParameterError, Spec, declare, run
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -33,8 +34,6 @@ from servo_msgs_py import topics
 from servo_twin.board import Board
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
-from servo_twin.ros_parameters import Described, ParameterError, declare
-from servo_twin.spinning import run
 from servo_twin.twin import Pair, Twin, TwinSettings
 from servo_twin.worker import TwinWorker
 
@@ -43,19 +42,19 @@ __all__ = ["PARAMETERS", "ServoTwin", "main"]
 _SLOW: Final = 0.5  # backlog that is worth a warning [s]
 
 PARAMETERS: Final = {
-    "board_namespace": Described("/servo", "namespace of the node that is followed"),
-    "joints": Described(["axis1", "axis2"], "joint names in the order of the axes"),
-    "plant": Described("", "TOML file with what differs from the packaged plant.toml; empty: nothing"),
-    "seed": Described(1, "of the sensor noise of the twin's board", 0, 2**31 - 1),
-    "position_tolerance": Described(0.05, "largest position residual of a healthy twin [rad]", 1e-4, 1e3),
-    "velocity_tolerance": Described(10.0, "largest velocity residual of a healthy twin [rad/s]", 1e-3, 1e4),
-    "effort_tolerance": Described(0.05, "largest effort residual of a healthy twin [N m]", 1e-5, 1e3),
-    "healthy_after": Described(0.5, "how long the residual has to be small first [s]", 0.0, 60.0),
-    "unhealthy_after": Described(0.1, "how long the residual may be large [s]", 0.0, 60.0),
-    "patience": Described(
+    "board_namespace": Spec("/servo", "namespace of the node that is followed"),
+    "joints": Spec(["axis1", "axis2"], "joint names in the order of the axes"),
+    "plant": Spec("", "TOML file with what differs from the packaged plant.toml; empty: nothing"),
+    "seed": Spec(1, "of the sensor noise of the twin's board", 0, 2**31 - 1),
+    "position_tolerance": Spec(0.05, "largest position residual of a healthy twin [rad]", 1e-4, 1e3),
+    "velocity_tolerance": Spec(10.0, "largest velocity residual of a healthy twin [rad/s]", 1e-3, 1e4),
+    "effort_tolerance": Spec(0.05, "largest effort residual of a healthy twin [N m]", 1e-5, 1e3),
+    "healthy_after": Spec(0.5, "how long the residual has to be small first [s]", 0.0, 60.0),
+    "unhealthy_after": Spec(0.1, "how long the residual may be large [s]", 0.0, 60.0),
+    "patience": Spec(
         0.05, "how much newer telemetry may be before a late report of a command counts as lost [s]", 0.0, 1.0
     ),
-    "variable_rate": Described(20.0, "rate of the residual/<variable> topics [Hz]", 0.1, 1000.0),
+    "variable_rate": Spec(20.0, "rate of the residual/<variable> topics [Hz]", 0.1, 1000.0),
 }
 """Every parameter of the node. ``config/servo_twin.yaml`` lists the same defaults."""
 
@@ -294,7 +293,8 @@ def _joints(names: Sequence[str]) -> list[str]:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until Ctrl-C or SIGTERM; returns the exit status."""
-    return run("servo_twin", ServoTwin, args)
+    purpose = "The twin: the firmware on a model, led by what the board does, compared at the board's own instants."
+    return run("servo_twin", purpose, PARAMETERS, lambda _: ServoTwin(), args)
 
 
 if __name__ == "__main__":

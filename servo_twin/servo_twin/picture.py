@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "main"]
+__all__ = ["draw", "figure", "main"]
 
 _Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -76,6 +76,13 @@ def draw(rrd: Path, png: Path) -> None:
     OSError
         If the picture cannot be written.
     """
+    result = figure(rrd)
+    png.parent.mkdir(parents=True, exist_ok=True)
+    result.savefig(png, dpi=_DPI, format="png")
+
+
+def figure(rrd: Path) -> Figure:
+    """Figure of a recording: a column per axis with position, speed and residual; see `draw`."""
     if not rrd.is_file():
         raise RecordingError(f"there is no recording {rrd}")
     curves = {
@@ -89,9 +96,7 @@ def draw(rrd: Path, png: Path) -> None:
         raise RecordingError(f"{rrd} holds no telemetry of a board: was the bridge connected while it was recorded?")
     speeds = [curves[axis, "speed", scene.BOARD] for axis, _ in scene.axes()]
     states = [read_texts(rrd, scene.state_entity(name), "StateChange:state") for _, name in scene.axes()]
-    figure = _figure(curves, residuals, states, _span(speeds))
-    png.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(png, dpi=_DPI, format="png")
+    return _figure(curves, residuals, states, _span(speeds))
 
 
 def _span(speeds: Sequence[_Curve]) -> tuple[float, float]:
@@ -116,8 +121,8 @@ def _figure(
     except ImportError as error:
         raise RecordingError(f"matplotlib cannot be imported ({error}); install it: pip install matplotlib") from None
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
-    figure = Figure(figsize=_SIZE, layout=layout, facecolor="white")
-    grid: Any = figure.subplots(len(_ROWS) + 1, len(residuals), sharex=True, squeeze=False, height_ratios=[3, 3, 2])
+    result = Figure(figsize=_SIZE, layout=layout, facecolor="white")
+    grid: Any = result.subplots(len(_ROWS) + 1, len(residuals), sharex=True, squeeze=False, height_ratios=[3, 3, 2])
     for axis, name in scene.axes():
         column: list[Axes] = list(grid[:, axis])
         column[0].set_title(name, fontsize=15, fontweight="bold", color=_INK, loc="left")
@@ -126,19 +131,17 @@ def _figure(
                 time, value = curves[axis, row.quantity, source]
                 if len(time):
                     colour = _colour(source)
-                    plot.plot(
-                        time - span[0], value * row.factor, color=colour, label=_LABELS[source], **_STYLES[source]
-                    )
+                    plot.plot(time, value * row.factor, color=colour, label=_LABELS[source], **_STYLES[source])
         _residual(column[-1], residuals[axis], span)
         for plot, label in zip(column, [*(row.label for row in _ROWS), _RESIDUAL], strict=True):
             _dress(plot, label if axis == 0 else "")
             _shade(plot, states[axis], span)
             _fit(plot, span)
         column[-1].set_xlabel("board time [s]", color=_INK, fontsize=11)
-    figure.suptitle("Two axes: the board and its twin", x=0.01, ha="left", fontsize=18, color=_INK)
+    result.suptitle("Two axes: the board and its twin", x=0.01, ha="left", fontsize=18, color=_INK)
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=len(labels), frameon=False, fontsize=13)
-    return figure
+    result.legend(handles, labels, loc="outside upper right", ncols=len(labels), frameon=False, fontsize=13)
+    return result
 
 
 def _residual(plot: Axes, curve: _Curve, span: tuple[float, float]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import signal
 import subprocess
@@ -36,6 +37,12 @@ def executable(name: str) -> Path:
     return path
 
 
+def _end_with_parent() -> None:
+    """Have the kernel send SIGTERM when the parent dies, even if it is killed (Linux)."""
+    pr_set_pdeathsig = 1
+    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGTERM)
+
+
 class Child:
     """One process in a group of its own; what it prints goes to a log file.
 
@@ -63,6 +70,7 @@ class Child:
                     stderr=subprocess.STDOUT,
                     env=dict(environment),
                     start_new_session=True,
+                    preexec_fn=_end_with_parent,
                 )
             except OSError as error:
                 raise ChildError(f"{name} cannot be started: {error}") from error

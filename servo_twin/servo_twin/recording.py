@@ -238,7 +238,8 @@ def _read(path: Path, entity: str, component: str) -> tuple[NDArray[np.float64],
             values.append(batch[component].flatten().to_numpy(zero_copy_only=False))
     except (OSError, ValueError, RuntimeError) as error:
         raise RecordingError(
-            f"{path} cannot be read as a recording: {error}; if its end is missing, `rerun rrd optimize` may save the rest"
+            f"{path} cannot be read as a recording: {error}; "
+            "if only its end is missing, `rerun rrd optimize` may save the rest"
         ) from None
     if not times:
         return np.empty(0), np.empty(0)

@@ -46,7 +46,7 @@ Ctrl-C ramps down, switches the outputs off and ends everything."""
 
 
 class _StopRequested(Exception):
-    """SIGINT or SIGTERM."""
+    """SIGINT, SIGTERM or SIGHUP."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -122,6 +122,24 @@ def _ros(**parameters: object) -> list[str]:
 
 def _say(text: str) -> None:
     print(text, flush=True)
+
+
+def _refuse_a_second(environment: Mapping[str, str]) -> None:
+    """Two bridges in one domain would both obey every command.
+
+    Raises
+    ------
+    ChildError
+        If a servo is up already.
+    """
+    look = [str(executable("servo-command")), "--wait", "3", "state"]
+    found = subprocess.run(look, env=dict(environment), capture_output=True, text=True, check=False)
+    if found.returncode == 0:
+        domain = environment.get("ROS_DOMAIN_ID", "0")
+        raise ChildError(
+            f"a servo is up already in ROS domain {domain} ({found.stdout.splitlines()[0]});"
+            " stop it first, or choose another domain with --domain-id"
+        )
 
 
 def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
@@ -208,14 +226,14 @@ def _finish_demo(record: Path, out: Path) -> None:
 
 @contextlib.contextmanager
 def _signals_raise() -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into `_StopRequested`, and ignore them while things are being stopped."""
+    """Turn SIGINT, SIGTERM and SIGHUP (a closed terminal) into `_StopRequested`; ignore them while stopping."""
 
     def request(_signum: int, _frame: FrameType | None) -> NoReturn:
         for number in numbers:
             signal.signal(number, signal.SIG_IGN)
         raise _StopRequested
 
-    numbers = (signal.SIGINT, signal.SIGTERM)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, request) for number in numbers}
     try:
         yield
@@ -253,6 +271,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     status = 0
     with tempfile.TemporaryDirectory(prefix="servo-") as folder, _signals_raise():
         try:
+            if not args.demo:
+                _refuse_a_second(environment)
             _bring_up(stack, args, Path(folder), record)
             if not args.demo:
                 _stay(stack, args)

@@ -6,6 +6,7 @@ and what does not fit is dropped and counted.
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 import time
@@ -29,6 +30,7 @@ _Job = Callable[[], None]
 _Table = NDArray[np.float64]
 
 _NS: Final = 1_000_000_000
+_TOLERANCE: Final = 1e-6  # of times that are meant to be the same [s]
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 _LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of diagnostics: OK, WARN, ERROR, STALE
 
@@ -74,12 +76,14 @@ class Viewer:
         self._capacity = capacity
         self._period = period
         self._waiting: deque[_Job] = deque()
+        self._following: deque[_Job] = deque()
         self._condition = threading.Condition()
         self._closing = False
         self._dropped = 0
         self._dropped_said = 0
         self._failure = ""
         # Of the thread alone:
+        self._held: list[_Job] = []
         self._time = BoardTime(start_ns)
         self._curves = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)}
         self._hands = [{source: Hand() for source in (scene.BOARD, scene.TWIN)} for _ in range(AXES)]
@@ -110,11 +114,11 @@ class Viewer:
 
     def twin(self, columns: Sequence[str], table: _Table) -> None:
         """Telemetry of the twin, at ticks of the board."""
-        self._post(lambda: self._rows(scene.TWIN, columns, table))
+        self._post(lambda: self._rows(scene.TWIN, columns, table), follows=True)
 
     def residual(self, stamp_ns: int, fields: Mapping[str, Sequence[float]]) -> None:
         """Residual: per field of `scene.RESIDUALS` one number per axis."""
-        self._post(lambda: self._residual(stamp_ns, fields))
+        self._post(lambda: self._residual(stamp_ns, fields), follows=True)
 
     def board_state(self, stamp_ns: int, text: str) -> None:
         """State of the board as its node says it."""
@@ -137,14 +141,15 @@ class Viewer:
             self._thread.join(timeout)
         return not self._thread.is_alive()
 
-    def _post(self, job: _Job) -> None:
+    def _post(self, job: _Job, *, follows: bool = False) -> None:
+        """Queue a job; one that `follows` is placed by telemetry of the board, which may still be on its way."""
         with self._condition:
             if self._closing or self._failure:
                 return
-            if len(self._waiting) >= self._capacity:
+            if len(self._waiting) + len(self._following) >= self._capacity:
                 self._dropped += 1
                 return
-            self._waiting.append(job)
+            (self._following if follows else self._waiting).append(job)
             # The thread looks by itself in time; it need not be woken for every message.
 
     # ---- in the thread
@@ -157,6 +162,7 @@ class Viewer:
                     rest = begun + self._period - time.monotonic()
                     self._condition.wait_for(lambda: self._closing, max(rest, 0.0))
             self._work()
+            self._work()  # and what was held back
         except Exception as error:
             self._failure = f"the recording cannot be written: {error}"
         finally:
@@ -165,8 +171,12 @@ class Viewer:
     def _work(self) -> None:
         """Deal with everything that waits and write it."""
         with self._condition:
-            jobs, dropped = list(self._waiting), self._dropped
+            jobs, following, dropped = list(self._waiting), list(self._following), self._dropped
             self._waiting.clear()
+            self._following.clear()
+        # Topics overtake each other: what follows the board waits for one more round of its telemetry.
+        jobs += self._held
+        self._held = following
         for job in jobs:
             try:
                 job()
@@ -207,11 +217,14 @@ class Viewer:
 
     def _rows(self, source: str, columns: Sequence[str], table: _Table) -> None:
         """Telemetry that does not carry the time line itself."""
-        if not (len(table) and self._time.started):
+        if not len(table) or math.isinf(self._time.first):
             return
         ticks, stamps = _clocks(columns, table)
         times = self._time.of_ticks(ticks) if stamps is None else self._time.of_stamps(stamps)
-        self._plot(source, times, columns, table)
+        # A twin works a little behind the board: its first rows belong to what was before the recording.
+        known = times > self._time.first - _TOLERANCE
+        if known.any():
+            self._plot(source, times[known], columns, table[known])
 
     def _plot(self, source: str, times: NDArray[np.float64], columns: Sequence[str], table: _Table) -> None:
         where = {name: k for k, name in enumerate(columns)}
@@ -226,14 +239,15 @@ class Viewer:
         self._curves[source].add(times, points)
 
     def _residual(self, stamp_ns: int, fields: Mapping[str, Sequence[float]]) -> None:
-        if not self._time.started:
+        moment = self._time.of_stamp(stamp_ns)
+        if moment < self._time.first - _TOLERANCE:
             return
         points = {
             scene.residual_entity(axis, field): np.array([numbers[axis]])
             for field, numbers in fields.items()
             for axis in range(min(AXES, len(numbers)))
         }
-        self._curves[scene.RESIDUAL].add(np.array([self._time.of_stamp(stamp_ns)]), points)
+        self._curves[scene.RESIDUAL].add(np.array([moment]), points)
 
     # ---- states and faults
     def _states_of(self, axis: int, times: NDArray[np.float64], words: NDArray[np.int_]) -> None:

@@ -20,27 +20,24 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import from_stamp, snapshot_table
+from servo_msgs_py.node_shell import ParameterError, Spec, declare, run
 from std_msgs.msg import Bool, Float64MultiArray, String
 
 from servo_msgs_py import topics
 from servo_twin import scene
 from servo_twin.recording import Recording, RecordingError
-from servo_twin.ros_parameters import Described, ParameterError, declare
-from servo_twin.spinning import run
 from servo_twin.viewer import Viewer
 from servo_twin.web_page import WebPage, WebPageError, free_port
 
 __all__ = ["PARAMETERS", "ServoViewer", "main"]
 
 PARAMETERS: Final = {
-    "record": Described("", "file for the recording (.rrd); one that exists is replaced; empty: none"),
-    "web": Described(True, "serve the live viewer to a browser on this machine"),
-    "grpc_port": Described(
-        9876, "port of the data for the live viewer; the next free one if it is in use", 1024, 65535
-    ),
-    "web_port": Described(9090, "port of the page of the live viewer; the next free one if it is in use", 1024, 65535),
-    "board_namespace": Described("/servo", "namespace of the node whose board is shown"),
-    "twin_namespace": Described("/twin", "namespace of the twin's node; it may be missing"),
+    "record": Spec("", "file for the recording (.rrd); one that exists is replaced; empty: none"),
+    "web": Spec(True, "serve the live viewer to a browser on this machine"),
+    "grpc_port": Spec(9876, "port of the data for the live viewer; the next free one if it is in use", 1024, 65535),
+    "web_port": Spec(9090, "port of the page of the live viewer; the next free one if it is in use", 1024, 65535),
+    "board_namespace": Spec("/servo", "namespace of the node whose board is shown"),
+    "twin_namespace": Spec("/twin", "namespace of the twin's node; it may be missing"),
 }
 """Every parameter of the node. ``config/servo_viewer.yaml`` lists the same defaults."""
 
@@ -170,7 +167,8 @@ class ServoViewer(Node):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until Ctrl-C or SIGTERM; returns the exit status."""
-    return run("servo_viewer", ServoViewer, args)
+    purpose = "The rerun view of board and twin: a recording, a live page in the browser, or both."
+    return run("servo_viewer", purpose, PARAMETERS, lambda _: ServoViewer(), args)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_twin.picture import draw, main
+from servo_twin.picture import draw, figure, main
 from servo_twin.recording import Recording, RecordingError
 from servo_twin.viewer import Viewer
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, START_NS, move, stamp
@@ -43,6 +43,23 @@ def test_the_picture_shows_set_point_board_twin_and_residual(tmp_path: Path) -> 
     # The set-point is drawn translucent.
     for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL):
         assert _has(picture, source), source
+
+
+def test_curves_lie_at_their_times_in_turns_and_counts(tmp_path: Path) -> None:
+    _record(tmp_path / "run.rrd")
+    position, _, speed, _, residual, _ = figure(tmp_path / "run.rrd").axes
+    curves = {line.get_label(): line.get_xydata() for line in position.lines}
+    assert list(curves) == ["set-point", "board", "twin"]
+    for name, lag in (("set-point", 0.0), ("board", 0.01), ("twin", 0.02)):
+        times, turns = curves[name].T
+        # Half of 5 turns in the middle of the move from 1 s to 3 s.
+        assert np.interp(2.0 + lag, times, turns) == pytest.approx(2.5, abs=1e-3), name
+    board = speed.lines[1].get_xydata()
+    assert board[np.argmax(board[:, 1]), 0] == pytest.approx(2.01, abs=0.01)
+    assert board[:, 1].max() == pytest.approx(10 * np.pi * 0.75, rel=1e-3)
+    assert set(np.round(residual.lines[0].get_ydata(), 6)) == {round(0.004 * 4000 / (2 * np.pi), 6)}
+    # From a little before the first movement to a little after the last.
+    assert position.get_xlim() == pytest.approx((0.51, 3.5), abs=0.05)
 
 
 def test_without_a_twin_there_is_a_picture_of_the_board(tmp_path: Path) -> None:

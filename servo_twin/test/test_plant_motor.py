@@ -50,8 +50,8 @@ def stator_frame_reference(
         torque = 1.5 * p * (psi[0] * i[1] - psi[1] * i[0])
         return np.array([*(u - axis.r_s * i), (torque - load - axis.viscous * omega) / axis.inertia, omega])
 
-    x = np.array([axis.psi_m * math.cos(p * float(axis.theta_start)), axis.psi_m * math.sin(p * float(axis.theta_start)), 0.0, 0.0])
-    x[3] = float(axis.theta_start)
+    start = float(axis.theta_start)
+    x = np.array([axis.psi_m * math.cos(p * start), axis.psi_m * math.sin(p * start), 0.0, start])
     h = step_s / substeps
     rows = []
     for u in voltage:

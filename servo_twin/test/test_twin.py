@@ -403,14 +403,65 @@ def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> N
 
 def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
     rig.up()
-    queued = rig.twin.step
+    step = rig.twin.step
     rig.twin.step = lambda most=64: []  # type: ignore[method-assign, misc]
     rig.write("cmd.mode", [1, 1])
     rig.run(0.3)
-    rig.twin.step = queued  # type: ignore[method-assign]
+    rig.twin.step = step  # type: ignore[method-assign]
     rig.twin.discard("too much")
     rig.run(0.3)
-    rig.write("cmd.i_q", [0.5, 0.5])  # not obeyed in speed mode
+    rig.write("cmd.speed", [50.0, 50.0])
     pairs = rig.run(0.3)
+    assert pairs[-1].twin["axis1.speed"] == pytest.approx(50.0, abs=2.0)
+
+
+def test_a_report_that_comes_too_late_to_be_replayed_is_still_known(rig: TwinRig) -> None:
+    rig.listening = False
+    rig.up()
+    rig.held = []
+    rig.write("cmd.mode", [1, 1])
+    rig.run(0.1)
+    rig.listening = True
+    rig.run(0.2)
+    for command in rig.held:
+        rig.twin.command(command)
+    rig.held = None
+    rig.write("cmd.i_q", [0.5, 0.5])  # would tell the mode if it were not known, and is not obeyed in speed mode
+    pairs = rig.run(0.2)
+    assert pairs
     assert abs(pairs[-1].real["axis1.speed"]) < 1.0
     assert abs(pairs[-1].twin["axis1.speed"]) < 1.0
+
+
+def test_enabling_forgets_a_quick_stop(rig: TwinRig) -> None:
+    rig.up()
+    rig.write("cmd.quick_stop", [1, 1])
+    rig.run(0.1)
+    rig.write("cmd.enable", [1, 1])
+    rig.run(0.1)
+    rig.twin.resync("asked")
+    rig.run(0.3)
+    follows(rig, rig.move([2.0, 2.0]))
+
+
+def test_rest_is_judged_anew_after_a_reset() -> None:
+    with TwinRig(settings=TwinSettings(from_reset=0.0)) as rig:
+        rig.run(1.0)
+        assert rig.twin.synchronisations == 1
+        rig.reset_board()
+        rig.run(0.06)
+        assert rig.twin.status == "waiting: axis1 is not at rest"
+        rig.run(0.2)
+        assert rig.twin.synchronisations == 2
+        follows(rig, rig.run(0.1))
+
+
+def test_a_gap_does_not_count_as_rest(rig: TwinRig) -> None:
+    rig.up()
+    rig.write("cmd.mode", [1, 1])
+    rig.write("cmd.speed", [0.05, 0.05])  # so slow that two samples far apart could be at the same place by chance
+    rig.listening = False
+    rig.run(2.5)
+    rig.listening = True
+    rig.run(0.03)
+    assert rig.twin.status == "waiting: axis1 is not at rest"

@@ -20,9 +20,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_message, from_stamp, snapshot_message, snapshot_table
+from servo_msgs_py.node_shell import ParameterError
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.node import PARAMETERS, ServoTwin, main
-from servo_twin.ros_parameters import ParameterError
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 from twin_rig import EPOCH_NS, TwinRig
@@ -37,13 +37,13 @@ BATCH = 5  # samples in a message, as the bridge sends them
 class Rig:
     """Twin node, a node in the part of bridge and user, and the board behind it, on one executor."""
 
-    def __init__(self, **parameters: Any) -> None:
+    def __init__(self, cli_args: list[str] | None = None, **parameters: Any) -> None:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
         self.executor = EventsExecutor(context=self.context)
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         try:
-            self.node = ServoTwin(context=self.context, parameter_overrides=overrides)
+            self.node = ServoTwin(context=self.context, cli_args=cli_args, parameter_overrides=overrides)
         except BaseException:
             rclpy.shutdown(context=self.context)
             raise
@@ -290,3 +290,9 @@ def test_the_yaml_lists_every_parameter_with_its_default() -> None:
             assert value == f"[{', '.join(default)}]"
         else:
             assert type(default)(value.strip('"')) == default, name
+
+
+def test_the_yaml_can_be_loaded() -> None:
+    with Rig(cli_args=["--ros-args", "--params-file", str(CONFIG)]) as rig:
+        for name, parameter in PARAMETERS.items():
+            assert rig.node.get_parameter(name).value == parameter.default

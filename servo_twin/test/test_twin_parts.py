@@ -137,6 +137,7 @@ class TestSamples:
         assert watch.at_rest(1)
         watch.forget()
         assert not watch.at_rest(1)
+        assert [add(tick, 0) for tick in (400, 450, 500)] == [False, False, True]
 
 
 class TestReplica:
@@ -197,6 +198,7 @@ class TestHealth:
         assert not monitor.healthy
         assert not self.update(monitor, 10.0)
         assert not self.update(monitor, 10.49)
+        assert monitor.reason == "the residual has been small for a moment only"
         assert self.update(monitor, 10.5)
         assert monitor.reason == ""
 

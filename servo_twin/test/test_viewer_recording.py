@@ -80,6 +80,42 @@ def test_a_missing_twin_is_no_trouble(record: Record, file: Path) -> None:
     assert len(read_scalars(file, scene.series_entity(0, "position", scene.TWIN))[0]) == 0
 
 
+def test_what_a_twin_says_of_the_time_before_is_left_out(record: Record, file: Path) -> None:
+    rows = move()
+
+    def feed(viewer: Viewer) -> None:
+        # That of the board may be overtaken on its way.
+        viewer.twin(COLUMNS, rows[:100])
+        viewer.residual(stamp(0), {"position": [0.1, 0.1]})
+        viewer.residual(stamp(EVERY * 550), {"position": [0.1, 0.1]})
+        viewer.board(COLUMNS, rows[400:600])
+        viewer.twin(COLUMNS, rows[300:500])
+        for row in (300, 450):
+            viewer.residual(stamp(EVERY * row), {"position": [0.1, 0.1]})
+
+    record(feed)
+    times, _ = read_scalars(file, scene.series_entity(0, "speed", scene.TWIN))
+    assert times == pytest.approx(np.arange(400, 500) * 0.004, abs=1e-6)
+    assert read_scalars(file, scene.residual_entity(0, "position"))[0] == pytest.approx([1.8, 2.2], abs=1e-6)
+
+
+def test_a_twin_without_stamps_is_placed_by_the_ticks_of_the_board(record: Record, file: Path) -> None:
+    def feed(viewer: Viewer) -> None:
+        viewer.board(COLUMNS, move())
+        viewer.twin(COLUMNS[:-2], move()[:, :-2])
+
+    record(feed)
+    twin, board = (read_scalars(file, scene.series_entity(0, "i_q", s))[0] for s in (scene.TWIN, scene.BOARD))
+    assert twin == pytest.approx(board, abs=2e-9)
+
+
+@pytest.mark.parametrize("width", [len(COLUMNS), len(COLUMNS) - 2])
+def test_a_twin_without_a_board_has_no_place_in_time(record: Record, file: Path, width: int) -> None:
+    record(lambda viewer: viewer.twin(COLUMNS[:width], move()[:, :width]))
+    assert len(read_scalars(file, scene.series_entity(0, "i_q", scene.TWIN))[0]) == 0
+    assert verify(file).returncode == 0
+
+
 def test_residuals_lie_at_the_ticks_of_their_samples(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         viewer.board(COLUMNS, move())

@@ -26,6 +26,7 @@ def test_times_are_ticks_after_the_first_row_whatever_the_stamps_say() -> None:
     assert times == pytest.approx([0.25, 0.35, 1.15], abs=1e-9)
     assert line.telemetry(ticks(32000), stamps(7.0)) == pytest.approx([2.15], abs=1e-9)
     assert line.newest == pytest.approx(2.15)
+    assert line.first == pytest.approx(0.25)
     assert line.resets == 0
 
 
@@ -48,7 +49,7 @@ def test_a_stamp_is_placed_exactly_on_its_row_and_evenly_between_and_beyond() ->
 
 def test_before_any_telemetry_stamps_count_from_the_start() -> None:
     line = BoardTime(START)
-    assert not line.started
+    assert line.first == np.inf
     assert line.of_stamp(START + 1_500_000_000) == pytest.approx(1.5)
 
 

@@ -1,0 +1,103 @@
+"""Address resolution with tables that no sane generator makes: nothing outside of them is ever read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cffi
+import pytest
+from firmware_compiler import CompileC
+
+CDEF = """
+typedef struct { uint16_t name, type; uint32_t address; uint16_t size, kind; } tsa_entry_t;
+typedef struct {
+    const tsa_entry_t *entry; uint16_t entries; const uint8_t *strings; uint16_t strings_size;
+} tsa_table_t;
+typedef struct { const tsa_table_t *table; uint8_t *memory; uint32_t memory_size; } tsa_space_t;
+typedef struct { uint32_t offset; uint16_t size; uint8_t region; } tsa_place_t;
+bool tsa_readable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place);
+bool tsa_writable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place);
+bool tsa_string_length(const tsa_table_t *table, uint32_t address, uint16_t *length);
+uint32_t tsa_table_size(const tsa_table_t *table);
+"""
+VARIABLES, STRINGS, TABLE = 0x1000, 0x0010_0000, 0x0020_0000
+RW = 3
+
+
+class Tsa:
+    """A table, its strings and a memory of 16 bytes."""
+
+    def __init__(self, ffi: cffi.FFI, lib: Any, entries: Sequence[tuple[int, ...]], strings: bytes) -> None:
+        self._ffi = ffi
+        self._lib = lib
+        self._entries = ffi.new("tsa_entry_t[]", list(entries))
+        self._strings = ffi.new("uint8_t[]", strings)
+        self._memory = ffi.new("uint8_t[16]")
+        self.table = ffi.new("tsa_table_t *", (self._entries, len(entries), self._strings, len(strings)))
+        self._space = ffi.new("tsa_space_t *", (self.table, self._memory, 16))
+
+    def place(self, kind: str, address: int, size: int) -> tuple[int, int] | None:
+        """Offset and size that a range resolves to."""
+        place = self._ffi.new("tsa_place_t *")
+        allowed = getattr(self._lib, f"tsa_{kind}")(self._space, address, size, place)
+        return (place.offset, place.size) if allowed else None
+
+    def string_length(self, address: int) -> int | None:
+        length = self._ffi.new("uint16_t *")
+        return length[0] if self._lib.tsa_string_length(self.table, address, length) else None
+
+    def table_size(self) -> int:
+        return int(self._lib.tsa_table_size(self.table))
+
+
+@pytest.fixture(scope="module")
+def library(compile_c: CompileC) -> tuple[cffi.FFI, Any]:
+    return compile_c("tsa", ["comm/tsa.c"], CDEF)
+
+
+def test_string_without_an_end(library: tuple[cffi.FFI, Any]) -> None:
+    """The blob ends in the middle of a string: its length ends there too."""
+    ffi, lib = library
+    tsa = Tsa(ffi, lib, [(0, 2, VARIABLES, 2, RW)], b"a\0\xe1xyz")
+    tsa.table.strings_size = 4
+    assert tsa.string_length(STRINGS + 2) == 2
+    assert tsa.place("readable", STRINGS + 2, 2) == (2, 2)
+    assert tsa.place("readable", STRINGS + 2, 3) is None
+
+
+def test_type_outside_of_the_strings_opens_nothing(library: tuple[cffi.FFI, Any]) -> None:
+    ffi, lib = library
+    tsa = Tsa(ffi, lib, [(0, 4, VARIABLES, 2, RW), (0, 0xFFFF, VARIABLES + 2, 2, RW)], b"a\0\xe1\0")
+    for kind in ("readable", "writable"):
+        assert tsa.place(kind, VARIABLES, 2) is None
+        assert tsa.place(kind, VARIABLES + 2, 2) is None
+
+
+def test_entries_at_the_ends_of_the_address_space(library: tuple[cffi.FFI, Any]) -> None:
+    ffi, lib = library
+    entries = [(0, 2, 0xFFFF_FFFE, 4, RW), (0, 2, 0, 0xFFFF, RW), (0, 2, VARIABLES - 2, 4, RW)]
+    tsa = Tsa(ffi, lib, entries, b"a\0\xe1\0")
+    for address, size in ((0xFFFF_FFFE, 2), (0, 1), (VARIABLES - 1, 2), (VARIABLES + 16, 1), (VARIABLES + 15, 2)):
+        assert tsa.place("readable", address, size) is None
+        assert tsa.place("writable", address, size) is None
+    assert tsa.place("writable", VARIABLES, 16) == (0, 16), "inside of the memory and of an entry"
+
+
+def test_table_larger_than_one_read(library: tuple[cffi.FFI, Any]) -> None:
+    ffi, lib = library
+    tsa = Tsa(ffi, lib, [(0, 2, VARIABLES, 2, RW)] * 5000, b"a\0\xe1\0")
+    assert tsa.table_size() == 80_000
+    assert tsa.place("readable", TABLE + 14_465, 65_535) == (14_465, 65_535)
+    assert tsa.place("readable", TABLE + 14_466, 65_535) is None, "ends behind the table"
+    assert tsa.place("readable", TABLE, 65_536) is None
+    assert tsa.place("readable", TABLE, 65_536 + 16) is None, "a size of 16 bits would take it for 16 bytes"
+
+
+def test_empty_table(library: tuple[cffi.FFI, Any]) -> None:
+    ffi, lib = library
+    tsa = Tsa(ffi, lib, [], b"")
+    assert tsa.table_size() == 0
+    for address in (VARIABLES, STRINGS, TABLE):
+        assert tsa.place("readable", address, 1) is None
+        assert tsa.string_length(address) is None

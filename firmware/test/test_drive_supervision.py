@@ -1,0 +1,331 @@
+"""What a spinning axis watches: stall, runaway, the least ramp of a stop, and switchable parts of the control."""
+
+from __future__ import annotations
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from servo_bench import (
+    CALIB,
+    FAULT,
+    FREEWHEEL,
+    POSITION,
+    READY,
+    RUN,
+    RUNAWAY,
+    SPEED,
+    SPIN,
+    STALLED,
+    STOP,
+    TORQUE,
+    Bench,
+    amps,
+    bus_code,
+    rad_s,
+    speed,
+)
+
+ANTI_WINDUP, ENHANCED_MT, BUS_COMPENSATION, DEAD_TIME = (1 << bit for bit in range(4))
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    bench = Bench(core)
+    bench.to_spin(0)
+    bench.slow(2)
+    return bench
+
+
+def running(bench: Bench, mode: int, rad_per_s: float) -> None:
+    """A shaft that obeys, well on its way in one of the modes."""
+    if mode == POSITION:
+        bench.write(0, mode=POSITION, position=2_000_000)
+    else:
+        bench.write(0, mode=SPEED, speed=speed(rad_per_s))
+    bench.follow(400)
+    if mode == TORQUE:
+        bench.write(0, mode=TORQUE, i_q=amps(0.5))
+        bench.slow(5)
+
+
+# ---- stall ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("target", [{"mode": SPEED, "speed": speed(50.0)}, {"mode": POSITION, "position": 4000}])
+def test_full_current_without_movement_is_a_stall(bench: Bench, target: dict[str, int]) -> None:
+    """Shaft held fast or encoder dead: the current does not stay on for ever."""
+    bench.write(0, **target)
+    ticks = bench.until(lambda: bench.view(0).state == FAULT, 1500)
+    assert bench.view(0).faults == STALLED
+    assert 0.5 <= ticks * 0.5e-3 <= 0.75  # servo.toml: timing.stall_most, and the way to the limit
+    assert not bench.hal.axis[0].outputs_on
+
+
+def test_short_stall_is_forgiven(bench: Bench) -> None:
+    bench.write(0, mode=SPEED, speed=speed(50.0))
+    for _ in range(5):
+        bench.slow(700)
+        bench.turn(0, 10.0)
+        bench.slow(2)
+        bench.turn(0, 0.0)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+
+
+def test_torque_against_a_wall_is_no_stall(bench: Bench) -> None:
+    """Pressing is what torque mode is for."""
+    bench.write(0, mode=TORQUE, i_q=amps(4.0))
+    bench.slow(3000)
+    assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)
+
+
+# ---- runaway --------------------------------------------------------------------------------------------------------
+
+
+def test_gaining_speed_against_the_full_current_is_a_runaway(bench: Bench) -> None:
+    """What an encoder slip of half an electrical turn does: the torque has the wrong sign."""
+    for k in range(200):
+        if bench.view(0).state == FAULT:
+            break
+        bench.turn(0, 2.0 * k)
+        bench.slow()
+    assert bench.view(0).faults == RUNAWAY
+    assert k < 100
+    assert not bench.hal.axis[0].outputs_on
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_far_beyond_the_speed_limit_is_a_runaway_in_every_mode(bench: Bench, sign: int) -> None:
+    bench.let_turn(0, sign * 300.0)
+    bench.slow(100)
+    assert bench.view(0).state == RUN
+    bench.turn(0, sign * 380.0)
+    ticks = bench.until(lambda: bench.view(0).state == FAULT, 100)
+    assert bench.view(0).faults == RUNAWAY
+    assert ticks * 0.5e-3 <= 0.03
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_reversal_at_full_current_is_no_runaway(bench: Bench, sign: int) -> None:
+    """Braking with all there is, as long as the shaft loses speed."""
+    bench.write(0, mode=SPEED, speed=speed(sign * 300.0))
+    bench.follow(250)
+    bench.write(0, speed=speed(-sign * 300.0))
+    shaft = sign * 300.0
+    for _ in range(600):
+        shaft = max(min(shaft - sign * 1.0, 300.0), -300.0)  # slower than the ramp: the current is at its limit
+        bench.turn(0, shaft)
+        bench.slow()
+    assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)
+
+
+def test_shaft_that_is_being_braked_is_no_runaway(bench: Bench) -> None:
+    bench.let_turn(0, 300.0)
+    bench.slow(50)
+    bench.write(0, enable=0)
+    for k in range(300):
+        bench.turn(0, 300.0 - k)
+        bench.slow()
+        assert bench.view(0).faults == 0
+    assert (bench.view(0).state, bench.view(0).substate) in ((RUN, SPIN), (RUN, FREEWHEEL))
+
+
+@pytest.mark.parametrize("mode", [POSITION, SPEED, TORQUE])
+def test_lower_speed_limit_brakes_and_is_no_runaway(bench: Bench, mode: int) -> None:
+    """The host lowers the limit under way: the shaft is brought below it, the axis stays in RUN."""
+    running(bench, mode, 280.0)
+    bench.set_parameter("speed_limit", 100.0)
+    shaft = rad_s(bench.view(0).speed)
+    for _ in range(600):
+        wanted = rad_s(bench.view(0).speed_ref) if mode != TORQUE else 100.0
+        shaft = max(wanted, shaft - 3.0)  # 6000 rad/s2: what some ampere can do
+        bench.turn(0, shaft)
+        bench.slow()
+        assert bench.view(0).faults == 0, f"at {shaft:.0f} rad/s"
+    assert shaft <= 101.0
+
+
+# ---- stop -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stop", [{"quick_stop": 1}, {"enable": 0}])
+def test_gentle_ramps_do_not_make_stops_slow(bench: Bench, stop: dict[str, int]) -> None:
+    """A host that wants 1 rad/s2 for its starts still gets a stop within a stated time (1000 rad/s2)."""
+    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.follow(300)
+    bench.set_parameter("acceleration_limit", 1.0)
+    bench.write(0, **stop)
+    bench.follow(1)
+    before = rad_s(bench.view(0).speed_ref)
+    assert before > 190.0
+    bench.follow(int(before / 1000.0 / 0.5e-3) + 10)
+    assert abs(rad_s(bench.view(0).speed_ref)) < 1.0
+
+
+def test_steep_ramps_hold_for_stops(bench: Bench) -> None:
+    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.follow(300)
+    bench.write(0, quick_stop=1)
+    bench.follow(int(200.0 / 4000.0 / 0.5e-3) + 10)
+    assert abs(rad_s(bench.view(0).speed_ref)) < 1.0
+
+
+# ---- a shaft that still turns ---------------------------------------------------------------------------------------
+
+
+def test_calib_waits_for_a_coasting_shaft(bench: Bench) -> None:
+    """After a fault at speed, READY would short the windings of a shaft at full speed."""
+    bench.let_turn(0, 250.0)
+    bench.slow(20)
+    bench.hal.axis[0].over_current = True
+    bench.slow(2)
+    bench.hal.axis[0].over_current = False
+    bench.clear(0)
+    bench.to_stop()
+    bench.write(0, enable=1)
+    times_on = bench.hal.axis[0].times_on
+    bench.slow(1000)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, CALIB)
+    assert bench.axis(0).sense.samples == 0, "a turning shaft may push current through the diodes"
+    bench.axis(0).calibrated = True  # it began to turn after the last sample
+    bench.slow(10)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, CALIB)
+    assert bench.hal.axis[0].times_on == times_on
+    bench.axis(0).calibrated = False
+    bench.turn(0, 0.0)
+    bench.to_substate(0, READY)
+    bench.to_substate(0, SPIN)
+
+
+def test_waiting_in_calib_can_be_given_up(bench: Bench) -> None:
+    bench.let_turn(0, 100.0)
+    bench.slow(20)
+    bench.hal.bus_code = bus_code(14.0)
+    bench.slow(20)
+    bench.hal.bus_code = bus_code(24.0)
+    bench.slow(20)
+    for axis in range(2):
+        bench.clear(axis)
+    bench.to_stop()
+    bench.write(0, enable=1)
+    bench.slow(500)
+    assert bench.view(0).substate == CALIB
+    bench.write(0, enable=0)
+    bench.slow(2)
+    assert bench.view(0).state == STOP
+
+
+@pytest.mark.parametrize("wait", [CALIB, FREEWHEEL])
+def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
+    """A shaft that something keeps turning must not start by itself, minutes later, when it comes to rest."""
+    bench.let_turn(0, 100.0)
+    bench.slow(20)
+    if wait == CALIB:
+        bench.hal.axis[0].over_current = True
+        bench.slow(2)
+        bench.hal.axis[0].over_current = False
+        bench.clear(0)
+        bench.to_stop()
+    else:
+        bench.write(0, enable=0)
+        bench.to_substate(0, FREEWHEEL)
+    bench.write(0, enable=1)
+    bench.slow(5)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, wait)
+    assert bench.axis(0).requested
+    times_on = bench.hal.axis[0].times_on
+    bench.core.lib.probe_run(bench.servo, 26 * 16000)  # servo.toml: timing.rest_most; the edges stay young
+    assert not bench.axis(0).requested
+    bench.turn(0, 0.0)
+    bench.until(lambda: bench.view(0).state == STOP, 300)
+    bench.slow(500)
+    assert bench.view(0).state == STOP
+    if wait == CALIB:
+        assert bench.hal.axis[0].times_on == times_on
+
+
+# ---- switchable parts -----------------------------------------------------------------------------------------------
+
+
+def switch_off(bench: Bench, feature: int) -> None:
+    bench.write_raw("param.features", [15 & ~feature, 15])
+    bench.slow(2)
+
+
+def test_everything_is_on_after_reset(bench: Bench) -> None:
+    assert [bench.axis(i).features for i in range(2)] == [15, 15]
+
+
+def test_anti_windup_can_be_switched_off(bench: Bench) -> None:
+    integrals = []
+    for feature in (0, ANTI_WINDUP):
+        switch_off(bench, feature)
+        bench.write(0, mode=SPEED, speed=speed(300.0))
+        bench.slow(200)
+        integrals.append(bench.axis(0).motion.speed_pi.integral)
+        bench.write(0, quick_stop=1)
+        bench.follow(20)
+        bench.write(0, enable=1)
+    assert integrals[1] > 2 * max(integrals[0], 1)
+
+
+def test_enhanced_m_t_can_be_switched_off(core: Core) -> None:
+    """Plain M/T holds the last speed until the timer overflows (F18)."""
+    stopped = []
+    for feature in (0, ENHANCED_MT):
+        bench = Bench(core)
+        bench.to_spin(0)
+        switch_off(bench, feature)
+        bench.let_turn(0, 60.0)
+        bench.slow(50)
+        bench.turn(0, 0.0)
+        bench.slow(20)
+        stopped.append(rad_s(bench.view(0).speed))
+        bench.slow(200)
+        assert bench.view(0).speed == 0
+    assert stopped[0] < 10.0
+    assert stopped[1] == pytest.approx(60.0, rel=0.1)
+
+
+def test_bus_compensation_can_be_switched_off(core: Core) -> None:
+    """Without it the duties do not answer to a bus that sags."""
+    swings = []
+    for feature in (0, BUS_COMPENSATION):
+        bench = Bench(core)
+        bench.to_spin(0)
+        switch_off(bench, feature)
+        bench.write(0, mode=TORQUE, i_q=amps(0.02))
+        bench.slow(4)
+        bench.axis(0).current_loop.q.integral = 2**28  # a steady voltage
+        bench.axis(0).current_loop.d.integral = 0
+        duties = []
+        for volts in (24.0, 18.0):
+            bench.hal.bus_code = bus_code(volts)
+            core.lib.servo_m1_isr(bench.servo)
+            duties.append(max(bench.hal.axis[0].duty) - min(bench.hal.axis[0].duty))
+        swings.append(duties[1] / duties[0])
+    assert swings[0] == pytest.approx(24.0 / 18.0, rel=0.03)
+    assert swings[1] == pytest.approx(1.0, rel=0.03)
+
+
+def test_dead_time_compensation_can_be_switched_off(core: Core) -> None:
+    """With 2 A in phase a the duties differ by twice the loss of dead time and drops."""
+    spans = []
+    for feature in (0, DEAD_TIME):
+        bench = Bench(core)
+        bench.to_spin(0)
+        switch_off(bench, feature)
+        bench.write(0, mode=TORQUE, i_q=0)
+        for phase, current in enumerate((2.0, -1.0, -1.0)):
+            bench.hal.axis[0].current_code[phase] = 2048 + round(current / 8.25 * 2048)
+        bench.slow(1)
+        for controller in (bench.axis(0).current_loop.d, bench.axis(0).current_loop.q):
+            controller.integral = controller.excess = 0
+        core.lib.servo_m1_isr(bench.servo)
+        a, b, c = bench.hal.axis[0].duty
+        spans.append((a - (b + c) / 2) / 32768)
+    assert spans[0] - spans[1] == pytest.approx(2 * (1e-6 * 16000 + 0.7 / 24), rel=0.1)

@@ -1,0 +1,156 @@
+"""What every node of the servo has around itself: described parameters, help, an orderly end."""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+import textwrap
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException, ROSInterruptException
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import ok, remove_ros_args, try_shutdown
+
+__all__ = ["ParameterError", "Runnable", "Spec", "declare", "help_text", "run"]
+
+_SPIN_TIMEOUT: Final = 0.1  # how long a stop may go unnoticed [s]
+
+
+class ParameterError(ValueError):
+    """A parameter does not make sense; the text names it and says what does."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One parameter: default, description, range, and whether it can change while the node runs."""
+
+    default: Any
+    description: str
+    low: float | None = None
+    high: float | None = None
+    read_only: bool = True
+
+    def descriptor(self) -> ParameterDescriptor:
+        """ROS descriptor."""
+        result = ParameterDescriptor(description=self.description, read_only=self.read_only)
+        if self.low is not None and self.high is not None:
+            if isinstance(self.default, int):
+                result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=0)]
+            else:
+                result.floating_point_range = [FloatingPointRange(from_value=self.low, to_value=self.high, step=0.0)]
+        return result
+
+
+def declare(node: Node, parameters: Mapping[str, Spec]) -> dict[str, Any]:
+    """Declare parameters and return their values.
+
+    Raises
+    ------
+    ParameterError
+        If a given value has the wrong type or is out of range.
+    """
+    values: dict[str, Any] = {}
+    for name, spec in parameters.items():
+        try:
+            values[name] = node.declare_parameter(name, spec.default, spec.descriptor()).value
+        except ParameterException as error:
+            raise ParameterError(f"parameter {name}: {error}; it is meant as: {spec.description}") from None
+    return values
+
+
+class Runnable(Protocol):
+    """A node that can be ended."""
+
+    failure: str
+    """Why it cannot go on; empty while it can."""
+
+    def shutdown(self) -> None: ...
+
+
+def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
+    """What ``--help`` of a node prints."""
+    lines = [f"usage: {name} [-h] [--ros-args -p PARAMETER:=VALUE ... -r FROM:=TO ... --params-file FILE]", ""]
+    lines += [*textwrap.wrap(purpose, 100), "", "parameters:"]
+    for key, spec in parameters.items():
+        limits = f", {spec.low:g} .. {spec.high:g}" if spec.low is not None and spec.high is not None else ""
+        text = f"{spec.description} (default: {spec.default!r}{limits})"
+        lines += [f"  {key}", *textwrap.wrap(text, 100, initial_indent="      ", subsequent_indent="      ")]
+    return "\n".join(lines)
+
+
+def run(
+    name: str,
+    purpose: str,
+    parameters: Mapping[str, Spec],
+    make: Callable[[EventsExecutor], Runnable],
+    args: Sequence[str] | None,
+) -> int:
+    """Run a node until Ctrl-C, SIGTERM or its own failure.
+
+    Parameters
+    ----------
+    name, purpose, parameters
+        For messages and ``--help``.
+    make : callable
+        Makes the node for an executor, once ROS is up.
+    args : sequence of str, optional
+        Arguments without the program's name; those of the process by default.
+
+    Returns
+    -------
+    int
+        0 after an orderly end, 1 when the node could not go on, 2 when a parameter or an argument does not make sense.
+    """
+    own = remove_ros_args([name, *(sys.argv[1:] if args is None else args)])[1:]
+    if own and own[0] in ("-h", "--help"):
+        print(help_text(name, purpose, parameters))
+        return 0
+    if own:
+        return _complain(name, f"unknown argument {own[0]}; --help lists what there is", 2)
+    stop = threading.Event()
+    try:
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        return _complain(name, _without_places(str(error)), 2)
+    if threading.current_thread() is threading.main_thread():
+        # Not rclpy's handlers: ROS has to work on until the node has ended in order.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: stop.set())
+    executor = EventsExecutor()
+    node: Runnable | None = None
+    try:
+        node = make(executor)
+        executor.add_node(node)
+        while ok() and not stop.is_set() and not node.failure:
+            executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
+        if node.failure:
+            return _complain(name, node.failure, 1)
+    except ParameterError as error:
+        return _complain(name, str(error), 2)
+    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
+        return 0
+    finally:
+        if node is not None:
+            executor.remove_node(node)
+            node.shutdown()
+        try_shutdown()
+    return 0
+
+
+def _without_places(text: str) -> str:
+    """First line of an error of rcl without the places in its C sources."""
+    return re.sub(r", at \S+:\d+", "", text.splitlines()[0])
+
+
+def _complain(name: str, message: str, status: int) -> int:
+    print(f"{name}: {message}", file=sys.stderr, flush=True)
+    return status

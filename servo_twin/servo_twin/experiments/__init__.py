@@ -1,0 +1,52 @@
+"""Experiments of the reference design, repeated on the virtual board in simulated time.
+
+One module per experiment: ``NAME``, ``HELP`` (what the reference design shows) and ``run(plant, seed) -> Outcome``.
+Bounds come from the reference design or from the physics of the plant that is given, never from an earlier run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from servo_twin.experiments import (
+    anti_windup,
+    bus_ripple,
+    low_speed,
+    mt_speed,
+    path_filter,
+    position,
+    rotor_search,
+    stiffness,
+    two_axes,
+)
+from servo_twin.experiments.outcome import Outcome
+from servo_twin.plant import PlantConfig
+
+__all__ = ["EXPERIMENTS", "Experiment"]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An entry of the registry."""
+
+    name: str
+    help: str
+    run: Callable[[PlantConfig, int], Outcome]
+
+
+EXPERIMENTS: Final[Mapping[str, Experiment]] = {
+    module.NAME: Experiment(module.NAME, module.HELP, module.run)
+    for module in (
+        anti_windup,
+        position,
+        rotor_search,
+        mt_speed,
+        path_filter,
+        stiffness,
+        low_speed,
+        bus_ripple,
+        two_axes,
+    )
+}

@@ -1,0 +1,142 @@
+"""F21 and F22: a sine that asks for more current than the limit allows, with and without anti-windup."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import (
+    RPM,
+    TICK,
+    Recording,
+    choose_mode,
+    command_speed,
+    features,
+    set_axis,
+    spinning,
+    watch,
+)
+from servo_twin.plant import AxisPlant, PlantConfig
+
+NAME: Final = "anti-windup"
+HELP: Final = """\
+Speed control of axis 1, no load, sine of 500 rpm at 20 Hz, i_q limited to 1 A, same Kp and Ki in both runs.
+The reference design shows: with anti-windup (F21) almost no overshoot and a small lag;
+without (F22) the limit is left only after the error has changed its sign: overshoot and lag at every peak."""
+
+AXIS: Final = 0
+AMPLITUDE: Final = 500.0 * RPM
+FREQUENCY: Final = 20.0
+WARM_UP: Final = 0.5
+MEASURED: Final = 0.5
+
+DEPTH: Final = 0.84
+"""What the limited current can accelerate, over what the sine asks for. 1 A does this to the shaft of F21."""
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a sine run gave.
+
+    Attributes
+    ----------
+    peak : float
+        Largest speed feedback, the mean over the half periods [rad/s].
+    lag : float
+        Of the peaks of the speed feedback behind those of the set-point, the mean [degrees].
+    saturated : float
+        Part of the time with the current set-point at its limit.
+    recording : Recording
+        The last periods.
+    reference : ndarray
+        The sine [rad/s].
+    """
+
+    peak: float
+    lag: float
+    saturated: float
+    recording: Recording
+
+
+def current_limit(axis: AxisPlant) -> float:
+    """Limit that saturates a shaft as deeply as 1 A does the one of F21 [A], in steps of 0.01 A."""
+    torque = DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi * FREQUENCY + axis.friction
+    return float(np.clip(round(torque / axis.torque_constant, 2), 0.1, 4.0))
+
+
+def sine(time: float) -> float:
+    """Speed set-point at a time since the beginning [rad/s]."""
+    return float(AMPLITUDE * np.sin(2.0 * np.pi * FREQUENCY * time))
+
+
+def respond(plant: PlantConfig, seed: int, anti_windup: bool) -> Response:
+    """Run the sine once."""
+    limit = current_limit(plant.axes[AXIS])
+    with spinning(plant, seed) as board:
+        features(board, AXIS, ANTI_WINDUP=anti_windup)
+        set_axis(board, "param.i_q_limit", AXIS, limit)
+        set_axis(board, "param.acceleration_limit", AXIS, board.catalogue["param.acceleration_limit"].maximum)
+        choose_mode(board, AXIS, "SPEED")
+        whole = watch(board, [AXIS], WARM_UP + MEASURED, lambda k: command_speed(board, AXIS, sine(k * TICK)))[AXIS]
+        lsb = board.catalogue["param.i_q_limit"].lsb
+    part = whole.part(WARM_UP)
+    peaks, lags = half_waves(part.speed)
+    saturated = float(np.mean(np.abs(part.i_q_ref) >= limit - 2.0 * lsb))
+    return Response(float(np.mean(peaks)), float(np.mean(lags)), saturated, part)
+
+
+def half_waves(speed: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+    """Height [rad/s] and lag [degrees] of every peak; the set-point's sine begins with the signal.
+
+    Each is looked for in the half period that follows the peak of the set-point.
+    """
+    half = round(0.5 / FREQUENCY / TICK)
+    peaks: list[float] = []
+    lags: list[float] = []
+    for k, first in enumerate(range(half // 2, speed.size - half + 1, half)):
+        wave = (-1.0) ** k * speed[first : first + half]
+        peaks.append(float(wave.max()))
+        lags.append(360.0 * FREQUENCY * TICK * int(wave.argmax()))
+    return peaks, lags
+
+
+def sine_of(recording: Recording) -> NDArray[np.float64]:
+    """Set-points of a recording [rad/s]."""
+    return np.asarray(AMPLITUDE * np.sin(2.0 * np.pi * FREQUENCY * (recording.time - TICK)))
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """Both runs."""
+    limit = current_limit(plant.axes[AXIS])
+    with_it, without = respond(plant, seed, True), respond(plant, seed, False)
+    asked = AMPLITUDE / RPM
+    rows = (
+        Row("peak with", "F21: almost no overshoot", with_it.peak / RPM, "rpm", Bound(0.95 * asked, 1.1 * asked)),
+        Row("lag with", "F21: small lag", with_it.lag, "deg", Bound(0.0, 20.0)),
+        Row("time at the limit with", "F21: at the limit while accelerating", with_it.saturated, "", Bound(0.05, 0.8)),
+        Row("peak without", "F22: overshoot at every peak", without.peak / RPM, "rpm", Bound(1.2 * asked, None)),
+        Row("lag without", "F22: clear lag", without.lag, "deg", Bound(45.0, None)),
+        Row("time at the limit without", "F22: longer at the limit", without.saturated, "", Bound(with_it.saturated)),
+    )
+    panels = tuple(
+        _panel(f"{figure}: {how} anti-windup", response)
+        for figure, how, response in (("F21", "with", with_it), ("F22", "without", without))
+    )
+    return Outcome(
+        NAME, rows, panels, (f"axis {AXIS + 1}, i_q limit {limit:.2f} A, speeds are the feedback's, as in F21 and F22",)
+    )
+
+
+def _panel(title: str, response: Response) -> Panel:
+    part = response.recording.part(WARM_UP, WARM_UP + 3.0 / FREQUENCY)
+    time = 1e3 * (part.time - WARM_UP)
+    curves = (
+        Curve("set-point", time, sine_of(part) / RPM),
+        Curve("speed", time, part.speed / RPM),
+        Curve("i_q* [A] x 500", time, part.i_q_ref * 500.0),
+    )
+    return Panel(title, "time [ms]", "speed [rpm]", curves)

@@ -1,0 +1,105 @@
+"""``servo-sim experiment``: run experiments, print and write what they gave."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from servo_twin.experiments import EXPERIMENTS
+from servo_twin.experiments.outcome import Bound, Outcome, Row
+from servo_twin.experiments.report import draw, summary, table, update_summary
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+
+__all__ = ["add_parser", "run_experiments"]
+
+_OUT: Final = Path("out/experiments")
+
+
+def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
+    """Add ``experiment`` with one command per experiment to the commands of ``servo-sim``.
+
+    Parameters
+    ----------
+    verbs : argparse subparsers
+        Where to add it.
+    common : ArgumentParser
+        Parent with ``--seed``, ``--plant`` and ``--json``.
+    """
+    experiment = verbs.add_parser("experiment", help="repeat the experiments of the reference design")
+    names = experiment.add_subparsers(dest="experiment", required=True, metavar="NAME")
+    for entry in EXPERIMENTS.values():
+        parser = names.add_parser(
+            entry.name,
+            parents=[common],
+            help=entry.help.splitlines()[0],
+            description=entry.help,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the picture to this file")
+        parser.add_argument("--out", type=Path, metavar="FOLDER", help="table, picture and summary to this folder")
+        parser.set_defaults(run=_run, names=[entry.name])
+    everything = names.add_parser("all", parents=[common], help="all of them, one after the other")
+    everything.add_argument(
+        "--out", type=Path, default=_OUT, metavar="FOLDER", help="tables, pictures, summary (default: %(default)s)"
+    )
+    everything.set_defaults(run=_run, names=list(EXPERIMENTS), plot=None)
+
+
+def run_experiments(
+    names: Sequence[str], plant: PlantConfig, seed: int, folder: Path | None, quiet: bool = False
+) -> list[Outcome]:
+    """Run experiments one after the other, print their tables and fill the folder as they finish.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the registry.
+    plant : PlantConfig
+        What is really there.
+    seed : int
+        Of every random number.
+    folder : Path or None
+        Where tables, pictures and ``summary.json`` go.
+    quiet : bool
+        Print no tables.
+    """
+    outcomes: list[Outcome] = []
+    for name in names:
+        outcome = _attempt(name, plant, seed)
+        outcomes.append(outcome)
+        if not quiet:
+            print(table(outcome), flush=True)
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / f"{name}.txt").write_text(table(outcome), encoding="utf-8")
+            draw(outcome, folder / f"{name}.png")
+            update_summary(folder, [outcome])
+    return outcomes
+
+
+def _attempt(name: str, plant: PlantConfig, seed: int) -> Outcome:
+    """Run one experiment; a plant that it cannot run on is a result, too."""
+    try:
+        return EXPERIMENTS[name].run(plant, seed)
+    except SimulationError as error:
+        row = Row("can be run", "it was", None, "", Bound(1.0, 1.0))
+        return Outcome(name, (row,), (), (str(error),))
+
+
+def _run(args: argparse.Namespace) -> int:
+    plant = PlantConfig.load(args.plant)
+    outcomes = run_experiments(args.names, plant, args.seed, args.out, quiet=args.json)
+    if args.plot is not None:
+        draw(outcomes[0], args.plot)
+    if args.json:
+        print(json.dumps(summary(outcomes), indent=2, allow_nan=False, ensure_ascii=False))
+    else:
+        rows = [row for outcome in outcomes for row in outcome.rows]
+        wrong = [f"{o.name}: {row.name}" for o in outcomes for row in o.rows if not row.agrees]
+        print(f"{len(rows) - len(wrong)} of {len(rows)} figures agree with the reference design")
+        print("".join(f"  does not agree: {name}\n" for name in wrong), end="")
+    return 0 if all(outcome.agrees for outcome in outcomes) else 1

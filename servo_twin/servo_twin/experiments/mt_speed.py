@@ -1,0 +1,341 @@
+"""Four ways to measure speed on the same shaft: M, T, M/T and enhanced M/T (DRM 2.4.4 to 2.4.6, F17 to F19)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
+
+from servo_twin.board import Board
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, features, watch
+from servo_twin.plant import PlantConfig
+
+NAME: Final = "mt-speed"
+HELP: Final = """\
+Speed from encoder pulses by the methods M, T, M/T and enhanced M/T, on one shaft, motor off and driven from outside.
+The reference design says: M is poor at low speed, T at high speed, M/T joins what is good in both (2.4.4); when the
+shaft slows down M/T stagnates until the next pulse (2.4.5, F18), the enhanced method does not (2.4.6, F19: M2 = 4 and
+TMR3 = 2, 5, 8, 11 give 1, 4/5, 4/8, 4/11 of the speed, the next pulse after 12 gives 1/3)."""
+
+AXIS: Final = 0
+SPEEDS: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 3500.0)  # [rpm]
+TIMER: Final = 100e6 / 128.0
+"""Clock of the time stamps, bus clock / 128 (DRM 2.4.4) [Hz]."""
+
+BRAKE_FROM: Final = 60.0 * RPM
+BRAKE_TIME: Final = 0.4  # [s]
+BRAKE_REST: Final = 0.15  # [s]
+SNAPSHOT: Final = -0.5 * PERIOD_NS * 1e-9
+"""The speed of a slow tick is measured so long after the tick's end [s]."""
+
+FLOOR: Final = 1.05
+"""Allowed error in units of 1/M2: two time stamps cut off to whole ticks, and a little for the fraction format."""
+
+F19_M2: Final = 4
+F19_TIMER: Final = (2, 5, 8, 11)
+F19_NEXT: Final = 12
+F19_FACTORS: Final = (Fraction(1), Fraction(4, 5), Fraction(4, 8), Fraction(4, 11), Fraction(1, 3))
+
+
+def enhanced_factor(m2: int, timer: int) -> Fraction:
+    """F19: what is left of the last speed, measured over `m2` ticks, when `timer` ticks have gone since its edge."""
+    return Fraction(m2, timer) if timer > m2 else Fraction(1)
+
+
+def worked_example() -> tuple[Fraction, ...]:
+    """The five factors of F19; the last one is the speed of the next edge, E33."""
+    return (*(enhanced_factor(F19_M2, timer) for timer in F19_TIMER), Fraction(F19_M2, F19_NEXT))
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Encoder edges of a recording: time of each [s] and its number; even numbers are edges of track B."""
+
+    time: NDArray[np.float64]
+    number: NDArray[np.int64]
+
+    def of_b(self) -> Edges:
+        b = self.number % 2 == 0
+        return Edges(self.time[b], self.number[b])
+
+
+def edges_of(recording: Recording, start_angle: float) -> Edges:
+    """Edges of a shaft that only turns forwards; its acceleration is constant within each slow tick."""
+    theta = np.concatenate([[start_angle], np.maximum.accumulate(recording.theta)])
+    omega = np.concatenate([[recording.omega[0]], recording.omega])
+    time = np.concatenate([[recording.time[0] - TICK], recording.time])
+    number = np.arange(np.floor(theta[0] / COUNT) + 1, np.floor(theta[-1] / COUNT) + 1).astype(np.int64)
+    angle = number * COUNT
+    k = np.clip(np.searchsorted(theta, angle, side="left") - 1, 0, theta.size - 2)
+    way = angle - theta[k]
+    whole = theta[k + 1] - theta[k]
+    # The mean speed tells the speed at the beginning better than a stop within the tick would.
+    first, last = omega[k], 2.0 * whole / TICK - omega[k]
+    slope = (last - first) / TICK
+    root = np.sqrt(np.maximum(first**2 + 2.0 * slope * way, 0.0))
+    inside = np.divide(2.0 * way, first + root, out=np.zeros_like(way), where=first + root > 0.0)
+    return Edges(time[k] + np.clip(inside, 0.0, TICK), number)
+
+
+@dataclass(frozen=True)
+class Methods:
+    """Speeds [rad/s] at every slow tick, by method, and what the methods saw.
+
+    Attributes
+    ----------
+    m, t, mt, enhanced : ndarray
+        M and T from the true edges; M/T and enhanced M/T from the firmware.
+    m2 : ndarray
+        Timer ticks between the last two captured edges (M/T).
+    age : ndarray
+        Timer ticks since the last captured edge.
+    from_edges : ndarray
+        What E33 and F19 give for these edges [rad/s].
+    t_m2, t_age : ndarray
+        The same for the pulses of the T method.
+    """
+
+    m: NDArray[np.float64]
+    t: NDArray[np.float64]
+    mt: NDArray[np.float64]
+    enhanced: NDArray[np.float64]
+    m2: NDArray[np.float64]
+    age: NDArray[np.float64]
+    from_edges: NDArray[np.float64]
+    t_m2: NDArray[np.float64]
+    t_age: NDArray[np.float64]
+
+
+def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> Recording:
+    """Turn the shaft of a motor that is off from outside: `speed_at` gives the speed after each slow tick [rad/s]."""
+    axis = plant.axes[AXIS]
+    with Board(plant, seed=seed) as board:
+        board.run(0.03)
+        features(board, AXIS, ENHANCED_MT=enhanced)
+
+        def act(k: int) -> None:
+            omega, wanted = board.truth(AXIS).omega_m, speed_at(k)
+            if wanted == 0.0 and omega == 0.0:
+                board.set_load(AXIS, 0.0)
+                return
+            drag = axis.friction + axis.viscous * 0.5 * (omega + wanted)
+            board.set_load(AXIS, -(axis.inertia * (wanted - omega) / TICK + drag))
+
+        return watch(board, [AXIS], seconds, act)[AXIS]
+
+
+def start_angle(plant: PlantConfig, seed: int) -> float:
+    """Angle of the shaft before it is first moved [rad]."""
+    angle = plant.drawn(seed).axes[AXIS].theta_start
+    assert angle != "random"
+    return angle
+
+
+def methods(
+    plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float
+) -> tuple[Recording, Methods]:
+    """One trace, all methods."""
+    plain = drive(plant, seed, speed_at, seconds, enhanced=False)
+    better = drive(plant, seed, speed_at, seconds, enhanced=True)
+    assert np.array_equal(plain.theta, better.theta), "a motor that is off must not act on the shaft"
+    edges = edges_of(better, start_angle(plant, seed))
+    now = better.time + SNAPSHOT
+    t_m2, t_age, _ = _intervals(edges, now, edges.time)
+    m2, age, counts = _intervals(edges.of_b(), now, _captured(edges.of_b(), now))
+    edge_speed = np.divide(counts * COUNT * TIMER, m2, out=np.zeros_like(m2), where=m2 > 0)
+    factor = np.where(age > m2, m2 / np.maximum(age, 1.0), 1.0)
+    found = Methods(
+        m=np.diff(better.position, prepend=0.0) * COUNT / TICK,
+        t=np.divide(COUNT * TIMER, t_m2, out=np.zeros_like(t_m2), where=t_m2 > 0),
+        mt=plain.speed,
+        enhanced=better.speed,
+        m2=m2,
+        age=age,
+        from_edges=np.where(age < 0x10000, edge_speed * factor, 0.0),
+        t_m2=t_m2,
+        t_age=t_age,
+    )
+    return better, found
+
+
+def _captured(b_edges: Edges, now: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Times of the edges that are latched: the first one after each slow loop."""
+    first = np.unique(np.searchsorted(b_edges.time, now, side="right"))
+    return b_edges.time[first[first < b_edges.time.size]]
+
+
+def _intervals(
+    edges: Edges, now: NDArray[np.float64], captured: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Ticks between the last two captured edges, ticks since the last one and counts between them, at each time."""
+    last = np.searchsorted(captured, now, side="right") - 1
+    known = last >= 1
+    ticks = np.floor(captured * TIMER + 1e-6)
+    number = edges.number[np.searchsorted(edges.time, captured)].astype(np.float64)
+    k = np.maximum(last, 1)
+    if captured.size < 2:
+        return np.zeros_like(now), np.full_like(now, np.inf), np.zeros_like(now)
+    m2 = np.where(known, ticks[k] - ticks[k - 1], 0.0)
+    age = np.where(known, np.floor(now * TIMER) - ticks[k], np.inf)
+    return m2, age, np.where(known, number[k] - number[k - 1], 0.0)
+
+
+# ---- steady speed ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Steady:
+    """Largest relative errors at one speed; `floor` is 1/M2, the `_times` are errors over that floor."""
+
+    m: float
+    t: float
+    mt: float
+    enhanced: float
+    floor: float
+    mt_times: float
+    enhanced_times: float
+    m2: float
+
+
+def steady(plant: PlantConfig, seed: int, speed: float) -> Steady:
+    """Largest errors at a constant speed [rad/s]."""
+    spacing = 2.0 * COUNT / speed  # of B edges
+    seconds = max(0.1, 6.0 * spacing)
+    recording, found = methods(plant, seed, lambda k: speed, seconds)
+    window = recording.time > 0.02 + 3.0 * spacing
+    true = recording.omega[window]
+
+    def worst(measured: NDArray[np.float64], weight: NDArray[np.float64] | float = 1.0) -> float:
+        return float(np.max(np.abs(measured[window] / true - 1.0) * weight))
+
+    m2 = found.m2[window]
+    return Steady(
+        m=worst(found.m),
+        t=worst(found.t),
+        mt=worst(found.mt),
+        enhanced=worst(found.enhanced),
+        floor=float(1.0 / m2.min()),
+        mt_times=worst(found.mt, m2),
+        enhanced_times=worst(found.enhanced, m2),
+        m2=float(np.median(m2)),
+    )
+
+
+# ---- slowing down ---------------------------------------------------------------------------------------------------
+
+
+def braking(k: int) -> float:
+    """Speed that falls evenly to zero and stays there [rad/s]."""
+    lead = 0.1
+    return BRAKE_FROM * float(np.clip(1.0 - (k * TICK - lead) / BRAKE_TIME, 0.0, 1.0))
+
+
+def stagnation(speed: NDArray[np.float64], overdue: NDArray[np.bool_]) -> float:
+    """Longest time that a measured speed above zero stays the same while the next edge is overdue [s]."""
+    same = np.concatenate([[False], speed[1:] == speed[:-1]]) & overdue & (speed > 0.0)
+    longest = run_length = 0
+    for stands in same:
+        run_length = run_length + 1 if stands else 0
+        longest = max(longest, run_length)
+    return longest * TICK
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """Errors from 0.5 to 3500 rpm, stagnation while the shaft slows down, and the worked example."""
+    found = {rpm: steady(plant, seed, rpm * RPM) for rpm in SPEEDS}
+    low, high = found[SPEEDS[0]], found[SPEEDS[-1]]
+    exact = sum(a == b for a, b in zip(worked_example(), F19_FACTORS, strict=True))
+    seconds = 0.1 + BRAKE_TIME + BRAKE_REST
+    brake, slow = methods(plant, seed, braking, seconds)
+    moving = (brake.time > 0.05) & (slow.m2 > 0)
+    late = moving & (slow.age > slow.m2)
+    t_late = moving & (slow.t_age > slow.t_m2)
+    stands = {
+        "T": stagnation(slow.t, t_late),
+        "M/T": stagnation(slow.mt, late),
+        "enhanced M/T": stagnation(slow.enhanced, late),
+    }
+    law = moving & (slow.age < 0x10000)
+    deviation = np.abs(slow.enhanced / np.maximum(slow.from_edges, 1e-9) - 1.0) * np.minimum(slow.m2, slow.age + 1.0)
+    lowest, highest = (f"{rpm:g} rpm" for rpm in (SPEEDS[0], SPEEDS[-1]))
+    rows = (
+        Row(f"M, error at {lowest}", "2.4.4: M is poor at low speed", 100 * low.m, "%", Bound(least=100.0)),
+        Row(
+            f"M, error at {highest}",
+            "2.4.4: M is good at high speed",
+            100 * high.m,
+            "%",
+            Bound(most=_m_floor(SPEEDS[-1])),
+        ),
+        Row(f"T, error at {lowest}", "2.4.4: T is good at low speed", 100 * low.t, "%", Bound(most=0.1)),
+        Row(f"T, error at {highest}", "2.4.4: T is poor at high speed", 100 * high.t, "%", Bound(least=5.0)),
+        Row(
+            "M/T, largest error over 1/M2",
+            "E33: time stamps of one tick",
+            max(s.mt_times for s in found.values()),
+            "1/M2",
+            Bound(most=FLOOR),
+        ),
+        Row(
+            "enhanced M/T, largest error over 1/M2",
+            "as M/T at steady speed",
+            max(s.enhanced_times for s in found.values()),
+            "1/M2",
+            Bound(most=FLOOR),
+        ),
+        Row(f"M2 at {lowest}", "781.25 kHz, 1000 lines: 46875", low.m2, "ticks", Bound(46874.0, 46876.0)),
+        Row("F19, values exact", "1, 4/5, 4/8, 4/11, then 1/3", exact, "of 5", Bound(5.0, 5.0)),
+        Row(
+            "firmware against E33 and F19 while braking",
+            "F19: M2 / TMR3",
+            float(deviation[law].max()),
+            "ticks",
+            Bound(most=2.0),
+        ),
+        Row("T, stagnation", "2.4.5: until the next pulse", 1e3 * stands["T"], "ms", Bound(least=5.0)),
+        Row("M/T, stagnation", "F18: until the next pulse", 1e3 * stands["M/T"], "ms", Bound(least=5.0)),
+        Row(
+            "enhanced M/T, stagnation",
+            "F19: none beyond the slow loop",
+            1e3 * stands["enhanced M/T"],
+            "ms",
+            Bound(most=1e3 * TICK),
+        ),
+    )
+    notes = (
+        f"axis {AXIS + 1}; M over {1e3 * TICK:g} ms, {COUNTS_PER_TURN} counts",
+        f"braking from {BRAKE_FROM / RPM:g} rpm to a stop in {BRAKE_TIME:g} s",
+        "stagnation: longest time at one value after the next edge has become overdue",
+    )
+    return Outcome(NAME, rows, (_error_panel(found), _brake_panel(brake, slow)), notes)
+
+
+def _m_floor(rpm: float) -> float:
+    """One count per slow loop [percent of a speed]."""
+    return 100.0 * COUNT / TICK / (rpm * RPM)
+
+
+def _error_panel(found: dict[float, Steady]) -> Panel:
+    x = np.array(list(found))
+    lines = {"M": "m", "T": "t", "M/T": "mt", "enhanced M/T": "enhanced", "floor 1/M2": "floor"}
+    curves = tuple(
+        Curve(
+            label, x, 100.0 * np.array([getattr(s, field) for s in found.values()]), "k--" if field == "floor" else "o-"
+        )
+        for label, field in lines.items()
+    )
+    return Panel("largest error at steady speed", "speed [rpm]", "error [%]", curves, log_x=True, log_y=True)
+
+
+def _brake_panel(brake: Recording, slow: Methods) -> Panel:
+    part = slice(round((0.1 + 0.7 * BRAKE_TIME) / TICK), None)
+    time = 1e3 * brake.time[part]
+    named = {"true": brake.omega, "T": slow.t, "M/T": slow.mt, "enhanced M/T": slow.enhanced}
+    curves = tuple(Curve(label, time, y[part] / RPM, "k-" if label == "true" else "-") for label, y in named.items())
+    return Panel("slowing down to a stop (M: multiples of 30 rpm)", "time [ms]", "speed [rpm]", curves)

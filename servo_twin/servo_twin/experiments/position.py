@@ -1,0 +1,134 @@
+"""Position moves: shaped steps and ramps without overshoot and without a limit cycle (DRM 2.7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import COUNTS_PER_TURN
+
+from servo_twin.board import Board
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import COUNT, TICK, Recording, command_position, spinning, stays_from, watch
+from servo_twin.plant import PlantConfig
+
+NAME: Final = "position"
+HELP: Final = """\
+Position set-points of both axes: steps, which the path filter shapes, and ramps, 0.01, 1 and 100 turns far.
+The reference design wants no overshoot and no oscillation of the position (2.7.3); it shows no measurement."""
+
+DISTANCES: Final = (0.01, 1.0, 100.0)  # [turns]
+MOST_COUNTS: Final = 2.0
+SETTLE: Final = 0.5
+"""Allowed from the end of the speed-limited ramp until the shaft has arrived [s]: path filter and position loop."""
+
+RAMP_SPEED: Final = 0.5  # of the speed limit
+RAMP_LEAST: Final = 0.2  # [s]
+REST: Final = 1.0  # recorded after the shaft should have arrived [s]
+
+SEED_OVERSHOOT: Final = "2.7.3: position must not overshoot"
+SEED_CYCLE: Final = "2.7.3: position must not oscillate"
+SEED_NONE: Final = "no figure given"
+
+
+@dataclass(frozen=True)
+class Move:
+    """What one move gave; counts unless it says otherwise.
+
+    Attributes
+    ----------
+    overshoot : float
+        Farthest beyond the target.
+    cycle : float
+        From the lowest to the highest position after arrival, over the last half second.
+    error : float
+        Mean distance from the target over that time.
+    settling : float or None
+        From the end of the set-point's ramp until the shaft stays within 2 counts [s].
+    recording : Recording
+        All of it.
+    """
+
+    overshoot: float
+    cycle: float
+    error: float
+    settling: float | None
+    recording: Recording
+
+
+def measure(recording: Recording, target: int, ramp_end: float) -> Move:
+    """Judge a move that began with the recording; `target` in counts, `ramp_end` in seconds."""
+    position = recording.position
+    direction = 1.0 if target >= position[0] else -1.0
+    last = recording.part(recording.time[-1] - REST / 2.0).position
+    arrived = stays_from(recording, position, target - MOST_COUNTS, target + MOST_COUNTS)
+    return Move(
+        overshoot=max(float((direction * (position - target)).max()), 0.0) + 0.0,
+        cycle=float(np.ptp(last)),
+        error=float(np.abs(last - target).mean()),
+        settling=None if arrived is None else max(arrived - ramp_end, 0.0),
+        recording=recording,
+    )
+
+
+def travel(board: Board, axis: int, turns: float, ramp: bool) -> Move:
+    """Move one axis by some turns from where it is."""
+    limits = board.read("param.speed_limit")
+    assert isinstance(limits, list)
+    most = limits[axis]
+    start = board.read_raw(f"{axis_name(axis)}.position")[0]
+    target = start + round(turns * COUNTS_PER_TURN)
+    distance = abs(target - start) * COUNT
+    duration = max(distance / (RAMP_SPEED * most), RAMP_LEAST) if ramp else distance / most
+
+    def act(k: int) -> None:
+        if ramp and k * TICK <= duration + TICK:
+            command_position(board, axis, round(start + (target - start) * min(k * TICK / duration, 1.0)))
+        elif not ramp and k == 0:
+            command_position(board, axis, target)
+
+    return measure(watch(board, [axis], duration + SETTLE + REST, act)[axis], target, duration)
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """Every distance as step and as ramp, there and back, each axis by itself."""
+    rows: list[Row] = []
+    panels: list[Panel] = []
+    with spinning(plant, seed) as board:
+        for distance in DISTANCES:
+            for ramp in (False, True):
+                how = f"{'ramp' if ramp else 'step'} of {distance:g} turns"
+                moves = [travel(board, axis, (-1.0 if ramp else 1.0) * distance, ramp) for axis in range(AXES)]
+                rows.extend(row for axis, move in enumerate(moves) for row in _rows(f"{axis_name(axis)} {how}", move))
+                if not ramp:
+                    panels.extend(_panels(how, moves))
+    return Outcome(NAME, tuple(rows), tuple(panels), ("settling: after the end of the speed-limited set-point",))
+
+
+def _rows(what: str, move: Move) -> tuple[Row, ...]:
+    within = Bound(most=MOST_COUNTS)
+    return (
+        Row(f"{what}, overshoot", SEED_OVERSHOOT, move.overshoot, "counts", within),
+        Row(f"{what}, limit cycle", SEED_CYCLE, move.cycle, "counts", within),
+        Row(f"{what}, steady-state error", SEED_NONE, move.error, "counts", within),
+        Row(f"{what}, settling", SEED_NONE, move.settling, "s", Bound(most=SETTLE)),
+    )
+
+
+def _panels(how: str, moves: list[Move]) -> tuple[Panel, Panel]:
+    whole: list[Curve] = []
+    error: list[Curve] = []
+    for axis, move in enumerate(moves):
+        r = move.recording
+        turns = (r.position - r.position[0]) / COUNTS_PER_TURN
+        whole.append(Curve(axis_name(axis), r.time, turns))
+        whole.append(
+            Curve(f"{axis_name(axis)} set-point", r.time, (r.position_ref - r.position[0]) / COUNTS_PER_TURN, "--")
+        )
+        error.append(Curve(axis_name(axis), r.time, r.position_ref - r.position))
+    return (
+        Panel(how, "time [s]", "position [turns]", tuple(whole)),
+        Panel(f"{how}: shaped set-point - position", "time [s]", "difference [counts]", tuple(error)),
+    )

@@ -1,0 +1,112 @@
+"""Outcomes as text, as pictures and as ``summary.json``."""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from servo_twin.experiments.outcome import Outcome, Panel
+from servo_twin.simulation import SimulationError
+
+__all__ = ["SUMMARY", "draw", "summary", "table", "update_summary"]
+
+SUMMARY: Final = "summary.json"
+_HEAD: Final = ("figure", "measured", "unit", "bound", "agrees", "the reference design")
+_WIDTH: Final = 44
+
+
+def _number(value: float | None) -> str:
+    if value is None or not math.isfinite(value):
+        return "never"
+    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+
+
+def table(outcome: Outcome) -> str:
+    """Rows of an outcome for people."""
+    lines = [
+        _HEAD,
+        *(
+            (r.name, _number(r.measured), r.unit, str(r.bound), "yes" if r.agrees else "NO", r.seed)
+            for r in outcome.rows
+        ),
+    ]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(_HEAD) - 1)]
+    text = [outcome.name, ""]
+    for line in lines:
+        cells = "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=False))
+        wrapped = textwrap.wrap(line[-1], _WIDTH) or [""]
+        text.append(f"  {cells}  {wrapped[0]}".rstrip())
+        text.extend(" " * (len(cells) + 4) + more for more in wrapped[1:])
+    text.extend(["", *(f"  {note}" for note in outcome.notes)] if outcome.notes else [])
+    return "\n".join(text) + "\n"
+
+
+def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Every row of every outcome, machine-readable."""
+    return [row.as_dict(outcome.name) for outcome in outcomes for row in outcome.rows]
+
+
+def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
+    """Write ``summary.json``; rows of experiments that were not run now stay in it.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    path = folder / SUMMARY
+    fresh = {f"{outcome.name}: " for outcome in outcomes}
+    try:
+        old = json.loads(path.read_text(encoding="utf-8"))
+        kept = [row for row in old if not any(str(row["name"]).startswith(name) for name in fresh)]
+    except (OSError, ValueError, KeyError, TypeError):
+        kept = []  # none yet, or not ours
+    text = json.dumps(kept + summary(outcomes), indent=2, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+def draw(outcome: Outcome, path: Path) -> None:
+    """Draw the panels of an outcome.
+
+    Raises
+    ------
+    SimulationError
+        If matplotlib is not installed.
+    OSError
+        If the picture cannot be written.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise SimulationError("pictures need matplotlib: pip install 'servo_twin[viewer]'") from None
+    columns = 1 if len(outcome.panels) <= 1 else 2
+    rows = max(math.ceil(len(outcome.panels) / columns), 1)
+    figure = Figure(figsize=(6.8 * columns, 3.6 * rows + 0.6), dpi=110, layout="constrained")
+    plots = figure.subplots(rows, columns, squeeze=False)
+    for plot, panel in zip(plots.flat, outcome.panels, strict=False):
+        _draw_panel(plot, panel)
+    for plot in list(plots.flat)[len(outcome.panels) :]:
+        plot.set_axis_off()
+    verdict = "agrees" if outcome.agrees else "does not agree"
+    figure.suptitle(f"{outcome.name}: {verdict} with the reference design")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def _draw_panel(plot: Any, panel: Panel) -> None:
+    for curve in panel.curves:
+        plot.plot(curve.x, curve.y, curve.style, label=curve.label, linewidth=1.1, markersize=3)
+    if panel.log_x:
+        plot.set_xscale("log")
+    if panel.log_y:
+        plot.set_yscale("log")
+    plot.set_title(panel.title, fontsize="medium")
+    plot.set_xlabel(panel.x_label)
+    plot.set_ylabel(panel.y_label)
+    plot.grid(alpha=0.3)
+    plot.legend(fontsize="x-small")

@@ -1,0 +1,200 @@
+"""The bench that all experiments share: a board with both axes spinning, and recordings with the plant's truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
+
+from servo_twin.board import Board
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError, enable
+
+__all__ = [
+    "COUNT",
+    "RPM",
+    "TICK",
+    "TICK_NS",
+    "Recording",
+    "choose_mode",
+    "command_position",
+    "command_speed",
+    "features",
+    "set_axis",
+    "spinning",
+    "stays_from",
+    "watch",
+]
+
+TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
+"""One slow tick [ns]."""
+
+TICK: Final = TICK_NS * 1e-9
+"""One slow tick [s]."""
+
+RPM: Final = np.pi / 30.0
+"""One turn per minute [rad/s]."""
+
+COUNT: Final = 2.0 * np.pi / COUNTS_PER_TURN
+"""One encoder count [rad]."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One axis over time, one entry per slow tick.
+
+    Attributes
+    ----------
+    time : ndarray
+        Since the beginning of the recording [s].
+    position : ndarray
+        What the firmware reports [counts].
+    position_ref, speed_ref, speed, i_q_ref, i_q : ndarray
+        What the firmware reports [counts], [rad/s], [A].
+    limits, faults, substate : ndarray
+        Words of the firmware.
+    theta, omega, i_q_true, torque, u_dc : ndarray
+        Truth of the plant: mechanical angle [rad] and speed [rad/s], current [A], air-gap torque [N m], bus [V].
+    """
+
+    time: NDArray[np.float64]
+    position: NDArray[np.float64]
+    position_ref: NDArray[np.float64]
+    speed_ref: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    i_q_ref: NDArray[np.float64]
+    i_q: NDArray[np.float64]
+    limits: NDArray[np.int64]
+    faults: NDArray[np.int64]
+    substate: NDArray[np.int64]
+    theta: NDArray[np.float64]
+    omega: NDArray[np.float64]
+    i_q_true: NDArray[np.float64]
+    torque: NDArray[np.float64]
+    u_dc: NDArray[np.float64]
+
+    def part(self, start: float, end: float | None = None) -> Recording:
+        """Ticks after `start` and up to `end` [s], both as in `time`, which keeps counting."""
+        before = round(float(self.time[0]) / TICK) - 1
+        ticks = slice(max(round(start / TICK) - before, 0), None if end is None else max(round(end / TICK) - before, 0))
+        return Recording(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
+
+
+@contextmanager
+def spinning(plant: PlantConfig, seed: int) -> Iterator[Board]:
+    """A fresh board with both axes in SPIN, holding where they are."""
+    with Board(plant, seed=seed) as board:
+        enable(board)
+        yield board
+
+
+def watch(
+    board: Board,
+    axes: Sequence[int],
+    seconds: float,
+    act: Callable[[int], None] | None = None,
+) -> dict[int, Recording]:
+    """Run slow tick by slow tick and keep what the firmware says and what is true.
+
+    Parameters
+    ----------
+    board : Board
+        On a slow-tick boundary, as `spinning` leaves it.
+    axes : sequence of int
+        Axes to record (index).
+    seconds : float
+        Length [s].
+    act : callable, optional
+        Called with the number of the tick before each one: writes set-points, loads, supply voltage.
+    """
+    ticks = round(seconds / TICK)
+    start = board.time_ns
+    truths: dict[int, list[tuple[float, float, float, float, float]]] = {axis: [] for axis in axes}
+    rows: list[bytes] = []
+    for k in range(ticks):
+        if act is not None:
+            act(k)
+        rows.append(board.record(start + (k + 1) * TICK_NS).tobytes())
+        for axis, kept in truths.items():
+            t = board.truth(axis)
+            kept.append((t.theta_m, t.omega_m, t.i_q, t.torque_e, t.u_dc))
+    log = np.frombuffer(b"".join(rows), board.snapshot_dtype)  # concatenate() compares all fields of every row
+    if log.size != ticks:
+        raise SimulationError(f"{log.size} snapshots in {ticks} slow ticks")
+    return {axis: _recording(board, log, axis, truths[axis]) for axis in axes}
+
+
+def _recording(
+    board: Board, log: NDArray[np.void], axis: int, truths: list[tuple[float, float, float, float, float]]
+) -> Recording:
+    name = axis_name(axis)
+    si = board.si(log)
+    theta, omega, i_q_true, torque, u_dc = np.array(truths).T
+    return Recording(
+        time=TICK * np.arange(1, log.size + 1, dtype=np.float64),
+        position=log[f"{name}.position"].astype(np.float64),
+        position_ref=log[f"{name}.position_ref"].astype(np.float64),
+        speed_ref=si[f"{name}.speed_ref"],
+        speed=si[f"{name}.speed"],
+        i_q_ref=si[f"{name}.i_q_ref"],
+        i_q=si[f"{name}.i_q"],
+        limits=log[f"{name}.limits"].astype(np.int64),
+        faults=log[f"{name}.faults"].astype(np.int64),
+        substate=log[f"{name}.substate"].astype(np.int64),
+        theta=theta,
+        omega=omega,
+        i_q_true=i_q_true,
+        torque=torque,
+        u_dc=u_dc,
+    )
+
+
+def set_axis(board: Board, name: str, axis: int, value: float) -> None:
+    """Write one element of an array variable [SI]; for the firmware the other axis has not been written to."""
+    variable = board.catalogue[name]
+    _write_element(board, name, axis, variable.to_raw(value))
+
+
+def _write_element(board: Board, name: str, axis: int, raw: int) -> None:
+    variable = board.catalogue[name]
+    data = variable.raw_type.pack(raw)
+    board.write_memory(board.address(name) + axis * variable.element_size, data)
+
+
+def features(board: Board, axis: int, **switches: bool) -> None:
+    """Switch parts of the control on or off by the names of the catalogue, e.g. ``ANTI_WINDUP=False``."""
+    masks = {flag.name: flag.mask for flag in board.catalogue.flags["features"]}
+    word = board.read_raw("param.features")[axis]
+    for name, on in switches.items():
+        word = word | masks[name] if on else word & ~masks[name]
+    _write_element(board, "param.features", axis, word)
+
+
+def choose_mode(board: Board, axis: int, mode: str) -> None:
+    """Write the mode of one axis by its name: POSITION, SPEED or TORQUE."""
+    _write_element(board, "cmd.mode", axis, board.catalogue.enums["control_mode_t"][mode])
+
+
+def command_position(board: Board, axis: int, counts: int) -> None:
+    """Position set-point [counts]."""
+    _write_element(board, "cmd.position", axis, counts)
+
+
+def command_speed(board: Board, axis: int, speed: float) -> None:
+    """Speed set-point [rad/s]; the mode has been chosen before."""
+    set_axis(board, "cmd.speed", axis, speed)
+
+
+def stays_from(recording: Recording, signal: NDArray[np.float64], low: float, high: float) -> float | None:
+    """Time from which on a signal stays within low .. high [s]; None when it does not."""
+    outside = np.nonzero((signal < low) | (signal > high))[0]
+    if outside.size == 0:
+        return 0.0
+    last = int(outside[-1])
+    return float(recording.time[last]) if last + 1 < recording.time.size else None

@@ -1,0 +1,154 @@
+"""Safety of motion, tried on the plant: what must never move, run away, or be switched on at the wrong moment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from servo_msgs_py.catalogue import Catalogue
+from servo_twin.board import Board
+from servo_twin.simulation import enable, move
+
+CATALOGUE = Catalogue.load()
+FAULT, STOP, RUN = 0, 2, 3
+SPIN = 3
+FULL_CURRENT = 4.0
+
+
+@pytest.fixture
+def board() -> Iterator[Board]:
+    with Board(seed=11) as board:
+        enable(board)
+        yield board
+
+
+def faults(board: Board, axis: int) -> set[str]:
+    return {flag.name for flag in CATALOGUE.active("faults", board.read_raw(f"axis{axis}.faults")[0])}
+
+
+def spin(board: Board, speed: float) -> None:
+    board.write("cmd.mode", [1, 1])
+    board.write("cmd.speed", [speed, speed])
+    board.run(0.6)
+
+
+def test_enabling_a_coasting_shaft_waits_until_it_rests(board: Board) -> None:
+    spin(board, 300.0)
+    board.set_supply(10.0)
+    while board.read_raw("axis1.state") != [FAULT]:
+        board.run(0.002)
+    board.set_supply(24.0)
+    board.run(0.05)
+    board.write("cmd.clear_faults", [1, 1])
+    board.run(0.02)
+    assert board.read_raw("axis1.state") == [STOP]
+    assert board.truth(0).omega_m > 150.0
+    board.write("cmd.enable", [1, 1])
+    while abs(board.truth(0).omega_m) > 5.0:
+        board.run(0.0005)
+        truth = board.truth(0)
+        assert max(abs(truth.i_d), abs(truth.i_q)) < 1.0  # a winding short would brake with more than 5 A
+    board.run(3.0)
+    assert board.read_raw("axis1.substate") == [SPIN]
+    assert board.stats().breaks == 0
+
+
+@pytest.mark.parametrize("gap", [0.005, 0.010, 0.020, 0.040])
+@pytest.mark.parametrize("speed", [200.0, -200.0])
+def test_an_encoder_that_slips_ends_in_a_fault_and_not_in_a_runaway(board: Board, gap: float, speed: float) -> None:
+    spin(board, speed)
+    board.connect_encoder(0, False)
+    board.run(gap)
+    board.connect_encoder(0, True)
+    board.run(0.1)
+    assert board.read_raw("axis1.state") == [FAULT]
+    assert faults(board, 1) == {"RUNAWAY"}
+    assert board.read_raw("axis2.state") == [RUN]  # the other axis goes on
+
+
+def test_an_encoder_that_dies_ends_in_a_fault(board: Board) -> None:
+    spin(board, 100.0)
+    board.connect_encoder(0, False)
+    board.run(0.7)
+    assert (board.read_raw("axis1.state"), faults(board, 1)) == ([FAULT], {"STALLED"})
+
+
+@pytest.mark.parametrize("command", [("cmd.quick_stop", 1), ("cmd.enable", 0)])
+def test_a_stop_is_quick_whatever_ramp_the_host_wants(board: Board, command: tuple[str, int]) -> None:
+    spin(board, 300.0)
+    board.write("param.acceleration_limit", [1.0, 1.0])
+    board.write_raw(command[0], [command[1]] * 2)
+    board.run(0.5)
+    assert abs(board.truth(0).omega_m) < 5.0
+    assert abs(board.truth(1).omega_m) < 5.0
+
+
+@pytest.mark.parametrize("acceleration", [50.0, 4000.0])
+def test_a_lower_speed_limit_slows_down_and_is_no_fault(board: Board, acceleration: float) -> None:
+    spin(board, 300.0)
+    board.write("param.acceleration_limit", [acceleration] * 2)
+    board.write("param.speed_limit", [100.0, 100.0])
+    board.run(5.0)
+    assert faults(board, 1) == faults(board, 2) == set()
+    assert board.read("axis1.speed") == pytest.approx(100.0, abs=2.0)
+
+
+def test_torque_ends_at_the_speed_limit(board: Board) -> None:
+    board.write("cmd.mode", [2, 2])
+    board.write("cmd.i_q", [1.0, 1.0])
+    board.run(1.0)
+    assert faults(board, 1) == set()
+    assert 290.0 < board.truth(0).omega_m < 330.0
+
+
+@pytest.mark.parametrize("i_q", [0.3, 0.5, 1.0])
+def test_less_current_makes_moves_slower_and_never_overshoot(board: Board, i_q: float) -> None:
+    board.write("param.i_q_limit", [i_q, i_q])
+    board.run(0.01)
+    results, log = move(board, {0: 20000, 1: -20000}, 4.0)
+    for result in results:
+        assert result.overshoot <= 2
+        assert result.steady_state <= 2
+    assert np.abs(board.si(log)["axis1.i_q_ref"]).max() <= i_q + 1e-3
+
+
+def test_full_reversals_at_the_current_limit_are_no_runaway(board: Board) -> None:
+    board.write("param.i_q_limit", [0.3, 0.3])
+    board.write("param.acceleration_limit", [50000.0, 50000.0])
+    for speed in (300.0, -300.0, 300.0):
+        spin(board, speed)
+        board.run(0.4)
+        assert faults(board, 1) == faults(board, 2) == set()
+
+
+def test_a_shaft_that_never_rests_does_not_start_by_itself_later() -> None:
+    with Board(seed=3) as board:
+        board.run(0.03)
+        board.set_load(0, -0.0025)  # more than the friction: something turns the shaft for ever
+        board.run(0.5)
+        board.write("cmd.enable", [1, 0])
+        board.run(1.0)
+        assert board.read_raw("axis1.state") == [RUN]  # waits in CALIB, outputs off
+        board.run(26.0)
+        assert board.read_raw("axis1.state") == [STOP]
+        board.set_load(0, 0.0)
+        board.run(10.0)
+        assert board.read_raw("axis1.state") == [STOP]
+
+
+def test_a_shaft_that_is_held_during_the_search_is_not_found_anywhere() -> None:
+    """Held after the first twitch: nothing moves any more, at whatever angle the rotor is."""
+    for delay in (0.105, 0.11, 0.12, 0.13):
+        with Board(seed=int(delay * 1e4)) as board:
+            board.run(0.03)
+            board.write("cmd.enable", [1, 0])
+            board.run(0.14 + delay)
+            board.lock_shaft(0)
+            board.run(1.0)
+            if board.read_raw("axis1.state") == [RUN]:
+                theta = 2.0 * board.truth(0).theta_m
+                error = (board.read("axis1.theta_e") - theta + np.pi) % (2.0 * np.pi) - np.pi
+                assert abs(error) < np.radians(35.0)
+            else:
+                assert faults(board, 1) <= {"ROTOR_SEARCH", "STALLED"}

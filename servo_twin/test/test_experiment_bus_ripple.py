@@ -1,0 +1,37 @@
+"""A rippling bus: the compensation keeps it out of the current, and its absence is noticed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from servo_twin.experiments import bus_ripple
+from servo_twin.experiments.bus_ripple import Ripple
+from servo_twin.experiments.rig import TICK
+from servo_twin.plant import PlantConfig
+
+
+def test_agrees() -> None:
+    outcome = bus_ripple.run(PlantConfig.load(), seed=9)
+    assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
+
+
+def test_bounds_notice_a_missing_compensation(monkeypatch: pytest.MonkeyPatch) -> None:
+    genuine = bus_ripple.turn
+
+    def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Ripple:
+        return genuine(plant, seed, axis, False)
+
+    monkeypatch.setattr(bus_ripple, "turn", turn)
+    wrong = {row.name for row in bus_ripple.run(PlantConfig.load(), seed=9).rows if not row.agrees}
+    assert wrong == {f"axis{n}, current ripple{what}" for n in (1, 2) for what in (", with over without", " with")}
+
+
+def test_a_steady_bus_is_no_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_ripple, "CAPACITANCE", 1.0)
+    assert not bus_ripple.run(PlantConfig.load(), seed=9).row("axis1, ripple of the bus").agrees
+
+
+def test_amplitude() -> None:
+    time = TICK * np.arange(1000)
+    signal = 7.0 + 0.25 * np.sin(2.0 * np.pi * 100.0 * time + 1.0) + 0.5 * np.sin(2.0 * np.pi * 50.0 * time)
+    assert bus_ripple.amplitude(signal, 100.0) == pytest.approx(0.25)

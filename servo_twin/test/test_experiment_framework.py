@@ -1,0 +1,130 @@
+"""What every experiment shares: bounds, tables, pictures, the summary and the command line."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from servo_twin.experiments import EXPERIMENTS, Experiment
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.report import draw, summary, table, update_summary
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+
+from servo_twin import cli
+
+SEED = "what the reference design says"
+
+
+def outcome(name: str, *measured: float | None) -> Outcome:
+    rows = tuple(Row(f"figure {k}", SEED, value, "rpm", Bound(most=1.0)) for k, value in enumerate(measured))
+    x = np.linspace(0.0, 1.0, 5)
+    return Outcome(name, rows, (Panel("title", "x", "y", (Curve("line", x, x**2),)),), ("a note",))
+
+
+class TestBounds:
+    @pytest.mark.parametrize(
+        ("bound", "inside", "outside"),
+        [
+            (Bound(most=2.0), [2.0, -9.0], [2.01, math.nan, None, math.inf]),
+            (Bound(least=1.0), [1.0, 7.0], [0.99, math.nan, None]),
+            (Bound(1.0, 2.0), [1.0, 1.5, 2.0], [0.9, 2.1]),
+        ],
+    )
+    def test_both_sides(self, bound: Bound, inside: list[float], outside: list[float | None]) -> None:
+        assert all(bound.holds(value) for value in inside)
+        assert not any(bound.holds(value) for value in outside)
+
+    def test_one_wrong_row_spoils_the_outcome(self) -> None:
+        assert outcome("a", 0.5, 1.0).agrees
+        assert not outcome("a", 0.5, 1.1).agrees
+        assert not outcome("a", 0.5, None).agrees
+
+
+class TestReport:
+    def test_table_names_what_does_not_agree(self) -> None:
+        text = table(outcome("a", 0.5, 3.0, None))
+        assert text.count("  yes") == 1
+        assert text.count("  NO") == 2
+        assert SEED in text
+        assert "never" in text
+        assert "a note" in text
+
+    def test_summary_keys(self) -> None:
+        rows = summary([outcome("a", 0.5, math.inf)])
+        assert [set(row) for row in rows] == [{"name", "seed", "measured", "unit", "bound", "agrees"}] * 2
+        assert rows[0] == {
+            "name": "a: figure 0", "seed": SEED, "measured": 0.5, "unit": "rpm", "bound": "<= 1", "agrees": True,
+        }  # fmt: skip
+        assert rows[1]["measured"] is None
+        assert rows[1]["agrees"] is False
+
+    def test_summary_keeps_other_experiments(self, tmp_path: Path) -> None:
+        update_summary(tmp_path, [outcome("a", 0.5), outcome("b", 0.5)])
+        path = update_summary(tmp_path, [outcome("a", 9.0)])
+        rows = json.loads(path.read_text())
+        assert {row["name"]: row["agrees"] for row in rows} == {"a: figure 0": False, "b: figure 0": True}
+
+    def test_picture(self, tmp_path: Path) -> None:
+        draw(outcome("a", 0.5), tmp_path / "new" / "a.png")
+        assert (tmp_path / "new" / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+class TestCommand:
+    @pytest.fixture(autouse=True)
+    def registry(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Two experiments that take no time: one agrees, one does not."""
+        seen = {"good": 0.5, "bad": 2.0}
+        for name, value in seen.items():
+
+            def run(plant: PlantConfig, seed: int, name: str = name, value: float = value) -> Outcome:
+                assert plant.axes
+                return outcome(name, value * seed)
+
+            monkeypatch.setitem(EXPERIMENTS, name, Experiment(name, f"{name} things\nmore", run))  # type: ignore[arg-type]
+        for name in set(EXPERIMENTS) - set(seen):
+            monkeypatch.delitem(EXPERIMENTS, name)  # type: ignore[arg-type]
+
+    def test_exit_status_tells(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert cli.main(["experiment", "good"]) == 0
+        assert cli.main(["experiment", "bad"]) == 1
+        assert "does not agree: bad: figure 0" in capsys.readouterr().out
+        assert cli.main(["experiment", "good", "--seed", "3"]) == 1
+
+    def test_all_fills_the_folder(self, tmp_path: Path) -> None:
+        assert cli.main(["experiment", "all", "--out", str(tmp_path)]) == 1
+        assert {path.name for path in tmp_path.iterdir()} == {
+            "good.png", "good.txt", "bad.png", "bad.txt", "summary.json",
+        }  # fmt: skip
+
+    def test_json_is_all_of_the_output(self, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+        picture = tmp_path / "p.png"
+        assert cli.main(["experiment", "good", "--json", "--plot", str(picture)]) == 0
+        assert json.loads(capsys.readouterr().out)[0]["name"] == "good: figure 0"
+        assert picture.is_file()
+
+    def test_help_says_what_is_shown(self, capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit):
+            cli.main(["experiment", "bad", "--help"])
+        assert "bad things" in capsys.readouterr().out
+
+    def test_wrong_plant_file(self, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+        plant = tmp_path / "plant.toml"
+        plant.write_text("[axis1]\ninertia = -1.0\n")
+        assert cli.main(["experiment", "good", "--plant", str(plant)]) == 1
+        assert "inertia" in capsys.readouterr().err
+
+    def test_a_plant_that_cannot_run_is_a_result(
+        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    ) -> None:
+        def run(plant: PlantConfig, seed: int) -> Outcome:
+            raise SimulationError("axis1: no movement seen")
+
+        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))  # type: ignore[arg-type]
+        assert cli.main(["experiment", "all", "--out", str(tmp_path)]) == 1
+        assert "axis1: no movement seen" in capsys.readouterr().out
+        rows = json.loads((tmp_path / "summary.json").read_text())
+        assert {row["name"] for row in rows} == {"good: figure 0", "bad: can be run"}

@@ -1,0 +1,29 @@
+"""Ripple at very low speed: the enhanced method helps, and the figures notice when it is off."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.experiments import low_speed
+from servo_twin.experiments.low_speed import Ripple
+from servo_twin.plant import PlantConfig
+
+
+def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
+    """The experiment at 5 rpm; `swapped`: the two methods change their names."""
+    genuine = low_speed.hold_speed
+
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Ripple:
+        return genuine(plant, seed, axis, speed, enhanced != swapped)
+
+    monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
+    monkeypatch.setattr(low_speed, "SPEEDS", (5.0,))
+    monkeypatch.setattr(low_speed, "MEASURED", 2.0)
+    return {row.name: row.agrees for row in low_speed.run(PlantConfig.load(), seed=1).rows}
+
+
+def test_enhanced_is_better_than_plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert all(run(monkeypatch, swapped=False).values())
+
+
+def test_plain_is_not_better_than_enhanced(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not any(run(monkeypatch, swapped=True).values())

@@ -1,0 +1,62 @@
+"""Speed by four methods: the floor, the stagnation and the worked example of F19."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from servo_twin.experiments import mt_speed
+from servo_twin.experiments.rig import COUNT, RPM, Recording
+from servo_twin.plant import PlantConfig
+
+
+@pytest.fixture(scope="module")
+def plant() -> PlantConfig:
+    return PlantConfig.load()
+
+
+def test_agrees_with_the_reference_design(plant: PlantConfig) -> None:
+    outcome = mt_speed.run(plant, seed=2)
+    assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
+
+
+def test_worked_example() -> None:
+    assert mt_speed.worked_example() == (1, Fraction(4, 5), Fraction(1, 2), Fraction(4, 11), Fraction(1, 3))
+    assert mt_speed.enhanced_factor(7, 7) == 1
+
+
+def test_the_shaft_turns_as_told(plant: PlantConfig) -> None:
+    turned = mt_speed.drive(plant, 1, lambda k: 10.0, 0.02, enhanced=True)
+    assert turned.omega == pytest.approx(10.0, rel=1e-6)
+
+
+def test_edges_of_a_steady_shaft(plant: PlantConfig) -> None:
+    speed = 100.0 * RPM
+    turned = mt_speed.drive(plant, 1, lambda k: speed, 0.1, enhanced=True)
+    edges = mt_speed.edges_of(turned, mt_speed.start_angle(plant, 1))
+    assert np.diff(edges.time[5:]) == pytest.approx(COUNT / speed, rel=1e-4)
+    assert abs(edges.number.size - turned.position[-1]) <= 1
+    assert (edges.of_b().number % 2 == 0).all()
+
+
+def test_bounds_notice_the_plain_method(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+    """Enhanced M/T switched off: it stagnates."""
+    genuine = mt_speed.drive
+
+    def drive(
+        plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool
+    ) -> Recording:
+        return genuine(plant, seed, speed_at, seconds, enhanced=False)
+
+    monkeypatch.setattr(mt_speed, "drive", drive)
+    monkeypatch.setattr(mt_speed, "SPEEDS", (100.0, 1000.0))
+    wrong = {row.name for row in mt_speed.run(plant, seed=2).rows if not row.agrees}
+    assert {"enhanced M/T, stagnation", "firmware against E33 and F19 while braking"} <= wrong
+
+
+def test_stagnation_of_a_known_signal() -> None:
+    speed = np.array([3.0, 3.0, 3.0, 3.0, 2.0, 2.0, 0.0, 0.0, 0.0])
+    overdue = np.array([False, False, True, True, True, True, True, True, True])
+    assert mt_speed.stagnation(speed, overdue) == pytest.approx(2 * 0.5e-3)

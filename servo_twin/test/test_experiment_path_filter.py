@@ -1,0 +1,49 @@
+"""F23 and F24: an S curve is an S curve, and a ramp is not taken for one."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from servo_twin.experiments import path_filter
+from servo_twin.experiments.rig import TICK, Recording
+from servo_twin.plant import PlantConfig
+
+ABLE = 1e9
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple[Recording, float, int]:
+    return path_filter.record(PlantConfig.load(), 6)
+
+
+def test_agrees_with_the_reference_design() -> None:
+    outcome = path_filter.run(PlantConfig.load(), seed=6)
+    assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
+
+
+def wrong(recorded: tuple[Recording, float, int], path: np.ndarray) -> set[str]:
+    recording, speed, distance = recorded
+    rows = path_filter.judge(dataclasses.replace(recording, position_ref=path), speed, distance, ABLE)
+    return {row.name for row in rows if not row.agrees}
+
+
+def test_a_ramp_is_no_s_curve(recorded: tuple[Recording, float, int]) -> None:
+    recording, speed, distance = recorded
+    ramp = np.round(np.minimum(speed * recording.time, distance))
+    assert "largest jump of the S curve's speed per slow loop" in wrong(recorded, ramp)
+
+
+def test_less_damping_is_noticed(recorded: tuple[Recording, float, int]) -> None:
+    recording, speed, distance = recorded
+    swing = 0.02 * distance * np.sin(np.pi * np.clip((recording.time - distance / speed) / 0.4, 0.0, 1.0))
+    names = wrong(recorded, np.round(recording.position_ref + swing))
+    assert {"overshoot of the S curve", "steps backwards", "S curve against E38"} <= names
+
+
+@pytest.mark.parametrize("omega_n", [30.0, 100.0, 250.0])
+def test_fit(omega_n: float) -> None:
+    time = TICK * np.arange(2000)
+    path = np.round(path_filter.analytic(time, 1e5, 0.4, omega_n))
+    assert path_filter.fit_omega_n(time, path, 1e5, 0.4) == pytest.approx(omega_n, rel=1e-3)

@@ -1,0 +1,65 @@
+"""Position moves: no overshoot, no limit cycle; and the figures notice when there is one."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from servo_twin.experiments import position
+from servo_twin.experiments.rig import TICK, Recording, spinning, watch
+from servo_twin.plant import PlantConfig
+
+TARGET = 100
+
+
+@pytest.fixture(scope="module")
+def still() -> Recording:
+    """Two seconds of a shaft at rest."""
+    with spinning(PlantConfig.load(), 1) as board:
+        return watch(board, [0], 2.0)[0]
+
+
+def moved(still: Recording, shape: np.ndarray) -> Recording:
+    return dataclasses.replace(still, position=shape.astype(np.float64))
+
+
+def test_short_moves_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(position, "DISTANCES", (0.01, 1.0))
+    outcome = position.run(PlantConfig.load(), seed=4)
+    assert len(outcome.rows) == 2 * 2 * 2 * 4
+    assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
+
+
+def test_figures_of_a_known_shape(still: Recording) -> None:
+    shape = np.full(still.time.size, TARGET)
+    shape[:1000] = np.linspace(0, TARGET - 10, 1000)
+    shape[1200] = TARGET + 7
+    shape[-10] = TARGET - 1
+    move = position.measure(moved(still, shape), TARGET, ramp_end=0.5)
+    assert (move.overshoot, move.cycle) == (7.0, 1.0)
+    assert move.error == pytest.approx(1.0 / 1000.0)
+    assert move.settling == pytest.approx(1201 * TICK - 0.5)
+    back = position.measure(moved(still, -shape), -TARGET, ramp_end=0.5)
+    assert (back.overshoot, back.cycle) == (7.0, 1.0)
+
+
+def test_a_limit_cycle_is_seen(still: Recording) -> None:
+    shape = TARGET + 2 * np.sign(np.sin(2.0 * np.pi * 10.0 * still.time))
+    shape[0] = 0
+    move = position.measure(moved(still, shape), TARGET, 0.0)
+    assert move.cycle > position.MOST_COUNTS
+
+
+def test_a_shaft_that_does_not_arrive_never_settles(still: Recording) -> None:
+    move = position.measure(moved(still, np.zeros(still.time.size)), TARGET, 0.0)
+    assert move.settling is None
+    assert move.error == TARGET
+
+
+def test_a_held_shaft_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(position, "DISTANCES", (1.0,))
+    with spinning(PlantConfig.load(), 1) as board:
+        board.lock_shaft(0)
+        move = position.travel(board, 0, 1.0, ramp=False)
+    assert move.settling is None

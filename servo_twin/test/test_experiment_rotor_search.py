@@ -1,0 +1,79 @@
+"""F15 and F16: the rotor search finds what it has to find, and the figures notice when it does not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments import rotor_search
+from servo_twin.experiments.outcome import Outcome
+from servo_twin.experiments.rotor_search import Search
+from servo_twin.plant import PlantConfig
+
+
+@pytest.fixture(scope="module")
+def plant() -> PlantConfig:
+    return PlantConfig.load()
+
+
+@pytest.fixture(scope="module")
+def outcome(plant: PlantConfig) -> Outcome:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rotor_search, "EVERY", 30)
+        return rotor_search.run(plant, seed=11)
+
+
+def test_agrees_with_the_reference_design(outcome: Outcome) -> None:
+    assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
+
+
+def test_picture_of_f16_shows_every_vector(outcome: Outcome) -> None:
+    for axis, curve in enumerate(outcome.panels[1].curves):
+        searches = outcome.row(f"axis{axis + 1} from 30 degrees, searches").measured
+        assert searches is not None
+        shown = curve.y[~np.isnan(curve.y)]
+        assert abs(shown[0]) < 25.0  # the first vector stands at 0 ..
+        assert abs(shown[-1] - 30.0) < 3.0  # .. and the last one close to the rotor
+    assert np.ptp(outcome.panels[0].curves[0].y) > 3.0
+
+
+def test_a_rotor_at_180_degrees_needs_the_second_try(plant: PlantConfig) -> None:
+    for search in rotor_search.find(rotor_search.start_at(plant, 180.0), 1):
+        assert search.error is not None
+        assert abs(search.error) < 1.7
+        assert search.current > 3.9  # the first vector went to its limit in vain
+
+
+def test_bound_of_the_error(plant: PlantConfig) -> None:
+    axis = plant.axes[0]
+    assert rotor_search.error_bound(axis, 4.0) == pytest.approx(
+        0.7 + math.degrees(math.asin(2e-3 / (3 * 0.0154 * 4.0))) + 0.36
+    )
+    assert rotor_search.error_bound(axis, 0.0) > 90.0
+
+
+def test_a_wrong_angle_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+    monkeypatch.setattr(rotor_search, "EVERY", 180)
+    genuine = rotor_search.wrapped
+    monkeypatch.setattr(rotor_search, "wrapped", lambda degrees: genuine(degrees + 5.0))
+    wrong = [row.name for row in rotor_search.run(plant, seed=2).rows if not row.agrees]
+    assert len([name for name in wrong if name.endswith("error")]) == 12
+
+
+def test_a_shaft_that_moves_is_no_held_shaft(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+    monkeypatch.setattr(rotor_search, "EVERY", 180)
+    monkeypatch.setattr(Board, "lock_shaft", lambda self, axis, locked=True: None)
+    rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
+    assert not rows["axis1 shaft held: fault ROTOR_SEARCH"]
+    assert rows["axis1 encoder dead: fault ROTOR_SEARCH"]
+
+
+def test_one_axis_may_fail_alone(plant: PlantConfig) -> None:
+    first, second = rotor_search.find(plant, 3, dead=[1])
+    assert isinstance(first, Search)
+    assert first.error is not None
+    assert first.fault == 0
+    assert second.error is None
+    assert second.fault != 0

@@ -1,0 +1,31 @@
+"""A load step is answered; a drive that may not answer is noticed."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.experiments import stiffness
+from servo_twin.plant import PlantConfig
+
+
+@pytest.fixture(scope="module")
+def plant() -> PlantConfig:
+    return PlantConfig.load()
+
+
+def test_agrees(plant: PlantConfig) -> None:
+    outcome = stiffness.run(plant, seed=8)
+    assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
+
+
+def test_too_little_current_is_noticed(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+    """Less current than the load needs: the shaft is carried away."""
+    monkeypatch.setattr(stiffness, "LIMIT", 1.5)
+    rows = {row.name: row for row in stiffness.run(plant, seed=8).rows}
+    assert rows["axis1, recovery"].measured is None
+    for name in ("deflection", "stiffness", "recovery", "steady-state error under load", "largest i_q*"):
+        assert not rows[f"axis1, {name}"].agrees, name
+
+
+def test_no_deflection_is_no_measurement(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+    monkeypatch.setattr(stiffness, "NOMINAL", 1e-6)  # less than the friction holds
+    assert not stiffness.run(plant, seed=8).row("axis1, recovery").agrees

@@ -1,0 +1,54 @@
+"""Two axes on one bus: little is felt of the other, and what would be too much is noticed."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from servo_twin.experiments import two_axes
+from servo_twin.experiments.two_axes import Pair
+from servo_twin.plant import PlantConfig
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(two_axes, "MEASURED", 0.8)
+
+
+def wrong(plant: PlantConfig) -> set[str]:
+    return {row.name for row in two_axes.run(plant, seed=3).rows if not row.agrees}
+
+
+def test_agrees() -> None:
+    assert wrong(PlantConfig.load()) == set()
+
+
+def test_a_soft_bus_cannot_brake_both() -> None:
+    """With hardly a capacitor the energy of both shafts goes past the over-voltage limit."""
+    names = wrong(PlantConfig.load().with_bus(capacitance=0.5e-3))
+    assert "both brake: faults" in names
+
+
+def test_an_axis_at_rest_does_not_disturb(monkeypatch: pytest.MonkeyPatch) -> None:
+    genuine = two_axes.turn
+
+    def turn(plant: PlantConfig, seed: int, watched: int, disturbed: bool, compensated: bool = True) -> Pair:
+        return genuine(plant, seed, watched, False, compensated)
+
+    monkeypatch.setattr(two_axes, "turn", turn)
+    assert {
+        "axis1, the other reverses: bus swing",
+        "axis2, the other reverses: bus swing",
+    } <= wrong(PlantConfig.load())
+
+
+def test_influence_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    genuine = two_axes.turn
+
+    def turn(plant: PlantConfig, seed: int, watched: int, disturbed: bool, compensated: bool = True) -> Pair:
+        pair = genuine(plant, seed, watched, disturbed, compensated)
+        shaken = dataclasses.replace(pair.watched, omega=pair.watched.omega * (1.02 if disturbed else 1.0))
+        return dataclasses.replace(pair, watched=shaken)
+
+    monkeypatch.setattr(two_axes, "turn", turn)
+    assert "axis1 turns, the other reverses: more deviation" in wrong(PlantConfig.load())
