@@ -99,7 +99,7 @@ class Demo:
         self._move("point to point", {1: -5.0})
         self._move("simultaneous", {0: 0.0, 1: 0.0})
         self._move("reversal", {0: 0.0, 1: 0.0}, first={0: 5.0, 1: -5.0})
-        self._stop("stop", {0: 5.0, 1: -5.0})
+        self._stop("stop", {0: 10.0, 1: -10.0})
         self.enable()
         self._move("return", {0: 0.0, 1: 0.0})
 
@@ -136,6 +136,9 @@ class Demo:
 
         self._wait(lambda: all(self._rests(axis, hold_point(axis), tick) for axis in turns), title)
         self._judge(title, tick, start_ns, {axis: hold_point(axis) for axis in turns})
+        for axis, value in turns.items():
+            if abs(hold_point(axis) - self._base[axis]) > 0.95 * abs(value) * TURN:
+                raise DemoError(f"{title}: {self._client.joints[axis]} went on to its target; quick_stop had no effect")
 
     def _announce(self, title: str, turns: Mapping[int, float]) -> None:
         parts = (f"{self._client.joints[axis]} to {value:+g} turns" for axis, value in turns.items())
