@@ -91,7 +91,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     ),
     "rotor_search": ("current", "ramp_time", "hold_time", "rest_time", "move_counts", "interval", "time_most"),
     "timing": (
-        "settle", "stop_acceleration", "runaway_margin", "runaway_most", "rest_most", "stall_most", "stop_speed", "stop_most",
+        "settle", "stop_acceleration", "runaway_margin", "runaway_most", "rest_most", "stall_most",
+        "stop_speed", "stop_most",
     ),
     "sensing": ("sign_current", "offset_tolerance", "offset_duty"),
 }  # fmt: skip

@@ -14,7 +14,7 @@ from core_library import CORE_SOURCES
 from firmware_compiler import FIRMWARE, STRICT, CompileProgram, has_library
 
 AVR = ["-mmcu=atmega1284p", "-Os"]
-SANITIZE = "-fsanitize=undefined,address -fno-sanitize-recover=all -fno-omit-frame-pointer"
+SANITIZE = "-O0 -g1 -fsanitize=undefined,address -fno-sanitize-recover=all"
 INSIDE = "FIRMWARE_TESTS_SANITIZED"
 VECTOR_SOURCES = [
     *(s for s in CORE_SOURCES if s.startswith(("math/", "control/", "sensing/", "config/"))),

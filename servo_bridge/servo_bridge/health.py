@@ -11,9 +11,9 @@ from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import diagnostic_status, flag_texts
 
 from servo_bridge.freemaster.client import BoardInfo
-from servo_bridge.link_state import LinkState, LinkStatus
-from servo_bridge.link_statistics import LinkStatistics
 from servo_bridge.telemetry import Frame
+from servo_bridge.wire.link_state import LinkState, LinkStatus
+from servo_bridge.wire.link_statistics import LinkStatistics
 
 __all__ = ["CommandFigures", "Health"]
 

@@ -26,22 +26,22 @@ from servo_msgs_py.node_shell import run
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
-from servo_bridge.board_clock import BoardClock, WallClock
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health
 from servo_bridge.inbox import Inbox
-from servo_bridge.link import FinalWrite, Link, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
-from servo_bridge.link_statistics import LinkStatistics
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.parameters import PARAMETERS, ParameterError, Settings, declare, watch
 from servo_bridge.publications import Publications
-from servo_bridge.scope import ScopeLayout
-from servo_bridge.serial_port import LowLatency
 from servo_bridge.services import DeferredService
 from servo_bridge.setpoint_topics import SetPointTopics
 from servo_bridge.telemetry import Frame, Telemetry
 from servo_bridge.variable_topics import VariableTopics
+from servo_bridge.wire.board_clock import BoardClock, WallClock
+from servo_bridge.wire.link import FinalWrite, Link, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
+from servo_bridge.wire.link_statistics import LinkStatistics
+from servo_bridge.wire.scope import ScopeLayout
+from servo_bridge.wire.serial_port import LowLatency
 from servo_msgs_py import topics
 
 __all__ = ["BoardLink", "LinkFactory", "ServoBridge", "main"]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_bridge.freemaster.tsa import Number
-from servo_bridge.session import BoardVariable
+from servo_bridge.wire.session import BoardVariable
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -10,7 +10,7 @@ from servo_msgs_py.catalogue import Value
 
 from servo_bridge.freemaster.commands import SCOPE_SIZES, Request, ScopeSlot
 from servo_bridge.freemaster.errors import CodecError, StatusError
-from servo_bridge.session import BoardVariable, Session
+from servo_bridge.wire.session import BoardVariable, Session
 
 __all__ = ["Reading", "Sampler"]
 

@@ -10,7 +10,7 @@ from servo_msgs_py.convert import columns, state_label
 from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.arbiter import AxisStatus
-from servo_bridge.scope import Sample
+from servo_bridge.wire.scope import Sample
 
 __all__ = ["Frame", "Telemetry", "required_variables", "telemetry_variables"]
 

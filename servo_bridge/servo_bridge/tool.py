@@ -17,11 +17,11 @@ from servo_bridge import tool_commands
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.freemaster.line import Line
-from servo_bridge.link_state import status_of
 from servo_bridge.parameter_file import ParameterFileError
-from servo_bridge.serial_port import SerialPort
-from servo_bridge.session import connect
 from servo_bridge.tool_values import UnknownVariableError, UsageError
+from servo_bridge.wire.link_state import status_of
+from servo_bridge.wire.serial_port import SerialPort
+from servo_bridge.wire.session import connect
 
 __all__ = ["main"]
 

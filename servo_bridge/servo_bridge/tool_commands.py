@@ -17,12 +17,12 @@ from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_bridge import parameter_file
-from servo_bridge.board_clock import TickExtender
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.sampler import Reading, Sampler
-from servo_bridge.serial_port import LowLatency
-from servo_bridge.session import BoardMismatchError, BoardVariable, Session
 from servo_bridge.tool_values import UsageError, describe, lookup, parse_values, value_text
+from servo_bridge.wire.board_clock import TickExtender
+from servo_bridge.wire.serial_port import LowLatency
+from servo_bridge.wire.session import BoardMismatchError, BoardVariable, Session
 
 __all__ = [
     "Context",

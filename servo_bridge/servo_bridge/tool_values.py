@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 
 from servo_bridge.freemaster.tsa import Number
-from servo_bridge.session import BoardVariable
+from servo_bridge.wire.session import BoardVariable
 
 __all__ = ["UnknownVariableError", "UsageError", "limits_text", "lookup", "number_text", "parse_values", "value_text"]
 

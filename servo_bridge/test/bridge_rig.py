@@ -18,11 +18,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import BoardInfo
-from servo_bridge.link import LinkConfig, LinkDownError, LinkState, LinkStatus, Sample, WriteResult
-from servo_bridge.link_statistics import LinkStatistics
 from servo_bridge.node import ServoBridge
-from servo_bridge.scope import ScopeLayout
-from servo_bridge.serial_port import LowLatency
+from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkStatus, Sample, WriteResult
+from servo_bridge.wire.link_statistics import LinkStatistics
+from servo_bridge.wire.scope import ScopeLayout
+from servo_bridge.wire.serial_port import LowLatency
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.convert import applied_from_message, snapshot_table
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # the helper modules of this fol
 from fake_port import FakePort
 from fake_servo import FakeServo
 from link_watcher import StartLink, Watcher
-from servo_bridge.link import LinkState
+from servo_bridge.wire.link import LinkState
 
 settings.register_profile("fixed", derandomize=True, deadline=None)
 settings.load_profile("fixed")

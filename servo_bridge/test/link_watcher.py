@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from fake_servo import CATALOGUE
-from servo_bridge.link import Link, LinkConfig, LinkState, LinkStatus, Sample
+from servo_bridge.wire.link import Link, LinkConfig, LinkState, LinkStatus, Sample
 
 TELEMETRY = ("applied_tick", "applied_count", "u_dc", "axis1.position", "axis2.position")
 PATIENCE = 20.0

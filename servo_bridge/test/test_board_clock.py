@@ -6,7 +6,7 @@ import random
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_bridge.board_clock import BoardClock, TickExtender, WallClock
+from servo_bridge.wire.board_clock import BoardClock, TickExtender, WallClock
 
 TICK = 62_500
 MS = 1_000_000

@@ -12,7 +12,7 @@ from fake_servo import FakeServo
 from fake_target import RO
 from link_watcher import PATIENCE, StartLink, Watcher
 from servo_bridge.freemaster.errors import StatusError
-from servo_bridge.link import LinkConfig, LinkDownError, LinkState, LinkStatus
+from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkStatus
 
 
 # ---- telemetry ----------------------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ from typing import cast
 
 import pytest
 from servo_bridge.freemaster.client import Client
-from servo_bridge.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
-from servo_bridge.link_statistics import StatisticsCollector
+from servo_bridge.wire.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
+from servo_bridge.wire.link_statistics import StatisticsCollector
 
 NO_CLIENT = cast(Client, None)
 

@@ -12,7 +12,7 @@ from fake_port import FakePort, NoiseDevice, V3Target
 from fake_servo import CATALOGUE, FakeServo
 from link_watcher import PATIENCE, StartLink, Watcher
 from servo_bridge.freemaster.errors import AnswerTimeoutError, CommandUnfinishedError
-from servo_bridge.link import Link, LinkConfig, LinkDownError, LinkState, LinkStatus, Sample
+from servo_bridge.wire.link import Link, LinkConfig, LinkDownError, LinkState, LinkStatus, Sample
 
 
 # ---- trouble ------------------------------------------------------------------------------------------------------

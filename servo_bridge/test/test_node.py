@@ -13,9 +13,9 @@ from bridge_rig import FAULT, SPIN, STOP, FakeLink, Rig
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from servo_bridge.link_state import LinkState
-from servo_bridge.link_statistics import LinkStatistics
 from servo_bridge.parameters import ParameterError
+from servo_bridge.wire.link_state import LinkState
+from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand, from_stamp, snapshot_table
 from std_msgs.msg import Float64, Float64MultiArray

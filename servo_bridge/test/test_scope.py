@@ -5,11 +5,11 @@ import struct
 import pytest
 from fake_servo import CATALOGUE, FakeServo
 from fake_transport import FakeTransport, client_on
-from servo_bridge.board_clock import TickExtender
 from servo_bridge.freemaster.errors import StatusError
-from servo_bridge.scope import Sample, ScopeLayout
-from servo_bridge.scope_reader import BoardResetError, BoardStoppedError, ScopeReader
-from servo_bridge.session import connect
+from servo_bridge.wire.board_clock import TickExtender
+from servo_bridge.wire.scope import Sample, ScopeLayout
+from servo_bridge.wire.scope_reader import BoardResetError, BoardStoppedError, ScopeReader
+from servo_bridge.wire.session import connect
 
 NAMES = ("tick", "applied_tick", "applied_count", "axis1.position", "axis1.i_q", "cmd.position")
 

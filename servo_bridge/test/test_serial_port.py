@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 import serial
 from servo_bridge.freemaster.errors import TransportError
-from servo_bridge.serial_port import PortError, SerialPort
-
-from servo_bridge import serial_port
+from servo_bridge.wire import serial_port
+from servo_bridge.wire.serial_port import PortError, SerialPort
 
 
 def soon(seconds: float = 5.0) -> int:

@@ -6,7 +6,7 @@ import pytest
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import RO, RW, FakeEntry, FakeTarget
 from fake_transport import FakeTransport, client_on
-from servo_bridge.session import BoardMismatchError, Session, connect
+from servo_bridge.wire.session import BoardMismatchError, Session, connect
 
 
 def session_on(target: FakeTarget) -> Session:

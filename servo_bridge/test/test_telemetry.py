@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_bridge.scope import Sample, ScopeLayout
 from servo_bridge.telemetry import Telemetry, required_variables, telemetry_variables
+from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_msgs_py.catalogue import Catalogue
 
 CATALOGUE = Catalogue.load()

@@ -32,10 +32,10 @@ from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
 from servo_twin.board import Board
+from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
+from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
+from servo_twin.lockstep.worker import TwinWorker
 from servo_twin.plant import PlantConfig, PlantError
-from servo_twin.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
-from servo_twin.twin import Pair, Twin, TwinSettings
-from servo_twin.worker import TwinWorker
 
 __all__ = ["PARAMETERS", "ServoTwin", "main"]
 

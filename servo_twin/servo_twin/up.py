@@ -214,7 +214,7 @@ def _finish_demo(record: Path, out: Path) -> None:
     ChildError
         If the recording is damaged.
     """
-    from servo_twin.picture import draw
+    from servo_twin.view.picture import draw
 
     check = subprocess.run([str(executable("rerun")), "rrd", "verify", str(record)], capture_output=True, text=True)
     if check.returncode != 0:

@@ -24,10 +24,10 @@ from servo_msgs_py.node_shell import ParameterError, Spec, declare, run
 from std_msgs.msg import Bool, Float64MultiArray, String
 
 from servo_msgs_py import topics
-from servo_twin import scene
-from servo_twin.recording import Recording, RecordingError
-from servo_twin.viewer import Viewer
-from servo_twin.web_page import WebPage, WebPageError, free_port
+from servo_twin.view import scene
+from servo_twin.view.recording import Recording, RecordingError
+from servo_twin.view.viewer import Viewer
+from servo_twin.view.web_page import WebPage, WebPageError, free_port
 
 __all__ = ["PARAMETERS", "ServoViewer", "main"]
 

@@ -73,6 +73,16 @@ class TestReport:
         assert (tmp_path / "new" / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize("words", [[], ["all"], *([name] for name in EXPERIMENTS)])
+def test_every_help_can_be_read(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(["experiment", *words, "--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    if words and words != ["all"]:
+        assert EXPERIMENTS[words[0]].help in text
+
+
 class TestCommand:
     @pytest.fixture(autouse=True)
     def registry(self, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_twin.picture import draw, figure, main
-from servo_twin.recording import Recording, RecordingError
-from servo_twin.viewer import Viewer
+from servo_twin.view import scene
+from servo_twin.view.picture import draw, figure, main
+from servo_twin.view.recording import Recording, RecordingError
+from servo_twin.view.viewer import Viewer
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, START_NS, move, stamp
-
-from servo_twin import scene
 
 pytest.importorskip("rerun")
 image = pytest.importorskip("matplotlib.image")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
+from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
-from servo_twin.twin import Pair, Twin, TwinSettings
 from twin_rig import CATALOGUE, COLUMNS, EPOCH_NS, TwinRig, apart, worst, worst_counts
 
 from servo_msgs_py import topics

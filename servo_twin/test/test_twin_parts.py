@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
-from servo_twin.ledger import CommandLedger
-from servo_twin.replica import Replica, slow_tick
-from servo_twin.residual import COMPARED, HealthMonitor, Thresholds, residual
-from servo_twin.samples import Activity, RestWatch, SampleReader, activity
+from servo_twin.lockstep.ledger import CommandLedger
+from servo_twin.lockstep.replica import Replica, slow_tick
+from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Thresholds, residual
+from servo_twin.lockstep.samples import Activity, RestWatch, SampleReader, activity
 from twin_rig import CATALOGUE, COLUMNS
 
 SECOND = round(1e9 / PERIOD_NS)

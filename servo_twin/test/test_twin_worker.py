@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from servo_twin.twin import Pair, Twin
-from servo_twin.worker import TwinWorker
+from servo_twin.lockstep.twin import Pair, Twin
+from servo_twin.lockstep.worker import TwinWorker
 from twin_rig import COLUMNS, TwinRig
 
 PATIENCE = 10.0  # [s]

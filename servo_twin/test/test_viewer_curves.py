@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from servo_twin.curves import Curves, Hand
+from servo_twin.view.curves import Curves, Hand
 
 
 def test_points_come_out_once_and_in_order() -> None:

@@ -25,14 +25,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_state, snapshot_message
-from servo_twin.recording import RecordingError, read_scalars, read_texts
+from servo_twin.view import scene
+from servo_twin.view.recording import RecordingError, read_scalars, read_texts
+from servo_twin.view.web_page import free_port
 from servo_twin.viewer_node import PARAMETERS
-from servo_twin.web_page import free_port
 from std_msgs.msg import Bool, Float64MultiArray, String
 from viewer_rig import COLUMNS, EVERY, FAULT, move, stamp, verify
 
 from servo_msgs_py import topics
-from servo_twin import scene
 
 pytest.importorskip("rerun")
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # one that is still being written

@@ -13,14 +13,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from servo_twin.recording import Recording
-from servo_twin.web_page import LOOPBACK, WebPage, WebPageError, free_port
+from servo_twin.view.recording import Recording
+from servo_twin.view.web_page import LOOPBACK, WebPage, WebPageError, free_port
 
 pytest.importorskip("rerun")
 
 _OWNER = """
 import sys, time
-from servo_twin.web_page import WebPage
+from servo_twin.view.web_page import WebPage
 page = WebPage(int(sys.argv[1]), "rerun+http://127.0.0.1:9876/proxy")
 print(page.pid, flush=True)
 time.sleep(60)
@@ -75,7 +75,7 @@ def test_a_port_in_use_is_passed_over(listener: int) -> None:
 
 
 def test_no_free_port_is_named(monkeypatch: pytest.MonkeyPatch, listener: int) -> None:
-    monkeypatch.setattr("servo_twin.web_page._PORTS_TRIED", 1)
+    monkeypatch.setattr("servo_twin.view.web_page._PORTS_TRIED", 1)
     with pytest.raises(WebPageError, match=f"ports {listener} .. {listener} are all in use"):
         free_port(listener)
 

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin.recording import Recording, RecordingError, read_scalars, read_texts
-from servo_twin.viewer import Viewer
+from servo_twin.view import scene
+from servo_twin.view.recording import Recording, RecordingError, read_scalars, read_texts
+from servo_twin.view.viewer import Viewer
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, START_NS, move, stamp, verify
-
-from servo_twin import scene
 
 pytest.importorskip("rerun")
 

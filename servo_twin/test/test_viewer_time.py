@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin.board_time import BoardTime
+from servo_twin.view.board_time import BoardTime
 
 START = 1_700_000_000_123_456_789  # [ns]
 PERIOD = PERIOD_NS * 1e-9

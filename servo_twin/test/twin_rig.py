@@ -10,9 +10,9 @@ from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand, state_label
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
+from servo_twin.lockstep.replica import Replica
+from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
-from servo_twin.replica import Replica
-from servo_twin.twin import Pair, Twin, TwinSettings
 
 from servo_msgs_py import topics
 

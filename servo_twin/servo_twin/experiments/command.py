@@ -35,7 +35,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         parser = names.add_parser(
             entry.name,
             parents=[common],
-            help=entry.help.splitlines()[0],
+            help=entry.help.splitlines()[0].replace("%", "%%"),
             description=entry.help,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )

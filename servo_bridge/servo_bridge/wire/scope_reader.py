@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from servo_bridge.board_clock import TickExtender
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import ScopeSlot
 from servo_bridge.freemaster.errors import FreemasterError, Status, StatusError
-from servo_bridge.scope import Sample, ScopeLayout
-from servo_bridge.session import BoardVariable
+from servo_bridge.wire.board_clock import TickExtender
+from servo_bridge.wire.scope import Sample, ScopeLayout
+from servo_bridge.wire.session import BoardVariable
 
 __all__ = ["BoardResetError", "BoardStoppedError", "ScopeReader"]
 

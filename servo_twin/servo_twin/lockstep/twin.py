@@ -24,10 +24,10 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.axis_tie import AxisTie
-from servo_twin.ledger import CommandLedger
-from servo_twin.replica import ReplayBoard, Replica, slow_tick
-from servo_twin.samples import Activity, RestWatch, Sample, SampleReader, activity
+from servo_twin.lockstep.axis_tie import AxisTie
+from servo_twin.lockstep.ledger import CommandLedger
+from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
+from servo_twin.lockstep.samples import Activity, RestWatch, Sample, SampleReader, activity
 
 __all__ = ["Pair", "Twin", "TwinSettings"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_twin.twin import Pair, Twin
+from servo_twin.lockstep.twin import Pair, Twin
 
 __all__ = ["TwinWorker", "WorkerFigures"]
 

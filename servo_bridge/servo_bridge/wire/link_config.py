@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from servo_bridge.freemaster.line import Transport
-from servo_bridge.serial_port import LowLatency
+from servo_bridge.wire.serial_port import LowLatency
 
 __all__ = ["TICK", "FinalWrite", "LinkConfig", "Port", "WriteResult"]
 

@@ -1,6 +1,6 @@
 """A picture of a recording: position and speed of both axes with set-point, board and twin, and the residual.
 
-Run as ``python -m servo_twin.picture RECORDING PICTURE``.
+Run as ``python -m servo_twin.view.picture RECORDING PICTURE``.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN
 
-from servo_twin import scene
-from servo_twin.recording import RecordingError, read_scalars, read_texts
+from servo_twin.view import scene
+from servo_twin.view.recording import RecordingError, read_scalars, read_texts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -201,7 +201,7 @@ def _colour_of(colour: scene.Colour) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw one recording; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="servo_twin.picture", description="Draw a picture of a recording.")
+    parser = argparse.ArgumentParser(prog="servo_twin.view.picture", description="Draw a picture of a recording.")
     parser.add_argument("recording", type=Path, help="recording of servo_viewer (.rrd)")
     parser.add_argument("picture", type=Path, help="picture to write (.png)")
     args = parser.parse_args(argv)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from servo_twin import scene
+from servo_twin.view import scene
 
 __all__ = ["blueprint"]
 

@@ -20,9 +20,9 @@ from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import flag_texts, state_label
 from servo_msgs_py.topics import STAMP_COLUMNS
 
-from servo_twin import scene
-from servo_twin.board_time import BoardTime
-from servo_twin.curves import Curves, Hand
+from servo_twin.view import scene
+from servo_twin.view.board_time import BoardTime
+from servo_twin.view.curves import Curves, Hand
 
 __all__ = ["Recorder", "Viewer"]
 
@@ -36,7 +36,7 @@ _LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of diagnostics: OK, WARN,
 
 
 class Recorder(Protocol):
-    """What the viewer needs of a `servo_twin.recording.Recording`."""
+    """What the viewer needs of a `servo_twin.view.recording.Recording`."""
 
     def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None: ...
     def angles(self, entity: str, times: NDArray[np.float64], angles: NDArray[np.float64]) -> None: ...

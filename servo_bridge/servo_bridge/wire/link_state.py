@@ -14,9 +14,9 @@ from servo_bridge.freemaster.errors import (
     TransportError,
     WrongProtocolError,
 )
-from servo_bridge.scope_reader import BoardResetError, BoardStoppedError
-from servo_bridge.serial_port import PortError
-from servo_bridge.session import BoardMismatchError
+from servo_bridge.wire.scope_reader import BoardResetError, BoardStoppedError
+from servo_bridge.wire.serial_port import PortError
+from servo_bridge.wire.session import BoardMismatchError
 
 __all__ = ["LinkState", "LinkStatus", "status_of"]
 

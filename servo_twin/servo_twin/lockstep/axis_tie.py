@@ -7,8 +7,8 @@ from typing import Final
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import AppliedCommand
 
-from servo_twin.replica import Replica
-from servo_twin.samples import Activity, Sample, activity
+from servo_twin.lockstep.replica import Replica
+from servo_twin.lockstep.samples import Activity, Sample, activity
 
 __all__ = ["AxisTie"]
 

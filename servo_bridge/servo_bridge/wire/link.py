@@ -16,7 +16,6 @@ from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 
-from servo_bridge.board_clock import TickExtender
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.errors import (
     AnswerTimeoutError,
@@ -27,14 +26,15 @@ from servo_bridge.freemaster.errors import (
     StatusError,
 )
 from servo_bridge.freemaster.line import Line
-from servo_bridge.link_config import TICK, FinalWrite, LinkConfig, Port, WriteResult
-from servo_bridge.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
-from servo_bridge.link_state import LinkState, LinkStatus, status_of
-from servo_bridge.link_statistics import LinkStatistics, StatisticsCollector
-from servo_bridge.scope import Sample, ScopeLayout
-from servo_bridge.scope_reader import BoardResetError, ScopeReader
-from servo_bridge.serial_port import LowLatency, SerialPort
-from servo_bridge.session import BoardVariable, Session, connect, element_bytes
+from servo_bridge.wire.board_clock import TickExtender
+from servo_bridge.wire.link_config import TICK, FinalWrite, LinkConfig, Port, WriteResult
+from servo_bridge.wire.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
+from servo_bridge.wire.link_state import LinkState, LinkStatus, status_of
+from servo_bridge.wire.link_statistics import LinkStatistics, StatisticsCollector
+from servo_bridge.wire.scope import Sample, ScopeLayout
+from servo_bridge.wire.scope_reader import BoardResetError, ScopeReader
+from servo_bridge.wire.serial_port import LowLatency, SerialPort
+from servo_bridge.wire.session import BoardVariable, Session, connect, element_bytes
 
 __all__ = [
     "FinalWrite",

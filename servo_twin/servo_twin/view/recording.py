@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_twin import scene
-from servo_twin.blueprint import blueprint
+from servo_twin.view import scene
+from servo_twin.view.blueprint import blueprint
 
 if TYPE_CHECKING:
     from types import ModuleType
