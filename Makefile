@@ -25,10 +25,10 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up test lint format build generate clean
+.PHONY: help setup demo up experiments test lint format build generate clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200 (up); PYTHON=python3.12 (setup); PYTEST_ARGS=... (test)"
 
 setup: $(VENV)/.native ## virtual environment with everything that runs
@@ -39,6 +39,9 @@ demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/
 
 up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board
 	@$(BIN)/servo-up $(if $(PORT),--port '$(PORT)') $(if $(BAUD),--baud '$(BAUD)')
+
+experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
+	@$(BIN)/servo-sim experiment all --out out/experiments
 
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@lint=0; $(MAKE) --no-print-directory lint || lint=$$?; \

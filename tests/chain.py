@@ -27,7 +27,7 @@ from rcl_interfaces.msg import Log
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from servo_msgs_py.convert import applied_from_message, snapshot_table
+from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot_table
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -299,9 +299,9 @@ class User:
         """Telemetry rows of all snapshot messages from number `start` on."""
         return [row for message in self.messages["/servo/snapshot"][start:] for row in rows_of(message)]
 
-    def applied(self) -> list[str]:
-        """Variables written since the start, in order."""
-        return [applied_from_message(m).variable for m in self.messages["/servo/commands_applied"]]
+    def applied(self) -> list[AppliedCommand]:
+        """Commands that have taken effect since the start, in order."""
+        return [applied_from_message(m) for m in self.messages["/servo/commands_applied"]]
 
     def seconds(self, duration: float) -> int:
         """Let so much board time go by; returns the number of the first snapshot message of it."""

@@ -94,10 +94,12 @@ class TestNormalWork:
         start = len(me.messages["/servo/snapshot"])
         before = len(me.applied())
         go(me, 5 * TURN, -5 * TURN)
-        assert me.applied()[before:] == ["cmd.position"]
+        (written,) = me.applied()[before:]
+        assert (written.variable, written.mask) == ("cmd.position", 3)
         rows = me.rows(start)
-        moving = [next(r["tick"] for r in rows if abs(r[f"axis{n}.position_ref"]) > 5 * COUNT) for n in (1, 2)]
-        assert moving[0] == moving[1]
+        for axis in BOTH:  # the shapes differ between the axes, the start does not
+            moving = next(r["tick"] for r in rows if abs(r[f"{axis}.position_ref"]) > 5 * COUNT)
+            assert 0.0 < (moving - written.tick) * PERIOD_NS * 1e-9 < 0.05
         # No overshoot: neither shaft is ever seen beyond its target by more than it may rest off it.
         assert max(r["axis1.position"] for r in rows) <= 5 * TURN + 2.5 * COUNT
         assert min(r["axis2.position"] for r in rows) >= -5 * TURN - 2.5 * COUNT
@@ -146,14 +148,17 @@ class TestNormalWork:
         go(me, 0.0, 0.0)
         newest = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
         me.until(lambda: from_stamp(me.messages["/twin/residual"][-1].header.stamp) >= newest, 5.0)
-        twin = me.messages["/twin/joint_states"][start:]
+        twin = [m for m in me.messages["/twin/joint_states"][start:] if from_stamp(m.header.stamp) <= newest]
         real = {from_stamp(m.header.stamp): m for m in me.messages["/servo/joint_states"]}
         assert max(m.position[0] for m in twin) > 2.9 * TURN
         # At the very same instants, and the residual is their difference.
         assert all(from_stamp(m.header.stamp) in real for m in twin)
         by_stamp = {from_stamp(m.header.stamp): m for m in twin}
         compared = [m for m in me.messages["/twin/residual"][residuals:] if from_stamp(m.header.stamp) in by_stamp]
-        assert len(compared) > 100
+        stamps = [from_stamp(m.header.stamp) for m in compared]
+        meanwhile = [stamp for stamp in real if stamps[0] <= stamp <= newest]
+        assert len(meanwhile) > 30
+        assert len(set(stamps) & set(meanwhile)) >= 0.95 * len(meanwhile)
         for message in compared:
             stamp = from_stamp(message.header.stamp)
             difference = np.array(real[stamp].position) - np.array(by_stamp[stamp].position)
@@ -248,6 +253,9 @@ class TestTrouble:
             me.until(lambda: me.last("/twin/healthy") is False)
             me.position[0].publish(Float64(data=9 * TURN))  # into the void
             me.until(lambda: me.status("servo_bridge: link").level == b"\x02")
+            # Diagnostics come every second: long enough for a board on a busy machine to notice the silence.
+            known = len(me.messages["/diagnostics"])
+            me.until(lambda: len(me.messages["/diagnostics"]) >= known + 6)
             cable.plug()
             me.until(lambda: me.last("/servo/state") == "axis1=FAULT axis2=FAULT", 20.0)
             me.until(lambda: "HOST_SILENT" in me.status("servo_bridge: axis1").message)

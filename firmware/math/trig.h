@@ -9,7 +9,7 @@ typedef struct {
     frac16_t cos;
 } sin_cos_t;
 
-/* Sine and cosine of pi x angle; at most 1 LSB off. */
+/* Sine and cosine of pi x angle; at most 1.001 LSB off. */
 sin_cos_t sin_cos(frac16_t angle);
 
 /* Square root of a fraction in [0, 1), rounded down; 0 for negative numbers. */
