@@ -28,7 +28,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .PHONY: help setup demo up experiments test lint format build generate clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200 (up); PYTHON=python3.12 (setup); PYTEST_ARGS=... (test)"
 
 setup: $(VENV)/.native ## virtual environment with everything that runs

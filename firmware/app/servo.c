@@ -130,6 +130,16 @@ static void latch_commands(servo_t *servo)
     }
 }
 
+/* The written time-out, within its limits. */
+static uint16_t host_timeout(const servo_t *servo)
+{
+    const uint16_t written = servo->parameter.host_timeout;
+    if (written < (uint16_t)PARAM_HOST_TIMEOUT_MIN) {
+        return (uint16_t)PARAM_HOST_TIMEOUT_MIN;
+    }
+    return (written > (uint16_t)PARAM_HOST_TIMEOUT_MAX) ? (uint16_t)PARAM_HOST_TIMEOUT_MAX : written;
+}
+
 /* A host that has spoken and falls silent stops both axes; a board that never had one is not supervised. */
 static void supervise_host(servo_t *servo)
 {
@@ -141,9 +151,7 @@ static void supervise_host(servo_t *servo)
     } else if (servo->host_silence < UINT16_MAX) {
         servo->host_silence++;
     }
-    const uint16_t least = (uint16_t)PARAM_HOST_TIMEOUT_MIN;
-    const uint16_t timeout = (servo->parameter.host_timeout < least) ? least : servo->parameter.host_timeout;
-    if (servo->host_seen && servo->host_silence >= timeout) {
+    if (servo->host_seen && servo->host_silence >= host_timeout(servo)) {
         for (uint16_t i = 0; i < HAL_AXES; i++) {
             axis_stop_with(&servo->axis[i], FAULT_HOST_SILENT);
         }
