@@ -41,7 +41,7 @@ typedef struct {
     uint16_t stall_ticks_most;  /* slow ticks at full current without movement */
     uint16_t rest_ticks_most;   /* slow ticks that an enabled axis waits for its shaft to rest */
     uint16_t search_ticks_most; /* slow ticks that the rotor search may take */
-    frac32_t stop_speed;      /* below it a withdrawn drive may coast */
+    frac32_t stop_speed;      /* below it a stop is over: hold, or coast */
     uint16_t stop_ticks_most; /* slow ticks after the ramp's end until the outputs go off at any speed */
 } axis_config_t;
 

@@ -46,7 +46,7 @@ const servo_config_t servo_config = {
             .rest_ticks_most = 50000,
             .stall_ticks_most = 1000,
             .search_ticks_most = 10000,
-            .stop_speed = 20506958,
+            .stop_speed = 8202783,
             .stop_ticks_most = 1000,
         },
         {
@@ -91,7 +91,7 @@ const servo_config_t servo_config = {
             .rest_ticks_most = 50000,
             .stall_ticks_most = 1000,
             .search_ticks_most = 10000,
-            .stop_speed = 20506958,
+            .stop_speed = 8202783,
             .stop_ticks_most = 1000,
         },
     },

@@ -166,6 +166,9 @@ static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
     return f32_add(from, f32_limit((int64_t)to - from, step));
 }
 
+/* Slow enough to hold, or to coast. */
+static bool slow(const axis_t *axis) { return f32_abs(axis->feedback.speed) <= axis->config->stop_speed; }
+
 /* A stop ends within a stated time, even where the host wants gentle starts. */
 static frac32_t stop_acceleration(const axis_t *axis)
 {
@@ -259,8 +262,9 @@ void motion_step(axis_t *axis)
         m->speed_ramp = ramp(m->speed_ramp, 0, stop_acceleration(axis));
         m->speed_ref = m->speed_ramp;
         if (m->speed_ramp == 0) {
-            m->stop_ticks++;
-            if (axis->requested) {
+            m->stop_ticks = (m->stop_ticks < UINT16_MAX) ? (uint16_t)(m->stop_ticks + 1U) : UINT16_MAX;
+            /* With little current the shaft is behind the ramp: a point latched now would have to be run back to. */
+            if (axis->requested && slow(axis)) {
                 hold(axis);
             }
         }
@@ -280,8 +284,8 @@ bool motion_stalled(const axis_t *axis) { return axis->motion.stall_ticks > axis
 bool motion_stopped(const axis_t *axis)
 {
     const motion_state_t *m = &axis->motion;
-    const bool slow = f32_abs(axis->feedback.speed) <= axis->config->stop_speed;
-    return m->motion == MOTION_STOP && m->speed_ramp == 0 && (slow || m->stop_ticks >= axis->config->stop_ticks_most);
+    return m->motion == MOTION_STOP && m->speed_ramp == 0 &&
+           (slow(axis) || m->stop_ticks >= axis->config->stop_ticks_most);
 }
 
 int32_t motion_position_ref(const axis_t *axis)

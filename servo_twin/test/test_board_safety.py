@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board
-from servo_twin.simulation import enable, move
+from servo_twin.simulation import enable, move, record
 
 CATALOGUE = Catalogue.load()
 FAULT, STOP, RUN = 0, 2, 3
@@ -152,3 +152,18 @@ def test_a_shaft_that_is_held_during_the_search_is_not_found_anywhere() -> None:
                 assert abs(error) < np.radians(35.0)
             else:
                 assert faults(board, 1) <= {"ROTOR_SEARCH", "STALLED"}
+
+
+@pytest.mark.parametrize(("i_q", "acceleration"), [(4.0, 4000.0), (0.5, 4000.0), (0.2, 4000.0), (4.0, 50000.0)])
+def test_a_stop_does_not_run_back(board: Board, i_q: float, acceleration: float) -> None:
+    """With little current, or a steep ramp, the shaft is still fast when the ramp has ended."""
+    spin(board, 300.0)
+    board.write("param.i_q_limit", [i_q, i_q])
+    board.write("param.acceleration_limit", [acceleration, acceleration])
+    board.run(0.001)
+    board.write("cmd.quick_stop", [1, 1])
+    log = record(board, 3.0)
+    for axis in (1, 2):
+        position = log[f"axis{axis}.position"].astype(np.int64)
+        assert position.max() - position[-1] <= 10
+        assert faults(board, axis) == set()
