@@ -110,7 +110,10 @@ def run(
     int
         0 after an orderly end, 1 when the node could not go on, 2 when a parameter or an argument does not make sense.
     """
-    own = remove_ros_args([name, *(sys.argv[1:] if args is None else args)])[1:]
+    try:
+        own = remove_ros_args([name, *(sys.argv[1:] if args is None else args)])[1:]
+    except RuntimeError as error:
+        return _complain(name, _without_places(str(error)), 2)
     if own and own[0] in ("-h", "--help"):
         print(help_text(name, purpose, parameters))
         return 0
