@@ -25,7 +25,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments test lint format build generate clean
+.PHONY: help setup demo up experiments bench test lint format build generate clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -42,6 +42,10 @@ up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for
 
 experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
 	@$(BIN)/servo-sim experiment all --out out/experiments
+
+bench: $(VENV)/.native ## telemetry and latency against the wire; real-time factor of a board
+	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/telemetry.py
+	@$(BIN)/servo-sim bench
 
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@lint=0; $(MAKE) --no-print-directory lint || lint=$$?; \

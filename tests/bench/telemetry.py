@@ -1,0 +1,98 @@
+"""Telemetry and latency of the whole chain against the limit of the wire: ``make bench``.
+
+Virtual board and bridge as processes, a user on ROS topics. Rates are those that the user sees; the limit is what
+the line could carry if request and answer followed each other without a pause. The latency of a set-point runs from its
+publication to the tick at which the firmware took it, both on the ROS clock.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tests"))
+
+from chain import Chain, User, rows_of, user  # noqa: E402
+from servo_msgs_py.units import PERIOD_NS  # noqa: E402
+from std_msgs.msg import Float64  # noqa: E402
+
+BAUDS = (115200, 1_000_000)
+SECONDS = 5.0
+SET_POINTS = 200
+
+
+def rate(me: User) -> tuple[float, float]:
+    """Samples per second of joint_states, and bytes per second on the wire both ways, over some board time."""
+    first, start = len(me.messages["/servo/joint_states"]), me.seconds(SECONDS)
+    samples = len(me.messages["/servo/joint_states"]) - first
+    rows = me.rows(start)
+    span = (rows[-1]["tick"] - rows[0]["tick"]) * PERIOD_NS * 1e-9
+    values = {entry.key: entry.value for entry in me.status("servo_bridge: link").values}
+    return samples / span, float(values["bytes/s in"]) + float(values["bytes/s out"])
+
+
+def latencies(me: User) -> list[float]:
+    """From publishing a position to the tick of its effect [ms], one set-point at a time."""
+    result = []
+    for number in range(SET_POINTS):
+        known = len(me.applied())
+        begin = me.node.get_clock().now().nanoseconds
+        me.position[0].publish(Float64(data=0.01 * (number % 2)))
+        me.until(lambda known=known: len(me.applied()) > known, 5.0, "no set-point took effect")  # type: ignore[misc]
+        tick = me.applied()[known].tick
+        me.until(lambda tick=tick: me.rows()[-1]["tick"] >= tick, 5.0, "no telemetry")  # type: ignore[misc]
+        row = rows_of(me.messages["/servo/snapshot"][-1])[-1]
+        stamp = int(row["stamp.sec"]) * 1_000_000_000 + int(row["stamp.nanosec"])
+        result.append((stamp - (row["tick"] - tick) * PERIOD_NS - begin) * 1e-6)
+        me.messages["/servo/snapshot"][:-1] = []
+    return result
+
+
+def measure(baud: int) -> dict[str, Any]:
+    """Figures of one line speed."""
+    chain = Chain(Path(tempfile.mkdtemp(prefix="bench-")), baud)
+    with user() as me:
+        try:
+            chain.board()
+            chain.bridge()
+            me.until(me.connected, 30.0, "the bridge is not connected")
+            me.spinning()
+            samples, carried = rate(me)
+            delays = latencies(me)
+            me.enable(False)
+        finally:
+            chain.end()
+    return {
+        "baud": baud,
+        "samples_per_s": samples,
+        "bytes_per_s": carried,
+        "wire_bytes_per_s": baud / 10,
+        "part_of_the_wire": carried / (baud / 10),
+        "latency_p50_ms": float(np.percentile(delays, 50)),
+        "latency_p99_ms": float(np.percentile(delays, 99)),
+    }
+
+
+def main() -> int:
+    """Measure, print a table, write ``out/bench/telemetry.json``."""
+    rows = [measure(baud) for baud in BAUDS]
+    print("    baud  samples/s   bytes/s  of the wire  set-point to effect p50, p99 [ms]")
+    for row in rows:
+        print(
+            f"{row['baud']:8} {row['samples_per_s']:10.0f} {row['bytes_per_s']:9.0f} {row['part_of_the_wire']:11.0%}"
+            f" {row['latency_p50_ms']:18.1f} {row['latency_p99_ms']:6.1f}"
+        )
+    out = ROOT / "out" / "bench" / "telemetry.json"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
