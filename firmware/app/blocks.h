@@ -46,8 +46,13 @@ typedef struct {
     frac32_t speed_limit[HAL_AXES];
     frac32_t acceleration_limit[HAL_AXES];
     frac16_t i_q_limit[HAL_AXES];
-    uint16_t features[HAL_AXES]; /* FEATURE_ bits */
+    uint16_t features[HAL_AXES];        /* FEATURE_ bits */
+    int32_t position_min[HAL_AXES];     /* counts */
+    int32_t position_max[HAL_AXES];     /* counts */
+    int32_t following_error[HAL_AXES];  /* counts */
+    frac32_t over_speed[HAL_AXES];
     uint16_t host_timeout; /* slow ticks */
+    uint16_t unused;       /* what follows has the same address on every machine */
 } parameter_block_t;
 
 /* What the controller believes about the motors, for the host's conversions. */

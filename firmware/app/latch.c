@@ -90,6 +90,10 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
         clip(parameter->speed_limit[i], PARAM_SPEED_LIMIT_MIN, PARAM_SPEED_LIMIT_MAX, &clipped),
         clip(parameter->acceleration_limit[i], PARAM_ACCELERATION_LIMIT_MIN, PARAM_ACCELERATION_LIMIT_MAX, &clipped),
         (frac16_t)clip(parameter->i_q_limit[i], PARAM_I_Q_LIMIT_MIN, PARAM_I_Q_LIMIT_MAX, &clipped),
+        clip(parameter->position_min[i], PARAM_POSITION_MIN_MIN, PARAM_POSITION_MIN_MAX, &clipped),
+        clip(parameter->position_max[i], PARAM_POSITION_MAX_MIN, PARAM_POSITION_MAX_MAX, &clipped),
+        clip(parameter->following_error[i], PARAM_FOLLOWING_ERROR_MIN, PARAM_FOLLOWING_ERROR_MAX, &clipped),
+        clip(parameter->over_speed[i], PARAM_OVER_SPEED_MIN, PARAM_OVER_SPEED_MAX, &clipped),
     };
     motion_limit(axis, limits);
     axis->features = parameter->features[i];

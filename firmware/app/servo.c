@@ -89,7 +89,11 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.speed_limit[i] = config->speed_limit;
         servo->parameter.acceleration_limit[i] = config->acceleration_limit;
         servo->parameter.i_q_limit[i] = config->i_q_limit;
-        servo->parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX; /* all of them */
+        servo->parameter.features[i] = config->features;
+        servo->parameter.position_min[i] = -config->position_limit;
+        servo->parameter.position_max[i] = config->position_limit;
+        servo->parameter.following_error[i] = config->following_error;
+        servo->parameter.over_speed[i] = config->over_speed;
         servo->belief.torque_constant[i] = config->torque_constant;
     }
     servo->tick = 0;
@@ -164,11 +168,11 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->position_ref = motion_position_ref(axis);
     view->speed = axis->feedback.speed;
     view->speed_ref = axis->motion.speed_ref;
-    view->i_q = axis->current.q;
-    view->i_d = axis->current.d;
+    view->i_q = axis->current_loop.current.q;
+    view->i_d = axis->current_loop.current.d;
     view->i_q_ref = axis->current_ref.q;
-    view->u_d = axis->voltage.d;
-    view->u_q = axis->voltage.q;
+    view->u_d = axis->current_loop.voltage.d;
+    view->u_q = axis->current_loop.voltage.q;
     view->theta_e = axis->feedback.theta_e;
     view->state = (uint16_t)axis->sm.state;
     view->substate = (uint16_t)axis->substate;

@@ -28,37 +28,41 @@ CHECK(12, SIZE(parameter.speed_limit) == 8);
 CHECK(13, SIZE(parameter.acceleration_limit) == 8);
 CHECK(14, SIZE(parameter.i_q_limit) == 4);
 CHECK(15, SIZE(parameter.features) == 4);
-CHECK(16, SIZE(parameter.host_timeout) == 2);
-CHECK(17, SIZE(snapshot.axis[0].position) == 4);
-CHECK(18, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(19, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(20, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(21, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(22, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(23, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(24, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(25, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(26, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(27, SIZE(snapshot.axis[0].state) == 2);
-CHECK(28, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(29, SIZE(snapshot.axis[0].faults) == 2);
-CHECK(30, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(31, SIZE(belief.torque_constant[0]) == 2);
-CHECK(32, SIZE(snapshot.axis[1].position) == 4);
-CHECK(33, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(34, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(35, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(36, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(37, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(38, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(39, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(40, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(41, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(42, SIZE(snapshot.axis[1].state) == 2);
-CHECK(43, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(44, SIZE(snapshot.axis[1].faults) == 2);
-CHECK(45, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(46, SIZE(belief.torque_constant[1]) == 2);
+CHECK(16, SIZE(parameter.position_min) == 8);
+CHECK(17, SIZE(parameter.position_max) == 8);
+CHECK(18, SIZE(parameter.following_error) == 8);
+CHECK(19, SIZE(parameter.over_speed) == 8);
+CHECK(20, SIZE(parameter.host_timeout) == 2);
+CHECK(21, SIZE(snapshot.axis[0].position) == 4);
+CHECK(22, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(23, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(24, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(25, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(26, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(27, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(28, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(29, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(30, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(31, SIZE(snapshot.axis[0].state) == 2);
+CHECK(32, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(33, SIZE(snapshot.axis[0].faults) == 2);
+CHECK(34, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(35, SIZE(belief.torque_constant[0]) == 2);
+CHECK(36, SIZE(snapshot.axis[1].position) == 4);
+CHECK(37, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(38, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(39, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(40, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(41, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(42, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(43, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(44, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(45, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(46, SIZE(snapshot.axis[1].state) == 2);
+CHECK(47, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(48, SIZE(snapshot.axis[1].faults) == 2);
+CHECK(49, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(50, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -102,6 +106,10 @@ static const char strings[] =
     "param.acceleration_limit\0"
     "param.i_q_limit\0"
     "param.features\0"
+    "param.position_min\0"
+    "param.position_max\0"
+    "param.following_error\0"
+    "param.over_speed\0"
     "param.host_timeout\0"
     "axis1.position\0"
     "axis1.position_ref\0"
@@ -168,37 +176,41 @@ static const tsa_entry_t entries[] = {
     {306, 226, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
     {331, 199, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
     {347, 192, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {362, 192, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {381, 214, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {396, 214, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {415, 226, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {427, 226, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {443, 199, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {453, 199, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {463, 199, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {477, 199, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {487, 199, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {497, 199, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {511, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {523, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {538, 192, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {551, 192, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {564, 199, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {586, 214, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {601, 214, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {620, 226, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {632, 226, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {648, 199, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {658, 199, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {668, 199, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {682, 199, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {692, 199, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {702, 199, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {716, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {728, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {743, 192, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {756, 192, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {769, 199, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {362, 214, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {381, 214, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {400, 214, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {422, 226, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {439, 192, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {458, 214, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {473, 214, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {492, 226, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {504, 226, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {520, 199, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {530, 199, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {540, 199, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {554, 199, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {564, 199, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {574, 199, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {588, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {600, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {615, 192, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {628, 192, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {641, 199, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {663, 214, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {678, 214, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {697, 226, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {709, 226, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {725, 199, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {735, 199, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {745, 199, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {759, 199, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {769, 199, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {779, 199, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {793, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {805, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {820, 192, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {833, 192, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {846, 199, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

@@ -6,42 +6,56 @@
 #ifndef SERVO_CONFIG_AXIS_CONFIG_H
 #define SERVO_CONFIG_AXIS_CONFIG_H
 
+#include "config/contract_gen.h"
 #include "control/current_loop.h"
+#include "control/friction.h"
 #include "hal/hal.h"
 #include "sensing/encoder.h"
 #include "sensing/mt_speed.h"
 #include "sensing/rotor_search.h"
+#include "sensing/speed_observer.h"
 
 typedef struct {
     current_loop_config_t current_loop;
     encoder_config_t encoder;
     mt_speed_config_t mt_speed;
+    speed_observer_config_t speed_observer;
     rotor_search_config_t rotor_search;
 
     pi_gains_t speed;           /* speed fraction -> current fraction */
     int32_t position_gain;      /* speed fraction (31 bits) per count: K_v (DRM E44) */
     uint16_t path_omega_n_ts;   /* omega_n Ts of E40, 16 fraction bits */
     int32_t path_step_per_speed; /* counts per slow tick at full-scale speed, 16 fraction bits */
+    int32_t speed_per_path_step; /* its reciprocal, 31 fraction bits */
+    friction_config_t friction;
+    int32_t acceleration_forward; /* speed fraction per slow tick -> current fraction, 16 fraction bits: J / (Kt Ts) */
 
-    frac16_t torque_constant;   /* 3/2 p psi_m over 1 N m/A */
-    frac16_t i_q_limit;         /* default of the writable limit */
-    frac32_t speed_limit;       /* default of the writable limit */
+    frac16_t torque_constant; /* 3/2 p psi_m over 1 N m/A */
+    frac16_t i_q_limit; /* default of the writable limit */
+    frac32_t speed_limit; /* default of the writable limit */
     frac32_t acceleration_limit; /* default of the writable limit: speed per slow tick */
 
+    uint16_t features; /* FEATURE_ bits that are on after reset */
+    int32_t position_limit; /* default of both writable soft limits, counts */
+    int32_t following_error; /* default of the writable bound, counts */
+    frac32_t over_speed; /* default of the writable bound */
+    uint16_t following_ticks_most;
+    uint16_t over_speed_ticks_most;
+
     frac16_t u_dc_nominal; /* assumed while the ripple compensation is off */
-    frac16_t u_dc_most;  /* over-voltage */
+    frac16_t u_dc_most; /* over-voltage */
     frac16_t u_dc_least; /* under-voltage */
-    uint16_t offset_tolerance;  /* ADC codes that an amplifier offset may lie off mid-scale */
+    uint16_t offset_tolerance; /* ADC codes that an amplifier offset may lie off mid-scale */
     frac16_t offset_duty_least; /* shortest high side during which an offset sample is true */
 
-    uint16_t settle_ticks;    /* slow ticks in INIT until the bus filter has settled */
+    uint16_t settle_ticks; /* slow ticks in INIT until the bus filter has settled */
     frac32_t stop_acceleration; /* least ramp of a stop, whatever the host's limit: speed per slow tick */
-    frac32_t runaway_margin;    /* speed beyond the limit, or gained against the current, that is not tolerated */
+    frac32_t runaway_margin; /* speed beyond the limit, or gained against the current, that is not tolerated */
     uint16_t runaway_ticks_most;
-    uint16_t stall_ticks_most;  /* slow ticks at full current without movement */
-    uint16_t rest_ticks_most;   /* slow ticks that an enabled axis waits for its shaft to rest */
+    uint16_t stall_ticks_most; /* slow ticks at full current without movement */
+    uint16_t rest_ticks_most; /* slow ticks that an enabled axis waits for its shaft to rest */
     uint16_t search_ticks_most; /* slow ticks that the rotor search may take */
-    frac32_t stop_speed;      /* below it a stop is over: hold, or coast */
+    frac32_t stop_speed; /* below it a stop is over: hold, or coast */
     uint16_t stop_ticks_most; /* slow ticks after the ramp's end until the outputs go off at any speed */
 } axis_config_t;
 

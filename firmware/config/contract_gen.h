@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x20344CEE)
+#define CATALOGUE_HASH UINT32_C(0xD22C60C9)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -33,21 +33,32 @@ typedef enum {
 #define FAULT_UNDER_VOLTAGE UINT16_C(0x0002) /* DC bus below the under-voltage limit */
 #define FAULT_OVER_CURRENT UINT16_C(0x0004) /* hardware over-current latch tripped */
 #define FAULT_CURRENT_OFFSET UINT16_C(0x0008) /* current amplifier offset far from mid-scale during calibration */
-#define FAULT_ROTOR_SEARCH UINT16_C(0x0010) /* no movement seen while searching the rotor position */
+#define FAULT_ROTOR_SEARCH UINT16_C(0x0010) /* full current does not move the shaft while the rotor is searched */
 #define FAULT_ENCODER UINT16_C(0x0020) /* encoder count and emulated index disagree */
 #define FAULT_HOST_SILENT UINT16_C(0x0040) /* no valid frame from the host within the time-out */
 #define FAULT_STALLED UINT16_C(0x0080) /* full current and no movement: shaft held fast, or encoder dead */
 #define FAULT_RUNAWAY UINT16_C(0x0100) /* the shaft gains speed against the full current or beyond its limit */
+#define FAULT_ENCODER_LOST UINT16_C(0x0200) /* the motor turns and the encoder does not count */
+#define FAULT_FOLLOWING_ERROR UINT16_C(0x0400) /* the shaft is farther from its shaped set-point than param.following_error */
+#define FAULT_OVER_SPEED UINT16_C(0x0800) /* the shaft turns faster than param.over_speed */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */
 #define LIMIT_SPEED UINT16_C(0x0004) /* speed set-point at its limit */
 #define LIMIT_SETPOINT UINT16_C(0x0008) /* a set-point was clipped to its limits */
+#define LIMIT_POSITION UINT16_C(0x0010) /* a soft limit of the position holds the shaft back */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
 #define FEATURE_BUS_COMPENSATION UINT16_C(0x0004) /* duties follow the ripple of the DC bus */
 #define FEATURE_DEAD_TIME UINT16_C(0x0008) /* compensation of dead time and switch drops */
+#define FEATURE_FRICTION UINT16_C(0x0010) /* current against Coulomb and viscous friction, fed forward */
+#define FEATURE_SPEED_FORWARD UINT16_C(0x0020) /* speed of the shaped set-point, fed forward to the speed controller */
+#define FEATURE_ACCELERATION_FORWARD UINT16_C(0x0040) /* current for the acceleration of the set-point, fed forward */
+#define FEATURE_POSITION_LIMITS UINT16_C(0x0080) /* soft limits param.position_min and param.position_max */
+#define FEATURE_FOLLOWING_ERROR UINT16_C(0x0100) /* a fault when the shaft is too far from its shaped set-point */
+#define FEATURE_OVER_SPEED UINT16_C(0x0200) /* a fault when the shaft turns too fast */
+#define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
@@ -72,7 +83,15 @@ typedef enum {
 #define PARAM_I_Q_LIMIT_MIN INT32_C(397)
 #define PARAM_I_Q_LIMIT_MAX INT32_C(15888)
 #define PARAM_FEATURES_MIN INT32_C(0)
-#define PARAM_FEATURES_MAX INT32_C(15)
+#define PARAM_FEATURES_MAX INT32_C(2047)
+#define PARAM_POSITION_MIN_MIN INT32_C(-954929659)
+#define PARAM_POSITION_MIN_MAX INT32_C(954929659)
+#define PARAM_POSITION_MAX_MIN INT32_C(-954929659)
+#define PARAM_POSITION_MAX_MAX INT32_C(954929659)
+#define PARAM_FOLLOWING_ERROR_MIN INT32_C(6)
+#define PARAM_FOLLOWING_ERROR_MAX INT32_C(636620)
+#define PARAM_OVER_SPEED_MIN INT32_C(4101392)
+#define PARAM_OVER_SPEED_MAX INT32_C(2050695827)
 #define PARAM_HOST_TIMEOUT_MIN INT32_C(100)
 #define PARAM_HOST_TIMEOUT_MAX INT32_C(60000)
 

@@ -25,10 +25,22 @@ void path_retune(path_t *path, int32_t target, uint16_t from_omega_n_ts, uint16_
 /* One slow tick towards `target` [counts], the ramp moving at most `step_limit` (24 fraction bits). */
 void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts);
 
-/* True when the output is within half a count of `target` and no longer on its way. */
-bool path_at_rest(const path_t *path, int32_t target);
+/* Counts as a position. */
+static inline path_position_t path_counts(int32_t counts)
+{
+    return (path_position_t)counts * (INT32_C(1) << PATH_BITS);
+}
 
 /* Output in whole counts, rounded. */
-int32_t path_position(const path_t *path);
+static inline int32_t path_position(const path_t *path)
+{
+    return (int32_t)asr64(path->output + (INT32_C(1) << (PATH_BITS - 1)), PATH_BITS);
+}
+
+/* True when the output is within half a count of `target` and no longer on its way. */
+static inline bool path_at_rest(const path_t *path, int32_t target)
+{
+    return path_position(path) == target && path->ramp == path_counts(target);
+}
 
 #endif

@@ -9,8 +9,61 @@ typedef struct {
     uint16_t sector; /* 1 is 0..60 degrees, 6 is 300..360 degrees */
 } svm_t;
 
+#define SVM_FULL INT32_C(32767)
+#define SVM_ONE_BY_SQRT3_Q15 INT32_C(18919)
+
+/* Duty of a leg that would be high shorter by `less` than the longest one, when that is high all the time. */
+static inline int32_t svm_shortened(int32_t less, int32_t active) { return SVM_FULL - less * SVM_FULL / active; }
+
 /* `modulation` is the wanted stator voltage over 2/3 u_dc, the length of the active vectors U0..U300: (1, 0) is U0.
  * Linear modulation ends at sqrt(3)/2. A vector beyond the hexagon is shortened along its direction to the edge. */
-svm_t svm(ab_t modulation);
+static inline svm_t svm(ab_t modulation)
+{
+    /* Projections on the normals of the three sector borders: as parts of the period, how much longer leg a is high
+     * than leg c, b than c, b than a. In every sector two of them, with sign, are the active times of E28 and E29. */
+    const int32_t alpha = modulation.alpha;
+    const int32_t beta_by_sqrt3 = asr32(modulation.beta * SVM_ONE_BY_SQRT3_Q15 + INT32_C(0x4000), 15);
+    const int32_t a = beta_by_sqrt3 + alpha;
+    const int32_t b = 2 * beta_by_sqrt3;
+    const int32_t b_over_a = beta_by_sqrt3 - alpha;
+
+    uint16_t sector;
+    int32_t most, least;
+    if (b >= 0) {
+        if (b_over_a < 0) {
+            sector = 1;
+            most = a;
+            least = 0;
+        } else if (a >= 0) {
+            sector = 2;
+            most = b;
+            least = 0;
+        } else {
+            sector = 3;
+            most = b;
+            least = a;
+        }
+    } else if (b_over_a >= 0) {
+        sector = 4;
+        most = 0;
+        least = a;
+    } else if (a < 0) {
+        sector = 5;
+        most = 0;
+        least = b;
+    } else {
+        sector = 6;
+        most = a;
+        least = b;
+    }
+    const int32_t active = most - least;
+    if (active > SVM_FULL) {
+        return (svm_t){{svm_shortened(most - a, active), svm_shortened(most - b, active), svm_shortened(most, active)},
+                       sector};
+    }
+    /* E30: the zero time is shared between O000 and O111, which centres the pulses. */
+    const int32_t c = (int32_t)((uint32_t)(SVM_FULL - active) / 2U) - least;
+    return (svm_t){{c + a, c + b, c}, sector};
+}
 
 #endif

@@ -5,10 +5,11 @@
 #include "math/frac.h"
 #include "math/trig.h"
 
+/* Fractions with 15 bits in a word: they come and go through long chains of sums and products. */
 typedef struct {
-    frac16_t a;
-    frac16_t b;
-    frac16_t c;
+    int32_t a;
+    int32_t b;
+    int32_t c;
 } abc_t;
 
 typedef struct {
@@ -21,11 +22,47 @@ typedef struct {
     frac16_t q;
 } dq_t;
 
+/* 1/3 with 32 fraction bits and 1/sqrt 3 with 31: every result is the nearest number. */
+#define CLARKE_ONE_THIRD_Q32 INT32_C(1431655765)
+#define CLARKE_ONE_BY_SQRT3_Q31 INT32_C(1239850263)
+
+/* Rounded x c / 2^32. */
+static inline int32_t clarke_scale(int32_t x, int32_t c)
+{
+    return (int32_t)asr64((int64_t)x * c + (INT64_C(1) << 31), 32);
+}
+
 /* E6, E7: i_alpha = (2 i_a - i_b - i_c) / 3, i_beta = (i_b - i_c) / sqrt 3. */
-ab_t clarke(abc_t x);
+static inline ab_t clarke(abc_t x)
+{
+    const ab_t result = {
+        sat16(clarke_scale(2 * x.a - x.b - x.c, CLARKE_ONE_THIRD_Q32)),
+        sat16(clarke_scale(2 * (x.b - x.c), CLARKE_ONE_BY_SQRT3_Q31)),
+    };
+    return result;
+}
+
+/* Rounded and saturated once. Sine and cosine lie on the unit circle, so a sum of two products stays below sqrt(2) 2^30
+ * and needs no more than 32 bits. */
+static inline frac16_t rotated(int32_t sum) { return sat16_asr(sum + INT32_C(0x4000), 15); }
 
 /* Stator frame to rotor frame and back; `at` is the rotor angle (E16). */
-dq_t park(ab_t x, sin_cos_t at);
-ab_t park_inverse(dq_t x, sin_cos_t at);
+static inline dq_t park(ab_t x, sin_cos_t at)
+{
+    const dq_t result = {
+        rotated((int32_t)x.alpha * at.cos + (int32_t)x.beta * at.sin),
+        rotated((int32_t)x.beta * at.cos - (int32_t)x.alpha * at.sin),
+    };
+    return result;
+}
+
+static inline ab_t park_inverse(dq_t x, sin_cos_t at)
+{
+    const ab_t result = {
+        rotated((int32_t)x.d * at.cos - (int32_t)x.q * at.sin),
+        rotated((int32_t)x.q * at.cos + (int32_t)x.d * at.sin),
+    };
+    return result;
+}
 
 #endif

@@ -17,11 +17,16 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->limits.acceleration = config->acceleration_limit;
     axis->limits.i_q = config->i_q_limit;
     axis->path_omega_n_ts = config->path_omega_n_ts;
-    axis->features = (uint16_t)PARAM_FEATURES_MAX;
+    axis->features = config->features;
+    axis->limits.position_min = -config->position_limit;
+    axis->limits.position_max = config->position_limit;
+    axis->limits.following_error = config->following_error;
+    axis->limits.over_speed = config->over_speed;
     axis->command = (axis_command_t){0};
     axis->feedback = (feedback_t){0};
     axis->search = (rotor_search_t){0};
     axis->motion = (motion_state_t){0};
+    supervision_start(&axis->supervision);
     axis->calibrated = false;
     axis->u_dc_filter = 0;
     axis->u_dc = 0;
@@ -51,11 +56,14 @@ void axis_stop_with(axis_t *axis, uint16_t faults)
 static void filter_bus(axis_t *axis)
 {
     const frac32_t sample = (frac32_t)((uint32_t)hal_adc_bus(axis->hal) << (BUS_CODE_SHIFT + 16));
-    if (axis->u_dc_filter == 0) {
-        axis->u_dc_filter = sample; /* from reset: no rise that looks like under-voltage */
+    frac32_t filter = axis->u_dc_filter;
+    if (filter == 0) {
+        filter = sample; /* from reset: no rise that looks like under-voltage */
     }
-    axis->u_dc_filter += asr32(sample - axis->u_dc_filter, U_DC_FILTER_SHIFT);
-    axis->u_dc = f16_from_f32(axis->u_dc_filter);
+    filter += asr32(sample - filter, U_DC_FILTER_SHIFT);
+    axis->u_dc_now = sample;
+    axis->u_dc_filter = filter;
+    axis->u_dc = f16_from_f32(filter);
 }
 
 /* Faults whose cause is there now. */
@@ -74,13 +82,27 @@ static uint16_t present_faults(const axis_t *axis)
     return faults;
 }
 
+/* Quick answer for the fast loop: may there be a fault? */
+static bool suspicious(const axis_t *axis)
+{
+    return axis->u_dc > axis->config->u_dc_most || axis->u_dc < axis->config->u_dc_least ||
+           hal_break_active(axis->hal, axis->index) || axis->faults != 0U;
+}
+
+static void watch(axis_t *axis)
+{
+    axis->faults = (uint16_t)(axis->faults | present_faults(axis));
+    if (axis->sm.state != STATE_FAULT) {
+        axis_raise(axis, axis->faults);
+    }
+}
+
 void axis_fast(axis_t *axis)
 {
     filter_bus(axis);
     axis->source->fast(axis);
-    axis->faults = (uint16_t)(axis->faults | present_faults(axis));
-    if (axis->sm.state != STATE_FAULT) {
-        axis_raise(axis, axis->faults);
+    if (suspicious(axis)) {
+        watch(axis);
     }
     axis->loop = LOOP_FAST;
     sm_step(&axis->sm, axis);

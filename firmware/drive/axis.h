@@ -11,6 +11,7 @@
 #include "drive/current_sense.h"
 #include "drive/feedback.h"
 #include "drive/state_machine.h"
+#include "drive/supervision.h"
 #include "hal/hal.h"
 
 typedef enum {
@@ -41,6 +42,10 @@ typedef struct {
     frac32_t speed;
     frac32_t acceleration; /* speed per slow tick */
     frac16_t i_q;
+    int32_t position_min; /* counts */
+    int32_t position_max; /* counts */
+    int32_t following_error; /* counts */
+    frac32_t over_speed;
 } axis_limits_t;
 
 /* What the shaft is being made to do while the axis spins. */
@@ -56,13 +61,17 @@ typedef struct {
     int32_t target;       /* position set-point, counts */
     frac32_t speed_target;
     frac16_t i_q_target;
+    bool target_clipped;  /* a soft limit has taken a part of the set-point */
     path_t path;
+    path_position_t model; /* where the shaft would be if it did what it is told */
+    bool path_forward;    /* the path's speed goes straight to the speed controller */
+    bool resting;         /* the shaft is close enough to a target that does not move */
     frac32_t speed_ramp;
+    frac32_t shaped_speed; /* of the path, or the ramp, in this tick */
+    frac32_t acceleration; /* change of the shaped speed in this tick */
     pi_state_t speed_pi;
     frac32_t speed_ref;
-    uint16_t runaway_ticks; /* slow ticks of gaining speed that should be lost */
-    frac32_t braked_speed;  /* least speed since it should have been falling */
-    uint16_t stall_ticks; /* slow ticks at full current without movement */
+    bool saturated;       /* the speed controller pushes with all it has */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
 } motion_state_t;
 
@@ -89,16 +98,15 @@ typedef struct axis {
     feedback_t feedback;
 
     current_sense_t sense;
+    frac32_t u_dc_now;    /* bus voltage of this period */
     frac32_t u_dc_filter;
     frac16_t u_dc; /* filtered bus voltage */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;
     dq_t current_ref;
-    dq_t current;
-    dq_t voltage;
-    bool voltage_limited;
     motion_state_t motion;
+    supervision_t supervision;
     uint16_t path_omega_n_ts; /* omega_n Ts of the path filter under the present limits, 16 fraction bits */
 } axis_t;
 

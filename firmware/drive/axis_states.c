@@ -10,9 +10,6 @@ void axis_zero_voltage(axis_t *axis, bool outputs_on)
     hal_pwm_enable(axis->hal, axis->index, outputs_on);
     current_loop_reset(&axis->current_loop);
     axis->current_ref = (dq_t){0, 0};
-    axis->current = (dq_t){0, 0};
-    axis->voltage = (dq_t){0, 0};
-    axis->voltage_limited = false;
     axis->motion.motion = MOTION_STOP;
     axis->motion.speed_ref = 0;
 }
@@ -43,8 +40,12 @@ static void state_stop(axis_t *axis)
 
 static void state_run(axis_t *axis)
 {
+    if (!slow_loop(axis)) {
+        run_state_step(axis);
+        return;
+    }
     run_state_step(axis);
-    if (slow_loop(axis) && !axis->requested) {
+    if (!axis->requested) {
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_STOP);
     }
 }

@@ -21,10 +21,41 @@ typedef struct {
 void current_sense_reset(current_sense_t *sense);
 
 /* The pair whose low sides conduct longest in a sector of the SVM. */
-phase_pair_t current_sense_pair(uint16_t sector);
+extern const uint8_t current_sense_pairs[7];
+static inline phase_pair_t current_sense_pair(uint16_t sector) { return (phase_pair_t)current_sense_pairs[sector]; }
+
+#define SENSE_OFFSET_BITS 16
+
+/* A 12-bit code against its offset, over half the ADC range: Q1.15, rounded to the nearest, halves downwards. */
+static inline int32_t current_sense_of(uint32_t offset, uint16_t code)
+{
+    const uint32_t above = ((uint32_t)code << SENSE_OFFSET_BITS) - offset;
+    return sat16_asr((int32_t)(above + UINT32_C(0x7FF)), SENSE_OFFSET_BITS - 4);
+}
 
 /* Phase currents from the codes of the present pair; the third is their negative sum. */
-abc_t current_sense_read(const current_sense_t *sense, adc_pair_t codes);
+static inline abc_t current_sense_read(const current_sense_t *sense, adc_pair_t codes)
+{
+    abc_t x;
+    switch (sense->pair) {
+    case PHASE_PAIR_AB:
+        x.a = current_sense_of(sense->offset[0], codes.first);
+        x.b = current_sense_of(sense->offset[1], codes.second);
+        x.c = sat16(-(x.a + x.b));
+        break;
+    case PHASE_PAIR_BC:
+        x.b = current_sense_of(sense->offset[1], codes.first);
+        x.c = current_sense_of(sense->offset[2], codes.second);
+        x.a = sat16(-(x.b + x.c));
+        break;
+    default:
+        x.c = current_sense_of(sense->offset[2], codes.first);
+        x.a = current_sense_of(sense->offset[0], codes.second);
+        x.b = sat16(-(x.c + x.a));
+        break;
+    }
+    return x;
+}
 
 /* Calibration with the outputs off. Feed one sample per PWM period; the function asks for the next pair through
  * `sense->pair`. True when all offsets are measured. */

@@ -1,6 +1,7 @@
 #include "drive/feedback.h"
 
 #include "drive/axis.h"
+#include "drive/path_units.h"
 
 static void encoder_source_reset(axis_t *axis)
 {
@@ -11,6 +12,7 @@ static void encoder_source_reset(axis_t *axis)
     axis->encoder.edge_waits = false;
     axis->encoder.skip_edge = false;
     axis->encoder.found = false;
+    axis->encoder.observes = false;
     hal_capture_arm(axis->hal, axis->index);
 }
 
@@ -26,6 +28,24 @@ static void encoder_source_edge(axis_t *axis)
         axis->encoder.edge = capture;
         axis->encoder.edge_waits = true;
     }
+}
+
+/* Speed for the controllers: M/T, or the observer, which starts from it. */
+static frac32_t speed_feedback(axis_t *axis)
+{
+    encoder_feedback_t *encoder = &axis->encoder;
+    const speed_observer_config_t *config = &axis->config->speed_observer;
+    const int32_t position = encoder->position.position;
+    const bool observed = encoder->observes;
+    encoder->observes = (axis->features & FEATURE_SPEED_OBSERVER) != 0U;
+    if (!encoder->observes) {
+        return encoder->speed.speed;
+    }
+    if (!observed) {
+        speed_observer_reset(&encoder->observer, config, position, encoder->speed.speed);
+        return encoder->speed.speed;
+    }
+    return speed_observer_step(&encoder->observer, config, position, axis->current_ref.q);
 }
 
 static bool encoder_source_slow(axis_t *axis)
@@ -49,7 +69,9 @@ static bool encoder_source_slow(axis_t *axis)
     const uint16_t count = hal_encoder_count(axis->hal, axis->index);
     const uint16_t index = hal_index_count(axis->hal, axis->index);
     const bool consistent = encoder_update(&axis->encoder.position, &axis->config->encoder, count, index);
-    axis->feedback.speed = axis->encoder.speed.speed;
+    const int32_t moved = i32_sub_wrap(axis->encoder.position.position, axis->feedback.position);
+    axis->feedback.speed = speed_feedback(axis);
+    axis->feedback.mean_speed = sat32((int64_t)moved * axis->config->speed_per_path_step);
     axis->feedback.position = axis->encoder.position.position;
     axis->feedback.still = age >= HAL_EDGE_AGE_OVERFLOW;
     return consistent;
@@ -72,6 +94,7 @@ static void encoder_source_align(axis_t *axis, frac16_t theta_e)
     mt_speed_reset(&axis->encoder.speed);
     axis->encoder.edge_waits = false;
     axis->encoder.skip_edge = true;
+    axis->encoder.observes = false;
     hal_capture_arm(axis->hal, axis->index);
 }
 

@@ -1,6 +1,6 @@
 /* feedback.h - where an axis takes its angle and speed from.
  *
- * A source fills the same three numbers whatever it measures: the encoder today, an observer for a sensorless axis. The
+ * A source fills the same numbers whatever it measures: the encoder today, an observer for a sensorless axis. The
  * controllers know only `feedback_t`.
  */
 #ifndef SERVO_DRIVE_FEEDBACK_H
@@ -8,12 +8,14 @@
 
 #include "sensing/encoder.h"
 #include "sensing/mt_speed.h"
+#include "sensing/speed_observer.h"
 
 struct axis;
 
 typedef struct {
     frac16_t theta_e; /* electrical angle at the sampling instant, fast loop */
     frac32_t speed;   /* mechanical, slow loop */
+    frac32_t mean_speed; /* over the last slow tick; as coarse as a count, but the sum of it is the way */
     int32_t position; /* multi-turn counts, slow loop */
     bool still;       /* no movement seen for the source's own longest interval */
 } feedback_t;
@@ -21,7 +23,7 @@ typedef struct {
 typedef struct {
     void (*reset)(struct axis *axis);
     void (*fast)(struct axis *axis);               /* theta_e */
-    bool (*slow)(struct axis *axis);               /* speed, position, still; false: the source contradicts itself */
+    bool (*slow)(struct axis *axis);               /* speeds, position, still; false: the source contradicts itself */
     void (*edge)(struct axis *axis);               /* edge interrupt */
     void (*resync)(struct axis *axis); /* a fault has been cleared: contradictions of the past are settled */
     void (*align)(struct axis *axis, frac16_t theta_e); /* the rotor stands at theta_e */
@@ -32,6 +34,8 @@ typedef struct {
 typedef struct {
     encoder_t position;
     mt_speed_t speed;
+    speed_observer_t observer;
+    bool observes; /* the observer runs and gives the speed */
     edge_capture_t edge;
     volatile bool edge_waits;
     bool skip_edge; /* the next edge may have been latched before the counter was preset */

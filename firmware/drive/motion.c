@@ -1,19 +1,21 @@
 #include "drive/motion.h"
 
-/* A shaft that rests this close to its target is left alone. Closer than the encoder can tell, the integral part of the
- * speed controller would hunt against the friction for ever. */
+#include "drive/path_units.h"
+#include "drive/soft_limits.h"
+
+/* A shaft that comes to rest this close to its target is left alone until it is farther off than that. Closer than the
+ * encoder can tell, the integral part of the speed controller would hunt against the friction for ever. */
 #define REST_COUNTS 1
+#define REST_LEFT 2
 
 /* ---- conversions ------------------------------------------------------------------------------------------------ */
 
-/* Speed as path steps: counts with 24 fraction bits per slow tick. path_step_per_speed has 16, the speed 31. */
-static path_position_t step_of(const axis_t *axis, frac32_t speed)
+/* How far the shaft trails its position set-point at this speed: the position controller is a plain gain, which
+ * needs an error to ask for speed, unless the speed is fed forward. */
+static int32_t lag_of(const axis_t *axis, frac32_t speed)
 {
-    return asr64((int64_t)speed * axis->config->path_step_per_speed, 31 - (PATH_BITS - 16));
+    return axis->motion.path_forward ? 0 : speed / axis->config->position_gain;
 }
-
-/* How far the shaft trails its position set-point at this speed: the position controller is a plain gain. */
-static int32_t lag_of(const axis_t *axis, frac32_t speed) { return speed / axis->config->position_gain; }
 
 /* E40 asks for accelerations up to omega_n v / e: with less current, or a higher speed, the filter has to be slower. */
 static uint16_t omega_n_ts_under(const axis_config_t *config, axis_limits_t limits)
@@ -42,23 +44,37 @@ void motion_limit(axis_t *axis, axis_limits_t limits)
 
 /* ---- entering a motion ------------------------------------------------------------------------------------------ */
 
-static void enter_position(axis_t *axis)
+/* Steady motion at `speed`: what follows finds no acceleration in the change of motion itself. */
+static void enter(axis_t *axis, motion_t motion, frac32_t speed)
+{
+    axis->motion.motion = motion;
+    axis->motion.shaped_speed = speed;
+    axis->motion.acceleration = 0;
+    axis->motion.resting = false;
+}
+
+static void start_path(axis_t *axis, frac32_t speed)
 {
     motion_state_t *m = &axis->motion;
-    if (m->motion == MOTION_POSITION) {
-        return;
-    }
-    const frac32_t speed = axis->feedback.speed;
-    path_reset(&m->path, i32_add_wrap(axis->feedback.position, lag_of(axis, speed)), step_of(axis, speed),
+    m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U;
+    path_reset(&m->path, i32_add_wrap(axis->feedback.position, lag_of(axis, speed)), path_step_of(axis->config, speed),
                axis->path_omega_n_ts);
-    m->motion = MOTION_POSITION;
+    m->model = path_counts(axis->feedback.position);
+    enter(axis, MOTION_POSITION, speed);
+}
+
+static void enter_position(axis_t *axis)
+{
+    if (axis->motion.motion != MOTION_POSITION) {
+        start_path(axis, axis->feedback.speed);
+    }
 }
 
 static void enter_speed(axis_t *axis)
 {
     if (axis->motion.motion != MOTION_SPEED) {
         axis->motion.speed_ramp = axis->feedback.speed;
-        axis->motion.motion = MOTION_SPEED;
+        enter(axis, MOTION_SPEED, axis->feedback.speed);
     }
 }
 
@@ -67,16 +83,15 @@ static void enter_stop(axis_t *axis)
     if (axis->motion.motion != MOTION_STOP) {
         axis->motion.speed_ramp = axis->feedback.speed;
         axis->motion.stop_ticks = 0;
-        axis->motion.motion = MOTION_STOP;
+        enter(axis, MOTION_STOP, axis->feedback.speed);
     }
 }
 
 static void hold(axis_t *axis)
 {
-    motion_state_t *m = &axis->motion;
-    path_reset(&m->path, axis->feedback.position, 0, axis->path_omega_n_ts);
-    m->target = axis->feedback.position;
-    m->motion = MOTION_POSITION;
+    start_path(axis, 0);
+    axis->motion.target = axis->feedback.position;
+    axis->motion.target_clipped = false;
 }
 
 /* ---- commands --------------------------------------------------------------------------------------------------- */
@@ -100,7 +115,7 @@ static void take_mode(axis_t *axis)
         enter_speed(axis);
     } else if (axis->command.mode == CONTROL_MODE_TORQUE) {
         m->i_q_target = 0;
-        m->motion = MOTION_TORQUE;
+        enter(axis, MOTION_TORQUE, axis->feedback.speed);
     } else {
         enter_stop(axis);
     }
@@ -123,42 +138,120 @@ static void take_commands(axis_t *axis)
     if (command->fresh_position && command->mode == CONTROL_MODE_POSITION) {
         enter_position(axis);
         m->target = command->position;
+        m->target_clipped = false;
     }
     if (command->fresh_speed && command->mode == CONTROL_MODE_SPEED) {
         enter_speed(axis);
         m->speed_target = command->speed;
     }
     if (command->fresh_i_q && command->mode == CONTROL_MODE_TORQUE) {
-        m->motion = MOTION_TORQUE;
+        if (m->motion != MOTION_TORQUE) {
+            enter(axis, MOTION_TORQUE, axis->feedback.speed);
+        }
         m->i_q_target = command->i_q;
     }
 }
 
 /* ---- controllers ------------------------------------------------------------------------------------------------ */
 
-static frac32_t limited_speed(axis_t *axis, int64_t speed)
+static void report(axis_t *axis, uint16_t limit) { axis->active_limits = (uint16_t)(axis->active_limits | limit); }
+
+static frac32_t limited_speed(axis_t *axis, frac32_t speed)
 {
-    const frac32_t limited = f32_limit(speed, axis->limits.speed);
+    const frac32_t limited = f32_clip(speed, axis->limits.speed);
     if (limited != speed) {
-        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_SPEED);
+        report(axis, LIMIT_SPEED);
     }
     return limited;
 }
 
+/* The same where the shaft might leave its soft limits: everywhere but on the way to a target, which lies inside. */
+static frac32_t confined_speed(axis_t *axis, frac32_t speed)
+{
+    const frac32_t limited = limited_speed(axis, speed);
+    const speed_range_t range = soft_limits_speed(axis);
+    if (limited > range.most || limited < range.least) {
+        report(axis, LIMIT_POSITION);
+        return (limited > range.most) ? range.most : range.least;
+    }
+    return limited;
+}
+
+static void confine_target(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    if ((axis->features & FEATURE_POSITION_LIMITS) == 0U) {
+        m->target_clipped = false;
+        return;
+    }
+    const int32_t target = soft_limits_target(axis, m->target, path_position(&m->path));
+    m->target_clipped = m->target_clipped || target != m->target;
+    m->target = target;
+    if (m->target_clipped) {
+        report(axis, LIMIT_POSITION);
+    }
+}
+
+static void shape(motion_state_t *m, frac32_t speed)
+{
+    m->acceleration = f32_sub(speed, m->shaped_speed);
+    m->shaped_speed = speed;
+}
+
+static void follow_path(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const path_position_t before = m->path.output;
+    if (m->shaped_speed == 0) {
+        m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U; /* switched in motion it would be a blow */
+    }
+    path_step(&m->path, m->target, path_step_of(axis->config, axis->limits.speed), axis->path_omega_n_ts);
+    shape(m, path_speed_of(axis->config, m->path.output - before));
+}
+
+/* A current that pushes off the target creeps on, count by count, wherever the friction only just holds it. */
+static bool rests(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const int32_t off = i32_sub_wrap(m->target, axis->feedback.position);
+    const int32_t most = m->resting ? REST_LEFT : REST_COUNTS;
+    const frac32_t held = pi_integral(&m->speed_pi);
+    const bool pushes_off = (off > 0 && held < 0) || (off < 0 && held > 0);
+    m->resting = path_at_rest(&m->path, m->target) && off <= most && off >= -most;
+    return m->resting && !pushes_off;
+}
+
 /* F26: proportional only, because no overshoot is allowed (E42..E45). */
+static frac32_t wanted_speed(const axis_t *axis, path_position_t behind)
+{
+    const frac32_t behind_q8 = sat32(asr64(behind, PATH_BITS - 8));
+    const frac32_t forward = axis->motion.path_forward ? axis->motion.shaped_speed : 0;
+    return sat32(forward + asr64((int64_t)behind_q8 * axis->config->position_gain, 8));
+}
+
+/* Where a shaft would be that does what the position controller asks: what the real one lacks is its following error.
+ * The lag that belongs to a plain gain is none. */
+static void follow_model(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    if ((axis->features & FEATURE_FOLLOWING_ERROR) == 0U) {
+        m->model = path_counts(axis->feedback.position);
+        return;
+    }
+    const frac32_t speed = f32_clip(wanted_speed(axis, m->path.output - m->model), axis->limits.speed);
+    m->model += path_step_of(axis->config, speed);
+}
+
 static frac32_t position_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    path_step(&m->path, m->target, step_of(axis, axis->limits.speed), axis->path_omega_n_ts);
-    if (path_at_rest(&m->path, m->target)) {
-        const int32_t off = i32_sub_wrap(m->target, axis->feedback.position);
-        if (off <= REST_COUNTS && off >= -REST_COUNTS) {
-            return 0;
-        }
+    confine_target(axis);
+    follow_path(axis);
+    follow_model(axis);
+    if (rests(axis)) {
+        return 0;
     }
-    const int64_t error = m->path.output - ((int64_t)axis->feedback.position * (INT64_C(1) << PATH_BITS));
-    const frac32_t error_q8 = sat32(asr64(error, PATH_BITS - 8));
-    return limited_speed(axis, asr64((int64_t)error_q8 * axis->config->position_gain, 8));
+    return limited_speed(axis, wanted_speed(axis, m->path.output - path_counts(axis->feedback.position)));
 }
 
 static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
@@ -176,39 +269,64 @@ static frac32_t stop_acceleration(const axis_t *axis)
     return (axis->limits.acceleration > least) ? axis->limits.acceleration : least;
 }
 
+/* What is known to be needed, before there is an error: current against friction and for the acceleration. */
+static frac32_t forward_current(const axis_t *axis)
+{
+    const motion_state_t *m = &axis->motion;
+    frac32_t i_q = 0;
+    if ((axis->features & FEATURE_FRICTION) != 0U) {
+        i_q = friction_current(&axis->config->friction, m->shaped_speed);
+    }
+    /* On a path that the shaft trails, the acceleration of the shaft is another one. */
+    const bool in_time = m->motion != MOTION_POSITION || m->path_forward;
+    if ((axis->features & FEATURE_ACCELERATION_FORWARD) != 0U && in_time) {
+        const int64_t inertia = asr64((int64_t)m->acceleration * axis->config->acceleration_forward, 16);
+        i_q = sat32(i_q + inertia);
+    }
+    return i_q;
+}
+
 static frac16_t speed_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
-    pi_gains_t gains = axis->config->speed;
+    const pi_gains_t *gains = &axis->config->speed;
     if ((axis->features & FEATURE_ANTI_WINDUP) == 0U) {
-        gains.kc = 0;
+        m->speed_pi.excess = 0; /* as with Kc = 0 */
     }
-    const frac32_t i_q = pi_step(&m->speed_pi, &gains, error, 0, f32_from_f16(axis->limits.i_q));
-    if (m->speed_pi.excess != 0) {
-        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_CURRENT);
+    /* The integral part sums the way that the encoder has counted. M/T's speed falls for tens of milliseconds after the
+     * shaft has stopped: its sum would push the shaft off again. */
+    pi_integrate(&m->speed_pi, gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
+    const pi_sum_t sum = pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis));
+    const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(axis->limits.i_q));
+    m->saturated = m->speed_pi.excess != 0;
+    if (m->saturated) {
+        report(axis, LIMIT_CURRENT);
     }
     return f16_from_f32(i_q);
 }
 
-/* Torque within the speed limit: near it the proportional part of the speed controller takes the current back. */
+/* Torque within the speed limits: near them the proportional part of the speed controller takes the current back. */
 static frac16_t torque_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const gain_t kp = axis->config->speed.kp;
-    const frac32_t most = f32_gain(f32_sub(axis->limits.speed, axis->feedback.speed), kp);
-    const frac32_t least = f32_gain(f32_sub(-axis->limits.speed, axis->feedback.speed), kp);
+    const speed_range_t range = soft_limits_speed(axis);
+    const frac32_t most = f32_gain(f32_sub(range.most, axis->feedback.speed), kp);
+    const frac32_t least = f32_gain(f32_sub(range.least, axis->feedback.speed), kp);
     const frac16_t wanted = f16_limit(m->i_q_target, axis->limits.i_q);
     if (wanted != m->i_q_target) {
-        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_CURRENT);
+        report(axis, LIMIT_CURRENT);
     }
     int64_t i_q = f32_from_f16(wanted);
     if (i_q > most || i_q < least) {
+        const bool soft = (i_q > most) ? range.most < axis->limits.speed : range.least > -axis->limits.speed;
+        report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
         i_q = (i_q > most) ? most : least;
-        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_SPEED);
     }
     const frac16_t result = f16_limit(f16_from_f32(sat32(i_q)), axis->limits.i_q);
     m->speed_ref = axis->feedback.speed;
+    m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
     return result;
 }
@@ -219,29 +337,9 @@ void motion_start(axis_t *axis)
     axis->motion.speed_target = 0;
     axis->motion.i_q_target = 0;
     axis->motion.speed_ref = 0;
-    axis->motion.stall_ticks = 0;
-    axis->motion.runaway_ticks = 0;
+    axis->motion.saturated = false;
+    supervision_start(&axis->supervision);
     hold(axis);
-}
-
-/* ---- supervision ------------------------------------------------------------------------------------------------ */
-
-static uint16_t count_while(bool holds, uint16_t ticks) { return holds ? (uint16_t)(ticks + 1U) : 0U; }
-
-static void supervise(axis_t *axis, bool saturated)
-{
-    motion_state_t *m = &axis->motion;
-    const frac32_t speed = f32_abs(axis->feedback.speed);
-    const frac32_t margin = axis->config->runaway_margin;
-
-    /* Braked by the full current, or beyond its limit, the shaft has to lose speed, or at least not to gain any. */
-    const bool opposed = saturated && ((axis->feedback.speed < 0) != (axis->current_ref.q < 0));
-    const bool beyond = speed > f32_add(axis->limits.speed, margin);
-    if (!(opposed || beyond) || speed < m->braked_speed) {
-        m->braked_speed = speed;
-    }
-    m->runaway_ticks = count_while(speed > f32_add(m->braked_speed, margin), m->runaway_ticks);
-    m->stall_ticks = count_while(saturated && axis->feedback.still, m->stall_ticks);
 }
 
 void motion_step(axis_t *axis)
@@ -252,14 +350,16 @@ void motion_step(axis_t *axis)
     switch (m->motion) {
     case MOTION_TORQUE:
         axis->current_ref.q = torque_controller(axis);
-        supervise(axis, false);
         return;
     case MOTION_SPEED:
         m->speed_ramp = ramp(m->speed_ramp, limited_speed(axis, m->speed_target), axis->limits.acceleration);
+        m->speed_ramp = confined_speed(axis, m->speed_ramp);
+        shape(m, m->speed_ramp);
         m->speed_ref = m->speed_ramp;
         break;
     case MOTION_STOP:
-        m->speed_ramp = ramp(m->speed_ramp, 0, stop_acceleration(axis));
+        m->speed_ramp = confined_speed(axis, ramp(m->speed_ramp, 0, stop_acceleration(axis)));
+        shape(m, m->speed_ramp);
         m->speed_ref = m->speed_ramp;
         if (m->speed_ramp == 0) {
             m->stop_ticks = (m->stop_ticks < UINT16_MAX) ? (uint16_t)(m->stop_ticks + 1U) : UINT16_MAX;
@@ -274,12 +374,7 @@ void motion_step(axis_t *axis)
         break;
     }
     axis->current_ref.q = speed_controller(axis);
-    supervise(axis, m->speed_pi.excess != 0);
 }
-
-bool motion_runs_away(const axis_t *axis) { return axis->motion.runaway_ticks > axis->config->runaway_ticks_most; }
-
-bool motion_stalled(const axis_t *axis) { return axis->motion.stall_ticks > axis->config->stall_ticks_most; }
 
 bool motion_stopped(const axis_t *axis)
 {
@@ -291,4 +386,12 @@ bool motion_stopped(const axis_t *axis)
 int32_t motion_position_ref(const axis_t *axis)
 {
     return (axis->motion.motion == MOTION_POSITION) ? path_position(&axis->motion.path) : axis->feedback.position;
+}
+
+int32_t motion_following_error(const axis_t *axis)
+{
+    if (axis->motion.motion != MOTION_POSITION) {
+        return 0;
+    }
+    return i32_sub_wrap((int32_t)asr64(axis->motion.model, PATH_BITS), axis->feedback.position);
 }

@@ -13,17 +13,13 @@ void motion_limit(axis_t *axis, axis_limits_t limits);
 /* One slow tick: take fresh commands, shape, run the controllers, set `axis->current_ref`. */
 void motion_step(axis_t *axis);
 
-/* True when the speed controller has pushed with all it has for too long and nothing has moved. */
-bool motion_stalled(const axis_t *axis);
-
-/* True when the shaft gains speed while it should lose it, against all the current there is or beyond the speed limit: a
- * wrong encoder angle turns the torque round. */
-bool motion_runs_away(const axis_t *axis);
-
 /* True once a withdrawn drive has been ramped down, or has taken too long. */
 bool motion_stopped(const axis_t *axis);
 
 /* Position that the shaft is meant to have now [counts]. */
 int32_t motion_position_ref(const axis_t *axis);
+
+/* How far the shaft is from where a shaft would be that obeys [counts]; 0 unless a position is followed. */
+int32_t motion_following_error(const axis_t *axis);
 
 #endif

@@ -19,27 +19,27 @@ static void track_offsets(axis_t *axis)
 static void measure(axis_t *axis)
 {
     const abc_t current = current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
-    axis->current = park(clarke(current), sin_cos(axis->feedback.theta_e));
+    axis->current_loop.current = park(clarke(current), sin_cos(axis->feedback.theta_e));
+}
+
+/* Dead time is compensated if that is among `features`. */
+static void choose_dead_time(axis_t *axis, uint16_t features)
+{
+    axis->current_loop.dead_time_off = (features & FEATURE_DEAD_TIME) == 0U;
 }
 
 /* Current control with the d axis at `theta_e`. */
-static void drive(axis_t *axis, frac16_t theta_e, frac16_t omega_e)
+static void drive(axis_t *axis, frac16_t theta_e)
 {
     const abc_t current = current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
     /* Unfiltered: it is the ripple that counts. */
-    const frac16_t u_dc = ((axis->features & FEATURE_BUS_COMPENSATION) != 0U)
-                              ? sat16((int32_t)hal_adc_bus(axis->hal) * 8)
-                              : axis->config->u_dc_nominal;
-    axis->current_loop.dead_time_off = (axis->features & FEATURE_DEAD_TIME) == 0U;
-    const current_loop_output_t out = current_loop_step(&axis->current_loop, &axis->config->current_loop, current,
-                                                        axis->current_ref, theta_e, omega_e, u_dc);
-    const abc_t duty = out.modulation.duty;
-    hal_pwm_duty(axis->hal, axis->index, duty.a, duty.b, duty.c);
-    axis->sense.duty = duty;
-    choose_pair(axis, current_sense_pair(out.modulation.sector));
-    axis->current = out.current;
-    axis->voltage = out.voltage;
-    axis->voltage_limited = axis->voltage_limited || out.limited;
+    const frac16_t u_dc = ((axis->features & FEATURE_BUS_COMPENSATION) != 0U) ? (frac16_t)asr32(axis->u_dc_now, 16)
+                                                                              : axis->config->u_dc_nominal;
+    const svm_t out =
+        current_loop_step(&axis->current_loop, &axis->config->current_loop, current, axis->current_ref, theta_e, u_dc);
+    hal_pwm_duty(axis->hal, axis->index, (frac16_t)out.duty.a, (frac16_t)out.duty.b, (frac16_t)out.duty.c);
+    axis->sense.duty = out.duty;
+    choose_pair(axis, current_sense_pair(out.sector));
 }
 
 static void enter(axis_t *axis, substate_t substate)
@@ -68,6 +68,7 @@ static void calib_ready(axis_t *axis)
 
 static void ready_align(axis_t *axis)
 {
+    choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search looks at voltages */
     rotor_search_start(&axis->search, axis->feedback.position);
     enter(axis, SUBSTATE_ALIGN);
 }
@@ -83,6 +84,7 @@ static void align_spin(axis_t *axis)
     axis_zero_voltage(axis, true);
     axis->source->align(axis, rotor_search_angle(&axis->search));
     motion_start(axis);
+    choose_dead_time(axis, axis->features);
     enter(axis, SUBSTATE_SPIN);
 }
 
@@ -144,45 +146,50 @@ static void ready_slow(axis_t *axis)
 
 static void align_fast(axis_t *axis)
 {
-    if (axis->search.phase == ROTOR_SEARCH_PULL) {
-        drive(axis, rotor_search_angle(&axis->search), 0);
+    if (rotor_search_drives(&axis->search)) {
+        drive(axis, rotor_search_angle(&axis->search));
+        rotor_search_watch(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
+                           axis->current_loop.voltage.q);
     }
 }
 
 static void align_slow(axis_t *axis)
 {
     track_offsets(axis);
-    const rotor_search_phase_t before = axis->search.phase;
+    const bool driven = rotor_search_drives(&axis->search);
     rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
     if (!axis->requested) {
         align_ready(axis);
-    } else if (axis->search.phase == ROTOR_SEARCH_FAILED || axis->ticks > axis->config->search_ticks_most) {
+    } else if (axis->search.phase == ROTOR_SEARCH_BLIND) {
+        axis_raise(axis, FAULT_ENCODER_LOST);
+    } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {
         axis_raise(axis, FAULT_ROTOR_SEARCH);
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
         align_spin(axis);
-    } else if (before == ROTOR_SEARCH_PULL && axis->search.phase == ROTOR_SEARCH_REST) {
-        axis_zero_voltage(axis, true); /* the shorted windings brake the twitch */
+    } else if (driven && !rotor_search_drives(&axis->search)) {
+        axis_zero_voltage(axis, true); /* rest: the shorted windings brake what is left */
     }
 }
 
 /* ---- SPIN: field-oriented control ---------------------------------------------------------------------------------- */
 
-static void spin_fast(axis_t *axis) { drive(axis, axis->feedback.theta_e, f16_from_f32(axis->feedback.speed)); }
+static void spin_fast(axis_t *axis) { drive(axis, axis->feedback.theta_e); }
 
 static void spin_slow(axis_t *axis)
 {
     track_offsets(axis);
+    choose_dead_time(axis, axis->features);
+    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
     motion_step(axis);
-    if (axis->voltage_limited) {
+    if (axis->current_loop.limited) {
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
-        axis->voltage_limited = false;
+        axis->current_loop.limited = false;
     }
-    if (motion_runs_away(axis)) {
-        axis_raise(axis, FAULT_RUNAWAY);
-    } else if (motion_stalled(axis)) {
-        axis_raise(axis, FAULT_STALLED);
+    const uint16_t faults = supervision_step(axis);
+    if (faults != 0U) {
+        axis_raise(axis, faults);
     } else if (!axis->requested && motion_stopped(axis)) {
         spin_freewheel(axis);
     }

@@ -11,20 +11,25 @@ static bool take(sm_t *sm, uint16_t flag)
     return true;
 }
 
-/* Call a state's function; a fault, from before or from within, ends in FAULT at once. No request outlives it: the drive
- * never starts again by itself. */
+/* A fault ends in FAULT at once. No request outlives it: the drive never starts again by itself. */
+static bool faulty(sm_t *sm, struct axis *axis, axis_function_t to_fault)
+{
+    if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
+        return false;
+    }
+    to_fault(axis);
+    sm->ctrl = SM_CTRL_NONE;
+    sm->state = STATE_FAULT;
+    return true;
+}
+
+/* Call a state's function unless there is a fault; false when there was one, from before or from within. */
 static bool run_unless_fault(sm_t *sm, struct axis *axis, axis_function_t state, axis_function_t to_fault)
 {
     if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
         state(axis);
     }
-    if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
-        return true;
-    }
-    to_fault(axis);
-    sm->ctrl = SM_CTRL_NONE;
-    sm->state = STATE_FAULT;
-    return false;
+    return !faulty(sm, axis, to_fault);
 }
 
 static void step_fault(sm_t *sm, struct axis *axis)
@@ -65,20 +70,28 @@ static void step_stop(sm_t *sm, struct axis *axis)
 
 static void step_run(sm_t *sm, struct axis *axis)
 {
-    if (!run_unless_fault(sm, axis, sm->states->run, sm->transitions->run_fault)) {
+    if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
+        sm->states->run(axis);
+        if ((sm->ctrl & (SM_CTRL_FAULT | SM_CTRL_STOP)) == 0U) {
+            return; /* almost always */
+        }
+    }
+    if (faulty(sm, axis, sm->transitions->run_fault)) {
         return;
     }
-    if ((sm->ctrl & SM_CTRL_STOP) != 0U) {
-        sm->transitions->run_stop(axis);
-        if (take(sm, SM_CTRL_STOP_ACK)) {
-            (void)take(sm, SM_CTRL_STOP);
-            sm->state = STATE_STOP;
-        }
+    sm->transitions->run_stop(axis);
+    if (take(sm, SM_CTRL_STOP_ACK)) {
+        (void)take(sm, SM_CTRL_STOP);
+        sm->state = STATE_STOP;
     }
 }
 
 void sm_step(sm_t *sm, struct axis *axis)
 {
+    if (sm->state == STATE_RUN) {
+        step_run(sm, axis); /* first: this is where time matters */
+        return;
+    }
     switch (sm->state) {
     case STATE_FAULT:
         step_fault(sm, axis);
@@ -86,11 +99,8 @@ void sm_step(sm_t *sm, struct axis *axis)
     case STATE_INIT:
         step_init(sm, axis);
         break;
-    case STATE_STOP:
-        step_stop(sm, axis);
-        break;
     default:
-        step_run(sm, axis);
+        step_stop(sm, axis);
         break;
     }
 }

@@ -9,6 +9,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "math/saturate.h"
+
 typedef int16_t frac16_t;
 typedef int32_t frac32_t;
 
@@ -21,33 +23,17 @@ typedef int32_t gain_t;
 #define FRAC32_MAX INT32_MAX
 #define FRAC32_MIN INT32_MIN
 
-/* Shift right and round towards minus infinity. C99 leaves the right shift of a negative number to the compiler; this
- * form is defined everywhere, and compilers make one instruction of it. */
-static inline int32_t asr32(int32_t x, unsigned n) { return (x < 0) ? (int32_t)~(~x >> n) : (int32_t)(x >> n); }
-
 static inline int64_t asr64(int64_t x, unsigned n) { return (x < 0) ? ~(~x >> n) : (x >> n); }
 
-/* Saturate to the range of the narrower type. */
-static inline int16_t sat16(int32_t x)
-{
-    if (x > INT16_MAX) {
-        return INT16_MAX;
-    }
-    if (x < INT16_MIN) {
-        return INT16_MIN;
-    }
-    return (int16_t)x;
-}
-
+/* A number fits when its upper half is the sign of its lower one. Written so, compilers do not carry on with 64 bits. */
 static inline int32_t sat32(int64_t x)
 {
-    if (x > INT32_MAX) {
-        return INT32_MAX;
+    const uint32_t high = (uint32_t)((uint64_t)x >> 32);
+    uint32_t low = (uint32_t)((uint64_t)x & UINT32_C(0xFFFFFFFF));
+    if (high + (low >> 31) != 0U) {
+        low = UINT32_C(0x7FFFFFFF) + (high >> 31);
     }
-    if (x < INT32_MIN) {
-        return INT32_MIN;
-    }
-    return (int32_t)x;
+    return (int32_t)low;
 }
 
 /* Limit to [-limit, limit]; limit >= 0. */
@@ -56,22 +42,21 @@ static inline frac16_t f16_limit(int32_t x, frac16_t limit)
     if (x > limit) {
         return limit;
     }
-    if (x < -(int32_t)limit) {
+    if (x < -limit) {
         return (frac16_t)-limit;
     }
     return (frac16_t)x;
 }
 
-static inline frac32_t f32_limit(int64_t x, frac32_t limit)
+static inline frac32_t f32_clip(frac32_t x, frac32_t limit)
 {
     if (x > limit) {
         return limit;
     }
-    if (x < -(int64_t)limit) {
-        return -limit;
-    }
-    return (frac32_t)x;
+    return (x < -limit) ? -limit : x;
 }
+
+static inline frac32_t f32_limit(int64_t x, frac32_t limit) { return f32_clip(sat32(x), limit); }
 
 static inline frac16_t f16_add(frac16_t a, frac16_t b) { return sat16((int32_t)a + b); }
 static inline frac16_t f16_sub(frac16_t a, frac16_t b) { return sat16((int32_t)a - b); }
@@ -80,7 +65,13 @@ static inline frac16_t f16_abs(frac16_t a) { return (a < 0) ? f16_neg(a) : a; }
 
 static inline frac32_t f32_add(frac32_t a, frac32_t b) { return sat32((int64_t)a + b); }
 static inline frac32_t f32_sub(frac32_t a, frac32_t b) { return sat32((int64_t)a - b); }
-static inline frac32_t f32_abs(frac32_t a) { return (a < 0) ? sat32(-(int64_t)a) : a; }
+static inline frac32_t f32_abs(frac32_t a)
+{
+    if (a >= 0) {
+        return a;
+    }
+    return (a == FRAC32_MIN) ? FRAC32_MAX : -a;
+}
 
 /* Angles wrap: the sum of two angles in [-pi, pi) is taken modulo 2 pi. */
 static inline frac16_t f16_add_wrap(frac16_t a, frac16_t b) { return (frac16_t)(uint16_t)((uint16_t)a + (uint16_t)b); }
@@ -89,7 +80,7 @@ static inline int32_t i32_sub_wrap(int32_t a, int32_t b) { return (int32_t)((uin
 static inline int32_t i32_add_wrap(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
 
 /* Rounded product; (-1) x (-1) saturates (DSC: MPYR with saturation). */
-static inline frac16_t f16_mul(frac16_t a, frac16_t b) { return sat16(asr32((int32_t)a * b + INT32_C(0x4000), 15)); }
+static inline frac16_t f16_mul(frac16_t a, frac16_t b) { return sat16_asr((int32_t)a * b + INT32_C(0x4000), 15); }
 
 /* Full product Q1.15 x Q1.15 -> Q1.31; (-1) x (-1) saturates (DSC: MPY). */
 static inline frac32_t f32_mul16(frac16_t a, frac16_t b)
@@ -100,7 +91,7 @@ static inline frac32_t f32_mul16(frac16_t a, frac16_t b)
 
 /* Widen without loss, and round back. */
 static inline frac32_t f32_from_f16(frac16_t a) { return (frac32_t)a * INT32_C(65536); }
-static inline frac16_t f16_from_f32(frac32_t a) { return sat16((int32_t)asr64((int64_t)a + INT32_C(0x8000), 16)); }
+static inline frac16_t f16_from_f32(frac32_t a) { return sat16_asr(asr32(a, 15) + 1, 1); }
 
 /* gain x fraction, rounded, saturated. */
 static inline frac32_t f32_gain(frac32_t x, gain_t gain)

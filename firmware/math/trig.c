@@ -1,10 +1,7 @@
 #include "math/trig.h"
 
-/* sin(pi/2 i/256) in Q1.15, one quarter wave and its end point. Linear interpolation between neighbours is off by at
- * most (pi/512)^2 / 8 = 4.7e-6, a seventh of one LSB. */
-#define QUARTER_STEPS 256
 /* clang-format off */
-static const int16_t quarter_wave[QUARTER_STEPS + 1] = {
+const int16_t trig_quarter_wave[TRIG_QUARTER_STEPS + 1] = {
     0, 201, 402, 603, 804, 1005, 1206, 1407, 1608, 1809, 2009, 2210,
     2411, 2611, 2811, 3012, 3212, 3412, 3612, 3812, 4011, 4211, 4410, 4609,
     4808, 5007, 5205, 5404, 5602, 5800, 5998, 6195, 6393, 6590, 6787, 6983,
@@ -30,49 +27,34 @@ static const int16_t quarter_wave[QUARTER_STEPS + 1] = {
 };
 /* clang-format on */
 
-/* Sine of a phase in the first quarter: 0..0x4000 is 0..pi/2. */
-static frac16_t quarter_sine(uint16_t phase)
-{
-    const uint16_t index = (uint16_t)(phase >> 6);
-    const int32_t rest = (int32_t)(phase & 0x3FU);
-    const int32_t low = quarter_wave[index];
-    if (rest == 0) {
-        return (frac16_t)low;
-    }
-    return (frac16_t)(low + asr32((quarter_wave[index + 1U] - low) * rest + 32, 6));
-}
-
-/* Sine of a phase over the full turn: 0..0xFFFF is 0..2 pi. */
-static frac16_t sine(uint16_t phase)
-{
-    const uint16_t in_half = (uint16_t)(phase & 0x7FFFU);
-    const uint16_t in_quarter = (in_half > 0x4000U) ? (uint16_t)(0x8000U - in_half) : in_half;
-    const frac16_t magnitude = quarter_sine(in_quarter);
-    return ((phase & 0x8000U) != 0U) ? (frac16_t)-magnitude : magnitude;
-}
-
-sin_cos_t sin_cos(frac16_t angle)
-{
-    const uint16_t phase = (uint16_t)angle;
-    const sin_cos_t result = {sine(phase), sine((uint16_t)(phase + 0x4000U))};
-    return result;
-}
+/* A step of Heron's method towards sqrt(square). */
+static uint32_t nearer(uint32_t root, uint32_t square) { return (root + square / root) >> 1; }
 
 frac16_t f16_sqrt(frac32_t x)
 {
-    if (x <= 0) {
+    if (x < 2) {
         return 0;
     }
-    /* sqrt(raw / 2^31) x 2^15 = sqrt(raw / 2): digit by digit, most significant bit first. */
-    uint32_t rest = (uint32_t)x >> 1;
-    uint32_t root = 0;
-    for (uint32_t bit = UINT32_C(1) << 28; bit != 0U; bit >>= 2) {
-        const uint32_t trial = root + bit;
-        root >>= 1;
-        if (rest >= trial) {
-            rest -= trial;
-            root += bit;
-        }
+    /* sqrt(raw / 2^31) x 2^15 = sqrt(raw / 2). From a power of two that is at most twice the root, four steps bring an
+     * error of 100 % down to 5e-8. */
+    const uint32_t square = (uint32_t)x >> 1;
+    uint32_t rest = square;
+    uint32_t root = 2;
+    if (rest >= UINT32_C(1) << 16) {
+        rest >>= 16;
+        root <<= 8;
     }
-    return (frac16_t)root;
+    if (rest >= UINT32_C(1) << 8) {
+        rest >>= 8;
+        root <<= 4;
+    }
+    if (rest >= UINT32_C(1) << 4) {
+        rest >>= 4;
+        root <<= 2;
+    }
+    if (rest >= UINT32_C(1) << 2) {
+        root <<= 1;
+    }
+    root = nearer(nearer(nearer(nearer(root, square), square), square), square);
+    return (frac16_t)((root * root > square) ? root - 1U : root);
 }

@@ -1,37 +1,29 @@
 #include "sensing/encoder.h"
 
-/* Angle over the full 32-bit turn. The counter is a two's complement number; its product with 2^32 / counts wraps as
- * the angle does, which is what F12 wants from the 16-bit product without saturation. */
-static uint32_t angle32(const encoder_config_t *config, uint16_t count)
-{
-    return (uint32_t)(int32_t)(int16_t)count * config->angle_per_count;
-}
-
-static frac16_t upper_half(uint32_t angle) { return (frac16_t)(uint16_t)((angle + UINT32_C(0x8000)) >> 16); }
-
-frac16_t encoder_theta_m(const encoder_config_t *config, uint16_t count) { return upper_half(angle32(config, count)); }
-
-frac16_t encoder_theta_e(const encoder_config_t *config, uint16_t count)
-{
-    return upper_half(angle32(config, count) * config->pole_pairs);
-}
-
 int16_t encoder_count_at(const encoder_config_t *config, frac16_t theta_e)
 {
     const int32_t scaled = (int32_t)theta_e * config->counts / config->pole_pairs;
     return (int16_t)asr32(scaled + INT32_C(0x8000), 16);
 }
 
+/* Difference of two counts, wrapped. */
+static int32_t wrapped(const encoder_config_t *config, int32_t difference)
+{
+    const int32_t counts = config->counts;
+    const int32_t half = counts / 2;
+    /* Once at most, between two samples of a turning shaft; any two counts are less than two turns apart. */
+    while (difference > half) {
+        difference -= counts;
+    }
+    while (difference < -half) {
+        difference += counts;
+    }
+    return difference;
+}
+
 int16_t encoder_difference(const encoder_config_t *config, uint16_t count, uint16_t previous)
 {
-    const int32_t half = config->counts / 2;
-    int32_t difference = (int32_t)(int16_t)count - (int16_t)previous;
-    if (difference > half) {
-        difference -= config->counts;
-    } else if (difference < -half) {
-        difference += config->counts;
-    }
-    return (int16_t)difference;
+    return (int16_t)wrapped(config, (int32_t)(int16_t)count - (int16_t)previous);
 }
 
 void encoder_reset(encoder_t *encoder, uint16_t count, uint16_t index)
@@ -54,19 +46,18 @@ static int32_t counts_of(const encoder_t *encoder, const encoder_config_t *confi
 
 bool encoder_update(encoder_t *encoder, const encoder_config_t *config, uint16_t count, uint16_t index)
 {
-    const int16_t moved = encoder_difference(config, count, encoder->count);
     const int32_t raw = (int32_t)(int16_t)count - (int16_t)encoder->count;
-    const bool wrapped = raw != moved;
+    const int32_t moved = wrapped(config, raw);
 
     /* F14, but an index pulse only counts together with the wrap that it announces: the shaft may touch the compare
      * value and turn back. */
     encoder->pending = (uint16_t)(encoder->pending + (uint16_t)(index - encoder->index));
-    if (wrapped) {
+    if (raw != moved) {
         if (encoder->pending != 0U) {
             encoder->turns = i32_add_wrap(encoder->turns, (moved > 0) ? 1 : -1);
         }
         encoder->pending = 0;
-    } else {
+    } else if (encoder->pending != 0U) {
         const int32_t half = config->counts / 2;
         const int32_t from_zero = (int16_t)count;
         if (from_zero < half && from_zero > -half) {

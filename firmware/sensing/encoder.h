@@ -20,9 +20,28 @@ typedef struct {
     int32_t integral;   /* the same, from wrapped differences: the cross-check */
 } encoder_t;
 
+/* Angle over the full 32-bit turn. The counter is a two's complement number; its product with 2^32 / counts wraps as
+ * the angle does, which is what F12 wants from the 16-bit product without saturation. */
+static inline uint32_t encoder_angle32(const encoder_config_t *config, uint16_t count)
+{
+    return (uint32_t)(int32_t)(int16_t)count * config->angle_per_count;
+}
+
+static inline frac16_t encoder_upper_half(uint32_t angle)
+{
+    return (frac16_t)(uint16_t)((angle + UINT32_C(0x8000)) >> 16);
+}
+
 /* Angles of a counter value; at most 1 LSB off over both directions (F12). */
-frac16_t encoder_theta_m(const encoder_config_t *config, uint16_t count);
-frac16_t encoder_theta_e(const encoder_config_t *config, uint16_t count);
+static inline frac16_t encoder_theta_m(const encoder_config_t *config, uint16_t count)
+{
+    return encoder_upper_half(encoder_angle32(config, count));
+}
+
+static inline frac16_t encoder_theta_e(const encoder_config_t *config, uint16_t count)
+{
+    return encoder_upper_half(encoder_angle32(config, count) * config->pole_pairs);
+}
 
 /* Counter value that reads as an electrical angle, within half an electrical turn of zero. */
 int16_t encoder_count_at(const encoder_config_t *config, frac16_t theta_e);

@@ -1,49 +1,81 @@
 /* rotor_search.h - initial rotor position without Hall sensors: bisection with coordinate correction (DRM 2.4.3, F15).
  *
- * A current vector at theta_M makes the shaft twitch towards it; the direction halves [theta_L, theta_H]. The current
- * grows slowly while nothing moves, and the windings are shorted as soon as something does, so that the shaft moves by
- * a few counts only. What it moved shifts both bounds.
+ * A current vector at theta_M makes the shaft twitch towards it; the direction halves [theta_L, theta_H], and what the
+ * shaft has moved shifts both. The current grows slowly while nothing moves.
+ *
+ * Gentle: the coordinate correction holds within a twitch too - the vector goes with the shaft, so that its torque keeps
+ * its size - and the brake is the pull played backwards with the current reversed. The shaft then stops, whatever its
+ * inertia, about as far behind the first counts as these were from rest; friction stops it sooner.
+ *
+ * Honest: a bound that dates from the first, weak twitches is looked at again with the strong vector of the last ones. And
+ * where the largest current moves nothing, the rotor may lie on the vector, lie opposite, be held, or move unseen.
+ * Vectors from both sides tell; if they move nothing either, the voltage of a turning vector tells held from unseen.
  */
 #ifndef SERVO_SENSING_ROTOR_SEARCH_H
 #define SERVO_SENSING_ROTOR_SEARCH_H
 
-#include "math/frac.h"
+#include "sensing/rotor_follow.h"
 
 typedef struct {
-    frac32_t current_step;    /* growth of Ip per slow tick */
+    frac32_t current_step;    /* growth of Ip per slow tick, while the rotor may be a quarter turn off the vector */
+    frac32_t current_slew;    /* largest change of Ip per slow tick that the current controller follows */
     frac16_t current_limit;   /* largest Ip */
-    uint16_t hold_ticks;      /* wait at the largest Ip before "no movement" */
+    uint16_t hold_ticks;      /* wait at the largest Ip, without another count, before "no movement" */
     uint16_t rest_ticks;      /* standstill after a twitch before its movement is measured */
-    uint16_t move_counts;     /* movement that counts as a twitch */
+    uint16_t move_counts;     /* movement that counts as a twitch; at least 2, one is what an edge does by itself */
     int32_t angle_per_count;  /* electrical, 2^16 is a turn, 16 fraction bits */
     int32_t interval;         /* theta_H - theta_L at which the search ends, 2^16 is a turn */
+    rotor_follow_config_t follow;
 } rotor_search_config_t;
 
 typedef enum {
-    ROTOR_SEARCH_PULL, /* the current at theta_M grows */
-    ROTOR_SEARCH_REST, /* the windings are shorted until the shaft rests */
+    ROTOR_SEARCH_PULL,  /* the current at theta_M grows */
+    ROTOR_SEARCH_BRAKE, /* reversed, it shrinks */
+    ROTOR_SEARCH_REST,  /* none; then the windings are shorted until the shaft rests */
+    ROTOR_SEARCH_TURN,  /* nothing moves: does the rotor follow a turning vector unseen? */
     ROTOR_SEARCH_FOUND,
-    ROTOR_SEARCH_FAILED, /* no movement in any direction */
+    ROTOR_SEARCH_HELD,  /* the rotor does not move, or no current flows */
+    ROTOR_SEARCH_BLIND, /* the rotor moves, the encoder does not count */
 } rotor_search_phase_t;
 
 typedef struct {
     rotor_search_phase_t phase;
-    int32_t theta_l; /* bounds, 2^16 is a turn; not wrapped */
-    int32_t theta_m;
-    int32_t theta_h;
-    frac32_t current; /* Ip */
+    frac16_t theta_m; /* middle of the bounds at the start of this pull */
+    uint16_t reach;   /* theta_H - theta_M = theta_M - theta_L, 2^16 is a turn */
+    frac16_t vector;  /* angle of the current vector now */
+    frac32_t current; /* Ip along the vector; negative while it brakes */
     int32_t origin;   /* position at the start of this pull */
-    int32_t rest_position;
-    uint16_t timer;
-    uint16_t searches; /* vectors tried so far */
-    int16_t direction; /* of the last twitch: -1, 1, or 0 when nothing moved */
-    bool from_side;    /* the vector that moved nothing is being checked from the side */
+    int32_t last;     /* position: the farthest while it brakes, the last one while it comes to rest */
+    int32_t anchor;     /* position that the resting shaft has not left by more than a count .. */
+    uint16_t calm;      /* .. for so many slow ticks */
+    uint16_t timer;     /* slow ticks without another count */
+    uint16_t held;      /* slow ticks at the largest Ip */
+    uint16_t fade;      /* slow ticks until the current of a twitch is gone */
+    frac32_t peak;      /* Ip of the brake after the reversal .. */
+    frac32_t swing;     /* .. which takes so much per slow tick */
+    uint32_t pace;      /* counts in the last slow tick before the brake */
+    uint16_t moving;    /* slow ticks since this pull's first count */
+    uint16_t searches;  /* vectors tried so far */
+    int16_t direction;  /* of the last twitch: -1, 1, or 0 when nothing moved */
+    int16_t run;        /* twitches in the same direction, the last ones, with their sign */
+    int16_t side;       /* the vector stands this many quarter turns beside theta_M: -1, 0, 1 */
+    int16_t check;      /* it stands at the bound on this side: -1 theta_L, 1 theta_H, 0 neither */
+    bool free;          /* it has been seen from the side that the shaft moves */
+    uint16_t starved;   /* PWM periods with less than a quarter of the current asked for */
+    rotor_follow_t follow;
 } rotor_search_t;
 
 void rotor_search_start(rotor_search_t *search, int32_t position);
 
+/* One PWM period in which the vector was applied: the current along it, the voltage across it. */
+void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *config, frac16_t current,
+                        frac16_t u_across);
+
 /* One slow tick with the position in counts. */
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position);
+
+/* True while a current vector is to be applied. */
+bool rotor_search_drives(const rotor_search_t *search);
 
 /* Electrical angle of the vector; once found, of the rotor. */
 frac16_t rotor_search_angle(const rotor_search_t *search);

@@ -1,7 +1,7 @@
 """Declarations for cffi straight from the firmware's headers, so that a test can never assume another layout.
 
-cffi parses C without bodies and without the system's headers. The preprocessor sees empty standard headers here, and
-what has a body (the inline functions) is left out: ``core_probe.c`` gives those to the tests.
+cffi parses C without bodies and without the system's headers. The preprocessor sees empty standard headers here, and of
+an inline function only the prototype is left: ``core_inlines.c`` makes functions of them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _STANDARD = {
 
 
 def _without_bodies(text: str) -> str:
-    """Drop every function that has a body."""
+    """Leave a prototype of every inline function."""
     kept: list[str] = []
     position = 0
     for match in re.finditer(r"static inline[^;{]*\{", text):
@@ -38,7 +38,8 @@ def _without_bodies(text: str) -> str:
         while depth:
             depth += {"{": 1, "}": -1}.get(text[end], 0)
             end += 1
-        kept.append(text[position : match.start()])
+        prototype = match.group().removesuffix("{").rstrip()
+        kept.append(text[position : match.start()] + prototype.removeprefix("static inline ") + ";")
         position = end
     return "".join(kept) + text[position:]
 

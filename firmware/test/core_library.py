@@ -24,7 +24,7 @@ def _files(pattern: str) -> tuple[str, ...]:
 
 
 CORE_SOURCES = _files("*.c")
-BOARD_SOURCES = (*CORE_SOURCES, "test/core_probe.c", "test/fake_hal.c")
+BOARD_SOURCES = (*CORE_SOURCES, "test/core_probe.c", "test/core_inlines.c", "test/fake_hal.c")
 
 
 class Core(NamedTuple):

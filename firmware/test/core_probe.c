@@ -23,12 +23,21 @@ frac32_t probe_f32_from_f16(frac16_t a) { return f32_from_f16(a); }
 frac16_t probe_f16_from_f32(frac32_t a) { return f16_from_f32(a); }
 frac32_t probe_f32_gain(frac32_t x, gain_t gain) { return f32_gain(x, gain); }
 
+probe_period_t probe_current_loop(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
+                                  dq_t reference, frac16_t theta_e, frac16_t omega_e, frac16_t u_dc)
+{
+    loop->limited = false;
+    current_loop_turn(loop, config, omega_e);
+    const svm_t modulation = current_loop_step(loop, config, current, reference, theta_e, u_dc);
+    return (probe_period_t){loop->current, loop->voltage, modulation, loop->limited};
+}
+
 void probe_sin_cos_all(int16_t *sines, int16_t *cosines)
 {
     for (uint32_t angle = 0; angle < UINT32_C(65536); angle++) {
         const sin_cos_t value = sin_cos((frac16_t)(uint16_t)angle);
-        sines[angle] = value.sin;
-        cosines[angle] = value.cos;
+        sines[angle] = (int16_t)value.sin;
+        cosines[angle] = (int16_t)value.cos;
     }
 }
 
@@ -43,6 +52,27 @@ void probe_f16_sqrt_many(const int32_t *x, int16_t *roots, uint32_t count)
 {
     for (uint32_t i = 0; i < count; i++) {
         roots[i] = f16_sqrt(x[i]);
+    }
+}
+
+void probe_clarke_many(const abc_t *x, ab_t *result, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        result[i] = clarke(x[i]);
+    }
+}
+
+void probe_park_many(const ab_t *x, const frac16_t *angle, dq_t *result, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        result[i] = park(x[i], sin_cos(angle[i]));
+    }
+}
+
+void probe_park_inverse_many(const dq_t *x, const frac16_t *angle, ab_t *result, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        result[i] = park_inverse(x[i], sin_cos(angle[i]));
     }
 }
 

@@ -4,6 +4,7 @@
 
 #include "app/servo.h"
 #include "control/svm.h"
+#include "control/transforms.h"
 #include "math/frac.h"
 #include "math/trig.h"
 
@@ -30,6 +31,16 @@ frac32_t probe_f32_from_f16(frac16_t a);
 frac16_t probe_f16_from_f32(frac32_t a);
 frac32_t probe_f32_gain(frac32_t x, gain_t gain);
 
+/* One PWM period at the electrical speed `omega_e`. */
+typedef struct {
+    dq_t current; /* measured */
+    dq_t voltage; /* what was asked of the inverter */
+    svm_t modulation; /* duties and sector */
+    bool limited; /* the voltage is at its limit */
+} probe_period_t;
+probe_period_t probe_current_loop(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
+                                  dq_t reference, frac16_t theta_e, frac16_t omega_e, frac16_t u_dc);
+
 /* Sine and cosine of every angle, from 0 upwards through the wrap: 65536 values each. */
 void probe_sin_cos_all(int16_t *sines, int16_t *cosines);
 
@@ -37,6 +48,9 @@ void probe_sin_cos_all(int16_t *sines, int16_t *cosines);
 void probe_f16_mul_all(frac16_t a, int16_t *products);
 
 void probe_f16_sqrt_many(const int32_t *x, int16_t *roots, uint32_t count);
+void probe_clarke_many(const abc_t *x, ab_t *result, uint32_t count);
+void probe_park_many(const ab_t *x, const frac16_t *angle, dq_t *result, uint32_t count);
+void probe_park_inverse_many(const dq_t *x, const frac16_t *angle, ab_t *result, uint32_t count);
 void probe_svm_many(const ab_t *modulation, svm_t *result, uint32_t count);
 void probe_encoder_angles(const encoder_config_t *config, int16_t *mechanical, int16_t *electrical);
 

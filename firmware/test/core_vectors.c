@@ -3,6 +3,7 @@
 
 #include "config/axis_config.h"
 #include "control/current_loop.h"
+#include "control/friction.h"
 #include "control/path.h"
 #include "drive/current_sense.h"
 #include "math/trig.h"
@@ -58,12 +59,73 @@ static int16_t random16(void) { return (int16_t)(uint16_t)(random32() >> 11); }
 
 static uint32_t sum;
 
-static void add(int32_t value) { sum = (sum << 5 | sum >> 27) ^ (uint32_t)value; }
+/* The product spreads a difference, the rotation keeps one of the highest bit: equal errors do not cancel each other. */
+static void add(int32_t value)
+{
+    const uint32_t mixed = sum ^ (uint32_t)value;
+    sum = (mixed << 5 | mixed >> 27) * UINT32_C(16777619);
+}
 
 static void report(const char *what)
 {
     printf("%s %08lX\n", what, (unsigned long)sum);
     sum = 0;
+}
+
+static void sums(frac32_t x, frac32_t y)
+{
+    add(f32_add(x, y));
+    add(f32_sub(x, y));
+    add(f32_abs(x));
+    add(i32_add_wrap(x, y));
+    add(i32_sub_wrap(x, y));
+    add(sat16(x));
+    add(sat32((int64_t)x * 3 - y));
+    add(f32_gain(x, y));
+    add(f16_from_f32(x));
+    add(f16_sqrt(x));
+    if (y >= 0) {
+        add(f32_limit((int64_t)x * 2, y));
+    }
+}
+
+static void products(frac16_t a, frac16_t b)
+{
+    add(f16_mul(a, b));
+    add(f32_mul16(a, b));
+    add(f16_add(a, b));
+    add(f16_sub(a, b));
+    add(f16_neg(a));
+    add(f16_abs(a));
+    add(f16_add_wrap(a, b));
+    add(f16_sub_wrap(a, b));
+    add(f32_from_f16(a));
+    if (b >= 0) {
+        add(f16_limit((int32_t)a * 3, b));
+    }
+}
+
+/* Every pair of the ends of the ranges and of what lies beside them. */
+static void ends(void)
+{
+    static const frac16_t narrow[] = {FRAC16_MIN, FRAC16_MIN + 1, -16384, -182, -1, 0, 1, 181, 16384, FRAC16_MAX};
+    static const frac32_t wide[] = {
+        FRAC32_MIN, FRAC32_MIN + 1, INT32_C(-0x40000000), INT32_C(-32769), -1,         0,
+        1,          INT32_C(32768), INT32_C(0x40000000),  FRAC32_MAX - 1,  FRAC32_MAX,
+    };
+    const uint16_t of_narrow = (uint16_t)(sizeof narrow / sizeof narrow[0]);
+    const uint16_t of_wide = (uint16_t)(sizeof wide / sizeof wide[0]);
+    for (uint16_t i = 0; i < of_narrow; i++) {
+        for (uint16_t k = 0; k < of_narrow; k++) {
+            products(narrow[i], narrow[k]);
+        }
+    }
+    for (uint16_t i = 0; i < of_wide; i++) {
+        for (uint16_t k = 0; k < of_wide; k++) {
+            sums(wide[i], wide[k]);
+        }
+    }
+    report("ends");
 }
 
 static void fractions(void)
@@ -92,6 +154,25 @@ static void fractions(void)
     report("fractions");
 }
 
+/* Friction and changes of the path filter. */
+static void shaping(void)
+{
+    for (uint16_t i = 0; i < 200; i++) {
+        const friction_config_t friction = {(int32_t)(random32() >> 1), (int32_t)random32(),
+                                            (int32_t)(random32() >> 4) + 1, (int32_t)(random32() >> 1)};
+        add(friction_current(&friction, (frac32_t)random32()));
+        path_t path;
+        const uint16_t omega = (uint16_t)(random32() | 1U);
+        const int32_t position = (int32_t)random32();
+        path_reset(&path, position, (int64_t)(int32_t)random32() * 8, omega);
+        path_retune(&path, i32_add_wrap(position, random16()), omega, (uint16_t)(random32() | 1U));
+        add((int32_t)asr64(path.ramp, 16));
+        add((int32_t)asr64(path.filter, 16));
+        add(path_at_rest(&path, position) ? 1 : 0);
+    }
+    report("shaping");
+}
+
 static void control(void)
 {
     current_loop_t loop;
@@ -99,19 +180,21 @@ static void control(void)
     path_t path;
     path_reset(&path, -5000, -300000, 1957);
     for (uint16_t i = 0; i < 300; i++) {
+        loop.dead_time_off = (i & 32U) != 0U;
         const abc_t current = {random16(), random16(), random16()};
         const dq_t reference = {random16(), random16()};
-        const current_loop_output_t out =
-            current_loop_step(&loop, &servo_config.axis[i % 2U].current_loop, current, reference, random16(),
-                              random16(), (frac16_t)(random16() & 0x7FFF));
-        add(out.current.d);
-        add(out.current.q);
-        add(out.voltage.d);
-        add(out.voltage.q);
-        add(out.modulation.duty.a);
-        add(out.modulation.duty.b);
-        add(out.modulation.duty.c);
-        add((int32_t)out.modulation.sector);
+        const current_loop_config_t *config = &servo_config.axis[i % 2U].current_loop;
+        const frac16_t theta = random16();
+        current_loop_turn(&loop, config, random16());
+        const svm_t out = current_loop_step(&loop, config, current, reference, theta, (frac16_t)(random16() & 0x7FFF));
+        add(loop.current.d);
+        add(loop.current.q);
+        add(loop.voltage.d);
+        add(loop.voltage.q);
+        add(out.duty.a);
+        add(out.duty.b);
+        add(out.duty.c);
+        add((int32_t)out.sector);
         path_step(&path, (i < 150U) ? INT32_C(900000000) : INT32_C(-1000), INT64_C(3000000000), 1957);
         add((int32_t)asr64(path.output, 8));
         add(path_position(&path));
@@ -151,6 +234,17 @@ static void encoder(void)
             encoder_resync(&e, config);
         }
     }
+    /* The largest encoder whose counts fit the register: differences need more than 16 bits. */
+    const encoder_config_t large = {32768U, 3, UINT32_C(131072)};
+    encoder_reset(&e, 0x8001U, 0);
+    for (uint16_t i = 0; i < 200; i++) {
+        const uint16_t at = (i % 3U == 0U) ? 0x8001U : 0x7FFFU;
+        const uint16_t other = (uint16_t)random16();
+        add(encoder_difference(&large, (i % 2U == 0U) ? at : other, at));
+        add(encoder_update(&e, &large, (i % 5U == 0U) ? at : other, index) ? 1 : 0);
+        add(e.position);
+        add(encoder_theta_e(&large, other));
+    }
     report("encoder");
 }
 
@@ -179,8 +273,14 @@ static void search(void)
         if (s.phase == ROTOR_SEARCH_PULL && s.current > INT32_C(20000000)) {
             position = i32_add_wrap(position, (int16_t)((uint16_t)rotor_search_angle(&s) - 23000U) < 0 ? 3 : -3);
         }
+        if (rotor_search_drives(&s)) {
+            rotor_search_watch(&s, &servo_config.axis[0].rotor_search, f16_from_f32(s.current),
+                               (frac16_t)(uint16_t)(random32() >> 16));
+        }
         rotor_search_step(&s, &servo_config.axis[0].rotor_search, position);
         add(s.theta_m);
+        add((int32_t)s.reach);
+        add(s.follow.flux);
         add(s.current);
         add((int32_t)s.phase);
     }
@@ -206,13 +306,22 @@ static void sense(void)
         add(x.b);
         add(x.c);
     }
+    for (uint16_t i = 0; i < 100; i++) { /* no converter has 16 bits: saturation, not a wrap */
+        s.pair = (phase_pair_t)(i % 3U);
+        const abc_t x = current_sense_read(&s, (adc_pair_t){(uint16_t)random32(), (uint16_t)(random32() >> 16)});
+        add(x.a);
+        add(x.b);
+        add(x.c);
+    }
     report("sense");
 }
 
 int main(void)
 {
     begin();
+    ends();
     fractions();
+    shaping();
     control();
     encoder();
     speed();

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -16,9 +17,15 @@ POSITION, SPEED, TORQUE = range(3)
 OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, CURRENT_OFFSET, ROTOR_SEARCH, ENCODER, HOST_SILENT, STALLED, RUNAWAY = (
     1 << bit for bit in range(9)
 )
-LIMIT_CURRENT, LIMIT_VOLTAGE, LIMIT_SPEED, LIMIT_SETPOINT = (1 << bit for bit in range(4))
+ENCODER_LOST, FAULT_FOLLOWING_ERROR, FAULT_OVER_SPEED = (1 << bit for bit in range(9, 12))
+LIMIT_CURRENT, LIMIT_VOLTAGE, LIMIT_SPEED, LIMIT_SETPOINT, LIMIT_POSITION = (1 << bit for bit in range(5))
+SEED_FEATURES: Final = 0b1111
+"""Those of the reference design, which are on after reset."""
+FRICTION, SPEED_FORWARD, ACCELERATION_FORWARD, POSITION_LIMITS, FOLLOWING_ERROR, OVER_SPEED, SPEED_OBSERVER = (
+    1 << bit for bit in range(4, 11)
+)
 
-PULL: Final = 0  # rotor_search_phase_t
+PULL, BRAKE, REST, TURN, FOUND, HELD, BLIND = range(7)  # rotor_search_phase_t
 PERIODS: Final = 8
 VARIABLES: Final = 0x1000
 TIMER_PER_TICK: Final = 390.625
@@ -67,6 +74,9 @@ class Bench:
         self._speed = [0.0, 0.0]  # counts per slow tick
         self._rest = [0.0, 0.0]
         self.shaft_is_free = [True, True]  # it twitches when the search pulls
+        self.motor_plugged = [True, True]
+        self.current_across = [0.0, 0.0]  # while the search pulls, of the full scale
+        self._search_drives = [False, False]
         self._shown = [0, 0]  # counter value that the firmware was given
         self.ticks = 0
         core.lib.fake_hal_init(self.hal)
@@ -110,15 +120,28 @@ class Bench:
         self._shown[i] = timer.raw
 
     def _follow_search(self, i: int) -> None:
-        """A rotor without friction that twitches towards the vector of the search."""
+        """A rotor without friction that twitches towards the vector of the search, whose current flows as asked for."""
         axis = self.axis(i)
-        if (axis.sm.state, axis.substate, axis.search.phase) != (RUN, ALIGN, PULL) or axis.search.current == 0:
+        aligning = (axis.sm.state, axis.substate) == (RUN, ALIGN)
+        if self._search_drives[i] or aligning:
+            self._search_drives[i] = aligning and axis.search.phase in (PULL, BRAKE, TURN)
+            self._flow(i)
+        if not aligning or axis.search.phase != PULL or axis.search.current == 0:
             return
         rotor = self._rotor[i] + self.shaft[i].shaft * 2 / COUNTS
-        towards = (axis.search.theta_m / 65536 - rotor + 0.5) % 1.0 - 0.5
+        towards = (axis.search.vector / 65536 - rotor + 0.5) % 1.0 - 0.5
         if self.shaft_is_free[i] and abs(towards) > 0.002:
             self.shaft[i].move(4 if towards > 0 else -4)
             self.hal.axis[i].age = 0
+
+    def _flow(self, i: int) -> None:
+        """Currents of a motor under the search: what it asks for along its vector, `current_across` across it."""
+        search, flows = self.axis(i).search, self._search_drives[i] and self.motor_plugged[i]
+        along, across = (search.current / 2**31, self.current_across[i]) if flows else (0.0, 0.0)
+        for phase in range(3):
+            angle = search.vector * math.pi / 32768 - phase * 2.0 * math.pi / 3.0
+            current = along * math.cos(angle) - across * math.sin(angle)
+            self.hal.axis[i].current_code[phase] = round(2048 * (1.0 + current))
 
     def turn(self, axis: int, speed: float) -> None:
         """Turn a shaft from now on [rad/s], whatever the firmware does."""
@@ -166,6 +189,12 @@ class Bench:
         variable = self.catalogue.variables[f"param.{name}"]
         raw = variable.to_raw(value)
         self.write_raw(variable.name, [raw] * variable.count)
+
+    def switch_on(self, axis: int, features: int) -> None:
+        """Add features of one axis to those of the reference design; the other axis keeps the latter."""
+        words = [SEED_FEATURES, SEED_FEATURES]
+        words[axis] |= features
+        self.write_raw("param.features", words)
 
     def frame_arrives(self) -> None:
         """A valid request of a host: read the catalogue hash (0x21 READMEM)."""

@@ -21,6 +21,10 @@ class Shaft:
         [kg m^2], [N m].
     locked : bool
         Held fast.
+    seen : bool
+        The encoder counts; what it misses is lost.
+    stops : tuple of float
+        End stops, mechanical, from the angle at time 0 [rad].
     """
 
     theta_e: float
@@ -30,8 +34,11 @@ class Shaft:
     psi: float = 0.0154
     resistance: float = 0.55
     locked: bool = False
+    seen: bool = True
+    stops: tuple[float, float] = (-math.inf, math.inf)
     speed: float = field(default=0.0, init=False)  # mechanical [rad/s]
     moved: float = field(default=0.0, init=False)  # mechanical [rad]
+    missed: float = field(default=0.0, init=False)  # by the encoder [rad]
 
     @property
     def angle(self) -> float:
@@ -42,7 +49,11 @@ class Shaft:
     @property
     def counts(self) -> int:
         """Encoder position since time 0."""
-        return math.floor(self.moved / (2.0 * math.pi) * COUNTS + 0.5)
+        return math.floor((self.moved - self.missed) / (2.0 * math.pi) * COUNTS + 0.5)
+
+    def emf_across(self, vector: float) -> float:
+        """Voltage that the turning rotor induces across a vector at an electrical angle [V]."""
+        return self.pole_pairs * self.speed * self.psi * math.cos(self.angle - vector)
 
     def slow_tick(self, current: float, vector: float, shorted: bool, steps: int = 10) -> None:
         """0.5 ms with a current vector [A] at an electrical angle [rad], or with the windings shorted."""
@@ -57,4 +68,8 @@ class Shaft:
             direction = math.copysign(1.0, self.speed if self.speed != 0.0 else torque)
             speed = self.speed + (torque - direction * self.friction) / self.inertia * dt
             self.speed = 0.0 if speed * direction < 0.0 else speed  # friction stops, it does not push
-            self.moved += self.speed * dt
+            step = self.speed * dt
+            if not self.stops[0] <= self.moved + step <= self.stops[1]:
+                step = self.speed = 0.0
+            self.moved += step
+            self.missed += 0.0 if self.seen else step

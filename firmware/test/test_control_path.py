@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from core_library import Core, load_core
+from exact import I32, edges, nearest, towards_zero
 from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,6 +16,11 @@ ONE = 2**24  # one count
 COUNTS_PER_TURN = 4000
 SPEED_LIMIT = 200 * ONE  # counts per slow tick: 314 rad/s
 OMEGAS = (1, 65, 1957, 3276, 16384)
+
+
+OMEGA = edges(1, 2**16 - 1)
+STEP = edges(0, 2**40)  # up to 65536 counts per slow tick, 16 turns
+SIGNED_STEP = edges(-(2**40), 2**40)
 
 
 class Path:
@@ -42,6 +48,105 @@ class Path:
 @pytest.fixture(scope="module")
 def core(compile_c: CompileC) -> Core:
     return load_core(compile_c)
+
+
+class Integers:
+    """The path with its roundings: two products to the nearest 2^-24 of a count per tick."""
+
+    def __init__(self, omega: int, position: int, step: int) -> None:
+        self.omega = omega
+        self.output = position * ONE
+        self.filter = towards_zero(step * 2**16, omega)
+        self.ramp = self.output + 2 * self.filter - step
+
+    def step(self, target: int, limit: int) -> None:
+        self.ramp += min(max(target * ONE - self.ramp, -limit), limit)
+        self.filter += nearest((self.ramp - 2 * self.filter - self.output) * self.omega, 2**16)
+        self.output += nearest(self.filter * self.omega, 2**16)
+
+    def retune(self, target: int, omega: int) -> None:
+        lead = towards_zero((self.ramp - self.output) * self.omega, omega)
+        short, past = (self.ramp <= target * ONE), (self.output + lead > target * ONE)
+        if lead <= 0:
+            short, past = (self.ramp >= target * ONE), (self.output + lead < target * ONE)
+        self.ramp = target * ONE if short and past else self.output + lead
+        self.filter = towards_zero(self.filter * self.omega, omega)
+        self.omega = omega
+
+    @property
+    def state(self) -> tuple[int, int, int]:
+        return self.ramp, self.filter, self.output
+
+
+def state_of(path: Path) -> tuple[int, int, int]:
+    return path.c.ramp, path.c.filter, path.c.output
+
+
+@given(
+    omega=edges(1, 2**15),
+    start=st.tuples(I32, SIGNED_STEP),
+    ticks=st.lists(st.tuples(st.one_of(I32, st.none()), STEP, st.integers(1, 6)), min_size=1, max_size=8),
+)
+@settings(max_examples=300)
+def test_every_bit(core: Core, omega: int, start: tuple[int, int], ticks: list[tuple[int | None, int, int]]) -> None:
+    """Any start, targets over all 32 bits, ramps of up to 16 turns per tick; None stays where the output is."""
+    path, model = Path(core, omega, *start), Integers(omega, *start)
+    assert state_of(path) == model.state
+    for target, limit, count in ticks:
+        for _ in range(count):
+            at = (model.output + ONE // 2 >> 24) if target is None else target
+            at = min(max(at, -(2**31)), 2**31 - 1)
+            path.step(at, limit)
+            model.step(at, limit)
+            assert state_of(path) == model.state
+
+
+@given(omega=OMEGA, other=OMEGA, start=st.tuples(I32, SIGNED_STEP), target=I32, near=st.integers(-40, 40))
+@settings(max_examples=400)
+def test_every_bit_of_a_new_omega(
+    core: Core, omega: int, other: int, start: tuple[int, int], target: int, near: int
+) -> None:
+    """Both quotients towards zero; the ramp stops at a target it would be drawn past."""
+    for at in (target, min(max((Integers(omega, *start).ramp >> 24) + near, -(2**31)), 2**31 - 1)):
+        path, model = Path(core, omega, *start), Integers(omega, *start)
+        core.lib.path_retune(path.c, at, omega, other)
+        model.retune(at, other)
+        assert state_of(path) == model.state
+
+
+@given(
+    omega=edges(1, 2**15),
+    start=I32,
+    targets=st.lists(I32, min_size=1, max_size=3),
+    limit=edges(1, 2**40),
+)
+@settings(max_examples=60)
+def test_e40_over_the_whole_range(core: Core, omega: int, start: int, targets: list[int], limit: int) -> None:
+    """At most 2 / (omega_n Ts) of 2^-24 counts off the reals, which are carried here with 64 bits more.
+
+    A rounding of half an LSB in m is worth 1 / (2 omega_n Ts) in y, one in y twice that; both responses are monotonic.
+    """
+    path, more = Path(core, omega, start), 64
+    ramp, m, y = path.c.ramp, 0, path.c.ramp << more
+    for target in targets:
+        for _ in range(60):
+            ramp += min(max(target * ONE - ramp, -limit), limit)
+            m += ((ramp << more) - 2 * m - y) * omega >> 16
+            y += m * omega >> 16
+            path.step(target, limit)
+            assert abs((path.c.output << more) - y) <= (2**17 << more) // omega
+
+
+@given(output=edges(-(2**55) - ONE // 2, 2**55 - ONE // 2 - 1), target=I32, ramp=st.integers(-1, 1))
+def test_position_and_rest(core: Core, output: int, target: int, ramp: int) -> None:
+    """The nearest count, halves upwards; at rest when that is the target and the ramp has arrived to the last bit."""
+    path = core.ffi.new("path_t *")
+    path.output = output
+    position = nearest(output, ONE)
+    assert core.lib.path_position(path) == position
+    for at in (target, position):
+        path.ramp = at * ONE + ramp
+        assert core.lib.path_at_rest(path, at) == (at == position and ramp == 0)
 
 
 @pytest.mark.parametrize("omega_n_ts", OMEGAS[1:])
@@ -151,3 +256,37 @@ def test_rounding_to_counts(core: Core) -> None:
     for counts, expected in ((0.49, 0), (0.5, 1), (-0.5, 0), (-0.51, -1), (-1.5, -1), (7.25, 7)):
         path.output = round(counts * ONE)
         assert core.lib.path_position(path) == expected
+
+
+def retune(core: Core, path: Path, target: int, omega_n_ts: int) -> tuple[float, float]:
+    """Go on with another omega_n; returns the ramp before and after, in counts."""
+    before = path.c.ramp
+    core.lib.path_retune(path.c, target, path.omega, omega_n_ts)
+    path.omega = omega_n_ts
+    return before / ONE, path.c.ramp / ONE
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("omega_n_ts", [200, 3276])
+def test_new_omega_before_the_shaft_turns_round(core: Core, way: int, omega_n_ts: int) -> None:
+    """The limits change while the shaft still runs away from its target: only the ramp's lead follows."""
+    path, target = Path(core, 1957, 0, -way * 100 * ONE), way * 900_000_000
+    path.step(target)
+    previous, output = path.output, path.step(target)
+    before, after = retune(core, path, target, omega_n_ts)
+    assert after - output == pytest.approx((before - output) * 1957 / omega_n_ts)
+    assert path.step(target) - output == pytest.approx(output - previous, rel=0.1)
+
+
+def test_new_omega_at_rest_changes_nothing(core: Core) -> None:
+    path = Path(core, 1957, 77)
+    assert retune(core, path, 900_000_000, 200) == (77.0, 77.0)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_new_omega_does_not_draw_the_ramp_past_the_target(core: Core, way: int) -> None:
+    path, target = Path(core, 1957), way * 20_000
+    for _ in range(60):
+        path.step(target)
+    assert abs(path.c.ramp) / ONE < 20_000
+    assert retune(core, path, target, 65)[1] == target

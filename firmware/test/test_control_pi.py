@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 from core_library import Core, load_core
+from exact import FRACTION32, GAIN_ONE, I32, clip, clip32, edges, nearest, saturated
 from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 ONE = 2**31
-GAIN_ONE = 2**24
 
 
 def raw(x: float) -> int:
@@ -34,7 +34,7 @@ class Controller:
 
     @property
     def integral(self) -> float:
-        return float(self.state.integral / ONE)
+        return float(self.state.integral / ONE / GAIN_ONE)
 
 
 class Reference:
@@ -97,18 +97,31 @@ def test_equals_the_float_model(core: Core, errors: Sequence[float], limit: floa
 
 
 @given(
-    errors=st.lists(st.integers(-ONE, ONE - 1), min_size=1, max_size=40),
-    gains=st.tuples(*[st.integers(-ONE, ONE - 1)] * 2, st.integers(0, GAIN_ONE - 1)),
-    limit=st.integers(0, ONE - 1),
-    ff=st.integers(-ONE, ONE - 1),
+    samples=st.lists(st.tuples(I32, I32, FRACTION32), min_size=1, max_size=12),
+    gains=st.tuples(I32, I32, edges(0, GAIN_ONE)),
+    start=st.tuples(I32, I32),
 )
-def test_never_leaves_its_limits(
-    core: Core, errors: Sequence[int], gains: tuple[int, int, int], limit: int, ff: int
+@settings(max_examples=400)
+def test_every_bit_over_the_whole_range(
+    core: Core, samples: Sequence[tuple[int, int, int]], gains: tuple[int, int, int], start: tuple[int, int]
 ) -> None:
-    state, g = core.ffi.new("pi_state_t *"), core.ffi.new("pi_gains_t *", gains)
-    core.lib.pi_reset(state, 0)
-    for error in errors:
-        assert -limit <= core.lib.pi_step(state, g, error, ff, limit) <= limit
+    """E35..E37 in integers: sums of exact products, the integral and the excess saturated, one rounding at the end."""
+    kp, ki, kc = gains
+    integral, excess = start[0] * GAIN_ONE, start[1]
+    state, g = core.ffi.new("pi_state_t *", (integral, excess)), core.ffi.new("pi_gains_t *", gains)
+    for error, forward, limit in samples:
+        integral = saturated(integral + error * ki + excess * kc)
+        wanted = nearest(integral + error * kp + forward * GAIN_ONE, GAIN_ONE)
+        out = clip(wanted, -limit, limit)
+        excess = clip32(out - wanted)
+        assert core.lib.pi_step(state, g, error, forward, limit) == out
+        assert (state.integral, state.excess) == (integral, excess)
+
+
+def test_reset(core: Core) -> None:
+    state = core.ffi.new("pi_state_t *", (1, 2))
+    core.lib.pi_reset(state, -ONE)
+    assert (state.integral, state.excess) == (-ONE * GAIN_ONE, 0)
 
 
 def test_integral_settles_at_the_limit_with_anti_windup_and_winds_up_without(core: Core) -> None:

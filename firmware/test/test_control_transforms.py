@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
+import numpy as np
 import pytest
 from core_library import Core, load_core
+from exact import I16, MAX16, MIN16
 from firmware_compiler import CompileC
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-MIN16, MAX16 = -(2**15), 2**15 - 1
-I16 = st.one_of(st.sampled_from([MIN16, MIN16 + 1, -1, 0, 1, MAX16]), st.integers(MIN16, MAX16))
 ANGLE = st.integers(MIN16, MAX16)
 
 
@@ -39,6 +39,34 @@ def park_inverse(core: Core, d: int, q: int, angle: int) -> tuple[int, int]:
     return x.alpha, x.beta
 
 
+def clarke_of(core: Core, phases: np.ndarray) -> np.ndarray:
+    x, result = phases.astype(np.int32), np.zeros((len(phases), 2), dtype=np.int16)
+    core.lib.probe_clarke_many(core.ffi.from_buffer("abc_t[]", x), core.ffi.from_buffer("ab_t[]", result), len(x))
+    return result.astype(np.int64)
+
+
+def test_alpha_is_the_nearest_number_for_every_sum(core: Core) -> None:
+    """E6 sees nothing but 2 a - b - c: all 262141 values of it, half an LSB, saturated."""
+    total = np.arange(2 * MIN16 - 2 * MAX16, 2 * MAX16 - 2 * MIN16 + 1)
+    a = total // 4
+    rest = 2 * a - total
+    phases = np.stack([a, rest // 2, rest - rest // 2], axis=1)
+    assert phases.min() == MIN16
+    assert phases.max() == MAX16
+    expected = np.clip((2 * total + 3) // 6, MIN16, MAX16)
+    assert np.array_equal(clarke_of(core, phases)[:, 0], expected)
+
+
+def test_beta_is_the_nearest_number_for_every_difference(core: Core) -> None:
+    """E7 sees nothing but b - c: all 131071 values of it, half an LSB, saturated."""
+    difference = np.arange(MIN16 - MAX16, MAX16 - MIN16 + 1)
+    b = difference // 2
+    phases = np.stack([np.full_like(b, MIN16), b, b - difference], axis=1)
+    # No multiple of 1/sqrt(3) comes closer than 2e-6 to a half: a double tells which number is nearest.
+    expected = np.clip(np.floor(difference / math.sqrt(3.0) + 0.5), MIN16, MAX16)
+    assert np.array_equal(clarke_of(core, phases)[:, 1], expected)
+
+
 @given(a=I16, b=I16, c=I16)
 def test_clarke_is_e6_and_e7(core: Core, a: int, b: int, c: int) -> None:
     x = core.lib.clarke({"a": a, "b": b, "c": c})
@@ -59,6 +87,53 @@ def test_clarke_of_a_balanced_system_keeps_the_amplitude(core: Core) -> None:
 def test_common_mode_is_not_seen(core: Core) -> None:
     x = core.lib.clarke({"a": 20000, "b": 20000, "c": 20000})
     assert (x.alpha, x.beta) == (0, 0)
+
+
+def rotations() -> tuple[np.ndarray, np.ndarray]:
+    """Vectors and angles: the whole range, and its corners at every 16th angle."""
+    rng = np.random.default_rng(11)
+    anywhere = rng.integers(MIN16, MAX16 + 1, (100_000, 2))
+    corners = np.array([(x, y) for x in (MIN16, MIN16 + 1, 0, MAX16) for y in (MIN16, MIN16 + 1, 0, MAX16)])
+    turn = np.arange(MIN16, MAX16 + 1, 16)
+    vectors = np.concatenate([anywhere, np.tile(corners, (len(turn), 1))]).astype(np.int16)
+    angles = np.concatenate([rng.integers(MIN16, MAX16 + 1, 100_000), np.repeat(turn, len(corners))]).astype(np.int16)
+    return vectors, angles
+
+
+def rotated(core: Core, inverse: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What went in, the angles, and what comes out of one of the two transforms."""
+    vectors, angles = rotations()
+    result = np.zeros_like(vectors)
+    into, out, function = (
+        ("dq_t[]", "ab_t[]", core.lib.probe_park_inverse_many)
+        if inverse
+        else ("ab_t[]", "dq_t[]", core.lib.probe_park_many)
+    )
+    buffer = core.ffi.from_buffer
+    function(buffer(into, vectors), buffer("int16_t[]", angles), buffer(out, result), len(angles))
+    return vectors.astype(np.int64), angles.astype(np.int64), result.astype(np.int64)
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_rotation_is_rounded_once(core: Core, inverse: bool) -> None:
+    """With the sine and cosine there are: the nearest number, halves upwards, saturated. No more than half an LSB."""
+    vectors, angles, result = rotated(core, inverse)
+    sines, cosines = np.zeros(65536, dtype=np.int16), np.zeros(65536, dtype=np.int16)
+    core.lib.probe_sin_cos_all(core.ffi.from_buffer("int16_t[]", sines), core.ffi.from_buffer("int16_t[]", cosines))
+    s, c = sines.astype(np.int64)[angles], cosines.astype(np.int64)[angles]
+    x, y = vectors.T
+    direction = -1 if inverse else 1
+    exact = np.stack([x * c + direction * y * s, y * c - direction * x * s], axis=1)
+    assert np.array_equal(result, np.clip((exact + 2**14) >> 15, MIN16, MAX16))
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_rotation_of_the_reals(core: Core, inverse: bool) -> None:
+    """E16, e^(-j theta) and e^(j theta): 1.01 LSB of the sine, 1.01 of the cosine, half of one for the rounding."""
+    vectors, angles, result = rotated(core, inverse)
+    z = (vectors[:, 0] + 1j * vectors[:, 1]) * np.exp((1j if inverse else -1j) * np.pi * angles / 32768.0)
+    exact = np.clip(np.stack([z.real, z.imag], axis=1), MIN16, MAX16)
+    assert np.max(np.abs(result - exact)) <= 2.52
 
 
 @given(alpha=I16, beta=I16, angle=ANGLE)

@@ -6,12 +6,14 @@ from typing import Any
 
 import pytest
 from core_library import Core, load_core
+from exact import I16, MAX16, U16, clip16, edges, narrow, nearest
 from firmware_compiler import CompileC
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from servo_bench import Bench, bus_code
 
 AB, BC, CA = range(3)
+U12 = edges(0, 4095)
 PHASES = {AB: (0, 1), BC: (1, 2), CA: (2, 0)}
 MID = 2048 << 16
 
@@ -67,12 +69,33 @@ def test_full_range_saturates_and_never_wraps(core: Core, first: int, second: in
     assert i[3 - a - b] == min(max(-(i[a] + i[b]), -32768), 32767)
 
 
+@given(codes=st.tuples(U12, U12), pair=st.integers(0, 2), offsets=st.tuples(*[edges(0, 0xFFFFFFF)] * 3))
+@settings(max_examples=300)
+def test_every_bit_of_a_reading(core: Core, codes: tuple[int, int], pair: int, offsets: tuple[int, int, int]) -> None:
+    """Any code of 12 bits, any offset of 12 with its fraction, which counts to a sixteenth, halves upwards."""
+    sense = core.ffi.new("current_sense_t *", {"offset": offsets})
+    i = read(core, sense, pair, *codes)
+    phases = PHASES[pair]
+    sampled = [clip16(code * 16 - nearest(offsets[x], 2**12)) for code, x in zip(codes, phases, strict=True)]
+    assert [i[x] for x in phases] == sampled
+    assert i[3 - sum(phases)] == clip16(-sum(sampled))
+
+
 def test_offset_is_taken_off_with_its_fraction(core: Core, sense: Any) -> None:
     sense.offset[0] = MID + (10 << 16) + 0x8000  # 10.5 codes
     assert read(core, sense, AB, 2058, 2048)[0] == -8
     assert read(core, sense, AB, 2059, 2048)[0] == 8
     sense.offset[0] = MID + 0x900  # 9/256 codes: rounded to 1/16
     assert read(core, sense, AB, 2048, 2048)[0] == -1
+
+
+def test_reset(core: Core) -> None:
+    sense = core.ffi.new("current_sense_t *", ([1, 2, 3], [4, 5, 6], 7, 2, (8, 9, 10)))
+    core.lib.current_sense_reset(sense)
+    assert list(sense.offset) == [MID] * 3
+    assert list(sense.sum) == [0] * 3
+    assert (sense.samples, sense.pair) == (0, AB)
+    assert (sense.duty.a, sense.duty.b, sense.duty.c) == (0, 0, 0)
 
 
 def calibrate(core: Core, sense: Any, offsets: list[int]) -> int:
@@ -121,6 +144,64 @@ def test_drift_is_followed_slowly(core: Core, sense: Any) -> None:
     assert sense.offset[1] == sense.offset[2] == MID
 
 
+@given(
+    offsets=st.tuples(*[edges(0, 0xFFFFFFF)] * 3),
+    codes=st.tuples(edges(0, 4095), edges(0, 4095)),
+    pair=st.integers(0, 2),
+    duty=st.tuples(I16, I16, I16),
+    least=edges(0, MAX16),
+)
+@settings(max_examples=300)
+def test_every_bit_of_tracking(
+    core: Core,
+    offsets: tuple[int, int, int],
+    codes: tuple[int, int],
+    pair: int,
+    duty: tuple[int, int, int],
+    least: int,
+) -> None:
+    """A 256th of the error, towards minus infinity, and only for the phases of this pair with a long high side."""
+    sense = core.ffi.new("current_sense_t *", {"offset": offsets, "pair": pair, "duty": duty})
+    core.lib.current_sense_track(sense, codes, least)
+    expected = list(offsets)
+    for code, phase in zip(codes, PHASES[pair], strict=True):
+        if duty[phase] >= least:
+            expected[phase] += ((code << 16) - offsets[phase]) >> 8
+    assert list(sense.offset) == expected
+
+
+@given(codes=st.lists(st.tuples(U16, U16), min_size=2, max_size=6), shift=st.integers(0, 511))
+@settings(max_examples=40)
+def test_every_bit_of_the_calibration(core: Core, codes: list[tuple[int, int]], shift: int) -> None:
+    """256 samples of pair AB, 256 of CA of which c comes first; exact means with 16 fraction bits, 12-bit codes."""
+    sense = core.ffi.new("current_sense_t *")
+    core.lib.current_sense_reset(sense)
+    sums = [0, 0, 0]
+    for k in range(512):
+        first, second = (code & 0xFFF for code in codes[(k + shift) % len(codes)])
+        assert sense.pair == (AB if k < 256 else CA)
+        if k < 256:
+            sums[0], sums[1] = sums[0] + first, sums[1] + second
+        else:
+            sums[2] += first
+        assert core.lib.current_sense_calibrate(sense, (first, second)) == (k == 511)
+    assert [offset * 256 for offset in sense.offset] == [total * 65536 for total in sums]
+
+
+@given(offsets=st.tuples(*[edges(0, 0xFFFFFFF)] * 3), tolerance=edges(0, 4095))
+def test_plausible_means_within_the_tolerance(core: Core, offsets: tuple[int, int, int], tolerance: int) -> None:
+    """In whole codes, the fraction cut off; the bounds belong to it."""
+    for at in (offsets, tuple(clip_offset(o, tolerance) for o in offsets)):
+        sense = core.ffi.new("current_sense_t *", {"offset": at})
+        plausible = all(abs((o >> 16) - 2048) <= tolerance for o in at)
+        assert bool(core.lib.current_sense_offsets_plausible(sense, tolerance)) is plausible
+
+
+def clip_offset(offset: int, tolerance: int) -> int:
+    """Into the neighbourhood of the bounds."""
+    return min(max(offset, max(2047 - tolerance, 0) << 16), min(2049 + tolerance, 4095) << 16)
+
+
 @pytest.mark.parametrize("pair", [AB, BC, CA])
 def test_short_high_sides_give_no_offset(core: Core, sense: Any, pair: int) -> None:
     """Only a high side that conducts long enough leaves the shunt without current."""
@@ -144,7 +225,24 @@ def test_24_volts_is_21665_of_which_a_12_bit_converter_delivers_21664(core: Core
     assert bus_code(24.0) == bench.hal.bus_code == 2708
     bench.to_stop()
     bench.slow(20)
-    assert bench.servo.snapshot.u_dc == pytest.approx(21664, abs=1)
+    assert bench.servo.snapshot.u_dc == 21664
+
+
+@given(codes=st.lists(edges(0, 4095), min_size=1, max_size=40))
+@settings(max_examples=60)
+def test_every_bit_of_the_bus_filter(core: Core, codes: list[int]) -> None:
+    """Q1.31 of the full scale; a 16th of the difference, towards minus infinity; the first code goes in as it is."""
+    bench = Bench(core)
+    axis = core.ffi.addressof(bench.servo.axis[0])
+    filtered = 0
+    for code in codes:
+        bench.hal.bus_code = code
+        core.lib.axis_fast(axis)
+        sample = code << 19
+        filtered = filtered or sample
+        filtered += (sample - filtered) >> 4
+        assert axis.u_dc_filter == filtered
+        assert axis.u_dc == narrow(filtered)
 
 
 def test_bus_filter(core: Core) -> None:
@@ -158,4 +256,4 @@ def test_bus_filter(core: Core) -> None:
     assert rise == pytest.approx(1.0 - (15 / 16) ** 16, abs=0.01)
     bench.hal.bus_code = 4095
     bench.slow(50)
-    assert bench.axis(0).u_dc == pytest.approx(4095 << 3, abs=1)
+    assert bench.axis(0).u_dc == 4095 << 3

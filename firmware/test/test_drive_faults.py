@@ -13,6 +13,7 @@ from servo_bench import (
     CODE_24V,
     CURRENT_OFFSET,
     ENCODER,
+    ENCODER_LOST,
     FAULT,
     FREEWHEEL,
     HOST_SILENT,
@@ -205,14 +206,57 @@ def test_offset_far_from_mid_scale_is_refused(bench: Bench, codes: tuple[int, in
     bench.to_spin(0)
 
 
-def test_shaft_held_fast_fails_the_search(bench: Bench) -> None:
+def give_up(bench: Bench) -> float:
+    """Let a search of axis 1 fail; returns the seconds it took."""
     bench.to_stop()
     bench.shaft_is_free[0] = False
     bench.write(0, enable=1)
+    bench.to_substate(0, ALIGN)
     ticks = bench.until(lambda: bench.view(0).state == FAULT, 2500)
-    assert bench.view(0).faults == ROTOR_SEARCH
-    assert ticks * 0.5e-3 < 1.2
     assert not bench.hal.axis[0].outputs_on
+    return ticks * 0.5e-3
+
+
+def test_shaft_held_fast_fails_the_search(bench: Bench) -> None:
+    assert give_up(bench) < 1.2
+    assert bench.view(0).faults == ROTOR_SEARCH
+    bench.clear(0)
+    bench.shaft_is_free[0] = True
+    bench.to_spin(0)
+
+
+@pytest.mark.parametrize("across", [-0.01, 0.01])
+def test_motor_that_moves_unseen_has_lost_its_encoder(bench: Bench, across: float) -> None:
+    """What drives a current across the turning vector, so that the controller needs a voltage there, is a rotor."""
+    bench.current_across[0] = across
+    assert give_up(bench) < 1.2
+    assert bench.view(0).faults == ENCODER_LOST
+    bench.clear(0)
+    bench.shaft_is_free[0], bench.current_across[0] = True, 0.0
+    bench.to_spin(0)
+
+
+def test_search_looks_at_voltages_without_the_error_of_dead_time(bench: Bench) -> None:
+    """Whatever the host has switched off for comparison; afterwards its choice is in force again."""
+    bench.write_raw("param.features", [0, 0])
+    bench.to_stop()
+    bench.write(0, enable=1)
+    bench.to_substate(0, ALIGN)
+    bench.slow(3)
+    assert not bench.axis(0).current_loop.dead_time_off
+    bench.to_substate(0, SPIN)
+    bench.slow()
+    assert bench.axis(0).current_loop.dead_time_off
+
+
+def test_unplugged_motor_fails_the_search_at_once(bench: Bench) -> None:
+    """No current, no verdict about the shaft or the encoder: the remedy names the motor cable."""
+    bench.motor_plugged[0] = False
+    assert give_up(bench) < 0.05
+    assert bench.view(0).faults == ROTOR_SEARCH
+    bench.clear(0)
+    bench.shaft_is_free[0] = bench.motor_plugged[0] = True
+    bench.to_spin(0)
 
 
 def test_search_with_a_shaft_turned_from_outside_ends_in_a_fault(bench: Bench) -> None:

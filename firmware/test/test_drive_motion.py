@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import pytest
 from core_library import Core, load_core
@@ -22,6 +23,9 @@ from servo_bench import (
     rad_s,
     speed,
 )
+
+TICK = 0.5e-3
+COUNT = 2.0 * math.pi / 4000
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +187,26 @@ def test_position_is_held_against_a_push(bench: Bench) -> None:
     assert bench.view(0).i_q_ref < 0
 
 
+@pytest.mark.parametrize("off", [1, -1])
+def test_current_that_pushes_off_the_target_is_taken_back(bench: Bench, off: int) -> None:
+    """Friction holds the shaft a count off its target: the current that keeps it there stays, the other one goes."""
+    held = 40 * 65536  # a friction's worth
+
+    def rest(integral: int) -> int:
+        bench.axis(0).motion.speed_pi.integral = integral * 2**24
+        bench.slow(400)
+        return int(bench.view(0).i_q_ref)
+
+    bench.write(0, position=bench.view(0).position)
+    bench.turn(0, off * COUNT / TICK)
+    bench.slow()
+    bench.turn(0, 0.0)
+    bench.slow(400)
+    assert bench.view(0).position - bench.view(0).position_ref == off
+    assert rest(-off * held) == -off * 40
+    assert 0 >= rest(off * held) * off >= -10
+
+
 # ---- speed ----------------------------------------------------------------------------------------------------------
 
 
@@ -223,6 +247,24 @@ def test_voltage_limit_says_so(bench: Bench) -> None:
     bench.slow(50)  # no current flows on this bench: the loop asks for all the voltage
     assert bench.view(0).limits & LIMIT_VOLTAGE
     assert bench.view(0).faults == 0, "a limit is not a fault"
+
+
+@pytest.mark.parametrize("counts", [3, 20, -20])
+def test_integral_part_sums_the_way_not_an_old_speed(bench: Bench, counts: int) -> None:
+    """The M/T method goes on after the shaft has stopped; what the integral part holds in the end is the way alone."""
+    bench.write(0, mode=SPEED, speed=0)
+    bench.slow(2)
+    bench.turn(0, math.copysign(COUNT / TICK, counts))
+    bench.slow(abs(counts))
+    bench.turn(0, 0.0)
+    speeds = []
+    for _ in range(200):  # until the timer of the edges has run out
+        bench.slow()
+        speeds.append(abs(rad_s(bench.view(0).speed)))
+    assert sum(speeds) > 10.0, "the method under test has to have an old speed"
+    assert speeds[-1] == 0.0
+    integral = bench.axis(0).config.speed.ki / 2**24 * speed(counts * COUNT / TICK)
+    assert bench.view(0).i_q_ref == pytest.approx(-integral / 2**16, abs=1.0)
 
 
 # ---- torque ---------------------------------------------------------------------------------------------------------

@@ -8,12 +8,17 @@ from firmware_compiler import CompileC
 from servo_bench import (
     CALIB,
     FAULT,
+    FAULT_FOLLOWING_ERROR,
+    FAULT_OVER_SPEED,
+    FOLLOWING_ERROR,
     FREEWHEEL,
+    OVER_SPEED,
     POSITION,
     READY,
     RUN,
     RUNAWAY,
     SPEED,
+    SPEED_FORWARD,
     SPIN,
     STALLED,
     STOP,
@@ -300,7 +305,7 @@ def test_bus_compensation_can_be_switched_off(core: Core) -> None:
         switch_off(bench, feature)
         bench.write(0, mode=TORQUE, i_q=amps(0.02))
         bench.slow(4)
-        bench.axis(0).current_loop.q.integral = 2**28  # a steady voltage
+        bench.axis(0).current_loop.q.integral = 2**52  # a steady voltage
         bench.axis(0).current_loop.d.integral = 0
         duties = []
         for volts in (24.0, 18.0):
@@ -329,3 +334,102 @@ def test_dead_time_compensation_can_be_switched_off(core: Core) -> None:
         a, b, c = bench.hal.axis[0].duty
         spans.append((a - (b + c) / 2) / 32768)
     assert spans[0] - spans[1] == pytest.approx(2 * (1e-6 * 16000 + 0.7 / 24), rel=0.1)
+
+
+# ---- following error -------------------------------------------------------------------------------------------------
+
+
+def test_shaft_held_in_a_move_is_a_following_error(bench: Bench) -> None:
+    """1 rad for 10 ms (servo.toml): long before the stall of half a second is noticed."""
+    bench.switch_on(0, FOLLOWING_ERROR)
+    bench.slow()
+    bench.write(0, position=20_000)
+    ticks = bench.until(lambda: bench.view(0).state == FAULT, 400)
+    assert bench.view(0).faults == FAULT_FOLLOWING_ERROR
+    assert not bench.hal.axis[0].outputs_on
+    assert ticks * 0.5e-3 < 0.1
+
+
+def test_without_the_feature_there_is_no_following_error(bench: Bench) -> None:
+    bench.write(0, position=20_000)
+    bench.slow(400)
+    assert bench.view(0).faults == 0
+
+
+@pytest.mark.parametrize("features", [0, SPEED_FORWARD])
+@pytest.mark.parametrize("bound", [0.5, 1.0])
+def test_lag_that_belongs_to_the_speed_is_none(bench: Bench, features: int, bound: float) -> None:
+    """3332 counts behind at 314 rad/s without feed-forward (E44): that is no error of following."""
+    bench.set_parameter("following_error", bound)
+    bench.switch_on(0, FOLLOWING_ERROR | features)
+    bench.slow()
+    for target in (100_000, -100_000, 40):
+        bench.write(0, position=target)
+        bench.follow(700)
+    assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)
+
+
+def test_pushed_out_of_its_place(bench: Bench) -> None:
+    """The bound is a distance and a time: 1 rad is 637 counts, 10 ms are 20 ticks."""
+    bench.switch_on(0, FOLLOWING_ERROR)
+    bench.slow()
+    for counts in (636, -636):
+        bench.shaft[0].move(counts)
+        bench.slow(100)
+        bench.shaft[0].move(-counts)
+        bench.slow(5)
+        bench.shaft[0].move(counts + 20 * (counts // abs(counts)))
+        bench.slow(19)
+        bench.shaft[0].move(-counts - 20 * (counts // abs(counts)))
+        bench.slow(5)
+        assert bench.view(0).state == RUN
+    bench.shaft[0].move(638)
+    bench.slow(25)
+    assert bench.view(0).faults == FAULT_FOLLOWING_ERROR
+
+
+@pytest.mark.parametrize("mode", [SPEED, TORQUE])
+def test_only_a_position_can_be_followed(bench: Bench, mode: int) -> None:
+    bench.switch_on(0, FOLLOWING_ERROR)
+    bench.slow()
+    bench.write(0, mode=mode, speed=0, i_q=0)
+    bench.slow(5)
+    bench.shaft[0].move(1500)
+    bench.slow(100)
+    assert bench.view(0).state == RUN
+
+
+# ---- over-speed ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_over_speed_is_a_fault_within_milliseconds(bench: Bench, direction: int) -> None:
+    bench.set_parameter("over_speed", 200.0)
+    bench.switch_on(0, OVER_SPEED)
+    bench.let_turn(0, direction * 195.0)
+    bench.slow(100)
+    assert bench.view(0).state == RUN
+    bench.turn(0, direction * 205.0)
+    ticks = bench.until(lambda: bench.view(0).state == FAULT, 20)
+    assert bench.view(0).faults == FAULT_OVER_SPEED
+    assert not bench.hal.axis[0].outputs_on
+    assert 4 <= ticks <= 8  # servo.toml: timing.over_speed_most, 2 ms
+
+
+def test_without_the_feature_there_is_no_over_speed(bench: Bench) -> None:
+    bench.set_parameter("over_speed", 100.0)
+    bench.let_turn(0, 150.0)
+    bench.slow(200)
+    assert bench.view(0).faults == 0
+
+
+def test_single_wrong_sample_is_no_over_speed(bench: Bench) -> None:
+    bench.set_parameter("over_speed", 200.0)
+    bench.switch_on(0, OVER_SPEED)
+    bench.let_turn(0, 150.0)
+    for _ in range(10):
+        bench.slow(20)
+        bench.turn(0, 250.0)
+        bench.slow(2)
+        bench.turn(0, 150.0)
+    assert bench.view(0).state == RUN

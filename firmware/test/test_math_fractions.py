@@ -2,42 +2,31 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-from math import floor
 from typing import Any
 
 import numpy as np
 import pytest
 from core_library import load_core
+from exact import (
+    FRACTION16,
+    FRACTION32,
+    I16,
+    I32,
+    I64,
+    MAX16,
+    MAX32,
+    MIN16,
+    MIN32,
+    clip,
+    narrow,
+    near,
+    product,
+    times_gain,
+    wrap,
+)
 from firmware_compiler import CompileC
 from hypothesis import given
 from hypothesis import strategies as st
-
-MIN16, MAX16 = -(2**15), 2**15 - 1
-MIN32, MAX32 = -(2**31), 2**31 - 1
-
-
-def edges(low: int, high: int) -> st.SearchStrategy[int]:
-    """Integers that prefer the ends of the range and the neighbourhood of zero."""
-    marked = [low, low + 1, -1, 0, 1, high - 1, high, low // 2, high // 2]
-    return st.one_of(st.sampled_from([x for x in marked if low <= x <= high]), st.integers(low, high))
-
-
-I16, I32, I64 = edges(MIN16, MAX16), edges(MIN32, MAX32), edges(-(2**63), 2**63 - 1)
-
-
-def clip(x: int, low: int, high: int) -> int:
-    return min(max(x, low), high)
-
-
-def wrap(x: int, bits: int) -> int:
-    half = 1 << (bits - 1)
-    return (x + half) % (2 * half) - half
-
-
-def rounded(x: Fraction) -> int:
-    """Nearest integer, halves upwards: what the DSC's rounding adds and its shift cuts off."""
-    return floor(x + Fraction(1, 2))
 
 
 @pytest.fixture(scope="module")
@@ -55,16 +44,25 @@ def test_shift_rounds_towards_minus_infinity_64(c: Any, x: int, n: int) -> None:
     assert c.probe_asr64(x, n) == x >> n
 
 
-@given(x=I32, y=I64)
+@given(x=st.one_of(I32, near(MIN16, MAX16)), y=st.one_of(I64, near(MIN32, MAX32)))
 def test_saturation(c: Any, x: int, y: int) -> None:
     assert c.probe_sat16(x) == clip(x, MIN16, MAX16)
     assert c.probe_sat32(y) == clip(y, MIN32, MAX32)
 
 
-@given(x=I32, limit=edges(0, MAX16), y=I64, wide=edges(0, MAX32))
-def test_symmetric_limit(c: Any, x: int, limit: int, y: int, wide: int) -> None:
-    assert c.probe_f16_limit(x, limit) == clip(x, -limit, limit)
-    assert c.probe_f32_limit(y, wide) == clip(y, -wide, wide)
+@given(x=st.one_of(I32, near(0, MAX16)), n=st.integers(1, 31))
+def test_saturation_of_a_shifted_number_and_of_the_upper_half(c: Any, x: int, n: int) -> None:
+    assert c.sat16_asr(x, n) == clip(x >> n, MIN16, MAX16)
+    assert c.sat15(x) == clip(x, 0, MAX16)
+
+
+@given(x=I32, limit=FRACTION16, y=I64, wide=FRACTION32, beside=st.integers(-2, 2))
+def test_symmetric_limit(c: Any, x: int, limit: int, y: int, wide: int, beside: int) -> None:
+    for at in (x, limit + beside, -limit + beside):
+        assert c.probe_f16_limit(at, limit) == clip(at, -limit, limit)
+    for at in (y, wide + beside, -wide + beside):
+        assert c.probe_f32_limit(at, wide) == clip(at, -wide, wide)
+        assert c.f32_clip(clip(at, MIN32, MAX32), wide) == clip(at, -wide, wide)
 
 
 @given(a=I16, b=I16)
@@ -98,7 +96,7 @@ def test_product_is_rounded_and_saturated(compile_c: CompileC, a: int) -> None:
 
 @given(a=I16, b=I16)
 def test_products_of_16_bits(c: Any, a: int, b: int) -> None:
-    assert c.probe_f16_mul(a, b) == clip(rounded(Fraction(a * b, 2**15)), MIN16, MAX16)
+    assert c.probe_f16_mul(a, b) == product(a, b)
     assert c.probe_f32_mul16(a, b) == clip(2 * a * b, MIN32, MAX32)
 
 
@@ -116,12 +114,12 @@ def test_round_trip_of_every_16_bit_fraction(c: Any) -> None:
 
 @given(a=I32)
 def test_narrowing_rounds_and_saturates(c: Any, a: int) -> None:
-    assert c.probe_f16_from_f32(a) == clip(rounded(Fraction(a, 65536)), MIN16, MAX16)
+    assert c.probe_f16_from_f32(a) == narrow(a)
 
 
 @given(x=I32, gain=I32)
 def test_gain(c: Any, x: int, gain: int) -> None:
-    assert c.probe_f32_gain(x, gain) == clip(rounded(Fraction(x * gain, 2**24)), MIN32, MAX32)
+    assert c.probe_f32_gain(x, gain) == times_gain(x, gain)
 
 
 def test_gain_examples(c: Any) -> None:

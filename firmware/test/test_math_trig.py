@@ -32,6 +32,17 @@ def test_at_most_one_lsb_off_at_every_angle(waves: tuple[np.ndarray, np.ndarray]
         assert abs(np.mean(wave - ideal)) < 0.01
 
 
+def test_every_bit(waves: tuple[np.ndarray, np.ndarray]) -> None:
+    """A quarter wave of 257 nearest numbers, 1.0 being 32767, and between them the straight line, halves upwards."""
+    table = np.minimum(np.round(32768.0 * np.sin(np.pi / 2.0 * np.arange(257) / 256.0)), 32767).astype(np.int64)
+    step, part = np.divmod(np.arange(16384), 64)
+    quarter = np.append((table[step] * 64 + (table[step + 1] - table[step]) * part + 32) >> 6, 32767)
+    half = np.concatenate([quarter[:-1], quarter[:0:-1]])
+    sines = np.concatenate([half, -half])
+    assert np.array_equal(waves[0], sines)
+    assert np.array_equal(waves[1], np.roll(sines, -16384))
+
+
 def test_symmetries_are_exact(waves: tuple[np.ndarray, np.ndarray]) -> None:
     sines, cosines = waves
     angle = np.arange(65536)
@@ -64,11 +75,13 @@ def test_root_is_rounded_down(core: Core) -> None:
     assert roots.tolist() == expected
 
 
-def test_root_of_a_square_is_exact(core: Core) -> None:
-    roots = np.arange(32768, dtype=np.int32)
-    squares = 2 * roots * roots
-    result = np.zeros(roots.size, dtype=np.int16)
-    core.lib.probe_f16_sqrt_many(
-        core.ffi.from_buffer("int32_t[]", squares), core.ffi.from_buffer("int16_t[]", result), roots.size
-    )
-    assert np.array_equal(result, roots)
+def test_every_root_and_the_numbers_beside_its_square(core: Core) -> None:
+    """All 32768 results: from 2 r^2 on it is r, just below r - 1."""
+    roots = np.arange(32768, dtype=np.int64)
+    for beside, expected in ((-1, roots - 1), (0, roots), (1, roots)):
+        x = np.maximum(2 * roots * roots + beside, -1).astype(np.int32)
+        result = np.zeros(roots.size, dtype=np.int16)
+        core.lib.probe_f16_sqrt_many(
+            core.ffi.from_buffer("int32_t[]", x), core.ffi.from_buffer("int16_t[]", result), roots.size
+        )
+        assert np.array_equal(result, np.maximum(expected, 0))

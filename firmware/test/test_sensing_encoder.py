@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from core_library import Core, load_core
+from exact import I16, I32, U16, edges, nearest, towards_zero, wrap
 from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,6 +23,20 @@ def core(compile_c: CompileC) -> Core:
 @pytest.fixture(scope="module")
 def config(core: Core) -> Any:
     return core.ffi.addressof(core.lib.probe_config().axis[0].encoder)
+
+
+LINES = edges(1, 8192)  # 4 to 32768 counts per turn
+POLE_PAIRS = st.integers(1, 50)
+
+
+def other_config(core: Core, lines: int, pole_pairs: int) -> Any:
+    """Any encoder on any motor, as the configuration tool would describe it."""
+    return core.ffi.new("encoder_config_t *", (4 * lines, pole_pairs, min(nearest(2**32, 4 * lines), 2**32 - 1)))
+
+
+def apart(angle: int, exact: float) -> float:
+    """Difference of two angles in LSB, modulo a turn."""
+    return abs((angle - exact + 32768) % 65536 - 32768)
 
 
 class Encoder:
@@ -57,7 +72,22 @@ def test_angles_of_f12_over_both_directions(core: Core, config: Any) -> None:
     for angles, pole_pairs in ((mechanical, 1), (electrical, 2)):
         exact = counts * pole_pairs * 65536 / COUNTS
         error = (angles - exact + 32768) % 65536 - 32768
-        assert np.max(np.abs(error)) <= 0.55
+        assert np.max(np.abs(error)) <= 0.5 + pole_pairs * 0.0108  # of the constant 2^32 / 4000
+
+
+@given(lines=LINES, pole_pairs=POLE_PAIRS, count=I16)
+@settings(max_examples=300)
+def test_angles_of_any_encoder(core: Core, lines: int, pole_pairs: int, count: int) -> None:
+    """Half an LSB, and what is left of the constant: half of 2^-16 LSB per count and pole pair."""
+    config = other_config(core, lines, pole_pairs)
+    constant = abs(count) / 2**17
+    exact = count * 65536 / (4 * lines)
+    assert apart(core.lib.encoder_theta_m(config, count & 0xFFFF), exact) <= 0.5 + constant
+    assert apart(core.lib.encoder_theta_e(config, count & 0xFFFF), exact * pole_pairs) <= 0.5 + constant * pole_pairs
+    # the rounding itself, in integers
+    whole = count * config.angle_per_count
+    assert core.lib.encoder_theta_m(config, count & 0xFFFF) == wrap(nearest(whole, 65536), 16)
+    assert core.lib.encoder_theta_e(config, count & 0xFFFF) == wrap(nearest(whole * pole_pairs, 65536), 16)
 
 
 @pytest.mark.parametrize(
@@ -85,6 +115,16 @@ def test_count_at_an_angle_reads_back(core: Core, config: Any) -> None:
         assert abs(error) <= 65536 * 2 / COUNTS / 2 + 1  # half a count
 
 
+@given(lines=LINES, pole_pairs=POLE_PAIRS, theta=I16)
+@settings(max_examples=300)
+def test_count_at_any_angle(core: Core, lines: int, pole_pairs: int, theta: int) -> None:
+    """The nearest count; a quotient that is cut off 2^-16 before a half rounds the other way."""
+    config = other_config(core, lines, pole_pairs)
+    count = core.lib.encoder_count_at(config, theta)
+    assert abs(count - theta * 4 * lines / (65536 * pole_pairs)) <= 0.5 + 2**-16
+    assert count == nearest(towards_zero(theta * 4 * lines, pole_pairs), 65536)
+
+
 # ---- wraps ----------------------------------------------------------------------------------------------------------
 
 
@@ -94,6 +134,20 @@ def test_count_at_an_angle_reads_back(core: Core, config: Any) -> None:
 )
 def test_differences_are_wrapped(core: Core, config: Any, previous: int, count: int, moved: int) -> None:
     assert core.lib.encoder_difference(config, count & 0xFFFF, previous & 0xFFFF) == moved
+
+
+@given(data=st.data(), lines=LINES)
+@settings(max_examples=300)
+def test_difference_is_the_short_way(core: Core, data: st.DataObject, lines: int) -> None:
+    """Exactly, over all pairs of counts of any encoder; just half a turn keeps its sign."""
+    counts = 4 * lines
+    at = edges(-counts + 1, counts - 1)
+    count, previous = data.draw(at), data.draw(at)
+    moved = core.lib.encoder_difference(other_config(core, lines, 1), count & 0xFFFF, previous & 0xFFFF)
+    assert (moved - (count - previous)) % counts == 0
+    assert abs(moved) <= counts // 2
+    if abs(moved) == counts // 2 and abs(count - previous) < counts:
+        assert moved == count - previous
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -168,6 +222,17 @@ def test_stale_pulse_does_not_hide_a_missing_one(core: Core, config: Any) -> Non
     assert not encoder.update(100)
 
 
+@pytest.mark.parametrize("way", [1, -1])
+def test_pulse_is_forgotten_at_half_a_turn(core: Core, config: Any, way: int) -> None:
+    """As soon as the shaft is nearer to the middle of its turn than to a compare value, in both directions."""
+    for count, kept in ((2000, 1), (1999, 0), (1, 0), (0, 0)):
+        encoder = core.ffi.new("encoder_t *")
+        core.lib.encoder_reset(encoder, (way * (count + 1)) & 0xFFFF, 0)
+        encoder.pending = 1
+        assert core.lib.encoder_update(encoder, config, (way * count) & 0xFFFF, 0)
+        assert encoder.pending == kept
+
+
 def test_resync_believes_the_differences(core: Core, config: Any) -> None:
     encoder = Encoder(core, config)
     encoder.timer.index_works = False
@@ -240,6 +305,110 @@ def test_preset_keeps_the_position(core: Core, config: Any, presets: Sequence[tu
         assert encoder.c.position == before
         assert encoder.update(37)
         assert encoder.c.position == before + 37
+
+
+# ---- every bit ------------------------------------------------------------------------------------------------------
+
+
+class Model:
+    """F14 and E41 in integers of 32 bits; every count stays within one turn of the last."""
+
+    def __init__(self, counts: int, count: int, index: int) -> None:
+        self.counts = counts
+        self.count, self.index, self.pending = count, index, 0
+        self.turns, self.origin, self.position, self.integral = 0, count, 0, 0
+
+    def update(self, count: int, index: int) -> bool:
+        moved, wraps = count - self.count, 0
+        while abs(moved) > self.counts // 2:
+            wraps += 1 if moved < 0 else -1
+            moved += self.counts if moved < 0 else -self.counts
+        self.pending = (self.pending + index - self.index) & 0xFFFF
+        if wraps:
+            if self.pending:
+                self.turns = wrap(self.turns + (1 if moved > 0 else -1), 32)
+            self.pending = 0
+        elif abs(count) < self.counts // 2:
+            self.pending = 0
+        self.count, self.index = count, index
+        self.integral = wrap(self.integral + moved, 32)
+        self.position = wrap(self.turns * self.counts + count - self.origin, 32)
+        return self.position == self.integral
+
+    def resync(self) -> None:
+        self.origin = wrap(self.turns * self.counts + self.count - self.integral, 32)
+        self.position, self.pending = self.integral, 0
+
+    def preset(self, count: int) -> None:
+        self.origin = wrap(self.turns * self.counts + count - self.position, 32)
+        self.count, self.pending = count, 0
+
+    @property
+    def state(self) -> tuple[int, ...]:
+        return self.count & 0xFFFF, self.index, self.pending, self.turns, self.origin, self.position, self.integral
+
+
+@given(
+    data=st.data(),
+    lines=LINES,
+    index=U16,
+    far=st.tuples(I32, I32, I32, I32, st.sampled_from([0, 0, 0, 1, 65535])),
+    actions=st.lists(st.sampled_from(["update"] * 8 + ["resync", "preset"]), min_size=1, max_size=12),
+)
+@settings(max_examples=300)
+def test_every_bit(
+    core: Core, data: st.DataObject, lines: int, index: int, far: tuple[int, ...], actions: list[str]
+) -> None:
+    """Any counts and index pulses, from anywhere, over the wrap of 32 bits too."""
+    counts, config, c = 4 * lines, other_config(core, lines, 1), core.ffi.new("encoder_t *")
+    at = edges(-counts + 1, counts - 1)
+    start = data.draw(at)
+    core.lib.encoder_reset(c, start & 0xFFFF, index)
+    model = Model(counts, start, index)
+    fields = ("turns", "origin", "position", "integral", "pending")
+    for field, c_field, value in zip(fields, ("turns", "count_init", *fields[2:]), far, strict=True):
+        setattr(model, field, value)
+        setattr(c, c_field, value)
+    for action in actions:
+        if action == "resync":
+            core.lib.encoder_resync(c, config)
+            model.resync()
+        elif action == "preset":
+            count = data.draw(at)
+            core.lib.encoder_preset(c, config, count & 0xFFFF)
+            model.preset(count)
+        else:
+            count = data.draw(at)
+            pulses = data.draw(st.sampled_from([0, 0, 1, 2, 65535]))
+            index = (index + pulses) & 0xFFFF
+            assert bool(core.lib.encoder_update(c, config, count & 0xFFFF, index)) == model.update(count, index)
+        now = (c.count, c.index, c.pending, c.turns, c.count_init, c.position, c.integral)
+        assert now == model.state
+
+
+def test_reset_forgets_everything(core: Core) -> None:
+    c = core.ffi.new("encoder_t *", (1, 2, 3, 4, 5, 6, 7))
+    core.lib.encoder_reset(c, 0xF061, 9)
+    assert (c.count, c.index, c.pending, c.turns, c.position, c.integral) == (0xF061, 9, 0, 0, 0, 0)
+    assert c.count_init == -3999
+
+
+@pytest.mark.parametrize(
+    ("counts", "revs", "turns"),
+    [
+        ((3000, 200), (0, 1), 1),  # forwards over the reload: RealZCnt += REV(k) - REV(k-1)
+        ((-3000, -200), (0, 1), -1),  # backwards: RealZCnt -= REV(k) - REV(k-1)
+        ((200, 900), (0, 0), 0),
+        ((900, 200), (5, 5), 0),
+        ((3900, 100), (65535, 0), 1),  # TMRx2 wraps: the difference is 1
+    ],
+)
+def test_f14(core: Core, config: Any, counts: tuple[int, int], revs: tuple[int, int], turns: int) -> None:
+    """The sign of ENC(k) - ENC(k-1), wrapped, decides whether REV(k) - REV(k-1) is added or subtracted."""
+    c = core.ffi.new("encoder_t *")
+    core.lib.encoder_reset(c, counts[0] & 0xFFFF, revs[0])
+    assert core.lib.encoder_update(c, config, counts[1] & 0xFFFF, revs[1])
+    assert c.turns == turns
 
 
 def test_index_counter_wraps(core: Core, config: Any) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from core_library import Core, load_core
+from exact import I32, MAX32, MIN32, U16, edges, towards_zero
 from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -28,6 +29,7 @@ class Speed:
 
     def __init__(self, core: Core) -> None:
         self._core, self._config = core, core.lib.probe_config().axis[0]
+        self.mt_config: Any = core.ffi.new("mt_speed_config_t *", self._config.mt_speed)
         self.c: Any = core.ffi.new("mt_speed_t *")
         core.lib.mt_speed_reset(self.c)
 
@@ -35,7 +37,7 @@ class Speed:
         """A latched edge; returns the speed computed from it."""
         address = self._core.ffi.addressof
         self._core.lib.mt_speed_edge(
-            self.c, address(self._config.mt_speed), address(self._config.encoder), (count & 0xFFFF, time & 0xFFFF)
+            self.c, self.mt_config, address(self._config.encoder), (count & 0xFFFF, time & 0xFFFF)
         )
         return self.rpm
 
@@ -70,6 +72,75 @@ def test_e33_exactly(core: Core, counts: int, interval: int) -> None:
     assert abs(speed.c.speed - min(max(exact, -ONE), ONE - 1)) <= 1
 
 
+@given(
+    factor=edges(1, 2**20),
+    counts=edges(-1999, 1999),
+    interval=edges(1, 65535),
+    start=st.tuples(st.integers(-COUNTS + 1, COUNTS - 1), U16),
+)
+@settings(max_examples=400)
+def test_e33_over_the_whole_range(core: Core, factor: int, counts: int, interval: int, start: tuple[int, int]) -> None:
+    """Up to half a turn in any interval at any full scale: towards zero, less than one LSB of 2^-31 off."""
+    count, time = start
+    arrived = count + counts
+    if abs(arrived) >= COUNTS:
+        arrived -= COUNTS if arrived > 0 else -COUNTS
+    speed = Speed(core)
+    speed.mt_config.speed_per_ratio = factor
+    speed.edge(count, time)
+    speed.edge(arrived, time + interval)
+    exact = Fraction(counts * factor * 2**15, interval)
+    if abs(counts) * factor // interval > 0xFFFF:
+        assert speed.c.speed == (MAX32 if counts > 0 else MIN32)
+    else:
+        assert speed.c.speed == towards_zero(counts * factor * 2**15, interval)
+        assert abs(speed.c.speed - exact) < 1
+    assert speed.c.interval == interval
+
+
+@given(edge_speed=I32, interval=edges(1, 65535), age=edges(0, AGE_OVERFLOW + 1), before=I32)
+@settings(max_examples=400)
+def test_f19_over_the_whole_range(core: Core, edge_speed: int, interval: int, age: int, before: int) -> None:
+    """M2 / TMRx3 towards zero, less than one LSB of 2^-31 off; untouched until TMRx3 > M2; 0 when TMRx3 overflows."""
+    speed = Speed(core)
+    speed.c.edge_speed, speed.c.interval, speed.c.speed, speed.c.primed = edge_speed, interval, before, True
+    speed.slow(age)
+    assert speed.c.waited == age
+    if age >= AGE_OVERFLOW:
+        assert (speed.c.speed, speed.c.edge_speed, speed.c.primed) == (0, 0, False)
+    elif age > interval:
+        assert speed.c.speed == towards_zero(edge_speed * interval, age)
+        assert speed.c.primed
+    else:
+        assert speed.c.speed == before
+
+
+@given(waited=edges(0, 65535), interval=edges(0, 65535), primed=st.booleans(), old=I32)
+def test_an_edge_is_measured_from_a_young_one_only(
+    core: Core, waited: int, interval: int, primed: bool, old: int
+) -> None:
+    """Not from none, not from one at the same time, not from one that was older than this interval a loop ago."""
+    speed = Speed(core)
+    speed.c.primed, speed.c.waited, speed.c.edge_speed, speed.c.speed, speed.c.interval = primed, waited, old, old, 7
+    speed.edge(3, interval)
+    measured = primed and interval != 0 and interval >= waited
+    exact = Fraction(3 * speed.mt_config.speed_per_ratio * 2**15, interval) if measured else 0
+    assert speed.c.speed == speed.c.edge_speed == min(int(exact), MAX32)
+    assert speed.c.interval == (interval if measured else 7)
+    assert (speed.c.waited, speed.c.primed, speed.c.fresh) == (0, True, True)
+    assert (speed.c.last.count, speed.c.last.time) == (3, interval)
+
+
+def test_reset(core: Core) -> None:
+    speed = Speed(core)
+    speed.edge(5, 6)
+    speed.edge(7, 8)
+    core.lib.mt_speed_reset(speed.c)
+    c = speed.c
+    assert (c.primed, c.fresh, c.interval, c.waited, c.edge_speed, c.speed) == (False, False, 0, 0, 0, 0)
+    assert (c.last.count, c.last.time) == (0, 0)
+
+
 @pytest.mark.parametrize("rpm", [0.5, 1.0, 3.7, 10.0, 60.0, 100.0, 333.3, 1000.0, 2000.0, 3000.0, 3500.0])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_constant_speed_from_half_a_turn_per_minute_to_3500(core: Core, rpm: float, sign: int) -> None:
@@ -93,6 +164,24 @@ def test_resolution_at_half_a_turn_per_minute(core: Core) -> None:
     speed.edge(10, 100)
     assert speed.edge(12, 100 + 46875) == pytest.approx(0.5, abs=1e-5)
     assert speed.c.interval == 46875
+
+
+def test_worked_example_of_f19_in_numbers_that_leave_no_rest(core: Core) -> None:
+    """The same with a speed that 4, 5, 8, 11 and 12 divide: equal to the last bit."""
+    speed = Speed(core)
+    omega = 4 * 5 * 8 * 11 * 3 * 100_000
+    speed.c.edge_speed, speed.c.interval, speed.c.primed = omega, 4, True
+    speed.c.speed = omega
+    for age, factor in ((2, 1), (5, Fraction(4, 5)), (8, Fraction(4, 8)), (11, Fraction(4, 11))):
+        speed.slow(age)
+        assert speed.c.speed == omega * factor
+    speed = Speed(core)
+    speed.mt_config.speed_per_ratio = 3 * 2**10  # one count in 4 ticks, then in 12
+    speed.edge(0, 0)
+    speed.edge(1, 4)
+    first = speed.c.speed
+    speed.edge(2, 16)
+    assert speed.c.speed * 3 == first
 
 
 def test_worked_example_of_f19(core: Core) -> None:

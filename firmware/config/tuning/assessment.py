@@ -1,0 +1,348 @@
+"""What the gains of one axis amount to: margins, poles, the design rule of the reference, moves and loads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tuning.linear import Margins, Pole, System, Tracking, poles, spectral_radius
+from tuning.loops import In, Out
+from tuning.sensors import edge_delay
+from tuning.tuned import Tuned
+
+__all__ = [
+    "Arrival",
+    "Assessment",
+    "DesignRule",
+    "Inertia",
+    "LoadStep",
+    "Loop",
+    "Reach",
+    "assess",
+    "design_rule",
+    "shaped_arrival",
+]
+
+INERTIAS: Final = (0.5, 1.0, 2.0, 3.0)
+"""Inertias that are tried, over what the configuration believes."""
+
+SPEEDS: Final = (100.0, 10.0, 5.0, 3.0, 2.0, 1.0)
+"""Speeds at which the delay of the M/T method is tried [rad/s]."""
+
+_TICKS_MOST: Final = 12_000
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One loop.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    in_force : bool
+        Whether it is on after reset.
+    wanted : float
+        Bandwidth that the gains were made for [Hz].
+    margins : Margins
+        Of the open loop.
+    tracking : Tracking
+        Of the closed one.
+    poles : tuple of Pole
+        Of the closed one.
+    """
+
+    name: str
+    in_force: bool
+    wanted: float
+    margins: Margins
+    tracking: Tracking
+    poles: tuple[Pole, ...]
+
+
+@dataclass(frozen=True)
+class DesignRule:
+    """DRM E43..E45, and what holds instead for the tuned speed loop.
+
+    Attributes
+    ----------
+    t_n_rotor, t_n_shaft : float
+        E43 with the inertia of the rotor alone and of all that turns [s].
+    k_p : float
+        E45 with the latter [rpm/rad].
+    k_v_rule : float
+        The same [1/s].
+    t_n_tuned : float
+        Time constant of a first-order lag with the crossover of the tuned speed loop [s].
+    k_v : float
+        Chosen gain of the position loop [1/s].
+    k_v_t : float
+        Its product with `t_n_tuned`; E45 takes 0.5.
+    """
+
+    t_n_rotor: float
+    t_n_shaft: float
+    k_p: float
+    k_v_rule: float
+    t_n_tuned: float
+    k_v: float
+    k_v_t: float
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """End of a position move.
+
+    Attributes
+    ----------
+    bare : float
+        Overshoot of a step that nothing shapes, over the step.
+    shaped : float
+        Overshoot of a move at the speed limit that ramp and path filter shape [counts].
+    lag : float
+        Between shaped set-point and shaft at the speed limit [rad].
+    """
+
+    bare: float
+    shaped: float
+    lag: float
+
+
+@dataclass(frozen=True)
+class LoadStep:
+    """A load that jumps while the position is controlled.
+
+    Attributes
+    ----------
+    torque : float
+        The load [N m].
+    deflection : float
+        Largest way of the shaft [rad].
+    stiffness : float
+        Torque over deflection [N m/rad].
+    recovery : float
+        Until the shaft is back within a tenth of it for good [s].
+    """
+
+    torque: float
+    deflection: float
+    stiffness: float
+    recovery: float
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """The same gains on a shaft with another inertia.
+
+    Attributes
+    ----------
+    factor : float
+        Over the believed one.
+    observed : bool
+        With the speed observer instead of the M/T method.
+    stable : bool
+        Speed and position loop.
+    margins : Margins
+        Of the speed loop.
+    overshoot : float or None
+        Of a bare position step; None when unstable.
+    """
+
+    factor: float
+    observed: bool
+    stable: bool
+    margins: Margins
+    overshoot: float | None
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What the limits of the axis allow and ask for.
+
+    Attributes
+    ----------
+    speed_idle, speed_rated : float
+        Where the voltage ends at the nominal bus, without load and at the rated current [rad/s].
+    path_omega_n : float
+        Of E40 [rad/s].
+    path_acceleration, path_current : float
+        Asked for at most by shaped set-points [rad/s^2], [A].
+    ramp_current : float
+        Asked for by the ramp of speed set-points [A].
+    friction_current : float
+        Against the friction at the speed limit [A].
+    """
+
+    speed_idle: float
+    speed_rated: float
+    path_omega_n: float
+    path_acceleration: float
+    path_current: float
+    ramp_current: float
+    friction_current: float
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """All figures of one axis."""
+
+    name: str
+    loops: tuple[Loop, ...]
+    edges: tuple[tuple[float, Margins], ...]
+    rule: DesignRule
+    arrival: Arrival
+    load_step: LoadStep
+    reach: Reach
+    inertias: tuple[Inertia, ...]
+
+
+def assess(it: Tuned) -> Assessment:
+    """Compute all figures."""
+    bare = _bare_overshoot(it.shaft().position, it.used.position)
+    return Assessment(
+        name=it.axis.name,
+        loops=tuple(_loops(it)),
+        edges=tuple((speed, _at_speed(it, speed)) for speed in SPEEDS),
+        rule=design_rule(it, it.shaft().speed_margins()),
+        arrival=Arrival(bare, *shaped_arrival(it)),
+        load_step=_load_step(it),
+        reach=_reach(it),
+        inertias=tuple(_with_inertia(it, factor, observed) for observed in (False, True) for factor in INERTIAS),
+    )
+
+
+def _loops(it: Tuned) -> Iterator[Loop]:
+    for which in "dq":
+        loop = it.current_loop(which)
+        wanted = it.axis("control.current_bandwidth")
+        closed = loop.closed
+        yield Loop(f"current {which}", True, wanted, loop.margins(), closed.tracking(), poles(closed.a, loop.period))
+    for observed in (False, True):
+        yield from _shaft_loops(it, observed)
+
+
+def _shaft_loops(it: Tuned, observed: bool) -> Iterator[Loop]:
+    shaft, tick, in_force = it.shaft(observed=observed), it.board.tick, observed == it.observed
+    suffix = ", observer" if observed else ""
+    wanted = it.axis("control.speed_bandwidth")
+    tracking = shaft.speed.channel(Out.SPEED, In.SET_POINT).tracking()
+    closed = poles(shaft.speed_alone, tick)
+    yield Loop(f"speed{suffix}", in_force, wanted, shaft.speed_margins(), tracking, closed)
+    wanted = it.axis("control.position_gain") / (2.0 * math.pi)
+    tracking = shaft.position.channel(Out.ANGLE, In.SET_POINT).tracking()
+    closed = poles(shaft.position.a, tick)
+    yield Loop(f"position{suffix}", in_force, wanted, shaft.position_margins(), tracking, closed)
+
+
+def design_rule(it: Tuned, speed: Margins) -> DesignRule:
+    """DRM E43..E45 from rated data, and the tuned speed loop's lag."""
+    axis = it.axis
+    rated_torque = axis.torque_constant * axis("motor.rated_current")
+    t_n = {key: axis("motor.rated_speed") * axis(f"motor.{key}") / rated_torque for key in ("rotor_inertia", "inertia")}
+    k_p = 15.0 / (math.pi * t_n["inertia"])
+    crossover = axis("control.speed_bandwidth") if speed.crossover is None else speed.crossover
+    t_tuned = 1.0 / (2.0 * math.pi * crossover)
+    k_v = it.used.position
+    return DesignRule(
+        t_n_rotor=t_n["rotor_inertia"],
+        t_n_shaft=t_n["inertia"],
+        k_p=k_p,
+        k_v_rule=k_p * math.pi / 30.0,
+        t_n_tuned=t_tuned,
+        k_v=k_v,
+        k_v_t=k_v * t_tuned,
+    )
+
+
+def _ticks(it: Tuned, *rates: float) -> int:
+    """Slow ticks until transients of these rates [1/s] are over."""
+    return min(math.ceil(12.0 / min(rates) / it.board.tick), _TICKS_MOST)
+
+
+def _bare_overshoot(position: System, k_v: float) -> float:
+    ticks = min(math.ceil(12.0 / k_v / position.dt), _TICKS_MOST)
+    u = np.zeros((ticks, len(In)))
+    u[:, In.SET_POINT] = 1.0
+    return max(float(position.simulate(u)[:, Out.ANGLE].max()) - 1.0, 0.0)
+
+
+def _filtered(ramp: NDArray[np.float64], omega_n_ts: float) -> NDArray[np.float64]:
+    """E40."""
+    m = y = 0.0
+    result = np.empty_like(ramp)
+    for k, x in enumerate(ramp):
+        m += omega_n_ts * (x - 2.0 * m - y)
+        y += omega_n_ts * m
+        result[k] = y
+    return result
+
+
+def shaped_arrival(it: Tuned) -> tuple[float, float]:
+    """A move that reaches the speed limit.
+
+    Returns
+    -------
+    tuple of float
+        Overshoot [counts], and the lag of the shaft behind its set-point at the speed limit [rad].
+    """
+    speed, tick = it.axis("limits.speed"), it.board.tick
+    settled = _ticks(it, it.used.path_omega_n, it.used.position)
+    ramp = speed * tick * np.minimum(np.arange(2 * settled), settled)
+    u = np.zeros((ramp.size, len(In)))
+    u[:, In.SET_POINT] = _filtered(ramp, it.used.path_omega_n * tick)
+    angle = it.shaft().position.simulate(u)[:, Out.ANGLE]
+    beyond = float(angle.max()) - float(ramp[-1])
+    return max(beyond, 0.0) * it.axis.counts / (2.0 * math.pi), float(u[settled, In.SET_POINT] - angle[settled])
+
+
+def _load_step(it: Tuned) -> LoadStep:
+    torque = it.axis.torque_constant * it.axis("motor.rated_current")
+    corner = 2.0 * math.pi * it.axis("control.speed_bandwidth") / it.axis("control.speed_ratio")
+    u = np.zeros((_ticks(it, it.used.position, corner), len(In)))
+    u[:, In.LOAD] = torque
+    way = np.abs(it.shaft().position.simulate(u)[:, Out.ANGLE])
+    deflection = float(way.max())
+    outside = np.nonzero(way > 0.1 * deflection)[0]
+    return LoadStep(torque, deflection, torque / deflection, (int(outside[-1]) + 1) * it.board.tick)
+
+
+def _at_speed(it: Tuned, speed: float) -> Margins:
+    return it.shaft(observed=False).speed_margins(edge_delay(it.axis("encoder.lines"), it.board.tick, speed))
+
+
+def _with_inertia(it: Tuned, factor: float, observed: bool) -> Inertia:
+    shaft = it.shaft(factor, observed)
+    position = shaft.position
+    stable = max(spectral_radius(shaft.speed_alone), spectral_radius(position.a)) < 1.0
+    overshoot = _bare_overshoot(position, it.used.position) if stable else None
+    return Inertia(factor, observed, stable, shaft.speed_margins(), overshoot)
+
+
+def _top_speed(it: Tuned, current: float) -> float:
+    """Where (R i + p psi w)^2 + (p L_q i w)^2 reaches the square of the voltage [rad/s]."""
+    p = it.axis("motor.pole_pairs")
+    flux, coupling = p * it.axis("motor.psi_m"), p * it.axis("motor.l_q") * current
+    drop, most = it.axis("motor.r_s") * current, it.board.voltage_most
+    square, half = flux**2 + coupling**2, drop * flux
+    rest = half**2 + square * (most**2 - drop**2)
+    return max((math.sqrt(rest) - half) / square, 0.0) if rest > 0.0 else 0.0
+
+
+def _reach(it: Tuned) -> Reach:
+    axis, k_t = it.axis, it.axis.torque_constant
+    asked = it.axis("limits.speed") * it.used.path_omega_n / math.e
+    per_acceleration = axis("motor.inertia") / k_t
+    return Reach(
+        speed_idle=_top_speed(it, 0.0),
+        speed_rated=_top_speed(it, axis("motor.rated_current")),
+        path_omega_n=it.used.path_omega_n,
+        path_acceleration=asked,
+        path_current=asked * per_acceleration,
+        ramp_current=axis("limits.acceleration") * per_acceleration,
+        friction_current=(axis("friction.coulomb") + axis("friction.viscous") * axis("limits.speed")) / k_t,
+    )

@@ -1,0 +1,133 @@
+"""What a single number of the configuration cannot tell: whether it goes together with the others."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
+
+from tuning.configuration import Axis, Board, Configuration, Scales
+
+__all__ = ["check"]
+
+
+def check(configuration: Configuration, catalogue: Catalogue) -> None:
+    """Check everything that can be seen before a gain is computed.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration cannot work.
+    """
+    board = configuration.board
+    _board(board, configuration.scales, catalogue)
+    for axis in configuration.axes:
+        _contract(axis, catalogue)
+        _axis(axis)
+        _voltage(axis, board)
+        _order(axis, board)
+        _search(axis)
+
+
+def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
+    """Its timing is fixed by the contract."""
+    for key, wanted in (("pwm_frequency", 1e9 / PERIOD_NS), ("slow_divider", SLOW_PERIODS)):
+        if board(key) != wanted:
+            raise board.refused(key, "not what the firmware is written for", f"write {wanted:g}")
+    order = ("under_voltage", "nominal_voltage", "over_voltage")
+    for lower, higher in itertools.pairwise(order):
+        if board(lower) >= board(higher):
+            reason = f"not below {higher} = {board(higher):g} V"
+            raise board.refused(lower, reason, "write voltages in ascending order")
+    if board("over_voltage") >= scales.u_dc:
+        reason = f"the ADC ends at {scales.u_dc:g} V and could not tell"
+        raise board.refused("over_voltage", reason, "write a voltage below that")
+    if board("dead_time") >= 0.5 * board.period:
+        reason = f"nothing is left of a period of {board.period:g} s"
+        raise board.refused("dead_time", reason, "write seconds, some 1e-6")
+    timeout = catalogue["param.host_timeout"]
+    if not timeout.minimum <= board("host_timeout") <= timeout.maximum:
+        reason = f"outside the contract's {timeout.minimum:g} .. {timeout.maximum:g} s (param.host_timeout)"
+        raise board.refused("host_timeout", reason, "stay within it")
+
+
+def _contract(axis: Axis, catalogue: Catalogue) -> None:
+    """Defaults have to lie within what the contract lets a host write."""
+    names = {"current": "i_q_limit", "speed": "speed_limit", "acceleration": "acceleration_limit"}
+    names |= {"position": "position_max", "following_error": "following_error", "over_speed": "over_speed"}
+    for key, name in names.items():
+        variable, value = catalogue[f"param.{name}"], axis(f"limits.{key}")
+        if not variable.minimum <= value <= variable.maximum:
+            span = f"{variable.minimum:g} .. {variable.maximum:g} {variable.unit}"
+            raise axis.refused(f"limits.{key}", f"outside the contract's {span} (param.{name})", "stay within it")
+    most = catalogue["param.i_q_limit"].maximum
+    if axis("rotor_search.current") > most:
+        reason = f"more than the {most:g} A that the contract lets the drive use (param.i_q_limit)"
+        raise axis.refused("rotor_search.current", reason, "stay below it")
+
+
+def _axis(axis: Axis) -> None:
+    """Encoder, limits, friction and inertia."""
+    if axis.counts != COUNTS_PER_TURN:
+        remedy = f"write {COUNTS_PER_TURN // 4}"
+        raise axis.refused("encoder.lines", f"the contract counts {COUNTS_PER_TURN} per turn, 4 per line", remedy)
+    if axis("control.anti_windup") >= 1.0:
+        raise axis.refused("control.anti_windup", "Kc of DRM E35 lies between 0 and 1", "write 0.5")
+    if axis("limits.over_speed") <= axis("limits.speed"):
+        reason = f"set-points may ask for {axis('limits.speed'):g} rad/s (limits.speed)"
+        raise axis.refused("limits.over_speed", reason, "write a speed above that")
+    if axis("timing.stop_speed") >= axis("limits.speed"):
+        reason = f"a stop would be over at the speed limit of {axis('limits.speed'):g} rad/s"
+        raise axis.refused("timing.stop_speed", reason, "write a speed next to standstill")
+    push = axis.torque_constant * axis("limits.current")
+    if axis("friction.coulomb") >= push:
+        reason = f"the current limit gives {push:.3g} N m and could not turn the shaft"
+        raise axis.refused("friction.coulomb", reason, "correct it, motor.psi_m or limits.current")
+    if axis("motor.rotor_inertia") > axis("motor.inertia"):
+        reason = f"more than motor.inertia = {axis('motor.inertia'):g} kg m^2, of which it is a part"
+        raise axis.refused("motor.rotor_inertia", reason, "correct one of them")
+
+
+def _voltage(axis: Axis, board: Board) -> None:
+    most = board.voltage_most / (axis("motor.pole_pairs") * axis("motor.psi_m"))
+    if axis("limits.speed") > most:
+        reason = f"{board('nominal_voltage'):g} V reach {most:.4g} rad/s without load"
+        remedy = "lower it, or correct motor.psi_m, motor.pole_pairs or board.nominal_voltage"
+        raise axis.refused("limits.speed", reason, remedy)
+
+
+def _order(axis: Axis, board: Board) -> None:
+    """Every loop is slower than the one inside it, and the innermost slower than its sampling."""
+    speed, current = (2.0 * math.pi * axis(f"control.{key}_bandwidth") for key in ("speed", "current"))
+    if axis("control.position_gain") >= speed:
+        reason = f"not below the bandwidth of the speed loop inside it, {speed:.4g} rad/s"
+        remedy = "write a quarter of that or less, or raise control.speed_bandwidth"
+        raise axis.refused("control.position_gain", reason, remedy)
+    if speed >= current:
+        reason = f"not below control.current_bandwidth = {axis('control.current_bandwidth'):g} Hz"
+        raise axis.refused("control.speed_bandwidth", reason, "write a fifth of that or less")
+    if 2.0 * axis("control.current_bandwidth") >= board("pwm_frequency"):
+        reason = f"{board('pwm_frequency'):g} Hz sample nothing so fast"
+        raise axis.refused("control.current_bandwidth", reason, "write a tenth of that or less")
+    least, most = axis("control.position_gain") / math.pi, 0.5 / board.tick
+    if not least <= axis("control.observer_bandwidth") < most:
+        reason = f"not within {least:.4g} .. {most:.4g} Hz: twice the position loop, half the slow loop"
+        raise axis.refused("control.observer_bandwidth", reason, "write that of the speed loop, or twice that")
+
+
+def _search(axis: Axis) -> None:
+    """The search has to be able to see what it looks for, and to end in time."""
+    count = 360.0 * axis("motor.pole_pairs") / axis.counts
+    if not count <= axis("rotor_search.interval") < 60.0:
+        reason = f"a count is {count:.3g} degrees, and 60 would leave the torque to chance"
+        raise axis.refused("rotor_search.interval", reason, "write some 1.5 degrees")
+    if axis("rotor_search.move_counts") * count >= 45.0:
+        reason = "a movement of 45 degrees electrical and more is no twitch"
+        raise axis.refused("rotor_search.move_counts", reason, "write some 3 counts")
+    halvings = math.ceil(math.log2(360.0 / axis("rotor_search.interval")))
+    longest = halvings * sum(axis(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest"))
+    if axis("rotor_search.time_most") < longest:
+        reason = f"{halvings} vectors may take {longest:.3g} s"
+        raise axis.refused("rotor_search.time_most", reason, "write more than that, or shorter times")

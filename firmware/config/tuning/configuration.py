@@ -1,0 +1,176 @@
+"""What the controller believes about the board and its axes, as immutable objects; defaults merged in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from servo_msgs_py.catalogue import Catalogue
+
+from tuning.errors import ConfigError, refused
+from tuning.schema import AXIS_GROUPS, check_group, check_switches, check_table, unknown_name
+
+__all__ = ["Axis", "Board", "Configuration", "Scales"]
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Full scales of the contract, SI.
+
+    Attributes
+    ----------
+    u_dc, u_s : float
+        Bus and stator voltage [V].
+    i : float
+        Current [A].
+    speed : float
+        Mechanical speed [rad/s].
+    torque_constant : float
+        Torque per current [N m/A].
+    """
+
+    u_dc: float
+    u_s: float
+    i: float
+    speed: float
+    torque_constant: float
+
+    @classmethod
+    def of(cls, catalogue: Catalogue) -> Scales:
+        def full(name: str) -> float:
+            value = catalogue.scales[name].full_scale
+            assert value is not None, name
+            return value
+
+        return cls(full("bus_voltage"), full("stator_voltage"), full("current"), full("speed"), full("torque_per_amp"))
+
+
+@dataclass(frozen=True)
+class Board:
+    """The group [board]; ``board("dead_time")`` is one of its values."""
+
+    values: Mapping[str, float]
+
+    def __call__(self, key: str) -> float:
+        return self.values[key]
+
+    @property
+    def period(self) -> float:
+        """Fast loop [s]."""
+        return 1.0 / self("pwm_frequency")
+
+    @property
+    def tick(self) -> float:
+        """Slow loop [s]."""
+        return self("slow_divider") * self.period
+
+    @property
+    def voltage_most(self) -> float:
+        """Longest stator voltage at the nominal bus [V]: what the modulation is allowed of u_dc / sqrt 3."""
+        return self("nominal_voltage") / math.sqrt(3.0) * self("voltage_use")
+
+    @classmethod
+    def of(cls, table: object) -> Board:
+        """Check the numbers of the group, each by itself.
+
+        Raises
+        ------
+        ConfigError
+            If an entry is missing, unknown or cannot make sense.
+        """
+        return cls(check_group("board", "board", table))
+
+    def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
+        """Error about one entry of the group."""
+        return refused(f"board.{key}", self(key), reason, remedy)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis with the defaults merged in; ``axis("motor.r_s")`` is one of its values.
+
+    Attributes
+    ----------
+    name : str
+        ``axis1`` or ``axis2``.
+    groups : mapping
+        Numbers by group and key.
+    features : mapping
+        What is on after reset.
+    inherited : frozenset of str
+        Entries that come from [defaults].
+    """
+
+    name: str
+    groups: Mapping[str, Mapping[str, float]]
+    features: Mapping[str, bool]
+    inherited: frozenset[str]
+
+    def __call__(self, path: str) -> float:
+        group, key = path.split(".")
+        return self.groups[group][key]
+
+    def entry(self, path: str) -> str:
+        """Full name of an entry, and where it stands."""
+        return _place(self.name, path, self.inherited)
+
+    def refused(self, path: str, reason: str, remedy: str) -> ConfigError:
+        """Error about one entry of this axis."""
+        return refused(self.entry(path), self(path), reason, remedy)
+
+    @property
+    def torque_constant(self) -> float:
+        """Torque per q current at ``i_d = 0`` [N m/A]."""
+        return 1.5 * self("motor.pole_pairs") * self("motor.psi_m")
+
+    @property
+    def counts(self) -> float:
+        """Encoder counts per turn: four per line."""
+        return 4.0 * self("encoder.lines")
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any], name: str, feature_names: Collection[str]) -> Axis:
+        """Merge and check the groups of one axis.
+
+        Raises
+        ------
+        ConfigError
+            If an entry is missing, unknown or cannot make sense by itself.
+        """
+        if name not in table:
+            raise ConfigError(f"[{name}.motor] is missing; every axis needs its motor")
+        groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features")}
+        inherited: set[str] = set()
+        for owner in ("defaults", name):
+            for group, value in check_table(owner, table.get(owner, {})).items():
+                if group not in groups:
+                    raise unknown_name(f"{owner}.{group}", group, groups)
+                entries = check_table(f"{owner}.{group}", value)
+                groups[group].update(entries)
+                paths = {f"{group}.{key}" for key in entries}
+                inherited = inherited | paths if owner == "defaults" else inherited - paths
+        features = check_switches(f"{name}.features", groups.pop("features"), feature_names)
+        origin = frozenset(inherited)
+        checked = {
+            group: check_group(
+                f"{name}.{group}", group, entries, {key: _place(name, f"{group}.{key}", origin) for key in entries}
+            )
+            for group, entries in groups.items()
+        }
+        return cls(name, checked, features, origin)
+
+
+def _place(axis: str, path: str, inherited: Collection[str]) -> str:
+    suffix = f" (in [defaults.{path.split('.')[0]}])" if path in inherited else ""
+    return f"{axis}.{path}{suffix}"
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """All of ``servo.toml``; `tuning.reading` makes it."""
+
+    board: Board
+    axes: tuple[Axis, ...]
+    scales: Scales

@@ -1,0 +1,280 @@
+"""The integers of ``axis_config_t``: gains, limits and times in the formats of the firmware."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from tuning.configuration import Axis, Board, Configuration, Scales
+from tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
+from tuning.gains import Gains, Pi
+
+__all__ = ["PATH_OMEGA", "AxisConstants", "Field", "PiRaw", "Switches", "axis_constants", "host_timeout"]
+
+ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
+COUNTS: Final = Format("int32_t counts", 0, 1, 2**30)
+PATH_OMEGA: Final = Format("omega_n Ts of DRM E40", 16, 1, 2**14)
+"""A quarter: faster, E40's difference equations no longer follow the filter that they stand for."""
+OBSERVER: Final = Format("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
+RECIPROCAL: Final = Format("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
+FLUX: Final = Format("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
+TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
+TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
+SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
+
+_LINES: Final = "correct encoder.lines"
+_HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
+_SLOWER_CURRENT: Final = "lower control.current_bandwidth"
+_SLOWER: Final = "lower control.speed_bandwidth, or correct motor.inertia or motor.psi_m"
+
+
+class PiRaw(NamedTuple):
+    """A ``pi_gains_t``."""
+
+    kp: int
+    ki: int
+    kc: int
+
+
+class Switches(tuple[str, ...]):
+    """Features that are on, by their names in the contract."""
+
+
+Field = int | PiRaw | Switches
+AxisConstants = Mapping[str, Field]
+"""C path of every field of ``axis_config_t`` with its value."""
+
+
+def _pi(axis: Axis, name: str, gains: Pi, scale: float, remedy: str) -> PiRaw:
+    entry = f"{axis.name}: {name}"
+    return PiRaw(
+        GAIN.raw(f"{entry} Kp", gains.kp * scale, remedy),
+        GAIN.raw(f"{entry} Kp Ki Ts", gains.ki * scale, remedy),
+        GAIN.raw(f"{entry} Kc", gains.kc, "raise control.anti_windup"),
+    )
+
+
+@dataclass(frozen=True)
+class _Converter:
+    """Shorthand for one axis: every method names the entry in its refusal."""
+
+    axis: Axis
+    board: Board
+    s: Scales
+
+    def at(self, format_: Format, path: str, scale: float, remedy: str = "correct it") -> int:
+        """An entry of the configuration times `scale`."""
+        return format_.raw(self.axis.entry(path), self.axis(path) * scale, remedy, self.axis(path))
+
+    def board_at(self, format_: Format, key: str, scale: float, remedy: str) -> int:
+        """An entry of [board] times `scale`."""
+        return format_.raw(f"board.{key}", self.board(key) * scale, remedy, self.board(key))
+
+    def ticks(self, path: str) -> int:
+        """A time in slow ticks."""
+        tick = self.board.tick
+        return self.at(UINT16, path, 1.0 / tick, f"write seconds, {tick:g} .. {65535 * tick:g}")
+
+    def of(self, format_: Format, name: str, value: float, remedy: str) -> int:
+        """Something that follows from several entries."""
+        return format_.raw(f"{self.axis.name}: {name}", value, remedy)
+
+
+def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> AxisConstants:
+    """Every field of one ``axis_config_t``.
+
+    Raises
+    ------
+    ConfigError
+        If one does not fit its format, or vanishes in it.
+    """
+    to = _Converter(axis, configuration.board, configuration.scales)
+    return {
+        **_current_loop(to, gains),
+        **_sensing(to),
+        **_speed_observer(to),
+        **_motion(to, gains),
+        **_feed_forward(to),
+        **_limits(to),
+        **_supervision(to),
+    }
+
+
+def _current_loop(to: _Converter, gains: Gains) -> dict[str, Field]:
+    axis, board, s = to.axis, to.board, to.s
+    omega_e = axis("motor.pole_pairs") * s.speed
+    admittance = s.i / s.u_s
+    slower = "lower control.current_bandwidth, or correct motor.r_s, motor.l_d or motor.l_q"
+    drop = to.board_at(FRAC16, "switch_drop", 1.0 / s.u_dc, "write volts, some 0.7")
+    use = to.board_at(FRAC16, "voltage_use", math.sqrt(0.75), "write a part, some 0.94")
+    coupling, flux = "correct motor.pole_pairs, motor.l_d or motor.l_q", "correct motor.pole_pairs or motor.psi_m"
+    duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period, "write seconds, some 1e-6")
+    step = to.of(GAIN, "angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
+    sign = to.of(INT16_Q8, "slope of sensing.sign_current", s.i / axis("sensing.sign_current"), "raise that current")
+    return {
+        "current_loop.d": _pi(axis, "current controller d", gains.current_d, admittance, slower),
+        "current_loop.q": _pi(axis, "current controller q", gains.current_q, admittance, slower),
+        "current_loop.omega_l_d": to.of(GAIN, "decoupling d", omega_e * axis("motor.l_d") * admittance, coupling),
+        "current_loop.omega_l_q": to.of(GAIN, "decoupling q", omega_e * axis("motor.l_q") * admittance, coupling),
+        "current_loop.omega_psi": to.of(GAIN, "back-EMF", omega_e * axis("motor.psi_m") / s.u_s, flux),
+        "current_loop.angle_step": step,
+        "current_loop.dead_time.duty": duty,
+        "current_loop.dead_time.v_drop": drop,
+        "current_loop.dead_time.slope": sign,
+        "current_loop.modulation_limit": use,
+    }
+
+
+def _sensing(to: _Converter) -> dict[str, Field]:
+    axis, board, s = to.axis, to.board, to.s
+    p, counts = axis("motor.pole_pairs"), axis.counts
+    # ratio() multiplies it with up to half a turn of counts, in 32 bits
+    ratio = Format("the product with half a turn of counts in 32 bits", 16, 1, int(2**32 // (counts / 2.0)))
+    per_ratio = board("timer_clock") * 2.0 * math.pi / counts / s.speed
+    search = "rotor_search"
+    return {
+        "encoder.counts": to.at(UINT16, "encoder.lines", 4.0),
+        "encoder.pole_pairs": to.at(UINT16, "motor.pole_pairs", 1.0),
+        "encoder.angle_per_count": to.of(ANGLE32, "angle per count", 1.0 / counts, _LINES),
+        "mt_speed.speed_per_ratio": ratio.raw("board.timer_clock: speed per count and clock", per_ratio, "lower it"),
+        f"{search}.current_step": FRAC32.raw(
+            axis.entry("rotor_search.ramp_time") + ": current per slow tick",
+            axis("rotor_search.current") / s.i * board.tick / axis("rotor_search.ramp_time"),
+            f"write at least {board.tick:g} s, and less than minutes",
+        ),
+        f"{search}.current_slew": to.of(
+            FRAC32,
+            "change of the search current per slow tick",
+            min(_search_slew(axis, board) / s.i, 0.5),  # faster than any search needs
+            _SLOWER_CURRENT,
+        ),
+        f"{search}.current_limit": to.at(FRAC16, "rotor_search.current", 1.0 / s.i),
+        f"{search}.hold_ticks": to.ticks("rotor_search.hold_time"),
+        f"{search}.rest_ticks": to.ticks("rotor_search.rest_time"),
+        f"{search}.move_counts": to.at(UINT16, "rotor_search.move_counts", 1.0),
+        f"{search}.angle_per_count": to.of(INT32_Q16, "search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
+        f"{search}.interval": to.at(SEARCH_ANGLE, "rotor_search.interval", 1.0 / 360.0),
+        **_follow(to),
+    }
+
+
+def _search_slew(axis: Axis, board: Board) -> float:
+    """Change of the search current that takes half of the voltage through the current controllers' gains [A]."""
+    voltage = board("nominal_voltage") / math.sqrt(3.0) * board("voltage_use")
+    inductance = max(axis("motor.l_d"), axis("motor.l_q"))
+    return 0.5 * voltage / (2.0 * math.pi * axis("control.current_bandwidth") * inductance)
+
+
+def _follow(to: _Converter) -> dict[str, Field]:
+    """The turn of the vector that tells a held shaft from an encoder that does not count."""
+    axis, board, s = to.axis, to.board, to.s
+    turn, time = math.radians(axis("rotor_search.turn_angle")), axis("rotor_search.turn_time")
+    inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))  # of a rotor that stays, on average over the turn
+    inductive = turn / time * inductance * axis("rotor_search.current") / s.u_s
+    flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * turn / s.u_s / board.period
+    slower = "raise rotor_search.turn_time"
+    follow = "rotor_search.follow"
+    return {
+        f"{follow}.ticks": to.of(TURN_TICKS, "slow ticks of rotor_search.turn_time", time / board.tick, "some 0.04 s"),
+        f"{follow}.step": to.of(
+            TURN_STEP, "turn of the vector per slow tick", turn * board.tick / time / 2 / math.pi, slower
+        ),
+        f"{follow}.inductive": to.of(FRAC16, "inductive voltage of the turning vector", inductive, slower),
+        f"{follow}.flux_least": to.of(FLUX, "flux of a rotor that follows", flux, "correct motor.psi_m"),
+    }
+
+
+def _speed_observer(to: _Converter) -> dict[str, Field]:
+    """Fading-memory gains: the three poles of the observer's error at the same place."""
+    axis, tick, s = to.axis, to.board.tick, to.s
+    per_rad = axis.counts / (2.0 * math.pi)
+    torque = axis.torque_constant * s.i / axis("motor.inertia") * tick**2 * per_rad
+    p = math.exp(-2.0 * math.pi * axis("control.observer_bandwidth") * tick)
+    slower = "lower control.observer_bandwidth"
+    return {
+        "speed_observer.acceleration_per_current": to.of(OBSERVER, "acceleration of the observer", torque, _HOLD),
+        "speed_observer.speed_per_step": to.of(RECIPROCAL, "speed per step", 1.0 / (s.speed * tick * per_rad), _LINES),
+        "speed_observer.step_per_speed": to.of(INT32_Q16, "step per speed", s.speed * tick * per_rad, _LINES),
+        "speed_observer.l_position": to.of(GAIN, "observer, position", 1.0 - p**3, slower),
+        "speed_observer.l_speed": to.of(GAIN, "observer, speed", 1.5 * (1.0 - p) ** 2 * (1.0 + p), slower),
+        "speed_observer.l_acceleration": to.of(GAIN, "observer, acceleration", (1.0 - p) ** 3, slower),
+    }
+
+
+def _motion(to: _Converter, gains: Gains) -> dict[str, Field]:
+    axis, board, s, counts = to.axis, to.board, to.s, to.axis.counts
+    step = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
+    path = "lower control.path_current_use or limits.current, or correct motor.inertia or motor.psi_m"
+    return {
+        "speed": _pi(axis, "speed controller", gains.speed, s.speed / s.i, _SLOWER),
+        "position_gain": to.at(FRAC32, "control.position_gain", 2.0 * math.pi / counts / s.speed),
+        "path_omega_n_ts": to.of(PATH_OMEGA, "omega_n Ts of the path", gains.path_omega_n * board.tick, path),
+        "path_step_per_speed": to.of(INT32_Q16, "path step", step, _LINES),
+        "speed_per_path_step": to.of(RECIPROCAL, "speed per path step", 1.0 / step, _LINES),
+    }
+
+
+def _feed_forward(to: _Converter) -> dict[str, Field]:
+    axis, board, s = to.axis, to.board, to.s
+    k_t, smooth = axis.torque_constant, axis("friction.smooth")
+    inertia = axis("motor.inertia") / k_t * s.speed / board.tick / s.i
+    return {
+        "friction.coulomb": to.at(FRAC32, "friction.coulomb", 1.0 / k_t / s.i),
+        "friction.viscous": to.at(GAIN, "friction.viscous", s.speed / k_t / s.i),
+        "friction.smooth": to.at(FRAC32, "friction.smooth", 1.0 / s.speed),
+        "friction.slope": INT32_Q16.raw(axis.entry("friction.smooth") + ": slope", s.speed / smooth, "raise it"),
+        "acceleration_forward": to.of(INT32_Q16, "current for the acceleration", inertia, _HOLD),
+    }
+
+
+def _limits(to: _Converter) -> dict[str, Field]:
+    axis, board, s = to.axis, to.board, to.s
+    per_rad = axis.counts / (2.0 * math.pi)
+
+    def volts(key: str) -> int:
+        return to.board_at(FRAC16, key, 1.0 / s.u_dc, "stay below the full scale of the ADC")
+
+    k_t = FRAC16.raw(f"{axis.name}: torque constant", axis.torque_constant / s.torque_constant, _HOLD)
+    return {
+        "torque_constant": k_t,
+        "i_q_limit": to.at(FRAC16, "limits.current", 1.0 / s.i),
+        "speed_limit": to.at(FRAC32, "limits.speed", 1.0 / s.speed),
+        "acceleration_limit": to.at(FRAC32, "limits.acceleration", board.tick / s.speed),
+        "features": Switches(key for key, on in axis.features.items() if on),
+        "position_limit": to.at(COUNTS, "limits.position", per_rad),
+        "following_error": to.at(COUNTS, "limits.following_error", per_rad),
+        "over_speed": to.at(FRAC32, "limits.over_speed", 1.0 / s.speed),
+        "u_dc_nominal": volts("nominal_voltage"),
+        "u_dc_most": volts("over_voltage"),
+        "u_dc_least": volts("under_voltage"),
+    }
+
+
+def _supervision(to: _Converter) -> dict[str, Field]:
+    board, s = to.board, to.s
+    times = {
+        "following_ticks_most": "timing.following_most",
+        "over_speed_ticks_most": "timing.over_speed_most",
+        "settle_ticks": "timing.settle",
+        "runaway_ticks_most": "timing.runaway_most",
+        "rest_ticks_most": "timing.rest_most",
+        "stall_ticks_most": "timing.stall_most",
+        "search_ticks_most": "rotor_search.time_most",
+        "stop_ticks_most": "timing.stop_most",
+    }
+    return {
+        "offset_tolerance": to.at(UINT16, "sensing.offset_tolerance", 1.0),
+        "offset_duty_least": to.at(FRAC16, "sensing.offset_duty", 1.0),
+        "stop_acceleration": to.at(FRAC32, "timing.stop_acceleration", board.tick / s.speed),
+        "runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
+        "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
+        **{field: to.ticks(path) for field, path in times.items()},
+    }
+
+
+def host_timeout(board: Board) -> int:
+    """Default of the writable time-out [slow ticks]."""
+    timeout = board("host_timeout")
+    return UINT16.raw("board.host_timeout", timeout / board.tick, "write seconds", timeout)

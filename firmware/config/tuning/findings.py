@@ -1,0 +1,100 @@
+"""What is wrong with an axis that can run: each finding one sentence with the entry and a way out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from tuning.assessment import Assessment
+from tuning.tuned import Tuned
+
+__all__ = ["findings"]
+
+PHASE_LEAST: Final = 45.0
+"""Phase margin that current and speed loop should have [degrees]."""
+
+GAIN_LEAST: Final = 2.0
+"""Gain margin that they should have."""
+
+K_V_T_MOST: Final = 0.25
+"""K_v T up to which a first-order speed loop gives a position loop that does not overshoot."""
+
+OVERSHOOT_MOST: Final = 0.01
+"""Of a bare position step."""
+
+ARRIVAL_MOST: Final = 2.0
+"""Overshoot of a shaped move at the speed limit [counts]."""
+
+ROUNDING_MOST: Final = 0.01
+"""Part of a gain that may be lost by rounding it to an integer."""
+
+_ENTRIES: Final = {
+    "current d": "control.current_bandwidth",
+    "current q": "control.current_bandwidth",
+    "speed": "control.speed_bandwidth",
+    "speed, observer": "control.speed_bandwidth",
+}
+
+
+def findings(it: Tuned, figures: Assessment) -> list[str]:
+    """Everything that deserves a warning."""
+    return [
+        *_margins(it, figures),
+        *_inertias(it, figures),
+        *_position(it, figures),
+        *_reach(it, figures),
+        *_rounding(it),
+    ]
+
+
+def _entry(it: Tuned, path: str) -> str:
+    return f"{it.axis.entry(path)} = {it.axis(path):g}"
+
+
+def _margins(it: Tuned, figures: Assessment) -> Iterator[str]:
+    for loop in figures.loops:
+        if loop.name not in _ENTRIES or not loop.in_force:
+            continue
+        what = f"{_entry(it, _ENTRIES[loop.name])}: the {loop.name} loop has a"
+        phase, gain = loop.margins.phase, loop.margins.gain
+        if phase is not None and phase < PHASE_LEAST:
+            yield f"{what} phase margin of {phase:.1f} deg, less than {PHASE_LEAST:g}; lower it"
+        if gain is not None and gain < GAIN_LEAST:
+            yield f"{what} gain margin of {gain:.2f}, less than {GAIN_LEAST:g}; lower it"
+
+
+def _inertias(it: Tuned, figures: Assessment) -> Iterator[str]:
+    for case in figures.inertias:
+        if not case.stable and case.observed == it.observed:
+            entry = _entry(it, "motor.inertia")
+            yield f"{entry}: unstable on a shaft with {case.factor:g} times that; lower control.speed_bandwidth"
+
+
+def _position(it: Tuned, figures: Assessment) -> Iterator[str]:
+    entry, rule, arrival = _entry(it, "control.position_gain"), figures.rule, figures.arrival
+    if rule.k_v_t > K_V_T_MOST:
+        yield f"{entry}: K_v T = {rule.k_v_t:.2f} > {K_V_T_MOST:g}, the shaft may overshoot; lower it"
+    if arrival.bare > OVERSHOOT_MOST:
+        yield f"{entry}: a step that nothing shapes overshoots by {100.0 * arrival.bare:.1f} %; lower it"
+    if arrival.shaped > ARRIVAL_MOST:
+        yield f"{entry}: a shaped move overshoots by {arrival.shaped:.1f} counts; lower it or control.path_current_use"
+
+
+def _reach(it: Tuned, figures: Assessment) -> Iterator[str]:
+    reach, limit = figures.reach, it.axis("limits.current")
+    if it.axis("limits.speed") > reach.speed_rated:
+        entry = _entry(it, "limits.speed")
+        yield f"{entry}: with the rated current the voltage ends at {reach.speed_rated:.4g} rad/s; lower it"
+    asked = {"control.path_current_use": reach.path_current, "limits.acceleration": reach.ramp_current}
+    for path, current in asked.items():
+        if current + reach.friction_current > limit:
+            sums = f"asks for {current:.2f} A besides {reach.friction_current:.2f} A of friction"
+            yield f"{_entry(it, path)}: {sums}, and the limit is {limit:g} A; lower it"
+
+
+def _rounding(it: Tuned) -> Iterator[str]:
+    for row in it.rows():
+        lost = abs(row.used / row.designed - 1.0)
+        if lost > ROUNDING_MOST:
+            value = f"{it.axis.name}: {row.name} = {row.designed:g} {row.unit}".rstrip()
+            yield f"{value}: rounded to an integer it is off by {100.0 * lost:.0f} %; choose it larger"

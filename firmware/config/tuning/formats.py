@@ -1,0 +1,72 @@
+"""Integers with a fixed number of fraction bits, as the firmware declares them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from tuning.errors import refused
+
+__all__ = ["FRAC16", "FRAC32", "GAIN", "INT16_Q8", "INT32_Q16", "UINT16", "Format"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """Raw numbers ``low .. high``, each worth ``2 ** -fraction_bits``.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    fraction_bits : int
+        Of the value.
+    low, high : int
+        Range of the raw number.
+    """
+
+    name: str
+    fraction_bits: int
+    low: int
+    high: int
+
+    def raw(self, entry: str, value: float, remedy: str, given: float | None = None) -> int:
+        """Nearest raw number.
+
+        Parameters
+        ----------
+        entry : str
+            For the refusal: full name of the entry, or of what follows from several.
+        value : float
+            What the number has to stand for.
+        remedy : str
+            For the refusal: what to do.
+        given : float, optional
+            What stands in the configuration, where that is not `value` itself.
+
+        Raises
+        ------
+        ConfigError
+            If it does not fit, or if a value that is not 0 would vanish.
+        """
+        scaled = math.ldexp(value, self.fraction_bits)
+        raw = round(scaled)
+        shown, result = (value, "") if given is None else (given, f"{value:g} ")
+        if raw == 0 and value != 0.0:
+            raise refused(entry, shown, f"{result}is too small for {self.name} and would vanish", remedy)
+        if not self.low <= raw <= self.high:
+            low, high = (math.ldexp(bound, -self.fraction_bits) for bound in (self.low, self.high))
+            raise refused(entry, shown, f"{result}does not fit {self.name} ({low:g} .. {high:g})", remedy)
+        return raw
+
+    def value(self, raw: int) -> float:
+        """What a raw number stands for."""
+        return math.ldexp(raw, -self.fraction_bits)
+
+
+GAIN: Final = Format("gain_t", 24, -(2**31), 2**31 - 1)
+FRAC16: Final = Format("frac16_t", 15, -(2**15), 2**15 - 1)
+FRAC32: Final = Format("frac32_t", 31, -(2**31), 2**31 - 1)
+INT16_Q8: Final = Format("int16_t with 8 fraction bits", 8, -(2**15), 2**15 - 1)
+UINT16: Final = Format("uint16_t", 0, 0, 2**16 - 1)
+INT32_Q16: Final = Format("int32_t with 16 fraction bits", 16, 1, 2**31 - 1)

@@ -1,0 +1,274 @@
+"""Linear systems in discrete time: held inputs, frequency response, margins, poles, simulation."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "Margins",
+    "Matrix",
+    "Omega",
+    "Pole",
+    "System",
+    "Tracking",
+    "expm",
+    "held",
+    "margins",
+    "poles",
+    "spectral_radius",
+]
+
+Matrix = NDArray[np.float64]
+Omega = NDArray[np.float64]
+"""Angular frequencies [rad/s]."""
+
+_TERMS: Final = 18
+_GRID: Final = 600
+_ROUNDS: Final = 4
+_FINER: Final = 33
+_LOWEST: Final = 1e-4  # of half the sampling frequency
+
+
+def expm(a: Matrix) -> Matrix:
+    """Exponential of a square matrix: the Taylor series of a part of it, squared again and again."""
+    norm = float(np.abs(a).sum(axis=1).max(initial=0.0))
+    squarings = max(math.ceil(math.log2(norm)) + 1, 0) if norm > 0.0 else 0
+    part = np.ldexp(a, -squarings)
+    term = result = np.eye(a.shape[0])
+    for n in range(1, _TERMS):
+        term = term @ part / n
+        result = result + term
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(squarings):
+            result = result @ result
+    return result
+
+
+def held(a: Matrix, b: Matrix, dt: float) -> tuple[Matrix, Matrix]:
+    """Step of ``x' = a x + b u`` over `dt` with `u` held: ``x(t + dt) = f x + g u``.
+
+    Returns
+    -------
+    tuple of ndarray
+        f and g.
+    """
+    states, inputs = b.shape
+    both = np.zeros((states + inputs, states + inputs))
+    both[:states, :states], both[:states, states:] = a * dt, b * dt
+    step = expm(both)
+    return step[:states, :states], step[:states, states:]
+
+
+@dataclass(frozen=True)
+class System:
+    """``x(k+1) = a x(k) + b u(k)``, ``y(k) = c x(k) + d u(k)``.
+
+    Attributes
+    ----------
+    a, b, c, d : ndarray
+        As above.
+    dt : float
+        Sampling time [s].
+    """
+
+    a: Matrix
+    b: Matrix
+    c: Matrix
+    d: Matrix
+    dt: float
+
+    @classmethod
+    def of(cls, step: Callable[[Matrix, Matrix], tuple[Matrix, Matrix]], states: int, inputs: int, dt: float) -> System:
+        """The matrices of a linear function ``step(x, u) -> (x next, y)``, which takes columns side by side."""
+        x = np.hstack([np.eye(states), np.zeros((states, inputs))])
+        u = np.hstack([np.zeros((inputs, states)), np.eye(inputs)])
+        x_next, y = step(x, u)
+        return cls(x_next[:, :states], x_next[:, states:], y[:, :states], y[:, states:], dt)
+
+    @property
+    def nyquist(self) -> float:
+        """Half the sampling frequency [rad/s]."""
+        return math.pi / self.dt
+
+    def channel(self, output: int, input_: int) -> System:
+        """One input to one output."""
+        return System(
+            self.a,
+            self.b[:, input_ : input_ + 1],
+            self.c[output : output + 1],
+            self.d[output : output + 1, input_ : input_ + 1],
+            self.dt,
+        )
+
+    def scaled(self, input_: int, gain: float) -> System:
+        """The system with a gain in front of one input."""
+        gains = np.ones(self.b.shape[1])
+        gains[input_] = gain
+        return System(self.a, self.b * gains, self.c, self.d * gains, self.dt)
+
+    def fed_back(self, output: int, input_: int, gain: float = 1.0) -> System:
+        """The loop closed from an output to an input, ``u = r - gain y``; r takes the place of u.
+
+        The output must not depend on its own input within the same sample.
+        """
+        c, d = self.c[output : output + 1], self.d[output : output + 1]
+        assert d[0, input_] == 0.0
+        column, through = self.b[:, input_ : input_ + 1], self.d[:, input_ : input_ + 1]
+        return System(
+            self.a - gain * column @ c,
+            self.b - gain * column @ d,
+            self.c - gain * through @ c,
+            self.d - gain * through @ d,
+            self.dt,
+        )
+
+    def response(self, omega: Omega) -> NDArray[np.complex128]:
+        """Frequency response of the first output to the first input at angular frequencies [rad/s]."""
+        z = np.exp(1j * self.dt * omega)
+        matrices = z[:, None, None] * np.eye(self.a.shape[0]) - self.a
+        states = np.linalg.solve(matrices, np.broadcast_to(self.b[:, :1], (z.size, *self.b[:, :1].shape)))
+        return np.asarray((self.c[:1] @ states)[:, 0, 0] + self.d[0, 0])
+
+    def tracking(self) -> Tracking:
+        """How well the first output of a closed loop follows its first input."""
+        grid = np.geomspace(_LOWEST * self.nyquist, self.nyquist, _GRID)
+        gains = np.abs(self.response(grid))
+        lost = np.nonzero(gains < math.sqrt(0.5))[0]
+        bandwidth = None
+        if lost.size and lost[0] > 0:
+            edges = float(grid[lost[0] - 1]), float(grid[lost[0]])
+            bandwidth = _root(lambda w: np.abs(self.response(w)) - math.sqrt(0.5), *edges) / (2.0 * math.pi)
+        return Tracking(bandwidth, float(gains.max()))
+
+    def simulate(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Outputs (rows: samples) for inputs (rows: samples), from rest."""
+        x = np.zeros(self.a.shape[0])
+        y = np.empty((u.shape[0], self.c.shape[0]))
+        for k, inputs in enumerate(u):
+            y[k] = self.c @ x + self.d @ inputs
+            x = self.a @ x + self.b @ inputs
+        return y
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How a closed loop follows its set-point.
+
+    Attributes
+    ----------
+    bandwidth : float or None
+        Frequency from which on less than 1 / sqrt 2 comes through [Hz]; None when that does not happen.
+    peak : float
+        Largest gain.
+    """
+
+    bandwidth: float | None
+    peak: float
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How far an open loop is from instability.
+
+    Attributes
+    ----------
+    crossover : float or None
+        Frequency at which the gain is 1 [Hz]; None when it never is.
+    phase : float or None
+        Phase margin there [degrees]; the smallest one of several crossings.
+    gain : float or None
+        Factor by which the gain may still grow; None when it may for ever.
+    """
+
+    crossover: float | None
+    phase: float | None
+    gain: float | None
+
+
+def _root(f: Callable[[Omega], NDArray[np.float64]], low: float, high: float) -> float:
+    """Where `f` changes its sign between two frequencies."""
+    for _ in range(_ROUNDS):
+        grid = np.geomspace(low, high, _FINER)
+        positive = f(grid) > 0.0
+        first = int(np.argmax(positive[1:] != positive[0]))  # the last step may hide the sign in its rounding
+        low, high = float(grid[first]), float(grid[first + 1])
+    return math.sqrt(low * high)
+
+
+def _changes(grid: Omega, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Neighbours on the grid between which a flag changes."""
+    return [(float(grid[k]), float(grid[k + 1])) for k in np.nonzero(flags[:-1] != flags[1:])[0]]
+
+
+def margins(response: Callable[[Omega], NDArray[np.complex128]], nyquist: float) -> Margins:
+    """Margins of a loop with unity feedback.
+
+    Parameters
+    ----------
+    response : callable
+        Open-loop frequency response at angular frequencies.
+    nyquist : float
+        Highest one [rad/s].
+    """
+    grid = np.geomspace(_LOWEST * nyquist, nyquist, _GRID)
+    values = response(grid)
+    sizes, turned = np.abs(values) > 1.0, np.imag(values) > 0.0
+    crossings = [_root(lambda w: np.abs(response(w)) - 1.0, *edges) for edges in _changes(grid, sizes)]
+    candidates = [_root(lambda w: np.imag(response(w)), *edges) for edges in _changes(grid, turned)]
+    real = [complex(value) for value in response(np.array(candidates)) if value.real < 0.0]
+    real.append(complex(values[-1]))  # at half the sampling frequency every response is real
+    gains = [1.0 / abs(value) for value in real if -1.0 < value.real < 0.0]
+    phases = [
+        (math.degrees(cmath.phase(-value)), w)
+        for value, w in zip(response(np.array(crossings)), crossings, strict=True)
+    ]
+    phase, omega = min(phases, default=(None, None))
+    crossover = None if omega is None else omega / (2.0 * math.pi)
+    return Margins(crossover, phase, min(gains, default=None))
+
+
+def spectral_radius(a: Matrix) -> float:
+    """Magnitude of the largest eigenvalue: a discrete system is stable below 1. Infinite where numbers overflow."""
+    return float(np.abs(np.linalg.eigvals(a)).max()) if np.isfinite(a).all() else math.inf
+
+
+@dataclass(frozen=True)
+class Pole:
+    """One pole of a discrete system and the continuous one that decays alike.
+
+    Attributes
+    ----------
+    z : complex
+        In the z plane; of a pair the one with the positive imaginary part.
+    frequency : float
+        Magnitude of ln(z) / Ts over 2 pi [Hz].
+    damping : float
+        Of that.
+    pair : bool
+        Whether there is a conjugate one.
+    """
+
+    z: complex
+    frequency: float
+    damping: float
+    pair: bool
+
+
+def poles(a: Matrix, dt: float, least: float = 0.02) -> tuple[Pole, ...]:
+    """Eigenvalues of a discrete system, the slowest first, without those that are gone at once (|z| < `least`)."""
+    found = [complex(z) for z in np.linalg.eigvals(a)]
+    kept = sorted((z for z in found if z.imag >= 0.0 and abs(z) >= least), key=abs, reverse=True)
+    return tuple(_pole(z, dt) for z in kept)
+
+
+def _pole(z: complex, dt: float) -> Pole:
+    s = cmath.log(z) / dt
+    size = abs(s)
+    return Pole(z, size / (2.0 * math.pi), -s.real / size if size > 0.0 else 1.0, z.imag != 0.0)

@@ -1,0 +1,138 @@
+"""The report as a picture; needs matplotlib."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tuning.assessment import INERTIAS
+from tuning.linear import Omega
+from tuning.loops import In, Out
+from tuning.report import AxisReport
+from tuning.tuned import Tuned
+
+__all__ = ["PictureError", "draw"]
+
+
+class PictureError(RuntimeError):
+    """The picture cannot be made; the message says why."""
+
+
+def draw(reports: Sequence[AxisReport], path: Path) -> None:
+    """One column per axis: open loops, closed loops, steps of speed and of load.
+
+    Raises
+    ------
+    PictureError
+        If matplotlib is missing or does not know the format.
+    OSError
+        If the file cannot be written.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise PictureError("a picture needs matplotlib: pip install matplotlib, or leave --plot out") from None
+    panels = (_open_gain, _open_phase, _closed_gain, _speed_step, _load_step)
+    figure = Figure(figsize=(7.0 * len(reports), 3.2 * len(panels)), dpi=100, layout="constrained")
+    plots = figure.subplots(len(panels), len(reports), squeeze=False)
+    for column, report in enumerate(reports):
+        for row, panel in enumerate(panels):
+            plot = plots[row][column]
+            panel(plot, report.tuned)
+            plot.set_title(f"{report.figures.name}: {plot.get_title()}", fontsize="medium")
+            plot.grid(alpha=0.3)
+            plot.legend(fontsize="x-small")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        figure.savefig(path)
+    except ValueError as error:
+        raise PictureError(f"{path}: {error}") from None
+
+
+Response = Callable[[Omega], NDArray[np.complex128]]
+
+
+def _open_loops(it: Tuned) -> list[tuple[str, Response, float]]:
+    """Name, frequency response and highest frequency [rad/s]."""
+    current, shaft, nyquist = it.current_loop("q").open, it.shaft(), math.pi / it.board.tick
+    return [
+        ("current q", current.response, current.nyquist),
+        ("speed", shaft.speed_open, nyquist),
+        ("position", shaft.position_open, nyquist),
+    ]
+
+
+def _spectrum(plot: Any, name: str, response: Response, nyquist: float, show: Callable[[Any], Any]) -> None:
+    hertz = np.geomspace(0.5, nyquist / (2.0 * math.pi), 400)
+    plot.semilogx(hertz, show(response(2.0 * math.pi * hertz)), label=name, linewidth=1.1)
+    plot.set_xlabel("frequency [Hz]")
+
+
+def _decibels(response: Any) -> Any:
+    return 20.0 * np.log10(np.maximum(np.abs(response), 1e-9))
+
+
+def _degrees(response: Any) -> Any:
+    return np.degrees(np.unwrap(np.angle(response)))
+
+
+def _open_gain(plot: Any, it: Tuned) -> None:
+    for name, response, nyquist in _open_loops(it):
+        _spectrum(plot, name, response, nyquist, _decibels)
+    plot.axhline(0.0, color="black", linewidth=0.6)
+    plot.set_ylim(-40.0, 60.0)
+    plot.set_ylabel("gain [dB]")
+    plot.set_title("open loops")
+
+
+def _open_phase(plot: Any, it: Tuned) -> None:
+    for name, response, nyquist in _open_loops(it):
+        _spectrum(plot, name, response, nyquist, _degrees)
+    plot.axhline(-180.0, color="black", linewidth=0.6)
+    plot.set_ylim(-360.0, 0.0)
+    plot.set_ylabel("phase [degrees]")
+    plot.set_title("open loops")
+
+
+def _closed_gain(plot: Any, it: Tuned) -> None:
+    shaft = it.shaft()
+    for name, loop in (
+        ("current q", it.current_loop("q").closed),
+        ("speed", shaft.speed.channel(Out.SPEED, In.SET_POINT)),
+        ("position", shaft.position.channel(Out.ANGLE, In.SET_POINT)),
+    ):
+        _spectrum(plot, name, loop.response, loop.nyquist, _decibels)
+    plot.set_ylim(-40.0, 10.0)
+    plot.set_ylabel("gain [dB]")
+    plot.set_title("closed loops")
+
+
+def _speed_step(plot: Any, it: Tuned) -> None:
+    ticks = math.ceil(8.0 / it.axis("control.speed_bandwidth") / it.board.tick)
+    u = np.zeros((ticks, len(In)))
+    u[:, In.SET_POINT] = 1.0
+    for factor in INERTIAS:
+        speed = it.shaft(factor).speed.simulate(u)[:, Out.SPEED]
+        plot.plot(1e3 * it.board.tick * np.arange(ticks), speed, label=f"inertia x {factor:g}", linewidth=1.1)
+    plot.set_ylim(-0.5, 2.5)
+    plot.set_xlabel("time [ms]")
+    plot.set_ylabel("speed")
+    plot.set_title("step of the speed set-point")
+
+
+def _load_step(plot: Any, it: Tuned) -> None:
+    ticks = math.ceil(8.0 / it.axis("control.position_gain") / it.board.tick)
+    torque = it.axis.torque_constant * it.axis("motor.rated_current")
+    u = np.zeros((ticks, len(In)))
+    u[:, In.LOAD] = torque
+    for factor in INERTIAS:
+        angle = it.shaft(factor).position.simulate(u)[:, Out.ANGLE] * it.axis.counts / (2.0 * math.pi)
+        plot.plot(1e3 * it.board.tick * np.arange(ticks), angle, label=f"inertia x {factor:g}", linewidth=1.1)
+    plot.set_xlabel("time [ms]")
+    plot.set_ylabel("deflection [counts]")
+    plot.set_title(f"step of the load, {torque:.3g} N m")

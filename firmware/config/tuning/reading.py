@@ -1,0 +1,60 @@
+"""Reading ``servo.toml``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+
+from tuning.checks import check
+from tuning.configuration import Axis, Board, Configuration, Scales
+from tuning.errors import ConfigError
+from tuning.schema import unknown_name
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["load", "parse"]
+
+AXIS_NAMES: Final = tuple(axis_name(axis) for axis in range(AXES))
+
+
+def load(path: Path, catalogue: Catalogue) -> Configuration:
+    """Read and check a file.
+
+    Raises
+    ------
+    ConfigError
+        If it is not TOML or cannot work.
+    OSError
+        If it cannot be read.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(str(error)) from error
+    return parse(table, catalogue)
+
+
+def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
+    """Check a parsed table.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot work.
+    """
+    known = ("board", "defaults", *AXIS_NAMES)
+    for name in table:
+        if name not in known:
+            raise unknown_name(f"[{name}]", name, known)
+    feature_names = [flag.name.lower() for flag in catalogue.flags["features"]]
+    axes = tuple(Axis.of(table, name, feature_names) for name in AXIS_NAMES)
+    configuration = Configuration(Board.of(table.get("board", {})), axes, Scales.of(catalogue))
+    check(configuration, catalogue)
+    return configuration

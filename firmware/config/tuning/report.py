@@ -1,0 +1,221 @@
+"""The report: what the tool computes, for people and for programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from tuning.assessment import Assessment, assess
+from tuning.configuration import Configuration
+from tuning.findings import K_V_T_MOST, findings
+from tuning.linear import Margins
+from tuning.tuned import Tuned, tuned
+
+__all__ = ["AxisReport", "as_dict", "axis_reports", "text"]
+
+MODEL: Final = """\
+Model: the loops as they are sampled, with the integer gains and the motor that the configuration believes in.
+Duties are loaded half a PWM period after their sample and hold for a whole one. M/T: the controller sees the mean speed
+of a slow period whose middle is 1.5 slow periods old; below some 10 rad/s its age changes with the speed, as the last
+table says. Observer: errors of more than a count. Small signals: no limit active, no change of direction."""
+
+
+@dataclass(frozen=True)
+class AxisReport:
+    """Gains, figures and findings of one axis."""
+
+    tuned: Tuned
+    figures: Assessment
+    findings: Sequence[str]
+
+
+def axis_reports(configuration: Configuration) -> list[AxisReport]:
+    """Compute everything.
+
+    Raises
+    ------
+    ConfigError
+        If an axis cannot work.
+    """
+    result = []
+    for axis in configuration.axes:
+        it = tuned(axis, configuration)
+        figures = assess(it)
+        result.append(AxisReport(it, figures, findings(it, figures)))
+    return result
+
+
+# ---- for programs ---------------------------------------------------------------------------------------------------
+
+
+def _plain(value: Any) -> Any:
+    """Complex numbers as pairs, tuples as lists."""
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return value
+
+
+def as_dict(reports: Iterable[AxisReport]) -> dict[str, Any]:
+    """All figures by axis; SI units, frequencies in Hz, margins in degrees and as factors."""
+    return {
+        report.figures.name: {
+            "gains": {row.name: row._asdict() for row in report.tuned.rows()},
+            **_plain(asdict(report.figures)),
+            "findings": list(report.findings),
+        }
+        for report in reports
+    }
+
+
+# ---- for people -----------------------------------------------------------------------------------------------------
+
+
+def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Columns below their heads, the first to the left and the others to the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows:
+        cells = (cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))
+        yield "  ".join(["   ", row[0].ljust(widths[0]), *cells]).rstrip()
+
+
+def _hertz(value: float | None) -> str:
+    return "never" if value is None else f"{value:.4g} Hz"
+
+
+def _phase(margins: Margins) -> str:
+    return "-" if margins.phase is None else f"{margins.phase:.1f} deg"
+
+
+def _factor(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} ({20.0 * math.log10(value):.1f} dB)"
+
+
+def text(reports: Iterable[AxisReport]) -> str:
+    """All figures as a page."""
+    pages = ["\n".join(_axis(report)) for report in reports]
+    return "\n\n".join([*pages, MODEL]) + "\n"
+
+
+def _axis(report: AxisReport) -> Iterator[str]:
+    it, figures = report.tuned, report.figures
+    speed = "the speed observer" if it.observed else "M/T"
+    yield f"{figures.name}: {len(report.findings) or 'no'} warning{'' if len(report.findings) == 1 else 's'}"
+    yield f"    speed from {speed} after reset; the position gain, moves and loads below are with that"
+    yield from (f"    WARNING {finding}" for finding in report.findings)
+    yield "  gains"
+    yield from _gains(it)
+    yield "  loops"
+    yield from _loops(figures)
+    for name in (loop.name for loop in figures.loops[2:]):
+        yield f"  closed-loop poles, {name}"
+        yield from _poles(figures, name)
+    yield "  position gain"
+    yield from _rule(figures)
+    yield "  moves and loads"
+    yield from _moves(it, figures)
+    for observed, how in ((False, "M/T"), (True, "speed observer")):
+        yield f"  the same gains on another shaft, {how}"
+        yield from _inertias(figures, observed)
+    yield "  speed loop while encoder edges are rare, M/T"
+    yield from _edges(figures)
+
+
+def _gains(it: Tuned) -> Iterator[str]:
+    rows = [("", "designed", "as used", "", "integer")]
+    rows += [(row.name, f"{row.designed:.6g}", f"{row.used:.6g}", row.unit, str(row.raw)) for row in it.rows()]
+    return _table(rows)
+
+
+def _loops(figures: Assessment) -> Iterator[str]:
+    rows = [("", "wanted", "crossover", "phase margin", "gain margin", "-3 dB", "peak")]
+    for loop in figures.loops:
+        rows.append(
+            (
+                loop.name,
+                _hertz(loop.wanted),
+                _hertz(loop.margins.crossover),
+                _phase(loop.margins),
+                _factor(loop.margins.gain),
+                _hertz(loop.tracking.bandwidth),
+                f"{loop.tracking.peak:.3f}",
+            )
+        )
+    return _table(rows)
+
+
+def _poles(figures: Assessment, name: str) -> Iterator[str]:
+    rows = [("z", "|z|", "as s", "damping")]
+    for loop in figures.loops:
+        if loop.name == name:
+            for pole in loop.poles:
+                z = f"{pole.z.real:.4f} +- {pole.z.imag:.4f}i" if pole.pair else f"{pole.z.real:.4f}"
+                rows.append((z, f"{abs(pole.z):.4f}", _hertz(pole.frequency), f"{pole.damping:.3f}"))
+    return _table(rows)
+
+
+def _rule(figures: Assessment) -> Iterator[str]:
+    rule = figures.rule
+    verdict = "no overshoot" if rule.k_v_t <= K_V_T_MOST else "will overshoot"
+    most = f"at most {K_V_T_MOST / rule.t_n_tuned:.4g} 1/s keep K_v T <= {K_V_T_MOST:g}"
+    rows = [
+        ("T_N of E43, rotor alone", f"{1e3 * rule.t_n_rotor:.2f} ms", "speed from 0 to rated at rated torque"),
+        ("T_N of E43, whole shaft", f"{1e3 * rule.t_n_shaft:.2f} ms", ""),
+        ("Kp of E45 from that", f"{rule.k_p:.2f} rpm/rad", f"K_v = {rule.k_v_rule:.2f} 1/s, Kv T = 0.5: damping 0.707"),
+        ("T_N of the tuned speed loop", f"{1e3 * rule.t_n_tuned:.2f} ms", "1 / crossover"),
+        ("K_v chosen", f"{rule.k_v:.4g} 1/s", most),
+        ("K_v T", f"{rule.k_v_t:.3f}", verdict),
+    ]
+    return _notes(rows)
+
+
+def _moves(it: Tuned, figures: Assessment) -> Iterator[str]:
+    reach, arrival, load = figures.reach, figures.arrival, figures.load_step
+    axis, counts = it.axis, it.axis.counts / (2.0 * math.pi)
+    limit, speed = axis("limits.current"), axis("limits.speed")
+    feature = ", ".join(key for key, on in axis.features.items() if on)
+    rows = [
+        ("path omega_n", f"{reach.path_omega_n:.4g} rad/s", f"asks for at most {reach.path_acceleration:.4g} rad/s^2"),
+        ("its current", f"{reach.path_current:.2f} A", f"of {limit:g} A"),
+        ("current of the speed ramp", f"{reach.ramp_current:.2f} A", f"{axis('limits.acceleration'):g} rad/s^2"),
+        ("current against friction", f"{reach.friction_current:.3f} A", f"at {speed:g} rad/s"),
+        ("top speed, no load", f"{reach.speed_idle:.4g} rad/s", f"at {it.board('nominal_voltage'):g} V"),
+        ("top speed, rated current", f"{reach.speed_rated:.4g} rad/s", f"{axis('motor.rated_current'):g} A"),
+        ("lag at the speed limit", f"{arrival.lag:.3f} rad", f"at {speed:g} rad/s, without speed_forward"),
+        ("overshoot, bare step", f"{100.0 * arrival.bare:.2f} %", "of a position step that nothing shapes"),
+        ("overshoot, shaped move", f"{arrival.shaped:.2f} counts", f"from {speed:g} rad/s, limits not reached"),
+        ("load step", f"{load.torque:.4g} N m", f"moves the shaft by {load.deflection * counts:.0f} counts"),
+        ("stiffness", f"{load.stiffness:.3g} N m/rad", f"back within a tenth after {1e3 * load.recovery:.0f} ms"),
+        ("on after reset", "", feature or "nothing"),
+    ]
+    return _notes(rows)
+
+
+def _notes(rows: Sequence[tuple[str, str, str]]) -> Iterator[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(2)]
+    for name, value, note in rows:
+        yield f"    {name.ljust(widths[0])}  {value.rjust(widths[1])}  {note}".rstrip()
+
+
+def _inertias(figures: Assessment, observed: bool) -> Iterator[str]:
+    rows = [("inertia", "speed crossover", "phase margin", "gain margin", "position step overshoots")]
+    for case in (case for case in figures.inertias if case.observed == observed):
+        rest = ("UNSTABLE", "-", "-")
+        if case.stable and case.overshoot is not None:
+            rest = (_phase(case.margins), _factor(case.margins.gain), f"{100.0 * case.overshoot:.1f} %")
+        rows.append((f"x {case.factor:g}", _hertz(case.margins.crossover), *rest))
+    return _table(rows)
+
+
+def _edges(figures: Assessment) -> Iterator[str]:
+    rows = [("speed", "phase margin", "gain margin")]
+    for speed, margins in figures.edges:
+        steady = margins.phase is not None and margins.phase > 0.0
+        rest = (_phase(margins), _factor(margins.gain)) if steady else ("none: it hunts", "-")
+        rows.append((f"{speed:g} rad/s", *rest))
+    return _table(rows)

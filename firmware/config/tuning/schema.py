@@ -1,0 +1,236 @@
+"""Groups and keys of ``servo.toml``: what each number means and which values can make sense at all."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from tuning.errors import ConfigError, refused
+
+__all__ = ["AXIS_GROUPS", "BOARD", "SCHEMA", "Entry", "check_group", "check_switches", "check_table", "unknown_name"]
+
+LEAST: Final = 1e-12
+"""Nothing that could stand in the file is smaller, 0 apart."""
+
+MOST: Final = 1e12
+"""Nothing is larger."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What one number of the configuration has to be.
+
+    Attributes
+    ----------
+    unit : str
+        SI, or empty.
+    meaning : str
+        For people.
+    zero : bool
+        Whether 0 makes sense; less never does.
+    whole : bool
+        Whether it counts something.
+    most : float
+        Largest value that makes sense.
+    """
+
+    unit: str
+    meaning: str
+    zero: bool = False
+    whole: bool = False
+    most: float = math.inf
+
+    def check(self, name: str, value: object) -> float:
+        """The value as a number.
+
+        Raises
+        ------
+        ConfigError
+            If it is none, or one that cannot make sense.
+        """
+        wanted = self._wanted()
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise refused(name, repr(value), "not a number", f"write {wanted}")
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise refused(name, number, "not a finite number", f"write {wanted}")
+        if number < LEAST and not (number == 0.0 and self.zero):
+            raise refused(name, number, "too small", f"write {wanted}")
+        if number > min(self.most, MOST):
+            raise refused(name, number, "too large", f"write {wanted}")
+        if self.whole and number % 1.0 != 0.0:
+            raise refused(name, number, "not a whole number", f"write {wanted}")
+        return number
+
+    def _wanted(self) -> str:
+        kind = "a whole number" if self.whole else "a number"
+        least = "from 0" if self.zero else "above 0"
+        most = f" up to {self.most:g}" if math.isfinite(self.most) else ""
+        unit = f" [{self.unit}]" if self.unit else ""
+        return f"{kind} {least}{most}{unit}: {self.meaning}"
+
+
+BOARD: Final[Mapping[str, Entry]] = {
+    "pwm_frequency": Entry("Hz", "switching frequency, one fast loop per period"),
+    "slow_divider": Entry("", "PWM periods per slow loop", whole=True),
+    "timer_clock": Entry("Hz", "clock that times the encoder edges"),
+    "nominal_voltage": Entry("V", "DC bus"),
+    "over_voltage": Entry("V", "bus voltage that is a fault"),
+    "under_voltage": Entry("V", "bus voltage that is a fault"),
+    "host_timeout": Entry("s", "silence of the host that is a fault"),
+    "dead_time": Entry("s", "both switches of a leg are open at every edge", zero=True),
+    "switch_drop": Entry("V", "switch or diode", zero=True),
+    "voltage_use": Entry("", "part of the linear range of the modulation that is used", most=1.0),
+}
+"""Keys of the group [board]."""
+
+AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
+    "motor": {
+        "r_s": Entry("ohm", "stator resistance"),
+        "l_d": Entry("H", "stator inductance, d axis"),
+        "l_q": Entry("H", "stator inductance, q axis"),
+        "psi_m": Entry("V s", "flux linkage of the magnets, electrical"),
+        "pole_pairs": Entry("", "pole pairs", whole=True),
+        "inertia": Entry("kg m^2", "everything that turns with the shaft"),
+        "rotor_inertia": Entry("kg m^2", "of the motor alone"),
+        "rated_speed": Entry("rad/s", "of the motor's data sheet"),
+        "rated_current": Entry("A", "of the motor's data sheet, peak"),
+    },
+    "encoder": {"lines": Entry("", "lines per turn", whole=True)},
+    "friction": {
+        "coulomb": Entry("N m", "friction of a turning shaft", zero=True),
+        "viscous": Entry("N m s", "friction per speed", zero=True),
+        "smooth": Entry("rad/s", "speed within which the sign of the Coulomb friction changes"),
+    },
+    "limits": {
+        "current": Entry("A", "largest i_q, peak"),
+        "speed": Entry("rad/s", "largest speed set-point"),
+        "acceleration": Entry("rad/s^2", "ramp of speed set-points and of stops"),
+        "position": Entry("rad", "soft limits to both sides"),
+        "following_error": Entry("rad", "distance from the shaped set-point that is a fault"),
+        "over_speed": Entry("rad/s", "speed that is a fault"),
+    },
+    "control": {
+        "current_bandwidth": Entry("Hz", "of both current loops"),
+        "speed_bandwidth": Entry("Hz", "of the speed loop"),
+        "speed_ratio": Entry("", "bandwidth over corner frequency of the integral part"),
+        "anti_windup": Entry("", "Kc of DRM E35, below 1", most=1.0),
+        "position_gain": Entry("1/s", "K_v: speed set-point per position error"),
+        "observer_bandwidth": Entry("Hz", "of the speed observer; twice the position gain over 2 pi at least"),
+        "path_current_use": Entry("", "part of the current limit that shaped set-points ask for"),
+    },
+    "rotor_search": {
+        "current": Entry("A", "largest vector"),
+        "ramp_time": Entry("s", "from zero to that current, of the first vectors"),
+        "hold_time": Entry("s", "at that current without another count"),
+        "rest_time": Entry("s", "standstill after a twitch"),
+        "move_counts": Entry("", "movement that counts as a twitch", whole=True),
+        "interval": Entry("deg electrical", "remaining interval at which the search ends"),
+        "turn_angle": Entry(
+            "deg electrical", "turn of the vector that tells a held shaft from a dead encoder", most=180.0
+        ),
+        "turn_time": Entry("s", "of that turn, and again of the way back"),
+        "follow_flux": Entry("", "part of the flux of a rotor that follows; more has moved", most=1.0),
+        "time_most": Entry("s", "for the whole search"),
+    },
+    "timing": {
+        "settle": Entry("s", "in INIT"),
+        "stop_acceleration": Entry("rad/s^2", "least ramp of a stop"),
+        "runaway_margin": Entry("rad/s", "beyond the speed limit, or gained against the full current"),
+        "runaway_most": Entry("s", "of that until it is a fault"),
+        "rest_most": Entry("s", "that an enabled axis waits for its shaft to rest"),
+        "stall_most": Entry("s", "at full current without movement until it is a fault"),
+        "stop_speed": Entry("rad/s", "below it a stop is over"),
+        "stop_most": Entry("s", "after the ramp of a stop until the outputs go off at any speed"),
+        "following_most": Entry("s", "of a following error until it is a fault"),
+        "over_speed_most": Entry("s", "of over-speed until it is a fault"),
+    },
+    "sensing": {
+        "sign_current": Entry("A", "above it the direction of a phase current is certain"),
+        "offset_tolerance": Entry("", "ADC codes that an offset may lie off mid-scale", whole=True),
+        "offset_duty": Entry("", "shortest high side for a true offset sample", most=1.0),
+    },
+}
+"""Keys of the groups of an axis; [defaults] may hold any of them."""
+
+SCHEMA: Final[Mapping[str, Mapping[str, Entry]]] = {"board": BOARD, **AXIS_GROUPS}
+"""Every group and its keys; a group must have these and no others."""
+
+
+def unknown_name(where: str, name: str, known: Collection[str]) -> ConfigError:
+    """Error about a name that nothing is known about, with the closest ones."""
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+    return ConfigError(f"{where} is unknown; {hint}")
+
+
+def check_table(where: str, value: object) -> Mapping[str, Any]:
+    """A table of TOML.
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    if not isinstance(value, Mapping):
+        raise refused(where, repr(value), "not a table", f"write a group [{where}] with its entries below")
+    return value
+
+
+def _check_names(where: str, names: Iterable[str], known: Collection[str]) -> None:
+    given = list(names)
+    for name in given:
+        if name not in known:
+            raise unknown_name(f"{where}.{name}", name, known)
+    for name in known:
+        if name not in given:
+            raise ConfigError(f"{where}.{name} is missing; add it to [{where}]")
+
+
+def check_group(where: str, group: str, value: object, places: Mapping[str, str] | None = None) -> dict[str, float]:
+    """A group with exactly its keys, each with a number that can make sense.
+
+    Parameters
+    ----------
+    where : str
+        Full name of the group for messages.
+    group : str
+        Its name in `SCHEMA`.
+    value : object
+        What TOML has found there.
+    places : mapping, optional
+        Full names of the entries for messages, where they differ from ``where.key``.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first entry that is missing, unknown or wrong.
+    """
+    if group not in SCHEMA:
+        raise unknown_name(where, group, SCHEMA)
+    entries, known = check_table(where, value), SCHEMA[group]
+    _check_names(where, entries, known)
+    names = {key: f"{where}.{key}" for key in known} | dict(places or {})
+    return {key: entry.check(names[key], entries[key]) for key, entry in known.items()}
+
+
+def check_switches(where: str, value: object, names: Collection[str]) -> dict[str, bool]:
+    """A group of switches, each true or false.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first entry that is missing, unknown or neither true nor false.
+    """
+    entries = check_table(where, value)
+    _check_names(where, entries, names)
+    for key in names:
+        if not isinstance(entries[key], bool):
+            raise refused(f"{where}.{key}", repr(entries[key]), "neither on nor off", "write true or false")
+    return {key: entries[key] for key in names}

@@ -1,0 +1,123 @@
+"""How the controllers come to know the speed: linear models of the M/T method and of the speed observer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tuning.linear import Matrix, Omega
+
+__all__ = ["EdgeDelay", "MtSpeed", "Observer", "SpeedSensor", "edge_delay"]
+
+
+class SpeedSensor(Protocol):
+    """One speed measurement per slow tick."""
+
+    @property
+    def states(self) -> int:
+        """Numbers that are remembered from tick to tick."""
+
+    def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
+        """One slow tick.
+
+        Parameters
+        ----------
+        x : ndarray, shape (states, ...)
+            What is remembered.
+        moved : ndarray
+            Movement of the shaft in the slow period that has just ended [rad].
+        reference : ndarray
+            Current set-point of that period [A].
+        tick : float
+            Its length [s].
+
+        Returns
+        -------
+        speed : ndarray
+            What the controllers get [rad/s].
+        x : sequence of ndarray
+            What to remember.
+        """
+
+
+@dataclass(frozen=True)
+class MtSpeed:
+    """M/T at a speed at which edges are frequent (DRM 2.4.4, F17).
+
+    The first edge after each tick is timed and read at the next one: the mean speed of the period before the last.
+    """
+
+    states: int = 1
+
+    def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
+        return x[0] / tick, (moved,)
+
+
+@dataclass(frozen=True)
+class Observer:
+    """The speed observer, as far as it is linear: where an error is larger than a count.
+
+    Smaller ones it leaves alone; then the speed is what the current has driven.
+
+    Attributes
+    ----------
+    torque : float
+        Acceleration per current that it believes in [rad/s^2/A].
+    l_position, l_speed, l_acceleration : float
+        Corrections per error and slow period.
+    """
+
+    torque: float
+    l_position: float
+    l_speed: float
+    l_acceleration: float
+    states: int = 3
+
+    def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
+        ahead, speed, unexplained = x  # estimate less shaft, speed, acceleration
+        acceleration = self.torque * reference + unexplained
+        ahead = ahead + tick * (speed + 0.5 * tick * acceleration) - moved
+        speed = speed + tick * acceleration
+        corrected = (
+            ahead - self.l_position * ahead,
+            speed - self.l_speed * ahead / tick,
+            unexplained - self.l_acceleration * ahead / tick**2,
+        )
+        return corrected[1], corrected
+
+
+@dataclass(frozen=True)
+class EdgeDelay:
+    """What M/T does to a slow signal.
+
+    Attributes
+    ----------
+    window : float
+        Length of the mean [s].
+    delay : float
+        From the middle of it to its use [s].
+    """
+
+    window: float
+    delay: float
+
+    def response(self, omega: Omega) -> NDArray[np.complex128]:
+        """Frequency response."""
+        return np.asarray(np.sinc(omega * self.window / (2.0 * np.pi)) * np.exp(-1j * omega * self.delay))
+
+
+def edge_delay(lines: float, tick: float, speed: float) -> EdgeDelay:
+    """M/T at some speed [rad/s], in the mean over all places of the edges between the ticks.
+
+    There are two B edges per line. While several come per slow period the first one after a tick is timed, half an
+    interval after it. When they are rarer than ticks every one is timed, and it waits for half an interval.
+    """
+    interval = 2.0 * math.pi / (2.0 * lines * speed)
+    if interval < tick:
+        return EdgeDelay(tick, 1.5 * tick - 0.5 * interval)
+    return EdgeDelay(interval, interval)

@@ -1,0 +1,169 @@
+"""One axis with its gains, designed and as the integers give them; loops that are unstable are refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from tuning.configuration import Axis, Board, Configuration, Scales
+from tuning.constants import OBSERVER, PATH_OMEGA, AxisConstants, PiRaw, axis_constants
+from tuning.formats import FRAC32, GAIN
+from tuning.gains import Gains, Pi
+from tuning.linear import spectral_radius
+from tuning.loops import CurrentLoop, ShaftLoops
+from tuning.sensors import MtSpeed, Observer
+
+__all__ = ["GainRow", "Tuned", "tuned"]
+
+
+class GainRow(NamedTuple):
+    """One gain: as designed, as the firmware uses it, and its integer."""
+
+    name: str
+    unit: str
+    designed: float
+    used: float
+    raw: int
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """One axis and what follows from its configuration.
+
+    Attributes
+    ----------
+    axis, board
+        Of the configuration.
+    designed, used : Gains
+        Before and after rounding to integers.
+    constants : mapping
+        The integers.
+    back_emf : float
+        Of the decoupling, as the integer gives it [V s/rad].
+    observer : Observer
+        The speed observer, as the integers give it.
+    """
+
+    axis: Axis
+    board: Board
+    designed: Gains
+    used: Gains
+    constants: AxisConstants
+    back_emf: float
+    observer: Observer
+
+    def rows(self) -> Iterator[GainRow]:
+        """Every gain."""
+        d, q, speed = (self.constants[field] for field in ("current_loop.d", "current_loop.q", "speed"))
+        assert isinstance(d, PiRaw)
+        assert isinstance(q, PiRaw)
+        assert isinstance(speed, PiRaw)
+        plain = [self.constants[field] for field in ("position_gain", "path_omega_n_ts")]
+        raw = [*d[:2], *q[:2], *speed, *(value for value in plain if isinstance(value, int))]
+        for (name, unit, designed), (_, _, used), integer in zip(
+            self.designed.named(), self.used.named(), raw, strict=True
+        ):
+            yield GainRow(name, unit, designed, used, integer)
+
+    def current_loop(self, which: str) -> CurrentLoop:
+        """The loop of the ``d`` or ``q`` axis."""
+        gains = self.used.current_d if which == "d" else self.used.current_q
+        return CurrentLoop(self.axis("motor.r_s"), self.axis(f"motor.l_{which}"), gains, self.board.period)
+
+    @property
+    def observed(self) -> bool:
+        """Whether the speed observer is on after reset."""
+        return self.axis.features["speed_observer"]
+
+    def shaft(self, inertia: float = 1.0, observed: bool | None = None) -> ShaftLoops:
+        """Speed and position loop.
+
+        Parameters
+        ----------
+        inertia : float
+            Of the shaft, over what is believed.
+        observed : bool
+            With the speed observer or with the M/T method; without a word, as after reset.
+        """
+        sensor = self.observer if (self.observed if observed is None else observed) else MtSpeed()
+        whole = inertia * self.axis("motor.inertia")
+        return ShaftLoops(self.axis, self.board, self.used, self.back_emf, whole, sensor)
+
+
+def tuned(axis: Axis, configuration: Configuration) -> Tuned:
+    """Gains and integers of one axis.
+
+    Raises
+    ------
+    ConfigError
+        If a number does not fit its format, or a loop is unstable.
+    """
+    designed = Gains.of(axis, configuration.board)
+    constants = axis_constants(axis, designed, configuration)
+    used = _Used(constants, configuration.scales)
+    result = Tuned(
+        axis=axis,
+        board=configuration.board,
+        designed=designed,
+        used=used.gains(axis, configuration.board),
+        constants=constants,
+        back_emf=GAIN.value(used.integer("current_loop.omega_psi")) * used.scales.u_s / used.scales.speed,
+        observer=used.observer(axis, configuration.board),
+    )
+    _refuse_unstable(result)
+    return result
+
+
+@dataclass(frozen=True)
+class _Used:
+    """Integers back to SI."""
+
+    constants: AxisConstants
+    scales: Scales
+
+    def integer(self, field: str) -> int:
+        raw = self.constants[field]
+        assert isinstance(raw, int), field
+        return raw
+
+    def pi(self, field: str, scale: float) -> Pi:
+        raw = self.constants[field]
+        assert isinstance(raw, PiRaw), field
+        return Pi(GAIN.value(raw.kp) * scale, GAIN.value(raw.ki) * scale, GAIN.value(raw.kc))
+
+    def gains(self, axis: Axis, board: Board) -> Gains:
+        s = self.scales
+        per_count = FRAC32.value(self.integer("position_gain")) * s.speed
+        return Gains(
+            current_d=self.pi("current_loop.d", s.u_s / s.i),
+            current_q=self.pi("current_loop.q", s.u_s / s.i),
+            speed=self.pi("speed", s.i / s.speed),
+            position=per_count * axis.counts / (2.0 * math.pi),
+            path_omega_n=PATH_OMEGA.value(self.integer("path_omega_n_ts")) / board.tick,
+        )
+
+    def observer(self, axis: Axis, board: Board) -> Observer:
+        position, speed, acceleration = (
+            GAIN.value(self.integer(f"speed_observer.l_{of}")) for of in ("position", "speed", "acceleration")
+        )
+        per_amp = OBSERVER.value(self.integer("speed_observer.acceleration_per_current")) / self.scales.i
+        torque = per_amp / board.tick**2 * 2.0 * math.pi / axis.counts
+        return Observer(torque, position, speed, acceleration)
+
+
+def _refuse_unstable(it: Tuned) -> None:
+    current = max(spectral_radius(it.current_loop(which).closed.a) for which in "dq")
+    _refuse_radius(it, "control.current_bandwidth", current, "the sampled loop")
+    for observed, how in ((False, "the sampled loop"), (True, "with the speed observer the sampled loop")):
+        shaft = it.shaft(observed=observed)
+        speed = "control.observer_bandwidth" if observed else "control.speed_bandwidth"
+        _refuse_radius(it, speed, spectral_radius(shaft.speed_alone), how)
+        _refuse_radius(it, "control.position_gain", spectral_radius(shaft.position.a), how)
+
+
+def _refuse_radius(it: Tuned, path: str, radius: float, how: str) -> None:
+    if radius >= 1.0:
+        reason = f"{how} is unstable, its largest pole has the magnitude {radius:.3f}"
+        raise it.axis.refused(path, reason, "lower it, or correct the motor's data")

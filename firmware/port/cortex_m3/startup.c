@@ -1,0 +1,57 @@
+/* startup.c - vector table and the way from reset to main. */
+#include "machine.h"
+
+extern uint32_t startup_stack[];
+extern uint32_t startup_data[], startup_data_end[], startup_bss[], startup_bss_end[];
+extern const uint32_t startup_data_load[];
+
+int main(void);
+void startup_reset(void);
+void startup_fault(void);
+
+typedef void (*vector_t)(void);
+
+typedef struct {
+    const uint32_t *stack;
+    vector_t exception[15];
+} vectors_t;
+
+__attribute__((section(".vectors"), used)) static const vectors_t vectors = {
+    startup_stack,
+    {
+        startup_reset,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+        startup_fault,
+    },
+};
+
+void startup_reset(void)
+{
+    const uint32_t *from = startup_data_load;
+    for (volatile uint32_t *to = startup_data; to < startup_data_end; to++) {
+        *to = *from++;
+    }
+    for (volatile uint32_t *to = startup_bss; to < startup_bss_end; to++) {
+        *to = 0;
+    }
+    machine_stop(main());
+}
+
+/* Nothing here uses interrupts: every exception is an error. */
+void startup_fault(void)
+{
+    machine_print("exception\n");
+    machine_stop(3);
+}

@@ -1,0 +1,50 @@
+#include "sensing/speed_observer.h"
+
+#define COUNT (INT32_C(1) << SPEED_OBSERVER_BITS)
+#define HALF_COUNT (COUNT / 2)
+#define LOST (64 * COUNT) /* an estimate that is so far off has lost the shaft */
+
+static frac32_t speed_of(const speed_observer_t *observer, const speed_observer_config_t *config)
+{
+    return sat32(asr64((int64_t)observer->step * config->speed_per_step, SPEED_OBSERVER_BITS));
+}
+
+void speed_observer_reset(speed_observer_t *observer, const speed_observer_config_t *config, int32_t count,
+                          frac32_t speed)
+{
+    observer->count = count;
+    observer->offset = 0;
+    observer->step = sat32(asr64((int64_t)speed * config->step_per_speed, 31 + 16 - SPEED_OBSERVER_BITS));
+    observer->acceleration = 0;
+}
+
+/* How far the estimate lies outside the count that is read: the shaft may be anywhere within it. */
+static int32_t outside(int32_t offset)
+{
+    if (offset > HALF_COUNT) {
+        return HALF_COUNT - offset;
+    }
+    return (offset < -HALF_COUNT) ? -HALF_COUNT - offset : 0;
+}
+
+frac32_t speed_observer_step(speed_observer_t *observer, const speed_observer_config_t *config, int32_t count,
+                             frac16_t i_q)
+{
+    const int64_t driven = asr64((int64_t)f32_from_f16(i_q) * config->acceleration_per_current, 31);
+    const int64_t acceleration = driven + observer->acceleration;
+    const int64_t moved = (int64_t)i32_sub_wrap(count, observer->count) * COUNT;
+    observer->count = count;
+    observer->offset = sat32((int64_t)observer->offset + observer->step + asr64(acceleration, 1) - moved);
+    observer->step = sat32(observer->step + acceleration);
+
+    const int32_t error = outside(observer->offset);
+    if (error > LOST || error < -LOST) {
+        const int64_t speed = asr64((int64_t)sat32(moved) * config->speed_per_step, SPEED_OBSERVER_BITS);
+        speed_observer_reset(observer, config, count, sat32(speed));
+    } else if (error != 0) {
+        observer->offset += f32_gain(error, config->l_position);
+        observer->step = f32_add(observer->step, f32_gain(error, config->l_speed));
+        observer->acceleration = f32_add(observer->acceleration, f32_gain(error, config->l_acceleration));
+    }
+    return speed_of(observer, config);
+}

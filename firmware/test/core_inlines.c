@@ -1,0 +1,10 @@
+/* core_inlines.c - the inline functions of the core as functions that a test can call: read as if they were not inline. */
+#include <stdbool.h>
+#include <stdint.h>
+
+#define static
+#define inline
+#include "control/current_loop.h"
+#include "control/path.h"
+#include "drive/current_sense.h"
+#include "sensing/encoder.h"

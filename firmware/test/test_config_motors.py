@@ -1,0 +1,233 @@
+"""Any motor: the tuning tool either writes constants that fit their C types, or refuses; it never breaks."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import FIRMWARE, CompileC, run_compiler
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tuning.command import main
+from tuning.configuration import Configuration
+from tuning.constants import AxisConstants, PiRaw, Switches, host_timeout
+from tuning.errors import ConfigError
+from tuning.linear import spectral_radius
+from tuning.reading import parse
+from tuning.schema import AXIS_GROUPS, BOARD
+from tuning.source import c_source
+from tuning.tuned import Tuned, tuned
+from tuning_tool import CATALOGUE, table
+
+FEATURES = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["features"]}
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
+
+
+MOTORS = st.fixed_dictionaries(
+    {
+        "motor__r_s": logarithmic(0.05, 5.0),
+        "motor__l_d": logarithmic(0.05e-3, 5e-3),
+        "motor__l_q": logarithmic(0.05e-3, 5e-3),
+        "motor__psi_m": logarithmic(0.003, 0.05),
+        "motor__inertia": logarithmic(1e-6, 1e-3),
+        "motor__pole_pairs": st.integers(1, 8),
+        "control__current_bandwidth": logarithmic(200.0, 2000.0),
+        "control__speed_bandwidth": logarithmic(3.0, 150.0),
+        "control__position_gain": logarithmic(1.0, 200.0),
+        "limits__current": logarithmic(0.2, 4.0),
+        "limits__speed": logarithmic(10.0, 400.0),
+    }
+)
+
+
+def with_motor(motor: Mapping[str, float], axis: str = "axis1") -> dict[str, Any]:
+    """The committed configuration with another motor, its rotor and its friction in proportion."""
+    changes: dict[str, object] = {f"{axis}__{path}": value for path, value in motor.items()}
+    push = 1.5 * motor["motor__pole_pairs"] * motor["motor__psi_m"] * motor["limits__current"]
+    changes[f"{axis}__motor__rotor_inertia"] = 0.3 * motor["motor__inertia"]
+    changes[f"{axis}__friction__coulomb"] = 0.05 * push
+    changes[f"{axis}__limits__over_speed"] = 1.2 * motor["limits__speed"]
+    return table(**changes)
+
+
+def tune(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]]:
+    configuration = parse(whole, CATALOGUE)
+    return configuration, [tuned(axis, configuration) for axis in configuration.axes]
+
+
+def tune_or_refuse(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]] | str:
+    """The same, or the text of the refusal."""
+    try:
+        return tune(whole)
+    except ConfigError as refusal:
+        return str(refusal)
+
+
+def fill(config: Any, constants: AxisConstants) -> None:
+    """Write the constants into a C structure; cffi refuses what a field cannot hold."""
+    for path, value in constants.items():
+        *groups, field = path.split(".")
+        place = config
+        for group in groups:
+            place = getattr(place, group)
+        if isinstance(value, Switches):
+            setattr(place, field, sum(FEATURES[name] for name in value))
+        elif isinstance(value, PiRaw):
+            gains = getattr(place, field)
+            gains.kp, gains.ki, gains.kc = value
+            assert (gains.kp, gains.ki, gains.kc) == value
+        else:
+            setattr(place, field, value)
+            assert getattr(place, field) == value, path
+
+
+def fields_of(core: Core, type_: Any, prefix: str = "") -> set[str]:
+    """C paths of everything in a structure, PI gains as one."""
+    found: set[str] = set()
+    for name, field in type_.fields:
+        if field.type.kind == "struct" and field.type.cname != "pi_gains_t":
+            found |= fields_of(core, field.type, f"{prefix}{name}.")
+        else:
+            found.add(prefix + name)
+    return found
+
+
+def test_every_field_of_the_structure_is_written(core: Core) -> None:
+    """A field that nobody initialises would be 0 and nobody would know."""
+    _, axes = tune(table())
+    assert set(axes[0].constants) == fields_of(core, core.ffi.typeof("axis_config_t"))
+
+
+@settings(max_examples=400)
+@given(MOTORS)
+def test_constants_of_any_motor_fit_their_types(core: Core, motor: dict[str, float]) -> None:
+    outcome = tune_or_refuse(with_motor(motor))
+    if isinstance(outcome, str):
+        assert outcome.startswith("axis1"), outcome
+        assert "; " in outcome, "a way out"
+        return
+    configuration, axes = outcome
+    config = core.ffi.new("servo_config_t *")
+    for place, it in zip(config.axis, axes, strict=True):
+        fill(place, it.constants)
+    config.host_timeout = host_timeout(configuration.board)
+    it = axes[0]
+    assert max(spectral_radius(it.current_loop(which).closed.a) for which in "dq") < 1.0
+    assert spectral_radius(it.shaft().speed_alone) < 1.0
+    assert spectral_radius(it.shaft().position.a) < 1.0
+
+
+def sample(count: int, seed: int) -> list[dict[str, Any]]:
+    """Motors drawn without a search, and gains in proportion: for what takes longer, and for counting."""
+    draw = random.Random(seed)
+
+    def log(low: float, high: float) -> float:
+        return math.exp(draw.uniform(math.log(low), math.log(high)))
+
+    motors: list[dict[str, float]] = []
+    for _ in range(count):
+        speed = log(5.0, 75.0)
+        inductance = log(0.05e-3, 5e-3)
+        motors.append(
+            {
+                "motor__r_s": log(0.05, 5.0),
+                "motor__l_d": inductance,
+                "motor__l_q": inductance * draw.uniform(1.0, 1.5),
+                "motor__psi_m": log(0.003, 0.05),
+                "motor__inertia": log(1e-6, 1e-3),
+                "motor__pole_pairs": draw.randint(1, 8),
+                "control__current_bandwidth": log(500.0, 1200.0),
+                "control__speed_bandwidth": speed,
+                "control__position_gain": 0.8 * speed,
+                "limits__current": log(0.5, 4.0),
+                "limits__speed": log(20.0, 150.0),
+            }
+        )
+    return [with_motor(motor) for motor in motors]
+
+
+def test_most_motors_can_be_tuned() -> None:
+    """With bandwidths to match; the others are too heavy for their current, too light for a path or too fast."""
+    outcomes = [tune_or_refuse(whole) for whole in sample(200, seed=1)]
+    reasons = [outcome for outcome in outcomes if isinstance(outcome, str)]
+    assert len(reasons) <= 80, reasons
+    kinds = ("does not fit gain_t", "does not fit omega_n Ts", "without load")
+    assert [sum(kind in reason for kind in kinds) for reason in reasons] == [1] * len(reasons), reasons
+    assert all(any(kind in reason for reason in reasons) for kind in kinds)
+
+
+def written(whole: Mapping[str, Any]) -> str:
+    """TOML of a table with two levels of groups."""
+    lines = []
+    for owner, groups in whole.items():
+        flat = {key: value for key, value in groups.items() if not isinstance(value, dict)}
+        nested = {f"{owner}.{key}": value for key, value in groups.items() if isinstance(value, dict)}
+        for name, entries in (({owner: flat} if flat else {}) | nested).items():
+            lines.append(f"[{name}]")
+            lines += [f"{key} = {str(value).lower()}" for key, value in entries.items()]
+    return "\n".join(lines) + "\n"
+
+
+def test_the_command_on_other_motors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What it writes compiles without a warning; what it refuses it does not write; the report never breaks."""
+    outcomes = []
+    for number, whole in enumerate(sample(8, seed=2)):
+        config, output = tmp_path / f"{number}.toml", tmp_path / f"{number}.c"
+        config.write_text(written(whole), encoding="utf-8")
+        status = main(["--config", str(config), "--output", str(output)])
+        assert main(["report", "--config", str(config)]) == status
+        errors = capsys.readouterr().err
+        outcomes.append(status)
+        if status == 0:
+            run_compiler(tmp_path / f"{number}.o", [output], ["-c"], "gcc")
+        else:
+            assert not output.exists()
+            assert errors.startswith(f"{config}: axis1")
+    assert set(outcomes) == {0, 1}, "both were tried"
+
+
+def places() -> list[str]:
+    """Every number of the file."""
+    return [f"board__{key}" for key in BOARD] + [
+        f"axis1__{group}__{key}" for group, entries in AXIS_GROUPS.items() for key in entries
+    ]
+
+
+@settings(max_examples=600)
+@given(st.dictionaries(st.sampled_from(places()), st.floats(-13.0, 13.0), min_size=1, max_size=4))
+def test_absurd_numbers_never_break_it(core: Core, exponents: dict[str, float]) -> None:
+    """Some entries off by powers of ten, alone and together."""
+    whole = table()
+    for place, exponent in exponents.items():
+        *groups, key = place.split("__")
+        entries = whole
+        for group in groups:
+            entries = entries.setdefault(group, {})
+        default = whole["defaults"].get(groups[-1], {}).get(key, 1.0)
+        entries[key] = entries.get(key, default) * 10.0**exponent
+    outcome = tune_or_refuse(whole)
+    if isinstance(outcome, str):
+        return
+    configuration, axes = outcome
+    config = core.ffi.new("servo_config_t *")
+    for target, it in zip(config.axis, axes, strict=True):
+        fill(target, it.constants)
+    assert c_source([it.constants for it in axes], host_timeout(configuration.board))
+
+
+def test_the_folder_of_the_tool_is_not_compiled() -> None:
+    """The build takes every C file of a folder of the firmware; the tool's package holds none."""
+    assert not list((FIRMWARE / "config" / "tuning").glob("*.[ch]"))

@@ -1,0 +1,266 @@
+"""The tuning tool refuses what cannot work, and says which entry, which value, why, and what to do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from tuning.constants import host_timeout
+from tuning.errors import ConfigError
+from tuning.reading import parse
+from tuning.schema import AXIS_GROUPS, BOARD, Entry
+from tuning.source import c_source
+from tuning.tuned import tuned
+from tuning_tool import CATALOGUE, configuration, table
+
+
+def compute(**changes: object) -> str:
+    """The C text, as far as the configuration lets it come."""
+    whole = configuration(**changes)
+    return c_source([tuned(axis, whole).constants for axis in whole.axes], host_timeout(whole.board))
+
+
+def test_the_committed_configuration_is_accepted() -> None:
+    assert "servo_config" in compute()
+
+
+# ---- one number by itself -------------------------------------------------------------------------------------------
+
+
+def entries() -> Iterator[tuple[str, str, Entry]]:
+    """Every number of the file: where it is written, what it is called, what it has to be."""
+    for key, entry in BOARD.items():
+        yield f"board__{key}", f"board.{key}", entry
+    for group, keys in AXIS_GROUPS.items():
+        for key, entry in keys.items():
+            yield f"axis1__{group}__{key}", f"axis1.{group}.{key}", entry
+
+
+ENTRIES = [pytest.param(*entry, id=entry[1]) for entry in entries()]
+
+
+@pytest.mark.parametrize(("place", "name", "entry"), ENTRIES)
+def test_what_no_entry_can_be(place: str, name: str, entry: Entry) -> None:
+    wrong: list[tuple[object, str]] = [
+        (-1.0, "too small"),
+        (-1e-300, "too small"),
+        (1e-300, "too small"),
+        (1e300, "too large"),
+        (math.nan, "not a finite number"),
+        (math.inf, "not a finite number"),
+        (-math.inf, "not a finite number"),
+        (10**400, "not a finite number"),
+        ("7", "not a number"),
+        (True, "not a number"),
+        ([1.0], "not a number"),
+        ({}, "not a number"),
+    ]
+    if not entry.zero:
+        wrong.append((0.0, "too small"))
+    if entry.whole:
+        wrong.append((2.5, "not a whole number"))
+    if math.isfinite(entry.most):
+        wrong.append((entry.most * 1.001 if not entry.whole else entry.most + 1.0, "too large"))
+    for value, reason in wrong:
+        with pytest.raises(ConfigError) as refusal:
+            compute(**{place: value})
+        message = str(refusal.value)
+        assert message.startswith(f"{name} = "), message
+        assert reason in message
+        assert entry.meaning in message, "says what is wanted"
+
+
+@pytest.mark.parametrize(("place", "name", "entry"), ENTRIES)
+def test_no_entry_may_be_missing(place: str, name: str, entry: Entry) -> None:
+    whole = table()
+    *groups, key = place.split("__")
+    for owner in (groups[0], "defaults"):
+        part: dict[str, Any] = whole.get(owner, {})
+        for group in groups[1:]:
+            part = part.get(group, {})
+        part.pop(key, None)
+    with pytest.raises(ConfigError, match=f"^{name} is missing; add it to \\[{name.rsplit('.', 1)[0]}\\]$"):
+        parse(whole, CATALOGUE)
+
+
+# ---- names and shapes -----------------------------------------------------------------------------------------------
+
+NAMES: list[tuple[str, dict[str, object], str]] = [
+    ("key", {"axis2__motor__inertai": 1e-5}, "axis2.motor.inertai is unknown; did you mean inertia?"),
+    ("strange key", {"board__x": 1.0}, "board.x is unknown; known are pwm_frequency"),
+    ("group", {"defaults__timign__settle": 0.01}, "defaults.timign is unknown; did you mean timing?"),
+    ("group of an axis", {"axis1__moter__r_s": 1.0}, "axis1.moter is unknown; did you mean motor?"),
+    ("board among the defaults", {"defaults__board__dead_time": 1e-6}, "defaults.board is unknown"),
+    ("axis", {"axis3__motor__r_s": 1.0}, "[axis3] is unknown; did you mean axis"),
+    ("switch", {"defaults__features__fricton": True}, "axis1.features.fricton is unknown; did you mean friction?"),
+    ("number instead of a switch", {"axis1__features__friction": 1}, "axis1.features.friction = 1: neither on nor off"),
+    ("number instead of a group", {"axis1__motor": 5}, "axis1.motor = 5: not a table"),
+    ("number instead of an axis", {"axis1": 5}, "axis1 = 5: not a table"),
+    ("list instead of defaults", {"defaults": [1]}, "defaults = [1]: not a table"),
+    ("text instead of the board", {"board": "mine"}, "board = 'mine': not a table"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), [row[1:] for row in NAMES], ids=[row[0] for row in NAMES])
+def test_misspelt_names_and_wrong_shapes(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        configuration(**changes)
+    assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["axis1", "axis2", "board"])
+def test_a_part_may_not_be_missing(name: str) -> None:
+    whole = table()
+    del whole[name]
+    with pytest.raises(ConfigError, match=rf"{name}.*is missing"):
+        parse(whole, CATALOGUE)
+
+
+def test_a_switch_may_not_be_missing() -> None:
+    whole = table()
+    del whole["defaults"]["features"]["dead_time"]
+    with pytest.raises(ConfigError, match=r"features\.dead_time is missing"):
+        parse(whole, CATALOGUE)
+
+
+def test_an_inherited_entry_is_named_with_its_place() -> None:
+    with pytest.raises(ConfigError, match=r"^axis1\.limits\.current \(in \[defaults\.limits\]\) = 9: "):
+        configuration(defaults__limits__current=9.0)
+    with pytest.raises(ConfigError, match=r"^axis1\.limits\.current = 9: "):
+        configuration(axis1__limits__current=9.0)
+    with pytest.raises(ConfigError, match=r"^axis2\.limits\.current = -9: "):
+        configuration(axis2__limits__current=-9.0)
+
+
+# ---- numbers together -----------------------------------------------------------------------------------------------
+
+# What is wrong, the change, the entry and value that the message begins with, what else it has to say.
+TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
+    # limits beyond the contract and its full scales
+    ("current over the full scale", {"axis1__limits__current": 9.0}, "axis1.limits.current = 9", "0.1 .. 4 A"),
+    ("current over the contract", {"axis1__limits__current": 4.5}, "axis1.limits.current = 4.5", "param.i_q_limit"),
+    ("search current", {"axis1__rotor_search__current": 4.5}, "axis1.rotor_search.current = 4.5", "4 A"),
+    ("speed over the full scale", {"axis1__limits__speed": 600.0}, "axis1.limits.speed = 600", "0.1 .. 419 rad/s"),
+    ("acceleration", {"axis1__limits__acceleration": 6e4}, "axis1.limits.acceleration = 60000", "50000"),
+    ("position", {"axis1__limits__position": 2e6}, "axis1.limits.position = 2e+06", "param.position_max"),
+    ("following error", {"axis1__limits__following_error": 2e3}, "axis1.limits.following_error = 2000", "1000 rad"),
+    ("over-speed", {"axis1__limits__over_speed": 520.0}, "axis1.limits.over_speed = 520", "500 rad/s"),
+    # what the supply and the shaft cannot do
+    (
+        "speed that the voltage does not reach",
+        {"axis1__limits__speed": 400.0, "axis1__limits__over_speed": 450.0, "board__nominal_voltage": 20.0},
+        "axis1.limits.speed = 400",
+        "20 V reach 352.4 rad/s without load",
+    ),
+    ("flux", {"axis1__motor__psi_m": 0.1}, "axis1.limits.speed (in [defaults.limits]) = 314", "65.13 rad/s"),
+    ("friction", {"axis1__friction__coulomb": 0.2}, "axis1.friction.coulomb = 0.2", "gives 0.185 N m"),
+    ("rotor", {"axis1__motor__rotor_inertia": 2e-5}, "axis1.motor.rotor_inertia = 2e-05", "8e-06 kg m^2"),
+    # limits among themselves
+    ("over-speed below the limit", {"axis1__limits__over_speed": 314.0}, "axis1.limits.over_speed = 314", "314 rad/s"),
+    ("stop speed", {"axis1__timing__stop_speed": 314.0}, "axis1.timing.stop_speed = 314", "speed limit"),
+    ("under-voltage", {"board__under_voltage": 25.0}, "board.under_voltage = 25", "nominal_voltage = 24 V"),
+    ("nominal voltage", {"board__nominal_voltage": 33.0}, "board.nominal_voltage = 33", "over_voltage = 33 V"),
+    ("over-voltage", {"board__over_voltage": 36.3}, "board.over_voltage = 36.3", "36.3 V"),
+    ("dead time", {"board__dead_time": 4e-5}, "board.dead_time = 4e-05", "period"),
+    # what the contract fixes
+    ("encoder", {"defaults__encoder__lines": 2500}, "axis1.encoder.lines (in [defaults.encoder]) = 2500", "4000"),
+    ("slow loop", {"board__slow_divider": 16}, "board.slow_divider = 16", "write 8"),
+    ("frequency", {"board__pwm_frequency": 20e3}, "board.pwm_frequency = 20000", "write 16000"),
+    ("anti-windup", {"axis1__control__anti_windup": 1.0}, "axis1.control.anti_windup = 1", "E35"),
+    # order of the loops
+    (
+        "position faster than speed",
+        {"axis1__control__position_gain": 600.0},
+        "axis1.control.position_gain = 600",
+        "speed loop",
+    ),
+    (
+        "speed faster than current",
+        {"axis1__control__speed_bandwidth": 1000.0},
+        "axis1.control.speed_bandwidth = 1000",
+        "current_bandwidth = 1000 Hz",
+    ),
+    (
+        "current faster than its samples",
+        {"axis1__control__current_bandwidth": 8000.0},
+        "axis1.control.current_bandwidth = 8000",
+        "16000 Hz",
+    ),
+    (
+        "observer slower than the position",
+        {"axis1__control__observer_bandwidth": 19.0},
+        "axis1.control.observer_bandwidth = 19",
+        "not within 19.1 .. 1000 Hz",
+    ),
+    (
+        "observer faster than its samples",
+        {"axis1__control__observer_bandwidth": 1000.0},
+        "axis1.control.observer_bandwidth = 1000",
+        "not within",
+    ),
+    # rotor search
+    ("coarse search", {"axis1__rotor_search__interval": 60.0}, "axis1.rotor_search.interval = 60", "torque"),
+    ("search finer than a count", {"axis1__rotor_search__interval": 0.1}, "axis1.rotor_search.interval = 0.1", "0.18"),
+    ("large twitch", {"axis1__rotor_search__move_counts": 250}, "axis1.rotor_search.move_counts = 250", "no twitch"),
+    ("hasty search", {"axis1__rotor_search__time_most": 0.5}, "axis1.rotor_search.time_most = 0.5", "8 vectors"),
+    # gains and scales that do not fit
+    ("speed gain", {"axis1__motor__inertia": 4e-4}, "axis1: speed controller Kp = 2", "does not fit gain_t"),
+    ("current gain", {"axis1__motor__l_q": 0.1}, "axis1: current controller q Kp = 214.", "does not fit gain_t"),
+    ("integral gain", {"axis1__motor__r_s": 1000.0}, "axis1: current controller d Kp Ki Ts = 133.", "gain_t"),
+    ("vanishing gain", {"axis1__control__position_gain": 1e-5}, "axis1.control.position_gain = 1e-05", "vanish"),
+    ("sign of the current", {"axis1__sensing__sign_current": 0.06}, "axis1: slope of sensing.sign_current", "raise"),
+    ("path", {"axis1__motor__inertia": 1.6e-6, "axis1__control__path_current_use": 1.0}, "axis1: omega_n Ts", "E40"),
+    ("M/T scale", {"board__timer_clock": 1.1e7}, "board.timer_clock: speed per count and clock", "32 bits"),
+    ("search ramp", {"axis1__rotor_search__ramp_time": 1e-4}, "axis1.rotor_search.ramp_time: current", "frac32_t"),
+    ("friction slope", {"axis1__friction__smooth": 0.01}, "axis1.friction.smooth", "raise it"),
+    # times
+    ("long time", {"axis1__timing__stall_most": 40.0}, "axis1.timing.stall_most = 40", "0.0005 .. 32.7675"),
+    ("no time", {"axis1__timing__settle": 1e-4}, "axis1.timing.settle = 0.0001", "vanish"),
+    ("host time-out", {"board__host_timeout": 60.0}, "board.host_timeout = 60", "0.05 .. 30 s"),
+    # loops that sampling makes unstable
+    (
+        "unstable current loop",
+        {"axis1__control__current_bandwidth": 6000.0},
+        "axis1.control.current_bandwidth = 6000",
+        "unstable",
+    ),
+    (
+        "unstable speed loop",
+        {"axis1__control__speed_bandwidth": 250.0},
+        "axis1.control.speed_bandwidth = 250",
+        "unstable",
+    ),
+    (
+        "unstable position loop",
+        {
+            "axis1__control__speed_bandwidth": 180.0,
+            "axis1__control__position_gain": 700.0,
+            "axis1__control__observer_bandwidth": 300.0,
+        },
+        "axis1.control.position_gain = 700",
+        "unstable",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "beginning", "reason"), [row[1:] for row in TOGETHER], ids=[row[0] for row in TOGETHER]
+)
+def test_numbers_that_do_not_go_together(changes: dict[str, object], beginning: str, reason: str) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        compute(**changes)
+    message = str(refusal.value)
+    assert message.startswith(beginning), message
+    assert reason in message, message
+    assert message.count("; ") >= 1, f"no way out: {message}"
+
+
+OF_AXIS_1 = [row for row in TOGETHER if all(path.startswith("axis1") for path in row[1])]
+
+
+@pytest.mark.parametrize("changes", [row[1] for row in OF_AXIS_1], ids=[row[0] for row in OF_AXIS_1])
+def test_axis_2_is_checked_like_axis_1(changes: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match=r"^axis2"):
+        compute(**{path.replace("axis1", "axis2"): value for path, value in changes.items()})

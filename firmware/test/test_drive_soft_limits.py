@@ -1,0 +1,201 @@
+"""Soft limits of the position: nothing passes them, nothing is moved by them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from servo_bench import (
+    LIMIT_POSITION,
+    LIMIT_SPEED,
+    POSITION,
+    POSITION_LIMITS,
+    SPEED,
+    TORQUE,
+    Bench,
+    amps,
+    rad_s,
+    speed,
+)
+
+COUNT = 2.0 * math.pi / 4000
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    bench = Bench(core)
+    bench.to_spin(0)
+    bench.slow(2)
+    return bench
+
+
+def confine(bench: Bench, low: int, high: int) -> None:
+    """Set the limits of axis 1 [counts] and switch them on."""
+    bench.write_raw("param.position_min", [low, 0])
+    bench.write_raw("param.position_max", [high, 0])
+    bench.switch_on(0, POSITION_LIMITS)
+    bench.slow()
+
+
+@pytest.mark.parametrize(("target", "limit"), [(50_000, 8000), (-50_000, -6000)])
+def test_move_ends_at_the_limit(bench: Bench, target: int, limit: int) -> None:
+    confine(bench, -6000, 8000)
+    bench.write(0, position=target)
+    log = bench.follow(900)
+    assert max(abs(position) for _, position in log) <= abs(limit) + 1
+    assert abs(log[-1][1] - limit) <= 1
+    assert bench.view(0).limits & LIMIT_POSITION
+
+
+def test_move_inside_does_not_know_of_the_limits(core: Core) -> None:
+    """Up to the limit itself, a move takes the same way tick by tick."""
+    logs = []
+    for on in (False, True):
+        bench = Bench(core)
+        bench.to_spin(0)
+        bench.slow(2)
+        if on:
+            confine(bench, -8000, 8000)
+        else:
+            bench.slow()
+        bench.write(0, position=8000)
+        logs.append(bench.follow(600))
+        assert not bench.view(0).limits & LIMIT_POSITION
+    assert logs[0] == logs[1]
+
+
+@pytest.mark.parametrize("rad_per_s", [314.0, 60.0, -314.0, -60.0])
+def test_speed_falls_towards_the_limit(bench: Bench, rad_per_s: float) -> None:
+    confine(bench, -40_000, 40_000)
+    bench.write(0, mode=SPEED, speed=speed(rad_per_s))
+    positions, speeds = [], []
+    for _ in range(2500):
+        bench.turn(0, rad_s(bench.view(0).speed_ref))
+        bench.slow()
+        positions.append(bench.view(0).position)
+        speeds.append(rad_s(bench.view(0).speed_ref))
+    assert max(abs(p) for p in positions) <= 40_000 + 1
+    assert abs(positions[-1]) >= 40_000 - 12, "it comes close"
+    assert max(abs(v) for v in speeds) == pytest.approx(abs(rad_per_s), rel=1e-3), "and may be fast before"
+    braking = max(abs(b - a) / 0.5e-3 for a, b in itertools.pairwise(speeds))
+    assert braking <= 0.55 * 0.0462 * 4.0 / 0.8e-5, "no faster than half the current can brake"
+    assert bench.view(0).limits & LIMIT_POSITION
+
+
+def test_way_back_is_free(bench: Bench) -> None:
+    confine(bench, -2000, 2000)
+    bench.write(0, mode=SPEED, speed=speed(20.0))
+    bench.follow(1000)
+    bench.write(0, speed=speed(-20.0))
+    bench.follow(100)
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(-20.0, rel=1e-3)
+    assert not bench.view(0).limits & LIMIT_POSITION
+
+
+def test_torque_ends_at_the_limit(bench: Bench) -> None:
+    """At the limit the current pushes back against the speed that is left, and does not press."""
+    confine(bench, -2000, 2000)
+    bench.write(0, mode=TORQUE, i_q=amps(1.0))
+    bench.slow(3)
+    assert bench.view(0).i_q_ref == amps(1.0), "free inside"
+    bench.turn(0, 50.0)
+    bench.until(lambda: bench.view(0).position > 1990, 200)
+    bench.turn(0, 5.0)
+    bench.slow(20)
+    assert bench.view(0).i_q_ref < 0
+    assert bench.view(0).limits & LIMIT_POSITION
+    assert not bench.view(0).limits & LIMIT_SPEED
+    bench.turn(0, 0.0)
+    bench.slow(2000)
+    assert bench.view(0).i_q_ref == 0
+
+
+@pytest.mark.parametrize(("low", "high"), [(100, 5000), (-5000, -100), (100, -100), (-100, -200)])
+def test_limits_behind_the_shaft_do_not_move_it(bench: Bench, low: int, high: int) -> None:
+    """Nothing moves before somebody asks for it, also when the limits contradict each other."""
+    confine(bench, low, high)
+    for _ in range(200):
+        bench.slow()
+        assert (bench.view(0).position_ref, bench.view(0).speed_ref) == (0, 0)
+
+
+@pytest.mark.parametrize("mode", [POSITION, SPEED])
+def test_outside_only_the_way_in_is_open(bench: Bench, mode: int) -> None:
+    confine(bench, 1000, 5000)
+    outwards = {"position": -3000} if mode == POSITION else {"speed": speed(-20.0)}
+    bench.write(0, mode=mode, **outwards)
+    bench.follow(300)
+    assert abs(bench.view(0).position) <= 1
+    inwards = {"position": 3000} if mode == POSITION else {"speed": speed(20.0)}
+    bench.write(0, mode=mode, **inwards)
+    bench.follow(900)
+    assert bench.view(0).position >= 2900
+
+
+def test_limits_drawn_together_under_way_stop_the_move(bench: Bench) -> None:
+    bench.write(0, position=200_000)
+    bench.follow(200)
+    here = bench.view(0).position
+    confine(bench, -1000, here + 20_000)
+    log = bench.follow(900)
+    assert max(position for _, position in log) <= here + 20_001
+    assert abs(log[-1][1] - (here + 20_000)) <= 1
+
+
+def test_passed_limit_stops_where_the_shaft_can(bench: Bench) -> None:
+    """A limit set behind a moving shaft: it stops within its lead, and is not pulled back through its own way."""
+    bench.write(0, position=200_000)
+    bench.follow(200)
+    reference = bench.view(0).position_ref
+    confine(bench, -1000, 1000)
+    references = [position_ref for position_ref, _ in bench.follow(900)]
+    lead = 2.0 * 314.0 / COUNT / 100.0  # 2 v / omega_n, omega_n = 100 1/s
+    assert reference <= max(references) <= reference + lead
+    assert max(references) - references[-1] <= lead
+
+
+def test_stop_before_the_limit_is_a_stop_before_the_limit(bench: Bench) -> None:
+    """A gentle ramp does not carry a stopping shaft over its limit."""
+    bench.set_parameter("acceleration_limit", 1000.0)
+    confine(bench, -1_000_000, 60_000)
+    bench.write(0, mode=SPEED, speed=speed(314.0))
+    while bench.view(0).position < 55_000:
+        bench.follow(1)
+    bench.write(0, quick_stop=1)
+    assert max(position for _, position in bench.follow(1500)) <= 60_001
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    low=st.integers(-(10**9), 10**9),
+    high=st.integers(-(10**9), 10**9),
+    here=st.integers(-(10**9), 10**9),
+    omega=st.integers(1, 16384),
+    most=st.floats(0.1, 419.0),
+)
+def test_allowed_speeds_over_every_limit(core: Core, low: int, high: int, here: int, omega: int, most: float) -> None:
+    """v <= (omega_n / e) distance, within 1e-4 of it, never beyond the speed limit, never towards a passed limit."""
+    bench = Bench(core)
+    axis = bench.axis(0)
+    axis.features = POSITION_LIMITS
+    axis.limits.position_min, axis.limits.position_max = low, high
+    axis.limits.speed = speed(most)
+    axis.feedback.position = here
+    axis.path_omega_n_ts = omega
+    allowed = core.lib.soft_limits_speed(core.ffi.addressof(axis))
+
+    def expected(distance: int) -> float:
+        return max(0.0, min(most, distance * COUNT * omega / 65536 / 0.5e-3 / math.e))
+
+    assert rad_s(allowed.most) == pytest.approx(expected(high - here), rel=1e-4, abs=1e-6)
+    assert rad_s(allowed.least) == pytest.approx(-expected(here - low), rel=1e-4, abs=1e-6)

@@ -1,0 +1,46 @@
+"""The tuning tool for its tests: the committed configuration as a table, with places changed."""
+
+from __future__ import annotations
+
+import copy
+import sys
+from typing import Any, Final
+
+from firmware_compiler import FIRMWARE
+from servo_msgs_py.catalogue import Catalogue
+from tuning.configuration import Configuration
+from tuning.reading import parse
+from tuning.tuned import Tuned, tuned
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+FILE: Final = FIRMWARE / "config" / "servo.toml"
+GENERATED: Final = FIRMWARE / "config" / "servo_config_gen.c"
+CATALOGUE: Final = Catalogue.load()
+
+_TABLE: Final = tomllib.loads(FILE.read_text(encoding="utf-8"))
+
+
+def table(**changes: object) -> dict[str, Any]:
+    """A copy of the committed configuration; ``axis1__motor__r_s=1.0`` changes or adds an entry."""
+    result = copy.deepcopy(_TABLE)
+    for path, value in changes.items():
+        *groups, key = path.split("__")
+        place = result
+        for group in groups:
+            place = place.setdefault(group, {})
+        place[key] = value
+    return result
+
+
+def configuration(**changes: object) -> Configuration:
+    return parse(table(**changes), CATALOGUE)
+
+
+def axis(number: int = 1, **changes: object) -> Tuned:
+    """One axis of the changed configuration."""
+    whole = configuration(**changes)
+    return tuned(whole.axes[number - 1], whole)

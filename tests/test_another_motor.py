@@ -1,0 +1,114 @@
+"""Somebody with other motors: edit two files, tune, build, run. Nothing else of the project changes."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+FOLDERS: Final = ("firmware", "servo_msgs_py", "servo_twin")
+
+# Two motors that differ from the project's and from each other in everything; SI units.
+MOTORS: Final = {
+    "axis1": {"r_s": 1.4, "l_d": 1.6e-3, "l_q": 1.9e-3, "psi_m": 0.0085, "pole_pairs": 4, "inertia": 4.5e-5},
+    "axis2": {"r_s": 0.18, "l_d": 0.15e-3, "l_q": 0.16e-3, "psi_m": 0.0052, "pole_pairs": 5, "inertia": 2.0e-5},
+}
+CONTROL: Final = {"speed_bandwidth": 50.0, "position_gain": 45.0}
+LIMITS: Final = {"speed": 250.0}
+
+
+def toml(groups: dict[str, dict[str, Any]]) -> str:
+    """Groups as TOML."""
+    return "".join(f"[{name}]\n{assignments(entries)}\n" for name, entries in groups.items())
+
+
+def assignments(entries: dict[str, Any]) -> str:
+    return "".join(f"{key} = {value}\n" for key, value in entries.items())
+
+
+def replace_group(text: str, name: str, entries: dict[str, Any]) -> str:
+    """The text of servo.toml with some entries of one group replaced, as an editor would do it."""
+    start = text.index(f"[{name}]")
+    end = text.find("\n[", start)
+    group = text[start:end]
+    for key, value in entries.items():
+        group, count = re.subn(rf"^{key}\s*=\s*\S+", f"{key} = {value}", group, flags=re.MULTILINE)
+        assert count == 1, (name, key)
+    return text[:start] + group + text[end:]
+
+
+class Checkout:
+    """A copy of what the firmware and its virtual board are made of."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        leave = shutil.ignore_patterns("build", "*.so", "__pycache__", "*.egg-info", "test")
+        for name in FOLDERS:
+            shutil.copytree(ROOT / name, folder / name, ignore=leave)
+        paths = os.pathsep.join(str(folder / name) for name in ("servo_twin", "servo_msgs_py"))
+        self._environment = {**os.environ, "PYTHONPATH": paths}
+
+    def python(self, *arguments: str | Path, folder: str = ".") -> str:
+        result = subprocess.run(
+            [sys.executable, "-W", "ignore", *map(str, arguments)],
+            cwd=self.folder / folder,
+            env=self._environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert result.returncode == 0, f"{arguments}\n{result.stdout}\n{result.stderr}"
+        return result.stdout
+
+    def tune(self, *arguments: str) -> str:
+        return self.python("firmware/config/tune.py", *arguments)
+
+    def experiment(self, name: str) -> dict[str, dict[str, Any]]:
+        """Rows of one experiment on the other motors."""
+        text = self.python("-m", "servo_twin.cli", "experiment", name, "--plant", "plant.toml", "--json")
+        return {row["name"].removeprefix(f"{name}: "): row for row in json.loads(text)}
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
+    copy = Checkout(tmp_path_factory.mktemp("checkout"))
+    config = copy.folder / "firmware" / "config" / "servo.toml"
+    text = config.read_text(encoding="utf-8")
+    for axis, motor in MOTORS.items():
+        text = replace_group(text, f"{axis}.motor", motor)
+    text = re.sub(r"\[axis2\.control\]\n(?:.+\n)*", "", text)  # both axes by the defaults
+    text = replace_group(replace_group(text, "defaults.control", CONTROL), "defaults.limits", LIMITS)
+    text += "[axis2.features]\nspeed_observer = true\n"  # much inertia, little friction
+    config.write_text(text, encoding="utf-8")
+    (copy.folder / "plant.toml").write_text(toml(MOTORS), encoding="utf-8")
+    copy.tune()
+    copy.python("setup.py", "--quiet", "build_ext", "--inplace", folder="servo_twin")
+    loaded = copy.python("-c", "import servo_twin._native as native; print(native.__file__)")
+    assert Path(loaded.strip()).is_relative_to(copy.folder), "not the installed board"
+    return copy
+
+
+def test_moves_do_not_overshoot(checkout: Checkout) -> None:
+    rows = checkout.experiment("position")
+    overshoots = {name: row["measured"] for name, row in rows.items() if name.endswith("overshoot")}
+    assert len(overshoots) >= 4
+    assert all(overshoot <= 2.0 for overshoot in overshoots.values()), overshoots
+
+
+def test_stiffness_is_the_predicted_one(checkout: Checkout) -> None:
+    """A load step of the torque of 2 A, the rated current of the configuration. Friction helps to hold the shaft."""
+    predicted = json.loads(checkout.tune("report", "--json"))
+    rows = checkout.experiment("stiffness")
+    for axis in MOTORS:
+        measured = rows[f"{axis}, stiffness"]["measured"]
+        assert measured == pytest.approx(predicted[axis]["load_step"]["stiffness"], rel=0.05)

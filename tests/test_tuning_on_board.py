@@ -1,0 +1,188 @@
+"""What the tuning tool predicts is what the firmware does on the virtual board."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.board import Board
+from servo_twin.experiments.rig import (
+    COUNT,
+    TICK,
+    Recording,
+    choose_mode,
+    command_position,
+    command_speed,
+    features,
+    set_axis,
+    spinning,
+    watch,
+)
+from servo_twin.plant import PlantConfig
+from tuning.linear import spectral_radius
+from tuning.loops import In, Out
+from tuning.reading import load
+from tuning.tuned import Tuned, tuned
+
+CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "servo.toml"
+SEED: Final = 1
+BASE: Final = 100.0
+"""Speed around which the small signals swing [rad/s]: friction keeps its sign, edges come often."""
+
+FREQUENCIES: Final = (10.0, 25.0, 50.0, 80.0, 110.0, 150.0)  # [Hz]
+
+
+@pytest.fixture(scope="module")
+def axes() -> list[Tuned]:
+    configuration = load(CONFIG, Catalogue.load())
+    return [tuned(axis, configuration) for axis in configuration.axes]
+
+
+def shaft_with(axis: int, inertia: float) -> PlantConfig:
+    """The packaged plant, which is what the configuration believes, with another inertia of one axis."""
+    plant = PlantConfig.load()
+    return plant.with_axis(axis, inertia=inertia * plant.axes[axis].inertia)
+
+
+def feedback_alone(board: Board, axis: int, observed: bool = False) -> None:
+    """Nothing fed forward: the loops by themselves."""
+    features(board, axis, SPEED_OBSERVER=observed, FRICTION=False, SPEED_FORWARD=False, ACCELERATION_FORWARD=False)
+
+
+def swing(plant: PlantConfig, axis: int, amplitude: float, observed: bool) -> Recording:
+    """Speed control with all frequencies at once on top of a constant speed."""
+    warm, measured = 0.3, 1.0
+    phases = [k * k * math.pi / len(FREQUENCIES) for k in range(len(FREQUENCIES))]  # so that the peaks do not add up
+
+    def reference(k: int) -> float:
+        turns = zip(FREQUENCIES, phases, strict=True)
+        return BASE + amplitude * sum(math.sin(2.0 * math.pi * f * k * TICK + phase) for f, phase in turns)
+
+    with spinning(plant, SEED) as board:
+        set_axis(board, "param.acceleration_limit", axis, board.catalogue["param.acceleration_limit"].maximum)
+        feedback_alone(board, axis, observed)
+        choose_mode(board, axis, "SPEED")
+        command_speed(board, axis, BASE)
+        watch(board, [axis], 0.3)
+        whole = watch(board, [axis], warm + measured, lambda k: command_speed(board, axis, reference(k)))[axis]
+    part = whole.part(warm)
+    assert not part.limits.any(), "a small signal"
+    return part
+
+
+def transfer(time: NDArray[np.float64], output: NDArray[np.float64], input_: NDArray[np.float64]) -> NDArray[Any]:
+    """Output over input at the frequencies."""
+    kernels = np.exp(-2j * np.pi * np.outer(FREQUENCIES, time))
+    return np.asarray((kernels @ output) / (kernels @ input_))
+
+
+# Tolerances: of the gain, and of the phase [degrees]. The observer leaves errors below half a count alone, which is not
+# linear; its loop is compared at a larger amplitude, and less closely.
+@pytest.mark.parametrize(
+    ("axis", "inertia", "observed", "amplitude", "gain", "phase"),
+    [
+        (0, 1.0, False, 4.0, 0.04, 2.0),
+        (1, 1.0, False, 4.0, 0.04, 2.0),
+        (0, 2.0, False, 4.0, 0.04, 2.0),
+        (0, 0.6, False, 4.0, 0.04, 2.0),
+        (0, 1.0, True, 8.0, 0.2, 10.0),
+        (1, 1.0, True, 8.0, 0.2, 10.0),
+    ],
+)
+def test_closed_speed_loop(
+    axes: list[Tuned], axis: int, inertia: float, observed: bool, amplitude: float, gain: float, phase: float
+) -> None:
+    part = swing(shaft_with(axis, inertia), axis, amplitude, observed)
+    measured = transfer(part.time, part.speed, part.speed_ref)
+    loop = axes[axis].shaft(inertia, observed).speed.channel(Out.MEASURED, In.SET_POINT)
+    ratio = measured / loop.response(2.0 * np.pi * np.array(FREQUENCIES))
+    assert np.abs(ratio) == pytest.approx(np.ones(len(FREQUENCIES)), abs=gain)
+    assert np.degrees(np.angle(ratio)) == pytest.approx(np.zeros(len(FREQUENCIES)), abs=phase)
+
+
+def critical_inertia(it: Tuned) -> float:
+    """Over the believed one: lighter shafts make the speed loop unstable."""
+    low, high = 0.05, 1.0
+    for _ in range(30):
+        middle = math.sqrt(low * high)
+        if spectral_radius(it.shaft(middle, observed=False).speed_alone) < 1.0:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_where_the_speed_loop_becomes_unstable(axes: list[Tuned], axis: int) -> None:
+    """At constant speed a shaft a little heavier than the critical one runs quietly, a little lighter one swings."""
+    critical = critical_inertia(axes[axis])
+    swings = []
+    for inertia in (1.15 * critical, critical / 1.15):
+        with spinning(shaft_with(axis, inertia), SEED) as board:
+            feedback_alone(board, axis)
+            choose_mode(board, axis, "SPEED")
+            command_speed(board, axis, BASE)
+            part = watch(board, [axis], 1.0)[axis].part(0.6)
+        swings.append(float(np.ptp(part.omega)))
+    assert swings[0] < 0.1 * BASE
+    assert swings[1] > 0.5 * BASE
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_load_step_in_motion(axes: list[Tuned], axis: int) -> None:
+    """A position ramp; a load of a quarter of the rated torque comes, and the shaft gives way as predicted."""
+    it = axes[axis]
+    torque = 0.25 * it.axis.torque_constant * it.axis("motor.rated_current")
+    lead, measured = 0.3, 0.2
+    with spinning(PlantConfig.load(), SEED) as board:
+
+        def move(k: int) -> None:
+            command_position(board, axis, round(k * TICK * BASE / COUNT))
+
+        def load(k: int) -> None:
+            move(2000 + k)
+            if k == round(lead / TICK):
+                board.set_load(axis, torque)
+
+        feedback_alone(board, axis)
+        watch(board, [axis], 2000 * TICK, move)
+        whole = watch(board, [axis], lead + measured, load)[axis]
+    assert not whole.limits.any(), "a small signal"
+    before, after = whole.part(0.0, lead), whole.part(lead)
+    line = np.polyfit(before.time, before.theta, 1)
+    deflection = np.polyval(line, after.time) - after.theta
+    u = np.zeros((after.time.size + 1, len(In)))
+    u[:, In.LOAD] = torque
+    predicted = -it.shaft(observed=False).position.simulate(u)[1:, Out.ANGLE]
+    peak = float(predicted.max())
+    assert float(deflection.max()) == pytest.approx(peak, rel=0.03)
+    assert deflection == pytest.approx(predicted, abs=0.05 * peak)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_current_step_of_a_held_shaft(axes: list[Tuned], axis: int) -> None:
+    """From 1 A to 2 A, seen at the samples of the fast loop."""
+    it = axes[axis]
+    with spinning(PlantConfig.load(), SEED) as board:
+        board.lock_shaft(axis)
+        choose_mode(board, axis, "TORQUE")
+        set_axis(board, "cmd.i_q", axis, 1.0)
+        watch(board, [axis], 0.05)
+        set_axis(board, "cmd.i_q", axis, 2.0)
+        start = board.time_ns
+        currents = []
+        for k in range(80):  # twice per period
+            board.advance(start + k * PERIOD_NS // 2)
+            currents.append(board.truth(axis).i_q)
+    first = (16, 15)[
+        axis
+    ]  # sample with the new set-point: 500 us after a tick began for axis 1, half a period less for axis 2
+    measured = np.array(currents[first::2])
+    predicted = 1.0 + it.current_loop("q").closed.simulate(np.ones((measured.size, 1)))[:, 0]
+    assert measured == pytest.approx(predicted, abs=0.03)
