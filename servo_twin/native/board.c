@@ -117,3 +117,14 @@ void board_set_encoder(board_t *board, int axis, int connected)
     plant_drive_t *drive = drive_of(board, axis);
     plant_encoder_connect(&drive->encoder, connected != 0, drive->motor.theta);
 }
+
+void board_cut_encoder(board_t *board, int axis, int line)
+{
+    plant_encoder_cut(&drive_of(board, axis)->encoder, (line == 0) ? PLANT_LINE_A : PLANT_LINE_B);
+}
+
+void board_set_motor(board_t *board, int axis, int connected)
+{
+    plant_drive_t *drive = drive_of(board, axis);
+    plant_inverter_plug(&drive->inverter, &drive->motor, connected != 0);
+}

@@ -87,6 +87,8 @@ void board_set_load(board_t *board, int axis, double torque); /* external load t
 void board_set_supply(board_t *board, double volts); /* new open-circuit supply voltage */
 void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft held fast */
 void board_set_encoder(board_t *board, int axis, int connected); /* 0: encoder lines dead */
+void board_cut_encoder(board_t *board, int axis, int line); /* one line dead, 0: A, 1: B; board_set_encoder repairs */
+void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
 
 /* What the chip has counted since reset. */
 typedef struct {

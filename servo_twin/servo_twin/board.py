@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -379,6 +379,14 @@ class Board:
     def connect_encoder(self, axis: int, connected: bool = True) -> None:
         """Plug in the encoder of an axis, or pull its plug."""
         _lib.board_set_encoder(self._board, _axis_index(axis), int(connected))
+
+    def cut_encoder_line(self, axis: int, line: Literal["A", "B"]) -> None:
+        """Leave one line of the encoder of an axis dead; `connect_encoder` repairs it."""
+        _lib.board_cut_encoder(self._board, _axis_index(axis), "AB".index(line))
+
+    def connect_motor(self, axis: int, connected: bool = True) -> None:
+        """Plug in the motor cable of an axis, or pull it."""
+        _lib.board_set_motor(self._board, _axis_index(axis), int(connected))
 
 
 def _format(variable: Variable) -> str:

@@ -54,7 +54,7 @@ def test_enabling_a_coasting_shaft_waits_until_it_rests(board: Board) -> None:
     assert board.stats().breaks == 0
 
 
-@pytest.mark.parametrize("gap", [0.005, 0.010, 0.020, 0.040])
+@pytest.mark.parametrize("gap", [0.004, 0.010, 0.016, 0.050])  # the angle is off by more than a quarter of a turn then
 @pytest.mark.parametrize("speed", [200.0, -200.0])
 def test_an_encoder_that_slips_ends_in_a_fault_and_not_in_a_runaway(board: Board, gap: float, speed: float) -> None:
     spin(board, speed)

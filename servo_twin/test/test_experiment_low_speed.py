@@ -1,10 +1,12 @@
-"""Ripple at very low speed: the enhanced method helps, and the figures notice when it is off."""
+"""Very low speed: the enhanced method helps, and the figures notice when it is off."""
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from servo_twin.experiments import low_speed
-from servo_twin.experiments.low_speed import Ripple
+from servo_twin.experiments.low_speed import Run
 from servo_twin.plant import PlantConfig
 
 
@@ -12,7 +14,7 @@ def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
     """The experiment at 5 rpm; `swapped`: the two methods change their names."""
     genuine = low_speed.hold_speed
 
-    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Ripple:
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Run:
         return genuine(plant, seed, axis, speed, enhanced != swapped)
 
     monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
@@ -26,4 +28,18 @@ def test_enhanced_is_better_than_plain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_plain_is_not_better_than_enhanced(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not any(run(monkeypatch, swapped=True).values())
+    rows = run(monkeypatch, swapped=True)
+    assert not any(agrees for name, agrees in rows.items() if "enhanced over plain" in name)
+
+
+def test_a_wrong_mean_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    genuine = low_speed.hold_speed
+
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Run:
+        right = genuine(plant, seed, axis, speed, enhanced)
+        return dataclasses.replace(right, mean=1.02 * right.mean)
+
+    monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
+    monkeypatch.setattr(low_speed, "SPEEDS", (5.0,))
+    rows = {row.name: row.agrees for row in low_speed.run(PlantConfig.load(), seed=1).rows}
+    assert not rows["axis1 5 rpm, way lost with enhanced"]

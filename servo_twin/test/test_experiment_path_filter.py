@@ -15,7 +15,7 @@ ABLE = 1e9
 
 @pytest.fixture(scope="module")
 def recorded() -> tuple[Recording, float, int]:
-    return path_filter.record(PlantConfig.load(), 6)
+    return path_filter.record(PlantConfig.load(), 6, 314.0)
 
 
 def test_agrees_with_the_reference_design() -> None:

@@ -9,6 +9,7 @@ import pytest
 from servo_twin.experiments import position
 from servo_twin.experiments.rig import TICK, Recording, spinning, watch
 from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
 
 TARGET = 100
 
@@ -61,5 +62,5 @@ def test_a_held_shaft_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(position, "DISTANCES", (1.0,))
     with spinning(PlantConfig.load(), 1) as board:
         board.lock_shaft(0)
-        move = position.travel(board, 0, 1.0, ramp=False)
-    assert move.settling is None
+        with pytest.raises(SimulationError, match="STALLED"):
+            position.travel(board, 0, 1.0, ramp=False)

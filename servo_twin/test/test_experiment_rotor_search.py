@@ -67,7 +67,7 @@ def test_a_shaft_that_moves_is_no_held_shaft(monkeypatch: pytest.MonkeyPatch, pl
     monkeypatch.setattr(Board, "lock_shaft", lambda self, axis, locked=True: None)
     rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
     assert not rows["axis1 shaft held: fault ROTOR_SEARCH"]
-    assert rows["axis1 encoder dead: fault ROTOR_SEARCH"]
+    assert rows["axis1 encoder dead: fault ENCODER_LOST"]
 
 
 def test_one_axis_may_fail_alone(plant: PlantConfig) -> None:

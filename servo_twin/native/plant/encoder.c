@@ -19,7 +19,7 @@ void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config)
 {
     *encoder = (plant_encoder_t){
         .edges_per_rad = config->encoder_lines * (4.0 / (2.0 * PLANT_PI)),
-        .connected = true,
+        .alive = {true, true},
     };
     encoder->edge = edges_at(encoder, config->theta_start);
 }
@@ -54,6 +54,18 @@ static void count_one(plant_encoder_t *encoder, bool upwards)
     }
 }
 
+/* Direction that the decoder gives an edge. Upwards A rises at 1, B at 2, A falls at 3, B at 4 (and 0). While the other
+ * line stays low, A rising or B falling looks like a step upwards, A falling or B rising like one downwards. */
+static bool decoded_upwards(const plant_encoder_t *encoder, plant_line_t line, int64_t number, bool upwards)
+{
+    if (encoder->alive[PLANT_LINE_A] && encoder->alive[PLANT_LINE_B]) {
+        return upwards;
+    }
+    const bool rises_upwards = ((number & 2) != 0) == (line == PLANT_LINE_B);
+    const bool rises = rises_upwards == upwards;
+    return rises == (line == PLANT_LINE_A);
+}
+
 void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns)
 {
     const int64_t target = edges_at(encoder, movement->theta_1);
@@ -63,13 +75,14 @@ void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *moveme
         const int64_t number = upwards ? encoder->edge + 1 : encoder->edge;
         const bool b_edge = (number & 1) == 0;
         encoder->edge += upwards ? 1 : -1;
-        if (!encoder->connected) {
+        const plant_line_t line = b_edge ? PLANT_LINE_B : PLANT_LINE_A;
+        if (!encoder->alive[line]) {
             continue;
         }
         if (b_edge) {
             encoder->oflag = false;
         }
-        count_one(encoder, upwards);
+        count_one(encoder, decoded_upwards(encoder, line, number, upwards));
         if (b_edge && encoder->armed) {
             const double t = movement->start_ns + time_to(movement, (double)number / encoder->edges_per_rad);
             encoder->captured_ns = reference_ns + (uint64_t)t;
@@ -82,9 +95,12 @@ void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *moveme
 
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta)
 {
-    encoder->connected = connected;
+    encoder->alive[PLANT_LINE_A] = connected;
+    encoder->alive[PLANT_LINE_B] = connected;
     encoder->edge = edges_at(encoder, theta);
 }
+
+void plant_encoder_cut(plant_encoder_t *encoder, plant_line_t line) { encoder->alive[line] = false; }
 
 void plant_encoder_arm(plant_encoder_t *encoder)
 {

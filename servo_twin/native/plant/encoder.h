@@ -20,9 +20,11 @@
 
 #define PLANT_ENCODER_TICK_NS UINT64_C(1280) /* bus clock / 128 at 100 MHz: 781.25 kHz */
 
+typedef enum { PLANT_LINE_A, PLANT_LINE_B, PLANT_ENCODER_LINES } plant_line_t;
+
 typedef struct {
     double edges_per_rad;
-    bool connected;
+    bool alive[PLANT_ENCODER_LINES]; /* lines that still switch; a dead one stays low */
     int64_t edge;        /* edges passed since angle 0 */
     uint16_t count;      /* TMRx0 */
     uint16_t index;      /* TMRx2 */
@@ -48,6 +50,9 @@ void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *moveme
 
 /* Lines alive or dead; a dead encoder counts nothing, and what it missed is lost. */
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta);
+
+/* One line dead: of the edges on the other, which one comes last is all that the decoder can tell. */
+void plant_encoder_cut(plant_encoder_t *encoder, plant_line_t line);
 
 void plant_encoder_arm(plant_encoder_t *encoder);
 

@@ -182,8 +182,29 @@ static double open_step(plant_inverter_t *inverter, plant_motor_t *motor, double
     return used;
 }
 
+void plant_inverter_plug(plant_inverter_t *inverter, plant_motor_t *motor, bool plugged)
+{
+    inverter->unplugged = !plugged;
+    if (!plugged) {
+        plant_motor_set_phases(motor, 0.0, 0.0);
+    }
+}
+
+/* Legs without a load. */
+static double unplugged_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt)
+{
+    for (int k = 0; k < 3; k++) {
+        inverter->share[k] = 0.0;
+        inverter->leg[k] = (inverter->on ? inverter->duty[k] : 0.5) * u_dc;
+    }
+    return plant_motor_coast(motor, dt);
+}
+
 double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
 {
+    if (inverter->unplugged) {
+        return unplugged_step(inverter, motor, u_dc, dt);
+    }
     if (!inverter->on) {
         return open_step(inverter, motor, u_dc, dt, charge);
     }

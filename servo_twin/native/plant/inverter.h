@@ -35,6 +35,7 @@ typedef struct {
     double floor_dead, floor_drop;  /* i_floor = u floor_dead + floor_drop [A/V], [A] */
     /* state */
     bool on;                        /* the switches follow the duties */
+    bool unplugged;                 /* the motor's cable is off */
     double duty[3];
     double dead_leg[3];             /* t_d f of the legs that switch */
     double inv_i_w;                 /* [1/A] */
@@ -45,6 +46,9 @@ typedef struct {
 
 /* `step` is the longest step taken [s]. */
 void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
+
+/* Plug in the motor's cable, or pull it: the currents are gone at once. */
+void plant_inverter_plug(plant_inverter_t *inverter, plant_motor_t *motor, bool plugged);
 
 /* New duties (0..1) at the beginning of a half cycle. */
 void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc);

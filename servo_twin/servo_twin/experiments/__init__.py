@@ -13,12 +13,17 @@ from typing import Final
 from servo_twin.experiments import (
     anti_windup,
     bus_ripple,
+    feed_forward,
+    friction,
     low_speed,
     mt_speed,
     path_filter,
     position,
     rotor_search,
+    soft_limits,
+    speed_observer,
     stiffness,
+    supervision,
     two_axes,
 )
 from servo_twin.experiments.outcome import Outcome
@@ -48,5 +53,10 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         low_speed,
         bus_ripple,
         two_axes,
+        feed_forward,
+        friction,
+        speed_observer,
+        soft_limits,
+        supervision,
     )
 }

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from servo_twin.experiments import EXPERIMENTS
+from servo_twin.experiments.ability import differences
 from servo_twin.experiments.outcome import Bound, Outcome, Row
 from servo_twin.experiments.report import draw, summary, table, update_summary
 from servo_twin.plant import PlantConfig
@@ -68,8 +70,10 @@ def run_experiments(
         Print no tables.
     """
     outcomes: list[Outcome] = []
+    notes = _differences(plant, seed)
     for name in names:
-        outcome = _attempt(name, plant, seed)
+        attempt = _attempt(name, plant, seed)
+        outcome = dataclasses.replace(attempt, notes=attempt.notes + notes)
         outcomes.append(outcome)
         if not quiet:
             print(table(outcome), flush=True)
@@ -79,6 +83,14 @@ def run_experiments(
             draw(outcome, folder / f"{name}.png")
             update_summary(folder, [outcome])
     return outcomes
+
+
+def _differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
+    """What every table has to say about this plant; what cannot even be found out the experiments say themselves."""
+    try:
+        return differences(plant, seed)
+    except SimulationError:
+        return ()
 
 
 def _attempt(name: str, plant: PlantConfig, seed: int) -> Outcome:

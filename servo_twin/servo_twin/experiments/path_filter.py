@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
+from servo_twin.experiments.ability import current_limits, move_speeds
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import COUNT, TICK, Recording, command_position, spinning, watch
+from servo_twin.experiments.rig import COUNT, TICK, Recording, command_position, position_of, set_axis, spinning, watch
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "path-filter"
@@ -61,13 +61,14 @@ def fit_omega_n(time: NDArray[np.float64], path: NDArray[np.float64], speed: flo
     return 0.5 * (low + high)
 
 
-def record(plant: PlantConfig, seed: int) -> tuple[Recording, float, int]:
-    """One long move: recording, speed limit [counts/s] and distance [counts]."""
+def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Recording, float, int]:
+    """One long move with a speed limit [rad/s]: recording, that limit [counts/s] and distance [counts]."""
     with spinning(plant, seed) as board:
+        start = position_of(board, AXIS)
+        distance = round(TURNS * COUNTS_PER_TURN)
+        set_axis(board, "param.speed_limit", AXIS, limit)
         limits = board.read("param.speed_limit")
         assert isinstance(limits, list)
-        start = board.read_raw(f"{axis_name(AXIS)}.position")[0]
-        distance = round(TURNS * COUNTS_PER_TURN)
         speed = limits[AXIS] / COUNT
 
         def act(k: int) -> None:
@@ -139,11 +140,10 @@ def _jump(path: NDArray[np.float64], speed: float) -> float:
 def run(plant: PlantConfig, seed: int) -> Outcome:
     """One long move."""
     axis = plant.axes[AXIS]
-    recording, speed, distance = record(plant, seed)
-    with spinning(plant, seed) as board:
-        limits = board.read("param.i_q_limit")
-        assert isinstance(limits, list)
-    able = (axis.torque_constant * limits[AXIS] - axis.friction) / axis.inertia / COUNT
+    speeds, lowered = move_speeds(plant, seed, together=False)
+    recording, speed, distance = record(plant, seed, speeds[AXIS])
+    most = current_limits(plant, seed)[AXIS]
+    able = (axis.torque_constant * most - axis.friction) / axis.inertia / COUNT
     rows = judge(recording, speed, distance, able)
     start = recording.position_ref[-1] - distance
     ramp = np.minimum(speed * recording.time, float(distance))
@@ -171,4 +171,4 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
             ),
         ),
     )
-    return Outcome(NAME, rows, panels, (f"axis {AXIS + 1}, {TURNS:g} turns",))
+    return Outcome(NAME, rows, panels, (f"axis {AXIS + 1}, {TURNS:g} turns", *([lowered] if lowered else [])))

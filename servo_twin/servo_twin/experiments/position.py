@@ -10,8 +10,19 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
+from servo_twin.experiments.ability import move_speeds
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import COUNT, TICK, Recording, command_position, spinning, stays_from, watch
+from servo_twin.experiments.rig import (
+    COUNT,
+    TICK,
+    Recording,
+    command_position,
+    position_of,
+    set_axis,
+    spinning,
+    stays_from,
+    watch,
+)
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "position"
@@ -78,7 +89,7 @@ def travel(board: Board, axis: int, turns: float, ramp: bool) -> Move:
     limits = board.read("param.speed_limit")
     assert isinstance(limits, list)
     most = limits[axis]
-    start = board.read_raw(f"{axis_name(axis)}.position")[0]
+    start = position_of(board, axis)
     target = start + round(turns * COUNTS_PER_TURN)
     distance = abs(target - start) * COUNT
     duration = max(distance / (RAMP_SPEED * most), RAMP_LEAST) if ramp else distance / most
@@ -96,7 +107,10 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
     """Every distance as step and as ramp, there and back, each axis by itself."""
     rows: list[Row] = []
     panels: list[Panel] = []
+    speeds, lowered = move_speeds(plant, seed, together=False)
     with spinning(plant, seed) as board:
+        for axis, speed in enumerate(speeds):
+            set_axis(board, "param.speed_limit", axis, speed)
         for distance in DISTANCES:
             for ramp in (False, True):
                 how = f"{'ramp' if ramp else 'step'} of {distance:g} turns"
@@ -104,7 +118,8 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
                 rows.extend(row for axis, move in enumerate(moves) for row in _rows(f"{axis_name(axis)} {how}", move))
                 if not ramp:
                     panels.extend(_panels(how, moves))
-    return Outcome(NAME, tuple(rows), tuple(panels), ("settling: after the end of the speed-limited set-point",))
+    notes = ["settling: after the end of the speed-limited set-point", *([lowered] if lowered else [])]
+    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
 
 
 def _rows(what: str, move: Move) -> tuple[Row, ...]:

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
@@ -26,6 +26,8 @@ __all__ = [
     "command_position",
     "command_speed",
     "features",
+    "flag_mask",
+    "position_of",
     "set_axis",
     "spinning",
     "stays_from",
@@ -57,7 +59,7 @@ class Recording:
         What the firmware reports [counts].
     position_ref, speed_ref, speed, i_q_ref, i_q : ndarray
         What the firmware reports [counts], [rad/s], [A].
-    limits, faults, substate : ndarray
+    limits, faults, state, substate : ndarray
         Words of the firmware.
     theta, omega, i_q_true, torque, u_dc : ndarray
         Truth of the plant: mechanical angle [rad] and speed [rad/s], current [A], air-gap torque [N m], bus [V].
@@ -72,12 +74,19 @@ class Recording:
     i_q: NDArray[np.float64]
     limits: NDArray[np.int64]
     faults: NDArray[np.int64]
+    state: NDArray[np.int64]
     substate: NDArray[np.int64]
     theta: NDArray[np.float64]
     omega: NDArray[np.float64]
     i_q_true: NDArray[np.float64]
     torque: NDArray[np.float64]
     u_dc: NDArray[np.float64]
+
+    @property
+    def shaft(self) -> NDArray[np.float64]:
+        """True angle in counts as `position` counts them: within half a count of it while the shaft stands."""
+        counts = self.theta / COUNT
+        return np.asarray(counts - np.floor(counts[0] - self.position[0] + 1e-9) - 0.5)
 
     def part(self, start: float, end: float | None = None) -> Recording:
         """Ticks after `start` and up to `end` [s], both as in `time`, which keeps counting."""
@@ -99,6 +108,8 @@ def watch(
     axes: Sequence[int],
     seconds: float,
     act: Callable[[int], None] | None = None,
+    *,
+    may_fail: bool = False,
 ) -> dict[int, Recording]:
     """Run slow tick by slow tick and keep what the firmware says and what is true.
 
@@ -112,6 +123,13 @@ def watch(
         Length [s].
     act : callable, optional
         Called with the number of the tick before each one: writes set-points, loads, supply voltage.
+    may_fail : bool
+        A fault is what the run is about.
+
+    Raises
+    ------
+    SimulationError
+        If an axis ends in a fault and may not: nothing that is measured afterwards would mean anything.
     """
     ticks = round(seconds / TICK)
     start = board.time_ns
@@ -127,7 +145,18 @@ def watch(
     log = np.frombuffer(b"".join(rows), board.snapshot_dtype)  # concatenate() compares all fields of every row
     if log.size != ticks:
         raise SimulationError(f"{log.size} snapshots in {ticks} slow ticks")
+    if not may_fail:
+        _refuse_faults(board, log)
     return {axis: _recording(board, log, axis, truths[axis]) for axis in axes}
+
+
+def _refuse_faults(board: Board, log: NDArray[np.void]) -> None:
+    for axis in range(AXES):
+        words = log[f"{axis_name(axis)}.faults"]
+        if words.any():
+            first = words[int(np.argmax(words != 0))]
+            faults = "; ".join(f"{f.name}: {f.cause}" for f in board.catalogue.active("faults", int(first)))
+            raise SimulationError(f"{axis_name(axis)} ended in a fault. {faults}")
 
 
 def _recording(
@@ -146,6 +175,7 @@ def _recording(
         i_q=si[f"{name}.i_q"],
         limits=log[f"{name}.limits"].astype(np.int64),
         faults=log[f"{name}.faults"].astype(np.int64),
+        state=log[f"{name}.state"].astype(np.int64),
         substate=log[f"{name}.substate"].astype(np.int64),
         theta=theta,
         omega=omega,
@@ -176,9 +206,19 @@ def features(board: Board, axis: int, **switches: bool) -> None:
     _write_element(board, "param.features", axis, word)
 
 
+def flag_mask(board: Board, word: str, name: str) -> int:
+    """Mask of a flag by the names of the catalogue, e.g. ``flag_mask(board, "limits", "SPEED")``."""
+    return next(flag.mask for flag in board.catalogue.flags[word] if flag.name == name)
+
+
 def choose_mode(board: Board, axis: int, mode: str) -> None:
     """Write the mode of one axis by its name: POSITION, SPEED or TORQUE."""
     _write_element(board, "cmd.mode", axis, board.catalogue.enums["control_mode_t"][mode])
+
+
+def position_of(board: Board, axis: int) -> int:
+    """Position that the firmware reports now [counts]."""
+    return board.read_raw(f"{axis_name(axis)}.position")[0]
 
 
 def command_position(board: Board, axis: int, counts: int) -> None:

@@ -276,15 +276,15 @@ def _rows_of(condition: str, plant: PlantConfig, by_axis: Sequence[Sequence[Sear
 def _rows_fault(plant: PlantConfig, seed: int) -> list[Row]:
     """The named fault, and no other, within the time of a search."""
     with Board(plant, seed=seed) as board:
-        wanted = next(f.mask for f in board.catalogue.flags["faults"] if f.name == "ROTOR_SEARCH")
+        masks = {flag.name: flag.mask for flag in board.catalogue.flags["faults"]}
     rows: list[Row] = []
-    for what, searches in (
-        ("shaft held", find(plant, seed, held=range(AXES))),
-        ("encoder dead", find(plant, seed, dead=range(AXES))),
+    for what, fault, searches in (
+        ("shaft held", "ROTOR_SEARCH", find(plant, seed, held=range(AXES))),
+        ("encoder dead", "ENCODER_LOST", find(plant, seed, dead=range(AXES))),
     ):
         for axis, search in enumerate(searches):
-            named = float(search.fault == wanted and search.error is None)
-            rows.append(Row(f"{axis_name(axis)} {what}: fault ROTOR_SEARCH", "not shown", named, "", Bound(1.0, 1.0)))
+            named = float(search.fault == masks[fault] and search.error is None)
+            rows.append(Row(f"{axis_name(axis)} {what}: fault {fault}", "not shown", named, "", Bound(1.0, 1.0)))
     return rows
 
 

@@ -1,0 +1,290 @@
+"""What a plant can do, from its own data, and what the controller believes of it, seen from outside.
+
+Bounds of the experiments that depend on the motor come from here, so that they hold for another motor, too; and where a
+plant cannot do what an experiment asks of the nominal one, the experiment asks for less and says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.experiments.rig import (
+    COUNT,
+    TICK,
+    choose_mode,
+    command_position,
+    command_speed,
+    features,
+    flag_mask,
+    position_of,
+    set_axis,
+    spinning,
+    watch,
+)
+from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.simulation import SimulationError
+
+__all__ = [
+    "OVER_VOLTAGE",
+    "Belief",
+    "Demand",
+    "believed",
+    "current_limits",
+    "differences",
+    "inertia_ratio",
+    "move_speeds",
+    "path_demands",
+    "speed_limits",
+    "top_speed",
+]
+
+OVER_VOLTAGE: Final = 33.0
+"""Of the drive [V]."""
+
+MODULATION: Final = 0.94 / math.sqrt(3.0)
+"""Largest phase voltage over the bus voltage that the drive uses."""
+
+CURRENT_SHARE: Final = 0.8
+"""Part of the current limit that a set-point may need: the rest is the controller's."""
+
+ENERGY_SHARE: Final = 0.95
+"""Part of what the capacitor can take, up to the over-voltage limit."""
+
+TUNED_WITHIN: Final = 2.0
+"""Factor of the inertia within which gains count as made for it."""
+
+PROBE_SPEED: Final = 2.0
+"""Step of the speed set-point that shows the feed-forward [rad/s]."""
+
+PROBE_PATH: Final = 0.3  # [s], of a move that shows the path filter
+PROBE_SLOPE: Final = 10  # [slow ticks] between two points of its speed
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What the controller believes of one axis, expressed by the torque that its current makes on the plant's motor.
+
+    Attributes
+    ----------
+    friction : float
+        Of a slowly turning shaft [N m].
+    inertia : float
+        [kg m^2].
+    """
+
+    friction: float
+    inertia: float
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What a set-point asks of an axis.
+
+    Attributes
+    ----------
+    acceleration : float
+        The largest, per speed: the path filter asks for it in proportion to the speed of its ramp [1/s].
+    current : float
+        The limit [A].
+    """
+
+    acceleration: float
+    current: float
+
+
+def believed(plant: PlantConfig, seed: int) -> tuple[Belief, ...]:
+    """Friction and inertia that feed-forward stands for: the difference it makes to i_q* in the very tick of a step.
+
+    Until that tick the runs are the same, bit for bit.
+
+    Raises
+    ------
+    SimulationError
+        If the current limit hides the difference.
+    """
+    plain, friction, inertia = (
+        _first_current(plant, seed, switch) for switch in (None, "FRICTION", "ACCELERATION_FORWARD")
+    )
+    return tuple(
+        Belief(
+            friction=(friction[axis] - plain[axis]) * entry.torque_constant,
+            inertia=(inertia[axis] - plain[axis]) * entry.torque_constant / (PROBE_SPEED / TICK),
+        )
+        for axis, entry in enumerate(plant.axes)
+    )
+
+
+def inertia_ratio(plant: PlantConfig, seed: int, axis: int) -> float:
+    """Inertia that is there over the one that the gains are made for: a loop is so many times slower, or quicker."""
+    return plant.axes[axis].inertia / believed(plant, seed)[axis].inertia
+
+
+def differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
+    """What the controller was told otherwise, in words; bounds of the seed hold for a plant that it is tuned for."""
+    notes: list[str] = []
+    for axis, (entry, belief) in enumerate(zip(plant.axes, believed(plant, seed), strict=True)):
+        ratio = entry.inertia / belief.inertia
+        if not 1.0 / TUNED_WITHIN <= ratio <= TUNED_WITHIN:
+            notes.append(
+                f"{axis_name(axis)}: the inertia is {ratio:.2g} times the one that the gains are made for"
+                " (firmware/config/servo.toml)"
+            )
+    return tuple(notes)
+
+
+def _first_current(plant: PlantConfig, seed: int, switch: str | None) -> list[float]:
+    """i_q* of each axis in the tick in which its speed set-point has jumped [A]."""
+    with spinning(plant, seed) as board:
+        for axis in range(AXES):
+            if switch is not None:
+                features(board, axis, **{switch: True})
+            set_axis(board, "param.acceleration_limit", axis, board.catalogue["param.acceleration_limit"].maximum)
+            choose_mode(board, axis, "SPEED")
+        watch(board, [0], 10 * TICK)
+        for axis in range(AXES):
+            command_speed(board, axis, PROBE_SPEED)
+        both = watch(board, range(AXES), 5 * TICK)
+        limited = flag_mask(board, "limits", "CURRENT")
+    currents: list[float] = []
+    for recording in both.values():
+        k = int(np.argmax(recording.speed_ref > 0.5 * PROBE_SPEED))
+        if recording.limits[k] & limited:
+            raise SimulationError("the current limit hides what the feed-forward stands for")
+        currents.append(float(recording.i_q_ref[k]))
+    return currents
+
+
+def speed_limits(plant: PlantConfig, seed: int) -> list[float]:
+    """``param.speed_limit`` after reset [rad/s]."""
+    return _parameter(plant, seed, "param.speed_limit")
+
+
+def current_limits(plant: PlantConfig, seed: int) -> list[float]:
+    """``param.i_q_limit`` after reset [A]."""
+    return _parameter(plant, seed, "param.i_q_limit")
+
+
+def _parameter(plant: PlantConfig, seed: int, name: str) -> list[float]:
+    with spinning(plant, seed) as board:
+        values = board.read(name)
+    assert isinstance(values, list)
+    return [float(value) for value in values]
+
+
+def path_demands(plant: PlantConfig, seed: int) -> list[Demand]:
+    """What the path filter asks for on the way to a far target, from its own output."""
+    with spinning(plant, seed) as board:
+        speeds, currents = board.read("param.speed_limit"), board.read("param.i_q_limit")
+        assert isinstance(speeds, list)
+        assert isinstance(currents, list)
+        for axis in range(AXES):
+            command_position(board, axis, position_of(board, axis) + round(10.0 * PROBE_PATH * speeds[axis] / COUNT))
+        both = watch(board, range(AXES), PROBE_PATH)
+    demands: list[Demand] = []
+    for axis, recording in both.items():
+        step = PROBE_SLOPE
+        speed = (recording.position_ref[step:] - recording.position_ref[:-step]) * COUNT / (step * TICK)
+        acceleration = float((speed[step:] - speed[:-step]).max()) / (step * TICK)
+        demands.append(Demand(acceleration / speeds[axis], currents[axis]))
+    return demands
+
+
+def move_speeds(plant: PlantConfig, seed: int, together: bool, share: float = CURRENT_SHARE) -> tuple[list[float], str]:
+    """Speed limits for position moves that this plant can follow, and what there is to say if they had to be lowered.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+        What is really there.
+    seed : int
+        Of the noise.
+    together : bool
+        Whether both axes move at once.
+    share : float
+        As in `top_speed`.
+
+    Returns
+    -------
+    list of float
+        Limit of each axis [rad/s], at most the one after reset.
+    str
+        A note; empty when nothing had to be lowered.
+    """
+    wanted = speed_limits(plant, seed)
+    demands = path_demands(plant, seed)
+    groups = [range(AXES)] * AXES if together else [[axis] for axis in range(AXES)]
+    able = [top_speed(plant, group, limit, demands, share) for group, limit in zip(groups, wanted, strict=True)]
+    speeds = [min(limit, speed) for limit, speed in zip(wanted, able, strict=True)]
+    if speeds == wanted:
+        return speeds, ""
+    lowered = " and ".join(f"{speed:.3g}" for speed in speeds)
+    return speeds, f"speed limits lowered to {lowered} rad/s: more cannot be accelerated or braked on this plant"
+
+
+def top_speed(
+    plant: PlantConfig,
+    axes: Iterable[int],
+    wanted: float,
+    demands: list[Demand] | None = None,
+    share: float = CURRENT_SHARE,
+) -> float:
+    """Highest speed that axes can be brought to and stopped from, all at once, at most `wanted` [rad/s].
+
+    Parameters
+    ----------
+    plant : PlantConfig
+        What is really there.
+    axes : iterable of int
+        Axes that move together.
+    wanted : float
+        Speed that the nominal plant is asked for [rad/s].
+    demands : list of Demand, optional
+        What the set-points ask for, by axis; without them the speed is reached gently.
+    share : float
+        Part of the current limit that accelerating may take; turning round on the way takes twice of it.
+
+    Raises
+    ------
+    SimulationError
+        If the plant can do next to nothing of it.
+    """
+    moving = list(axes)
+    for part in np.arange(1.0, 0.04, -0.01):
+        speed = float(part) * wanted
+        drives = all(_drives(plant, axis, speed, None if demands is None else demands[axis], share) for axis in moving)
+        if drives and _absorbs(plant, moving, speed):
+            return speed
+    raise SimulationError(
+        f"{wanted:.3g} rad/s is out of this plant's reach: not a twentieth of it can be reached and braked"
+    )
+
+
+def _drives(plant: PlantConfig, axis: int, speed: float, demand: Demand | None, share: float) -> bool:
+    """Whether current and voltage suffice."""
+    entry = plant.axes[axis]
+    acceleration = 0.0 if demand is None else demand.acceleration * speed
+    most = (entry.inertia * acceleration + entry.friction) / entry.torque_constant
+    # E38 accelerates early: nine tenths of the speed have been reached when a fifth of the acceleration is left.
+    at_speed = (0.2 * entry.inertia * acceleration + entry.friction + entry.viscous * speed) / entry.torque_constant
+    return (demand is None or most <= share * demand.current) and _voltage(entry, speed, at_speed) <= (
+        MODULATION * plant.bus.u_source
+    )
+
+
+def _voltage(axis: AxisPlant, speed: float, current: float) -> float:
+    """Phase voltage that drives a q current at a speed, with the drop of the switches [V]."""
+    omega = axis.pole_pairs * speed
+    u_q = (axis.r_s + axis.r_on) * current + omega * axis.psi_m + 4.0 / math.pi * axis.v_drop
+    return math.hypot(u_q, omega * axis.l_q * current)
+
+
+def _absorbs(plant: PlantConfig, axes: list[int], speed: float) -> bool:
+    """Whether the capacitor takes what comes back from the shafts; losses are on the safe side."""
+    energy = sum(0.5 * plant.axes[axis].inertia * speed**2 for axis in axes)
+    return energy <= ENERGY_SHARE * 0.5 * plant.bus.capacitance * (OVER_VOLTAGE**2 - plant.bus.u_source**2)

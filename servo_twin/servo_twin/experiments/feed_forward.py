@@ -1,0 +1,213 @@
+"""Position moves with what is known about them fed forward: speed, acceleration, friction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import COUNTS_PER_TURN
+
+from servo_twin.experiments.ability import believed, move_speeds
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import (
+    COUNT,
+    Recording,
+    command_position,
+    features,
+    position_of,
+    set_axis,
+    spinning,
+    stays_from,
+    watch,
+)
+from servo_twin.plant import PlantConfig
+
+NAME: Final = "feed-forward"
+HELP: Final = """\
+Beyond the reference design: its position controller is a plain gain (E44), so that the shaft trails the set-point by
+v / Kv, and it gives no figure for that. Here the speed of the shaped set-point goes straight to the speed controller
+(feature SPEED_FORWARD), and the current for its acceleration (ACCELERATION_FORWARD) and against friction (FRICTION).
+Shown: following error, overshoot and settling of moves of 0.1, 1 and 100 turns, none / speed / speed and acceleration /
+all three, the same gains."""
+
+DISTANCES: Final = (0.1, 1.0, 100.0)  # [turns]
+CHOICES: Final[Mapping[str, Mapping[str, bool]]] = {
+    "none": {},
+    "speed": {"SPEED_FORWARD": True},
+    "speed, acceleration": {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True},
+    "all": {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True, "FRICTION": True},
+}
+SPEED_LEFT_MOST: Final = 0.25
+"""Part of the following error that may be left with the speed: the lag of E44 goes, that of the acceleration stays."""
+
+ACCELERATION_LEFT_MOST: Final = 0.75
+"""Part of that which may be left with the acceleration: the torque still comes a slow loop late."""
+
+OVERSHOOT_OF_WRONG: Final = 0.1
+"""Of the error that a wrong belief of the inertia brings, what may come out beyond the target."""
+
+REST: Final = 0.8  # recorded after the ramp's end [s]
+ARRIVED: Final = 2.0  # [counts]
+SETTLE_WORSE_MOST: Final = 0.01
+"""A time constant of the path filter [s]."""
+
+BEYOND: Final = "beyond the reference design"
+SEED_LAG: Final = "E44: a plain gain trails"
+SEED_OVERSHOOT: Final = "2.7.3: position must not overshoot"
+
+
+@dataclass(frozen=True)
+class Move:
+    """One move of one axis.
+
+    Attributes
+    ----------
+    error : float
+        Largest distance of the true shaft from the shaped set-point [counts].
+    overshoot : float
+        Farthest beyond the target [counts].
+    settling : float or None
+        From the command until the shaft stays within 2 counts of the target [s].
+    speed : float
+        Highest true speed [rad/s].
+    recording : Recording
+        All of it.
+    """
+
+    error: float
+    overshoot: float
+    settling: float | None
+    speed: float
+    recording: Recording
+
+
+def measure(recording: Recording, target: int) -> Move:
+    """Judge a move that began at rest with the recording; `target` in counts."""
+    direction = 1.0 if target >= recording.position[0] else -1.0
+    return Move(
+        error=float(np.abs(recording.position_ref - recording.shaft).max()),
+        overshoot=max(float((direction * (recording.position - target)).max()), 0.0) + 0.0,
+        settling=stays_from(recording, recording.position, target - ARRIVED, target + ARRIVED),
+        speed=float(np.abs(recording.omega).max()),
+        recording=recording,
+    )
+
+
+def travel(
+    plant: PlantConfig, seed: int, turns: float, switches: Mapping[str, bool], speeds: list[float]
+) -> list[Move]:
+    """Both axes at once, from rest, with speed limits [rad/s]."""
+    with spinning(plant, seed) as board:
+        targets: list[int] = []
+        for axis in range(AXES):
+            features(board, axis, **switches)
+            set_axis(board, "param.speed_limit", axis, speeds[axis])
+            targets.append(position_of(board, axis) + round(turns * COUNTS_PER_TURN))
+
+        def act(k: int) -> None:
+            if k == 1:
+                for axis, target in enumerate(targets):
+                    command_position(board, axis, target)
+
+        seconds = turns * COUNTS_PER_TURN * COUNT / min(speeds) + REST
+        both = watch(board, range(AXES), seconds, act)
+    return [measure(both[axis], target) for axis, target in enumerate(targets)]
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """How the inertia that is there compares with the one that the controller believes in."""
+
+    there: float
+    believed: float
+
+    @property
+    def heavier(self) -> float:
+        """What acceleration costs a loop tuned for less inertia; 1 for less than believed."""
+        return max(self.there / self.believed, 1.0)
+
+    @property
+    def lighter(self) -> float:
+        """By how much a late torque costs more than the acceleration itself; 1 for more than believed."""
+        return max(self.believed / self.there, 1.0)
+
+    @property
+    def wrong(self) -> float:
+        """What feed-forward gets wrong, over what is needed."""
+        return abs(self.there - self.believed) / self.there
+
+
+def error_bound(speed: Move, inertia: Mismatch) -> float:
+    """Following error that may be left with the acceleration fed forward, too [counts].
+
+    A part of the error with the speed alone, for the torque that comes late; the error that a wrong belief of the
+    inertia brings back; two counts.
+    """
+    return (ACCELERATION_LEFT_MOST * inertia.lighter + inertia.wrong) * speed.error + ARRIVED
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """Every distance, every choice, both axes at once."""
+    speeds, lowered = move_speeds(plant, seed, together=True)
+    inertias = [Mismatch(e.inertia, b.inertia) for e, b in zip(plant.axes, believed(plant, seed), strict=True)]
+    rows: list[Row] = []
+    panels: list[Panel] = []
+    notes = [lowered] if lowered else []
+    for turns in DISTANCES:
+        moves = {choice: travel(plant, seed, turns, on, speeds) for choice, on in CHOICES.items()}
+        for axis in range(AXES):
+            of_axis = {choice: both[axis] for choice, both in moves.items()}
+            rows.extend(_rows(f"{axis_name(axis)} {turns:g} turns", of_axis, inertias[axis]))
+        notes.append(_note(turns, moves))
+        panels.extend(_panel(f"{axis_name(axis)}, {turns:g} turns", axis, moves) for axis in range(AXES))
+    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+
+
+def _rows(what: str, moves: Mapping[str, Move], inertia: Mismatch) -> list[Row]:
+    none, speed = moves["none"], moves["speed"]
+    left = speed.error / max(none.error, 1e-9)
+    most = SPEED_LEFT_MOST * inertia.heavier
+    rows = [Row(f"{what}, following error, speed over none", SEED_LAG, left, "", Bound(most=most))]
+    for choice in ("speed, acceleration", "all"):
+        bound = Bound(most=error_bound(speed, inertia))
+        rows.append(Row(f"{what}, following error, {choice}", BEYOND, moves[choice].error, "counts", bound))
+    forward = [move for choice, move in moves.items() if choice != "none"]
+    overshoot = max(move.overshoot for move in forward)
+    beyond = Bound(most=ARRIVED + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error)
+    rows.append(Row(f"{what}, overshoot, worst", SEED_OVERSHOOT, overshoot, "counts", beyond))
+    rows.append(
+        Row(
+            f"{what}, settling, latest less none",
+            BEYOND,
+            _later(none.settling, [move.settling for move in forward]),
+            "s",
+            Bound(most=SETTLE_WORSE_MOST),
+        )
+    )
+    return rows
+
+
+def _later(without: float | None, forward: list[float | None]) -> float | None:
+    """How much later the last of several moves settles [s]; None if one of them does not."""
+    settled = [time for time in forward if time is not None]
+    if without is None or len(settled) < len(forward):
+        return None
+    return max(settled) - without
+
+
+def _note(turns: float, moves: Mapping[str, list[Move]]) -> str:
+    errors = ", ".join(
+        f"{choice} {' and '.join(f'{move.error:.3g}' for move in both)}" for choice, both in moves.items()
+    )
+    return f"{turns:g} turns, largest following error of both axes [counts]: {errors}"
+
+
+def _panel(title: str, axis: int, moves: Mapping[str, list[Move]]) -> Panel:
+    curves = tuple(
+        Curve(choice, r.time, np.abs(r.position_ref - r.shaft) + 0.1)
+        for choice, r in ((choice, both[axis].recording) for choice, both in moves.items())
+    )
+    return Panel(f"{title}: following error", "time [s]", "set-point - shaft [counts]", curves, log_y=True)

@@ -1,0 +1,35 @@
+"""Speed observer: smoother and closer, and the figures notice when it is off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments import speed_observer
+from servo_twin.experiments.rig import Recording
+from servo_twin.experiments.speed_observer import Pair
+from servo_twin.plant import PlantConfig
+
+
+def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
+    """The experiment at 5 rpm; `swapped`: with and without change their names."""
+    genuine = speed_observer.both
+
+    def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recording]) -> Pair:
+        pair = genuine(plant, seed, axis, play)
+        return Pair(pair.observed, pair.without) if swapped else pair
+
+    monkeypatch.setattr(speed_observer, "both", both)
+    monkeypatch.setattr(speed_observer, "SPEEDS", (5.0,))
+    monkeypatch.setattr(speed_observer, "MEASURED", 2.0)
+    return {row.name: row.agrees for row in speed_observer.run(PlantConfig.load(), seed=1).rows}
+
+
+def test_everything_is_better_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert all(run(monkeypatch, swapped=False).values())
+
+
+def test_nothing_is_smoother_or_closer_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = run(monkeypatch, swapped=True)
+    assert not any(agrees for name, agrees in rows.items() if "with over without" in name)
