@@ -75,7 +75,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--json", action="store_true", help="print one JSON object")
     command = add("set", tool_commands.set_variable, "write a variable and read it back")
     command.add_argument("name", metavar="NAME", help="variable, or element such as cmd.position[1]")
-    command.add_argument("value", metavar="VALUE", help="number or name; for all elements of an array with commas")
+    command.add_argument(
+        "value", metavar="VALUE", help="number or name, flags joined by +; commas between the elements of an array"
+    )
     command.add_argument("--element", type=int, metavar="K", help="write only element K, counted from 0")
     _add_raw(command)
     command = add("watch", tool_commands.watch, "print variables again and again until Ctrl-C")

@@ -51,7 +51,7 @@ def lookup(variables: Mapping[str, BoardVariable], text: str) -> tuple[BoardVari
 
 
 def parse_values(variable: BoardVariable, text: str, catalogue: Catalogue) -> list[Number]:
-    """Read comma-separated numbers; names of enumeration values are understood.
+    """Read comma-separated numbers; names of enumeration values are understood, and flags joined by ``+``.
 
     Raises
     ------
@@ -64,8 +64,12 @@ def parse_values(variable: BoardVariable, text: str, catalogue: Catalogue) -> li
 def _parse_number(variable: BoardVariable, word: str, catalogue: Catalogue) -> Number:
     labels = _labels(variable, catalogue)
     named = {name.upper(): value for name, value in labels}
-    if word.upper() in named:
-        return named[word.upper()]
+    parts = [part.strip().upper() for part in (word.split("+") if _is_flags(variable) else [word])]
+    if all(part in named for part in parts):
+        number = 0
+        for part in parts:
+            number |= named[part]
+        return number
     for convert in (lambda w: int(w, 0), float):
         try:
             result: Number = convert(word)
@@ -76,10 +80,16 @@ def _parse_number(variable: BoardVariable, word: str, catalogue: Catalogue) -> N
     raise UsageError(f"{word!r} is not a number{known}")
 
 
+def _is_flags(variable: BoardVariable) -> bool:
+    return variable.contract is not None and variable.contract.flags is not None
+
+
 def _labels(variable: BoardVariable, catalogue: Catalogue) -> Sequence[tuple[str, int]]:
     contract = variable.contract
     if contract is not None and contract.enum is not None:
         return list(catalogue.enums[contract.enum].items())
+    if contract is not None and contract.flags is not None:
+        return [("none", 0), *((flag.name, flag.mask) for flag in catalogue.flags[contract.flags])]
     return variable.target.type.labels
 
 

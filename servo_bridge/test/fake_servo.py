@@ -43,6 +43,10 @@ class FakeServo(FakeTarget):
             ("param.speed_limit", 100.0),
             ("param.acceleration_limit", 1000.0),
             ("param.i_q_limit", 2.0),
+            ("param.position_min", -1000.0),
+            ("param.position_max", 1000.0),
+            ("param.following_error", 1.0),
+            ("param.over_speed", 380.0),
         ):
             self.poke(self.addresses[name], catalogue[name].encode([value, value]))
         self.poke(self.addresses["param.host_timeout"], catalogue["param.host_timeout"].encode(0.5))

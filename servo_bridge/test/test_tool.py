@@ -155,6 +155,13 @@ def test_set(fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytes
     ]  # fmt: skip
 
 
+def test_set_flags_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo) -> None:
+    assert run("set", "param.features", "dead_time + FRICTION,none") == 0
+    assert fake_board.get("param.features") == [0b11000, 0]
+    assert run("set", "param.features[1]", "OVER_SPEED") == 0
+    assert fake_board.get("param.features") == [0b11000, 1 << 9]
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -167,6 +174,8 @@ def test_set(fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytes
         (["cmd.speed[0]", "1", "--element", "0"], "names an element already"),
         (["cmd.speed", "fast,slow"], "'fast' is not a number"),
         (["cmd.mode", "warp,0"], "POSITION, SPEED, TORQUE"),
+        (["cmd.mode", "SPEED+TORQUE,0"], "is not a number"),
+        (["param.features[0]", "DEAD_TIME+WARP"], "ANTI_WINDUP, ENHANCED_MT"),
         (["axis1.speed", "1"], "can only be read"),
     ],
 )
