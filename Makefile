@@ -18,18 +18,18 @@ METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
               pyproject.toml setup.py setup.cfg package.xml resource/* scripts/* config/* launch/*)))
 COMPILE := echo "compiling firmware and virtual board" && cd servo_twin && \
            ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
-C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE)))
+C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench test lint format build generate clean
+.PHONY: help setup demo up experiments bench bench-firmware targets test lint format build generate tune clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
-	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200 (up); PYTHON=python3.12 (setup); PYTEST_ARGS=... (test)"
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200 (up); PYTHON=python3.12 (setup); PYTEST_ARGS=... (test); TARGETS_ARGS='--seed 2' (targets)"
 
 setup: $(VENV)/.native ## virtual environment with everything that runs
 	@echo "ready: $(BIN)"
@@ -46,6 +46,12 @@ experiments: $(VENV)/.native ## repeat the experiments of the reference design; 
 bench: $(VENV)/.native ## telemetry and latency against the wire; real-time factor of a board
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/telemetry.py
 	@$(BIN)/servo-sim bench
+
+bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
+	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
+
+targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on every compiler and machine
+	@PYTHONPATH=tests $(BIN)/python -m targets $(TARGETS_ARGS)
 
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@lint=0; $(MAKE) --no-print-directory lint || lint=$$?; \
@@ -67,10 +73,13 @@ format: $(VENV)/.dev ## lay out Python and C sources
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
 # Not from the installed packages: while the generated files are stale, the extension among them may not compile.
-generate: export PYTHONPATH := servo_msgs_py
+generate tune: export PYTHONPATH := servo_msgs_py
 generate: $(VENV)/.created ## rewrite the committed generated files
 	@$(BIN)/python -m servo_msgs_py.codegen
 	@$(BIN)/python firmware/config/tune.py
+
+tune: $(VENV)/.created ## margins, poles and sensitivity of the gains that servo.toml gives; CONFIG=... for another file
+	@$(BIN)/python firmware/config/tune.py report $(if $(CONFIG),--config '$(CONFIG)')
 
 clean: ## remove everything that the other targets made
 	rm -rf $(VENV) out .hypothesis .mypy_cache .pytest_cache .ruff_cache
@@ -87,7 +96,7 @@ $(VENV)/.created:
 	@python=$$(sh .ci/check-tools) && \
 	echo "[1/4] virtual environment $(VENV) with $$python" && \
 	"$$python" -m venv --clear $(if $(ROS_DISTRO),--system-site-packages) $(VENV)
-	@$(PIP) install --quiet --constraint constraints.txt pip setuptools cffi 'tomli; python_version < "3.11"'
+	@$(PIP) install --quiet --constraint constraints.txt pip setuptools cffi numpy 'tomli; python_version < "3.11"'
 	@touch $@
 
 $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)

@@ -139,7 +139,7 @@ def prefix() -> Path:
 def test_make_without_a_target_lists_every_target() -> None:
     listing = run("make")
     assert listing.returncode == 0, listing.stderr
-    listed = re.findall(r"^  make (\w+)  +\S", listing.stdout, re.MULTILINE)
+    listed = re.findall(r"^  make ([\w-]+)  +\S", listing.stdout, re.MULTILINE)
     phony = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert phony is not None
     assert sorted(listed) == sorted(phony[1].split())

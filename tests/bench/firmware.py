@@ -1,0 +1,66 @@
+"""What the firmware costs on a Cortex-M3: ``make bench-firmware``.
+
+Prints the table, says how it differs from the committed one, and writes the numbers as JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from firmware_cost.measurement import measure, plain
+from firmware_cost.programs import TARGET
+from firmware_cost.table import compiler_of, table
+from targets.machines import missing_text
+from targets.sources import ROOT, Sources
+from targets.toolchain import TargetError
+
+TABLE: Final = Path(__file__).with_name("firmware_cost.md")
+
+
+def difference(new: str) -> list[str]:
+    """Lines by which a table differs from the committed one."""
+    old = TABLE.read_text(encoding="utf-8") if TABLE.exists() else ""
+    return list(difflib.unified_diff(old.splitlines(), new.splitlines(), "committed", "measured", n=0, lineterm=""))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Return 0 unless something could not be measured; a difference is for its reader to judge."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench" / "firmware.json", metavar="FILE")
+    parser.add_argument("--update", action="store_true", help=f"write {TABLE.relative_to(ROOT)}")
+    options = parser.parse_args(arguments)
+    if not TARGET.available():
+        print(missing_text(TARGET), file=sys.stderr)
+        return 1
+    with tempfile.TemporaryDirectory(prefix="cost-") as name:
+        try:
+            measurement = measure(Sources().copy(Path(name) / "sources"), Path(name) / "build")
+        except TargetError as error:
+            print(error, file=sys.stderr)
+            return 1
+    text = table(measurement)
+    print(text)
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    options.json.write_text(json.dumps(plain(measurement), indent=1) + "\n", encoding="utf-8")
+    _tell(text)
+    if options.update:
+        TABLE.write_text(text, encoding="utf-8")
+    return 0
+
+
+def _tell(text: str) -> None:
+    committed = compiler_of(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else ""
+    if committed != compiler_of(text):
+        print(f"The committed table was made with {committed or 'nothing'}.")
+    print("\n".join(difference(text)) or "The committed table says the same.")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

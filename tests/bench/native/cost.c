@@ -1,0 +1,164 @@
+/* cost.c - instructions of the interrupts while both axes move in every mode.
+ *
+ * The image says what to run: whether all features are on or those of the configuration, which phases (a bit each),
+ * and, in units of 16, the most PWM periods that a phase may take. Prints "PHASE KIND NUMBER LEAST MOST SUM" in
+ * hexadecimal for all that was counted, and at the end "axis NUMBER SUBSTATE FAULTS SPEED POSITION".
+ */
+#include "cost.h"
+
+#include <stddef.h>
+
+#include "app/servo.h"
+#include "bench_board.h"
+#include "drive/motion.h"
+#include "machine.h"
+#include "text.h"
+
+#define RAD_PER_S(x) ((frac32_t)(INT32_C(4101391) * (x))) /* of 523.6 rad/s */
+#define AMPERE(x) ((frac16_t)(INT32_C(3972) * (x)))       /* of 8.25 A */
+
+#define SILENCE 64U /* PWM periods after which a phase begins to count: the last command is through */
+
+typedef struct {
+    uint16_t mode;
+    uint16_t periods;
+    int32_t position; /* from where the shaft is, counts */
+    frac32_t speed;
+    frac16_t i_q;
+} phase_t;
+
+/* What a servo does, and last the voltage limit. Axis 2 turns the other way. */
+static const phase_t phases[] = {
+    {CONTROL_MODE_POSITION, 800, 0, 0, 0},
+    {CONTROL_MODE_POSITION, 4800, 20000, 0, 0},
+    {CONTROL_MODE_SPEED, 1600, 0, RAD_PER_S(150), 0},
+    {CONTROL_MODE_SPEED, 3200, 0, RAD_PER_S(1) / 2, 0},
+    {CONTROL_MODE_TORQUE, 800, 0, 0, AMPERE(1)},
+    {CONTROL_MODE_SPEED, 3200, 0, RAD_PER_S(480), 0},
+};
+#define PHASES (sizeof phases / sizeof phases[0])
+
+typedef struct {
+    uint32_t number;
+    uint32_t least;
+    uint32_t most;
+    uint32_t sum;
+} cost_t;
+
+static servo_t servo;
+static hal_t hal;
+static cost_t costs[COST_KINDS];
+
+void cost_add(cost_kind_t kind, uint32_t instructions)
+{
+    cost_t *cost = &costs[kind];
+    cost->least = (cost->number == 0U || instructions < cost->least) ? instructions : cost->least;
+    cost->most = (instructions > cost->most) ? instructions : cost->most;
+    cost->sum += instructions;
+    cost->number++;
+}
+
+static void forget(void)
+{
+    for (uint16_t kind = 0; kind < COST_KINDS; kind++) {
+        costs[kind] = (cost_t){0};
+    }
+}
+
+static void report(uint16_t phase)
+{
+    for (uint16_t kind = 0; kind < COST_KINDS; kind++) {
+        const cost_t *cost = &costs[kind];
+        text_word("", phase, " ");
+        text_word("", kind, " ");
+        text_long("", cost->number, " ");
+        text_long("", cost->least, " ");
+        text_long("", cost->most, " ");
+        text_long("", cost->sum, "\n");
+    }
+}
+
+/* With the call and the return. */
+static uint32_t measured(void (*isr)(servo_t *))
+{
+    const uint32_t begin = machine_clock();
+    isr(&servo);
+    return machine_instructions(begin, machine_clock());
+}
+
+/* As if the rotor had been found: the state machine goes on from here by itself. */
+static void put_into_spin(axis_t *axis)
+{
+    axis->sm.state = STATE_RUN;
+    axis->substate = SUBSTATE_SPIN;
+    axis->requested = true;
+    axis->encoder.found = true;
+    motion_start(axis);
+    hal_pwm_enable(&hal, axis->index, true);
+}
+
+static void command(const phase_t *phase)
+{
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        const int32_t way = (i == 0U) ? 1 : -1;
+        servo.command.mode[i] = phase->mode;
+        servo.command.position[i] = servo.axis[i].feedback.position + way * phase->position;
+        servo.command.speed[i] = way * phase->speed;
+        servo.command.i_q[i] = (frac16_t)(way * phase->i_q);
+    }
+    latch_mark(&servo.marks, 0, (uint16_t)offsetof(command_block_t, enable));
+}
+
+static void run_period(void)
+{
+    bench_board_step(&hal);
+    const uint32_t m1 = measured(servo_m1_isr);
+    const bool slow = servo.slow_tick;
+    const uint32_t m2 = measured(servo_m2_isr);
+    servo_background(&servo);
+    cost_add(slow ? COST_M1_SLOW : COST_M1, m1);
+    cost_add(slow ? COST_M2_SLOW : COST_M2, m2);
+}
+
+int main(void)
+{
+    machine_start();
+    bench_board_init(&hal);
+    servo_init(&servo, &hal);
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        if (machine_image(0) != 0U) {
+            servo.parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX;
+        }
+        servo.parameter.speed_limit[i] = RAD_PER_S(500); /* more than the voltage allows */
+        servo.parameter.over_speed[i] = RAD_PER_S(520);
+    }
+    const uint16_t wanted = machine_image(1);
+    const uint16_t most = (uint16_t)(machine_image(2) * 16U);
+    for (uint16_t k = 0; k < SILENCE; k++) {
+        run_period();
+    }
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        put_into_spin(&servo.axis[i]);
+    }
+    for (uint16_t phase = 0; phase < PHASES; phase++) {
+        if ((wanted & (1U << phase)) == 0U) {
+            continue;
+        }
+        command(&phases[phase]);
+        for (uint16_t k = 0; k < phases[phase].periods && k < most; k++) {
+            if (k == SILENCE) {
+                forget();
+            }
+            run_period();
+        }
+        report(phase);
+    }
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        text_word("axis ", i, " ");
+        text_word("", (uint16_t)servo.axis[i].substate, " ");
+        text_word("", servo.axis[i].faults, " ");
+        text_long("", (uint32_t)servo.axis[i].feedback.speed, " ");
+        text_long("", (uint32_t)servo.axis[i].feedback.position, "\n");
+    }
+    machine_stop(0);
+}

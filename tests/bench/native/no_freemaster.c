@@ -1,0 +1,34 @@
+/* no_freemaster.c - in place of comm/: an application that nobody talks to, for its size. */
+#include "comm/freemaster.h"
+
+void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
+{
+    (void)server;
+    (void)app;
+}
+
+void freemaster_poll(freemaster_t *server, hal_t *hal)
+{
+    (void)server;
+    (void)hal;
+}
+
+uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size)
+{
+    (void)server;
+    (void)address;
+    (void)data;
+    (void)size;
+    return 0;
+}
+
+uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
+                         uint16_t size)
+{
+    (void)server;
+    (void)address;
+    (void)data;
+    (void)mask;
+    (void)size;
+    return 0;
+}

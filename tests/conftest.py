@@ -1,0 +1,76 @@
+"""What these tests share: the recorded runs; and for all tests, that none may be skipped where that is asked for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import pytest
+from targets.comparison import Expectation
+from targets.machines import Target, missing_text
+from targets.recording import Arithmetic, Recorder, Recording
+from targets.scenarios import SCENARIOS
+from targets.sources import Sources
+
+SKIP_NOTHING = "TESTS_SKIP_NOTHING"
+ALLOWED = ("root may write everywhere",)
+"""Reasons that are not the want of a tool."""
+
+
+def _skipped_in_vain(config: pytest.Config) -> list[str]:
+    """Reasons for which tests were skipped where every tool has to be there."""
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    if SKIP_NOTHING not in os.environ or reporter is None:
+        return []
+    reasons = {str(report.longrepr[2]).removeprefix("Skipped: ") for report in reporter.stats.get("skipped", ())}
+    return sorted(reasons - set(ALLOWED))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Continuous integration has every tool: there a skipped test, wherever it lies, is a failure."""
+    if _skipped_in_vain(session.config):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    for reason in _skipped_in_vain(config):
+        terminalreporter.write_line(f"{SKIP_NOTHING} is set, but a test was skipped: {reason}", red=True)
+
+
+@pytest.fixture(scope="session")
+def c_sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
+    """The C sources of this moment."""
+    return Sources().copy(tmp_path_factory.mktemp("sources"))
+
+
+@pytest.fixture(scope="session")
+def recorder(c_sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Recorder:
+    return Recorder(c_sources, tmp_path_factory.mktemp("recorder"))
+
+
+@pytest.fixture(scope="session")
+def recordings(recorder: Recorder) -> list[Recording]:
+    """Every scenario, recorded on the host."""
+    return [recorder.record(scenario) for scenario in SCENARIOS]
+
+
+@pytest.fixture(scope="session")
+def arithmetic(recorder: Recorder) -> Arithmetic:
+    return recorder.arithmetic()
+
+
+@pytest.fixture(scope="session")
+def expected(recordings: list[Recording], arithmetic: Arithmetic) -> list[Expectation]:
+    return [*recordings, arithmetic]
+
+
+@pytest.fixture(scope="session")
+def needs() -> Callable[[Target], None]:
+    """Skip a test whose target has no tools on this machine."""
+
+    def check(target: Target) -> None:
+        if not target.available():
+            pytest.skip(missing_text(target))
+
+    return check

@@ -1,0 +1,115 @@
+"""Instructions of the interrupts and their loops, counted by the simulated machine's clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Final
+
+from targets.machines import QemuProgram
+from targets.toolchain import TargetError
+
+from firmware_cost.programs import Programs
+
+COUNTING: Final = ("-icount", "shift=10")
+"""With this the system timer runs 25.6 ticks per instruction (firmware/port/cortex_m3/machine.c)."""
+
+PHASES: Final = ("hold", "position", "speed", "crawl", "torque", "voltage limit")
+"""Phases of tests/bench/native/cost.c, in its order."""
+
+EVERY_PHASE: Final = (1 << len(PHASES)) - 1
+WHOLE_PHASES: Final = 0xFF  # longer than the longest, in units of 16 periods
+
+_LOOPS: Final = ("axis_fast", "axis_slow")
+_SPIN: Final = 3
+
+
+class Kind(IntEnum):
+    """What is counted: cost_kind_t of tests/bench/native/cost.h."""
+
+    M1 = 0
+    M2 = 1
+    M1_SLOW = 2
+    M2_SLOW = 3
+    FAST = 4
+    SLOW = 5
+
+
+@dataclass(frozen=True)
+class Count:
+    """Instructions of one interrupt or loop, call and return included."""
+
+    number: int
+    least: int
+    most: int
+    total: int
+
+    @property
+    def mean(self) -> float:
+        return self.total / self.number
+
+
+Counts = Mapping[tuple[str, Kind], Count]
+"""By phase and kind."""
+
+
+def image(*, all_features: bool = False, phases: int = EVERY_PHASE, most: int = WHOLE_PHASES) -> bytes:
+    """What cost.c reads at its start.
+
+    Parameters
+    ----------
+    all_features : bool
+        Turn everything on; otherwise what the configuration turns on.
+    phases : int
+        A bit for each phase that is to run.
+    most : int
+        Longest phase, in units of 16 PWM periods.
+    """
+    return bytes([all_features, phases, most])
+
+
+def cost_program(programs: Programs, *, loops: bool) -> Path:
+    """The program that moves two axes and counts: the interrupts as they are, or the loops within them."""
+    names = ["cost", "bench_board", *(["cost_loops"] if loops else [])]
+    files = [programs.bench / f"{name}.c" for name in names]
+    wrap = [f"-Wl,--wrap={name}" for name in _LOOPS] if loops else []
+    name = "loops" if loops else "interrupts"
+    return programs.link(name, [*programs.objects(), programs.sources.native / "text.c", *files], wrap)
+
+
+def count(programs: Programs, *, all_features: bool = False) -> Counts:
+    """Instructions of interrupts and loops over a run of both axes.
+
+    Raises
+    ------
+    TargetError
+        If an axis has left SPIN or has a fault: then something else has been counted.
+    """
+    result: dict[tuple[str, Kind], Count] = {}
+    for loops in (False, True):
+        text = QemuProgram(cost_program(programs, loops=loops), COUNTING).run(image(all_features=all_features))
+        for (phase, kind), value in parse(text).items():
+            if (kind in (Kind.FAST, Kind.SLOW)) == loops:
+                result[phase, kind] = value
+    return result
+
+
+def parse(text: str) -> Counts:
+    """Read what cost.c prints."""
+    result: dict[tuple[str, Kind], Count] = {}
+    axes = 0
+    for line in text.splitlines():
+        words = line.split()
+        if words[0] == "axis":
+            axes += 1
+            if int(words[2], 16) != _SPIN or int(words[3], 16) != 0:
+                raise TargetError(f"an axis does not spin at the end of the run: {line}")
+            continue
+        phase, kind, number, least, most, total = (int(word, 16) for word in words)
+        if number:
+            result[PHASES[phase], Kind(kind)] = Count(number, least, most, total)
+    if axes == 0:
+        raise TargetError(f"the run did not come to its end:\n{text[-1000:]}")
+    return result

@@ -1,0 +1,93 @@
+"""Everything about one state of the firmware."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from targets.sources import Sources
+
+from firmware_cost.instructions import Counts, count
+from firmware_cost.programs import OPTIMISATIONS, Programs, compiler
+from firmware_cost.sizes import Size, Sizes, sizes
+from firmware_cost.stages import Stages, stages
+
+REFERENCE = "-O2"
+"""The optimisation that the aims are for."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Costs per optimisation, and in more detail for `REFERENCE`.
+
+    Attributes
+    ----------
+    compiler : str
+        With its version.
+    counts, sizes : mapping
+        By optimisation.
+    all_features : mapping
+        Counts with everything turned on that the reference design does not have.
+    stages : Stages
+    """
+
+    compiler: str
+    counts: Mapping[str, Counts]
+    sizes: Mapping[str, Sizes]
+    all_features: Counts
+    stages: Stages
+
+
+def measure(sources: Sources, folder: Path) -> Measurement:
+    """Build, run and count.
+
+    Parameters
+    ----------
+    sources : Sources
+        They must not change meanwhile: pass a copy.
+    folder : Path
+        Empty; for objects and programs.
+
+    Raises
+    ------
+    TargetError
+        If a tool fails, or the axes do not do what is to be measured.
+    """
+    programs = {level: Programs.compile(sources, folder / level.strip("-"), level) for level in OPTIMISATIONS}
+    return Measurement(
+        compiler(),
+        {level: count(one) for level, one in programs.items()},
+        {level: sizes(one) for level, one in programs.items()},
+        count(programs[REFERENCE], all_features=True),
+        stages(programs[REFERENCE]),
+    )
+
+
+def plain(measurement: Measurement) -> dict[str, Any]:
+    """The same as dictionaries and numbers."""
+    return {
+        "compiler": measurement.compiler,
+        "instructions": {level: _counts(counts) for level, counts in measurement.counts.items()},
+        "instructions_all_features": {REFERENCE: _counts(measurement.all_features)},
+        "stages": {REFERENCE: {"fast": dict(measurement.stages.fast), "slow": dict(measurement.stages.slow)}},
+        "bytes": {level: _sizes(one) for level, one in measurement.sizes.items()},
+    }
+
+
+def _counts(counts: Counts) -> dict[str, dict[str, dict[str, float]]]:
+    result: dict[str, dict[str, dict[str, float]]] = {}
+    for (phase, kind), one in counts.items():
+        numbers = {"number": one.number, "least": one.least, "mean": one.mean, "most": one.most}
+        result.setdefault(phase, {})[kind.name.lower()] = numbers
+    return result
+
+
+def _sizes(one: Sizes) -> dict[str, Any]:
+    rooms = {room: _size(size) for room, size in one.rooms.items()}
+    return {"complete": _size(one.complete), "control": _size(one.control), "rooms": rooms}
+
+
+def _size(size: Size) -> dict[str, int]:
+    return {"text": size.text, "rodata": size.rodata, "data": size.data, "bss": size.bss}

@@ -1,0 +1,29 @@
+/* digest.h - running check value over everything that a core does, equal on every machine. */
+#ifndef TARGETS_DIGEST_H
+#define TARGETS_DIGEST_H
+
+#include "app/servo.h"
+#include "exchange.h"
+
+/* CRC-32 over words, low byte first. */
+#define DIGEST_START UINT32_C(0xFFFFFFFF)
+uint32_t digest_word(uint32_t value, uint16_t word);
+uint32_t digest_long(uint32_t value, uint32_t word);
+
+typedef struct {
+    uint32_t value;
+    uint32_t tick;    /* of the last snapshot that was taken in */
+    uint32_t periods; /* M2 calls so far */
+} digest_t;
+
+void digest_init(digest_t *digest);
+
+/* After each call: its kind, how many of the recorded inputs were left over or asked for in vain, its words out, and
+ * the snapshot if it is a new one. */
+void digest_call(digest_t *digest, call_t call, uint16_t axis, uint16_t left, uint16_t missing, const out_log_t *out,
+                 const servo_t *servo);
+
+/* The scalars of the snapshot: entry `i` of the table of variables if it is one of them. */
+bool digest_snapshot_field(const servo_t *servo, uint16_t i, uint32_t *value);
+
+#endif

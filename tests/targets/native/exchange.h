@@ -1,0 +1,56 @@
+/* exchange.h - what crosses hal/hal.h during one call of an entry point, as 16-bit words.
+ *
+ * Words in are what the core read from the board, in the order in which it asked. Words out are what it did to the
+ * board: a head (operation | axis << 8) and the operands. The recorder notes both on a running board; the replay board
+ * answers from the first and notes the second.
+ */
+#ifndef TARGETS_EXCHANGE_H
+#define TARGETS_EXCHANGE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef enum {
+    CALL_INIT,
+    CALL_M1,
+    CALL_M2,
+    CALL_BACKGROUND,
+    CALL_EDGE,
+    CALL_BREAK,
+    CALL_END, /* of the recording */
+} call_t;
+
+typedef enum {
+    OUT_SELECT, /* pair */
+    OUT_DUTY,   /* a, b, c */
+    OUT_ENABLE, /* on */
+    OUT_BREAK_CLEAR,
+    OUT_PRESET, /* count */
+    OUT_ARM,
+    OUT_SERIAL, /* byte */
+    OUT_WATCHDOG,
+} out_t;
+
+#define EXCHANGE_IN_MAX 64
+#define EXCHANGE_OUT_MAX 96
+
+/* Words out of one call. What does not fit is dropped but counted, so the digest sees it. */
+typedef struct {
+    uint16_t word[EXCHANGE_OUT_MAX];
+    uint16_t size;
+} out_log_t;
+
+static inline void out_word(out_log_t *log, uint16_t word)
+{
+    if (log->size < EXCHANGE_OUT_MAX) {
+        log->word[log->size] = word;
+    }
+    log->size++;
+}
+
+static inline void out_head(out_log_t *log, out_t operation, uint16_t axis)
+{
+    out_word(log, (uint16_t)((uint16_t)operation | (uint16_t)(axis << 8)));
+}
+
+#endif

@@ -1,0 +1,109 @@
+/* replay.c - feed a recording to the core, or numbers to its functions, and print check values of all that comes out.
+ *
+ * The image is a recording (trace.h), or "SRVA", the seed and the rounds of the arithmetic as 32-bit numbers, low byte
+ * first.
+ *   =VALUE        after every so many periods; for every group of functions
+ *   ?PERIOD ...   each call of the periods to be printed: kind, axis, words left, words missing, words out
+ *   !FIELD VALUE  after such a call: the snapshot's scalars by their index in the table of variables
+ *   end VALUE     over everything
+ */
+#include <stddef.h>
+
+#include "app/variables.h"
+#include "arithmetic.h"
+#include "digest.h"
+#include "machine.h"
+#include "replay_hal.h"
+#include "text.h"
+
+/* A machine with little memory has the arithmetic only where the image asks for it. */
+#pragma weak arithmetic_groups
+#pragma weak arithmetic_digest
+
+static servo_t servo;
+static hal_t hal;
+static trace_reader_t reader;
+static trace_call_t call;
+static digest_t digest;
+
+static void print_call(uint32_t period)
+{
+    text_long("?", period, " ");
+    text_word("", (uint16_t)call.call, " ");
+    text_word("", call.axis, " ");
+    text_word("", hal.left, " ");
+    text_word("", hal.missing, "");
+    for (uint16_t i = 0; i < hal.out.size && i < EXCHANGE_OUT_MAX; i++) {
+        text_word(" ", hal.out.word[i], "");
+    }
+    machine_print("\n");
+}
+
+static void print_snapshot(void)
+{
+    for (uint16_t i = 0; i < servo_variables.entries; i++) {
+        uint32_t value;
+        if (digest_snapshot_field(&servo, i, &value)) {
+            text_word("!", i, " ");
+            text_long("", value, "\n");
+        }
+    }
+}
+
+static void replay(void)
+{
+    digest_init(&digest);
+    while (trace_reader_next(&reader, &call)) {
+        const uint32_t period = digest.periods;
+        replay_load(&hal, &call);
+        if (!replay_call(&servo, &hal, &call)) {
+            break;
+        }
+        const bool fresh = servo.snapshot.tick != digest.tick;
+        digest_call(&digest, call.call, call.axis, hal.left, hal.missing, &hal.out, &servo);
+        if (period >= reader.print_first && period <= reader.print_last) {
+            print_call(period);
+            if (fresh) {
+                print_snapshot();
+            }
+        }
+        if (digest.periods != period && digest.periods % reader.check_every == 0U) {
+            text_long("=", digest.value, "\n");
+        }
+    }
+    text_long("end ", digest.value, "\n");
+}
+
+static uint32_t number(uint32_t at)
+{
+    uint32_t value = 0;
+    for (uint16_t i = 4; i > 0U; i--) {
+        value = value << 8 | machine_image(at + i - 1U);
+    }
+    return value;
+}
+
+static void arithmetic(void)
+{
+    uint32_t value = DIGEST_START;
+    for (uint16_t group = 0; group < arithmetic_groups(); group++) {
+        const uint32_t sum = arithmetic_digest(group, number(4), number(8));
+        text_long("=", sum, "\n");
+        value = digest_long(value, sum);
+    }
+    text_long("end ", value, "\n");
+}
+
+int main(void)
+{
+    machine_start();
+    if (trace_reader_open(&reader, machine_image)) {
+        replay();
+    } else if (number(0) == UINT32_C(0x41565253) && arithmetic_groups != NULL) {
+        arithmetic();
+    } else {
+        machine_print("nothing to replay\n");
+        machine_stop(2);
+    }
+    machine_stop(0);
+}

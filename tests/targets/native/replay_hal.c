@@ -1,0 +1,156 @@
+#include "replay_hal.h"
+
+/* ---- hal/hal.h -------------------------------------------------------------------------------------------------- */
+
+static uint16_t take(hal_t *hal)
+{
+    if (hal->left == 0U) {
+        hal->missing++;
+        return 0;
+    }
+    hal->left--;
+    return *hal->in++;
+}
+
+static adc_pair_t take_pair(hal_t *hal)
+{
+    adc_pair_t codes;
+    codes.first = take(hal);
+    codes.second = take(hal);
+    return codes;
+}
+
+void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair)
+{
+    out_head(&hal->out, OUT_SELECT, axis);
+    out_word(&hal->out, (uint16_t)pair);
+}
+
+adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return take_pair(hal);
+}
+
+adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return take_pair(hal);
+}
+
+uint16_t hal_adc_bus(hal_t *hal) { return take(hal); }
+
+void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c)
+{
+    out_head(&hal->out, OUT_DUTY, axis);
+    out_word(&hal->out, (uint16_t)duty_a);
+    out_word(&hal->out, (uint16_t)duty_b);
+    out_word(&hal->out, (uint16_t)duty_c);
+}
+
+void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
+{
+    out_head(&hal->out, OUT_ENABLE, axis);
+    out_word(&hal->out, on ? 1U : 0U);
+}
+
+bool hal_break_active(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return take(hal) != 0U;
+}
+
+void hal_break_clear(hal_t *hal, uint16_t axis) { out_head(&hal->out, OUT_BREAK_CLEAR, axis); }
+
+uint16_t hal_encoder_count(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return take(hal);
+}
+
+void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count)
+{
+    out_head(&hal->out, OUT_PRESET, axis);
+    out_word(&hal->out, count);
+}
+
+uint16_t hal_index_count(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return take(hal);
+}
+
+void hal_capture_arm(hal_t *hal, uint16_t axis) { out_head(&hal->out, OUT_ARM, axis); }
+
+bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
+{
+    (void)axis;
+    if (take(hal) == 0U) {
+        return false;
+    }
+    capture->count = take(hal);
+    capture->time = take(hal);
+    return true;
+}
+
+uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    const uint32_t low = take(hal);
+    return (uint32_t)take(hal) << 16 | low;
+}
+
+bool hal_serial_get(hal_t *hal, uint8_t *byte)
+{
+    if (take(hal) == 0U) {
+        return false;
+    }
+    *byte = (uint8_t)take(hal);
+    return true;
+}
+
+bool hal_serial_put(hal_t *hal, uint8_t byte)
+{
+    out_head(&hal->out, OUT_SERIAL, 0);
+    out_word(&hal->out, byte);
+    return take(hal) != 0U;
+}
+
+void hal_watchdog_service(hal_t *hal) { out_head(&hal->out, OUT_WATCHDOG, 0); }
+
+/* ---- calls ------------------------------------------------------------------------------------------------------ */
+
+void replay_load(hal_t *hal, const trace_call_t *call)
+{
+    hal->in = call->in;
+    hal->left = call->size;
+    hal->missing = 0;
+    hal->out.size = 0;
+}
+
+bool replay_call(servo_t *servo, hal_t *hal, const trace_call_t *call)
+{
+    const uint16_t axis = call->axis % HAL_AXES;
+    switch (call->call) {
+    case CALL_INIT:
+        servo_init(servo, hal);
+        return true;
+    case CALL_M1:
+        servo_m1_isr(servo);
+        return true;
+    case CALL_M2:
+        servo_m2_isr(servo);
+        return true;
+    case CALL_BACKGROUND:
+        servo_background(servo);
+        return true;
+    case CALL_EDGE:
+        servo_edge_isr(servo, axis);
+        return true;
+    case CALL_BREAK:
+        servo_break_isr(servo, axis);
+        return true;
+    default:
+        return false;
+    }
+}

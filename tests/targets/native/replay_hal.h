@@ -1,0 +1,22 @@
+/* replay_hal.h - a board that answers with recorded words and notes what it is told. */
+#ifndef TARGETS_REPLAY_HAL_H
+#define TARGETS_REPLAY_HAL_H
+
+#include "app/servo.h"
+#include "exchange.h"
+#include "trace.h"
+
+struct hal {
+    const uint16_t *in; /* words of this call that are still to come */
+    uint16_t left;
+    uint16_t missing; /* words asked for beyond the recorded ones; they read as 0 */
+    out_log_t out;
+};
+
+/* Hand the words of a recorded call to the board. */
+void replay_load(hal_t *hal, const trace_call_t *call);
+
+/* Call the entry point; false for a call that does not exist. */
+bool replay_call(servo_t *servo, hal_t *hal, const trace_call_t *call);
+
+#endif

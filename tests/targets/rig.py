@@ -1,0 +1,220 @@
+"""A virtual board on the bench: what a host may do over the serial line, and what may happen to the plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Any, Final
+
+from servo_bridge.freemaster import commands
+from servo_bridge.freemaster.commands import Request
+from servo_msgs_py.catalogue import Catalogue
+from servo_twin.plant import PlantConfig
+
+BAUD: Final = 1_000_000.0
+
+_ENTRY_SIZE: Final = 16
+_IDLE: Final = (1 << 64) - 1
+_STEP: Final = 0.0025
+"""Time between two looks at a condition [s]."""
+
+_HEARTBEAT: Final = 0.2
+"""Longest time in which a host that waits says nothing [s]; the firmware stops for one that has fallen silent."""
+
+
+class RigError(AssertionError):
+    """The board did not do what a scenario waits for."""
+
+
+class Rig:
+    """A board that has just been switched on.
+
+    Commands go over the serial line, because that is part of what is recorded. `get` looks at variables past it, which
+    changes nothing.
+
+    Parameters
+    ----------
+    ffi, lib : cffi library
+        The virtual board (``board.h``) with the recorder (``recorder.h``).
+    plant : PlantConfig
+        What is really there.
+    seed : int
+        Of every random number of the board.
+
+    Attributes
+    ----------
+    entries : sequence of str
+        Names of the entries in the table of variables.
+    written : list of (str, tuple of int)
+        Variables that were written, and the raw numbers.
+    """
+
+    def __init__(self, ffi: Any, lib: Any, plant: PlantConfig, seed: int) -> None:
+        self._ffi, self._lib = ffi, lib
+        self._catalogue = Catalogue.load()
+        config = ffi.new("board_config_t *")
+        for target, axis in zip(config.axis, plant.axes, strict=True):
+            for name, value in vars(axis).items():
+                setattr(target, name, value)
+        for name, value in vars(plant.bus).items():
+            setattr(config.bus, name, value)
+        config.pwm_frequency, config.baud, config.seed = plant.pwm_frequency, BAUD, seed
+        self._board = lib.board_new(config)
+        self.entries, self._addresses = self._table()
+        self._spoken_ns = 0
+        self.written: list[tuple[str, tuple[int, ...]]] = []
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._lib.board_free(self._board)
+
+    # ---- time -----------------------------------------------------------------------------------------------------
+
+    def run(self, seconds: float) -> None:
+        """Let simulated time pass [s]."""
+        self._lib.board_advance(self._board, self._now_ns() + round(seconds * 1e9))
+
+    def until(self, what: str, condition: Callable[[], bool], within: float = 3.0, silent: bool = False) -> None:
+        """Run until a condition holds.
+
+        Parameters
+        ----------
+        within : float
+            Patience [s of simulated time].
+        silent : bool
+            Say nothing meanwhile.
+
+        Raises
+        ------
+        RigError
+            If it does not hold in time.
+        """
+        for _ in range(round(within / _STEP)):
+            if condition():
+                return
+            if not silent and self._now_ns() - self._spoken_ns > _HEARTBEAT * 1e9:
+                self.request(commands.read_memory(self.address("tick"), 4))
+            self.run(_STEP)
+        axes = "; ".join(f"axis{k + 1} {place} {self.faults(k)}" for k, place in enumerate(self.places()))
+        raise RigError(f"not within {within:g} s: {what}; {axes}")
+
+    def _now_ns(self) -> int:
+        return int(self._lib.board_time_ns(self._board))
+
+    # ---- the serial line --------------------------------------------------------------------------------------------
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the line and wait until the answer, if there is one, has passed."""
+        if self._lib.board_serial_in(self._board, data, len(data)) != len(data):
+            raise RigError("the serial line does not take more bytes")
+        while (next_ns := int(self._lib.board_serial_next_ns(self._board))) != _IDLE:
+            self._lib.board_advance(self._board, next_ns)
+        self._spoken_ns = self._now_ns()
+
+    def request(self, request: Request) -> None:
+        """Send one FreeMASTER request."""
+        self.send(request.frame)
+
+    def set(self, name: str, *values: float) -> None:
+        """Write a variable in SI units: one value per element, or one for all."""
+        variable = self._catalogue[name]
+        self.set_raw(name, *map(variable.to_raw, values * variable.count if len(values) == 1 else values))
+
+    def set_raw(self, name: str, *raw: int) -> None:
+        """Write the raw numbers of a variable, whatever its limits are."""
+        self.request(commands.write_memory(self.address(name), self._catalogue[name].encode_raw(raw)))
+        self.written.append((name, raw))
+
+    # ---- looking ----------------------------------------------------------------------------------------------------
+
+    def address(self, name: str) -> int:
+        return self._addresses[name]
+
+    def get(self, name: str) -> float:
+        """Value of a scalar in SI units."""
+        variable = self._catalogue[name]
+        value = variable.decode(self._read(self.address(name), variable.size))
+        if not isinstance(value, (int, float)):
+            raise RigError(f"{name} is not a scalar")
+        return value
+
+    def places(self) -> list[str]:
+        """Where both axes are: the sub-state in RUN, else the state."""
+        return [self._place(f"axis{k}") for k in (1, 2)]
+
+    def _place(self, axis: str) -> str:
+        state = self._catalogue.label("state_t", round(self.get(f"{axis}.state")))
+        substate = self._catalogue.label("substate_t", round(self.get(f"{axis}.substate")))
+        return substate if state == "RUN" else state
+
+    def faults(self, axis: int) -> list[str]:
+        """Names of the faults of an axis (0 or 1)."""
+        return [flag.name for flag in self._catalogue.active("faults", round(self.get(f"axis{axis + 1}.faults")))]
+
+    # ---- the plant --------------------------------------------------------------------------------------------------
+
+    def load(self, axis: int, torque: float) -> None:
+        """External torque on an axis [N m]."""
+        self._lib.board_set_load(self._board, axis, torque)
+
+    def supply(self, volts: float) -> None:
+        """Open-circuit voltage of the supply [V]."""
+        self._lib.board_set_supply(self._board, volts)
+
+    def lock(self, axis: int, locked: bool = True) -> None:
+        """Hold a shaft fast, or let it go."""
+        self._lib.board_set_shaft(self._board, axis, int(locked))
+
+    def plug(self, axis: int, connected: bool) -> None:
+        """Connect or disconnect an encoder."""
+        self._lib.board_set_encoder(self._board, axis, int(connected))
+
+    def motor(self, axis: int, connected: bool) -> None:
+        """Connect or disconnect the cable of a motor."""
+        self._lib.board_set_motor(self._board, axis, int(connected))
+
+    def disturb(self, *axes: int, one_in: int, seed: int = 1) -> None:
+        """Replace one in so many analogue inputs and edges of some axes (0, 1) by random ones."""
+        self._lib.record_disturb(sum(1 << axis for axis in axes), one_in, seed)
+
+    def calm(self) -> None:
+        """End the disturbance."""
+        self._lib.record_disturb(0, 0, 0)
+
+    def lose_index(self, lost: bool) -> None:
+        """Let the index counters of both encoders stand still, or go on."""
+        self._lib.record_lose_index(lost)
+
+    # ---- memory -----------------------------------------------------------------------------------------------------
+
+    def _read(self, address: int, size: int) -> bytes:
+        data = self._ffi.new("uint8_t[]", size)
+        status = self._lib.board_read(self._board, address, data, size)
+        if status != 0:
+            raise RigError(f"reading {size} bytes at {address:#x}: status {status:#x}")
+        return bytes(data)
+
+    def _table(self) -> tuple[Sequence[str], dict[str, int]]:
+        """Names of all entries of the table of variables, and addresses of the variables among them."""
+        start, size = self._ffi.new("uint32_t *"), self._ffi.new("uint32_t *")
+        self._lib.board_table(start, size)
+        names: list[str] = []
+        addresses: dict[str, int] = {}
+        for entry in range(start[0], start[0] + size[0], _ENTRY_SIZE):
+            data = self._read(entry, _ENTRY_SIZE)
+            name, _, address, info = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4, 8, 12))
+            names.append(self._string(name))
+            if info & 3:  # not a type, a member or a constant
+                addresses[names[-1]] = address
+        return names, addresses
+
+    def _string(self, address: int) -> str:
+        text = bytearray()
+        byte = self._ffi.new("uint8_t[1]")
+        while self._lib.board_read(self._board, address + len(text), byte, 1) == 0:
+            text.append(byte[0])
+        return text.decode("latin-1")

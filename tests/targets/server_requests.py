@@ -1,0 +1,127 @@
+"""FreeMASTER requests to a board at rest, right and wrong: every command, and every refusal of each."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from typing import Final
+
+from servo_bridge.freemaster import commands
+from servo_bridge.freemaster.codec import encode_request, encode_sleb, encode_uleb
+from servo_bridge.freemaster.commands import Command, ScopeSlot
+
+from targets.rig import Rig
+
+VARIABLES: Final = 0x1000
+STRINGS: Final = 0x00100000
+TABLE: Final = 0x00200000
+"""Where variables, their names and their table begin (``comm/tsa.h``)."""
+
+_ENTRY_SIZE: Final = 16
+_CHUNK: Final = 240
+"""Bytes of the table in one answer: whole entries."""
+
+_READ_FROM_BASE: Final = 0x22
+_UNENDING: Final = b"\x80"
+"""The beginning of a number that goes on behind the end of the request."""
+
+
+def frames(rig: Rig) -> Iterator[bytes]:
+    """Bytes to send; each waits for the answer to the one before."""
+    yield from _configuration()
+    yield from _table(rig)
+    yield from _memory(rig)
+    yield from _scope(rig)
+    yield from _commands()
+    yield from _line()
+
+
+def _configuration() -> Iterator[bytes]:
+    for key in ("MTU", "VS", "NM", "DS", "BD", "F1", "BA", "RC", "SC", "PV", "PC", "XX"):
+        yield commands.get_config(key).frame
+    for index in (3, -1, 2**31 - 1):
+        yield encode_request(Command.GETCONFIG, encode_sleb(index))
+    yield encode_request(Command.GETCONFIG)
+    yield encode_request(Command.GETCONFIG, b"\x00PV")
+
+
+def _table(rig: Rig) -> Iterator[bytes]:
+    for index in (0, 1):
+        yield commands.get_tsa_info(index).frame
+    yield encode_request(Command.GETTSAINFO, _UNENDING)
+    size = _ENTRY_SIZE * len(rig.entries)
+    for offset in range(0, size, _CHUNK):
+        yield commands.read_memory(TABLE + offset, min(_CHUNK, size - offset)).frame
+    for address in (STRINGS, STRINGS + 29, TABLE):
+        yield commands.get_string_length(address).frame
+        yield commands.read_memory(address, 16).frame
+    yield commands.read_memory(STRINGS, 3).frame
+    yield encode_request(Command.GETSTRLEN, _UNENDING)
+
+
+def _memory(rig: Rig) -> Iterator[bytes]:
+    speed, position = rig.address("cmd.speed"), rig.address("axis1.position")
+    yield commands.read_memory(rig.address("snapshot"), 30).frame
+    for address, size in ((VARIABLES, 252), (0xFFFFFFFF, 4), (TABLE, 253), (TABLE, 2**16), (TABLE, 0)):
+        yield commands.read_memory(address, size).frame
+    yield encode_request(Command.READMEM, encode_uleb(speed) + _UNENDING)
+    for offset, size in ((-1, 4), (4, 2**32 - 1), (4, 4)):
+        yield encode_request(_READ_FROM_BASE, encode_sleb(offset) + encode_uleb(size))
+    for data, mask in ((bytes(8), b"\x00\xff\x00\xff" + bytes(4)), (b"++++++++", bytes(8)), (b"++++++++", None)):
+        yield commands.write_memory(speed, data, mask).frame
+        yield commands.read_memory(speed, 8).frame
+    yield commands.write_memory(position, bytes(4)).frame
+    whole = b"\x00" + encode_uleb(speed) + encode_uleb(8)
+    yield encode_request(Command.WRITEMEM, whole + bytes(7))
+    yield encode_request(Command.WRITEMEM, b"\x01" + whole[1:] + bytes(15))
+    yield encode_request(Command.WRITEMEM, whole[:2])
+
+
+def _scope(rig: Rig) -> Iterator[bytes]:
+    yield commands.read_scope(4).frame  # before it is set up
+    yield commands.read_scope(4, scope=1).frame
+    slots = [ScopeSlot(rig.address(name), 4) for name in ("tick", "axis1.position", "axis2.speed")]
+    for request in commands.set_scope(slots):
+        yield request.frame
+    yield commands.read_scope(12).frame
+    yield commands.read_scope(12).frame
+    tick = encode_uleb(rig.address("tick"))
+    for operation, operand in (
+        (1, b""),
+        (1, b"\xff"),
+        (2, b"\x18" + tick + b"\x04"),
+        (2, b"\x00" + tick + b"\x03"),
+        (2, b"\x00" + encode_uleb(0x500) + b"\x04"),
+        (9, b""),
+    ):
+        yield encode_request(Command.SETSCOPE, bytes((0, operation, len(operand))) + operand)
+    yield encode_request(Command.SETSCOPE, b"\x00\x02\x09")
+    yield encode_request(Command.SETSCOPE)
+    yield encode_request(Command.READSCOPE)
+
+
+def _commands() -> Iterator[bytes]:
+    for code in (1, 2, 3, 9):
+        yield commands.send_command(code, b"+" * 5).frame
+        yield commands.get_command_status().frame
+        yield commands.get_command_data(8).frame
+    for size in (3, 253, 2**16):
+        yield commands.get_command_data(size).frame
+    yield encode_request(Command.GETAPPCMDDATA, _UNENDING)
+    yield encode_request(Command.SENDAPPCMD)
+    yield encode_request(Command.SENDAPPCMD, b"\xff")
+    yield encode_request(Command.SENDAPPCMD, b"\x03" + bytes(200))
+    yield commands.send_command(3).frame
+    yield commands.send_command(1).frame  # while one is pending
+    yield commands.get_command_data(8).frame
+
+
+def _line() -> Iterator[bytes]:
+    source = random.Random(7)
+    yield b"+\x21\x05" + bytes(5) + b"\x00"  # wrong sum
+    yield b"+\x21+\x21\x02\x10"  # unfinished, twice
+    yield b"+\x23\xfe" + source.randbytes(300).replace(b"+", b"-")  # too long
+    yield bytes(1) * 64
+    yield b"+\x21\xff" + bytes(8)
+    yield commands.get_config("PV").frame * 2  # the second while the first is answered
+    yield encode_request(0x77)

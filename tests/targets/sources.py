@@ -1,0 +1,70 @@
+"""One state of the C sources, from which every program of a run is built."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+
+ROOMS: Final = ("math", "control", "sensing", "drive", "app", "comm", "config")
+"""Folders of the firmware that make up the core."""
+
+STRICT: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+"""Options of every compiler: nowhere in the core does a number change its type unseen."""
+
+_FOLDERS: Final = ("firmware", "servo_twin/native", "tests/targets/native", "tests/bench/native")
+_REPLAY: Final = ("replay", "replay_hal", "arithmetic", "digest", "trace_model", "trace_reader", "text")
+_RECORDER: Final = ("recorder", "arithmetic", "digest", "trace_model", "trace_writer")
+
+
+@dataclass(frozen=True)
+class Sources:
+    """C sources below one root.
+
+    Attributes
+    ----------
+    root : Path
+        The checkout, or a copy of its C sources.
+    """
+
+    root: Path = ROOT
+
+    def copy(self, folder: Path) -> Sources:
+        """Freeze the C sources in `folder`: edits to the checkout no longer matter, edits to the copy harm nobody."""
+        for name in _FOLDERS:
+            source = self.root / name
+            if source.is_dir():
+                shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("test", "build", "__pycache__"))
+        return Sources(folder)
+
+    @property
+    def firmware(self) -> Path:
+        return self.root / "firmware"
+
+    @property
+    def twin(self) -> Path:
+        return self.root / "servo_twin" / "native"
+
+    @property
+    def native(self) -> Path:
+        return self.root / "tests" / "targets" / "native"
+
+    def port(self, name: str) -> Path:
+        return self.firmware / "port" / name
+
+    def core(self, rooms: Iterable[str] = ROOMS) -> list[Path]:
+        """C files of the firmware that run on every target."""
+        return [path for room in rooms for path in sorted((self.firmware / room).glob("*.c"))]
+
+    def replay(self) -> list[Path]:
+        """C files of the replay program beside the core and the machine."""
+        return [self.native / f"{name}.c" for name in _REPLAY]
+
+    def recorder(self) -> list[Path]:
+        """C files of the recorder: core, virtual board and what stands between them."""
+        board = [*sorted(self.twin.glob("*.c")), *sorted((self.twin / "plant").glob("*.c"))]
+        return [*self.core(), *board, *(self.native / f"{name}.c" for name in _RECORDER)]

@@ -1,0 +1,102 @@
+"""Run compilers and simulators, and say what a machine lacks."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+JOBS: Final = os.cpu_count() or 1
+"""How much is built or run at a time."""
+
+
+class TargetError(RuntimeError):
+    """A target could not be built, or its program did not end as it should."""
+
+
+def run(
+    command: Sequence[str | Path],
+    *,
+    data: bytes = b"",
+    timeout: float = 600.0,
+    merged: bool = False,
+    folder: Path | None = None,
+) -> str:
+    """Run a command and return what it printed.
+
+    Parameters
+    ----------
+    command : sequence
+        Program and arguments.
+    data : bytes
+        What the program finds at its standard input.
+    timeout : float
+        Patience [s].
+    merged : bool
+        Return what went to the standard error as well.
+    folder : Path, optional
+        Where it runs.
+
+    Raises
+    ------
+    TargetError
+        If it fails, or takes too long.
+    """
+    words = [str(word) for word in command]
+    try:
+        errors = subprocess.STDOUT if merged else subprocess.PIPE
+        result = subprocess.run(
+            words, input=data, stdout=subprocess.PIPE, stderr=errors, timeout=timeout, cwd=folder, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise TargetError(f"{words[0]} did not end within {timeout:g} s") from None
+    except OSError as error:
+        raise TargetError(f"{words[0]}: {error.strerror}") from None
+    text = result.stdout.decode("utf-8", "replace")
+    if result.returncode != 0:
+        message = (result.stderr or b"").decode("utf-8", "replace") or text
+        raise TargetError(f"{words[0]} ended with status {result.returncode}:\n{message[-4000:].strip()}")
+    return text
+
+
+def compile_objects(command: Sequence[str], files: Sequence[Path], folder: Path) -> list[Path]:
+    """Compile C files into a folder, as many at a time as there are processors.
+
+    Parameters
+    ----------
+    command : sequence
+        Compiler and options.
+
+    Raises
+    ------
+    TargetError
+        If the compiler refuses one.
+    """
+
+    def compile_one(source: Path) -> Path:
+        output = folder / f"{source.parent.name}_{source.stem}.o"
+        run([*command, "-c", source, "-o", output])
+        return output
+
+    with ThreadPoolExecutor(JOBS) as pool:
+        return list(pool.map(compile_one, files))
+
+
+def has_program(name: str) -> bool:
+    return shutil.which(name) is not None
+
+
+def has_library(compiler: str, name: str, *options: str) -> bool:
+    """True if the compiler is there and finds a file of its own, such as ``libasan.so``."""
+    if not has_program(compiler):
+        return False
+    return Path(run([compiler, *options, f"-print-file-name={name}"]).strip()).is_absolute()
+
+
+def version(program: str) -> str:
+    """Version that a compiler names itself."""
+    return run([program, "-dumpfullversion"]).strip()

@@ -1,0 +1,148 @@
+"""What the firmware costs: the committed table is that of the code, and what is counted is what runs."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+from bench.firmware import TABLE, difference
+from firmware_cost.instructions import COUNTING, PHASES, Kind, cost_program, count, image, parse
+from firmware_cost.measurement import REFERENCE, Measurement, measure, plain
+from firmware_cost.programs import TARGET, Programs
+from firmware_cost.sizes import SERVER, VARIABLES, Size, sizes
+from firmware_cost.stages import PERIODS, PHASE
+from firmware_cost.table import FAST_AIM, compiler_of, dearest, table
+from targets.machines import QemuProgram, missing_text
+from targets.sources import Sources
+from targets.toolchain import TargetError, run
+
+CALL_AND_RETURN = 4
+"""Most instructions that the clock counts around a function and the trace does not count within it."""
+
+
+@pytest.fixture(scope="module")
+def needs_tools() -> None:
+    if not TARGET.available():
+        pytest.skip(missing_text(TARGET))
+
+
+@pytest.fixture(scope="module")
+def measurement(needs_tools: None, c_sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Measurement:
+    return measure(c_sources, tmp_path_factory.mktemp("cost"))
+
+
+@pytest.fixture(scope="module")
+def programs(needs_tools: None, c_sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Programs:
+    return Programs.compile(c_sources, tmp_path_factory.mktemp("programs"), REFERENCE)
+
+
+# ---- the table ------------------------------------------------------------------------------------------------------
+
+
+def test_committed_table_is_that_of_the_code(measurement: Measurement) -> None:
+    """A change of the firmware's cost is a diff of this file. Another compiler makes other code: nothing to compare."""
+    committed = compiler_of(TABLE.read_text(encoding="utf-8"))
+    assert committed, f"{TABLE.name} does not say which compiler it was made with"
+    lines = difference(table(measurement))
+    if committed != measurement.compiler:
+        text = f"{TABLE.name} was made with {committed}, here is {measurement.compiler}: not compared"
+        warnings.warn("\n".join([text, *lines]), stacklevel=1)
+        return
+    assert not lines, "\n".join(["`make bench-firmware UPDATE=1` writes the table anew:", *lines])
+
+
+def test_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
+    """Reconstruction, decoupling, ripple compensation, dead time, SVM, encoder, state machine: everything included."""
+    if compiler_of(TABLE.read_text(encoding="utf-8")) == measurement.compiler:
+        assert dearest(measurement.counts[REFERENCE], Kind.FAST) <= FAST_AIM
+
+
+def test_numbers_are_those_of_the_measurement(measurement: Measurement) -> None:
+    """The JSON and the table tell the same."""
+    numbers = plain(measurement)
+    for phase in PHASES:
+        fast = numbers["instructions"][REFERENCE][phase]["fast"]
+        assert f"{fast['least']} {fast['mean']:.1f} {fast['most']}" in table(measurement)
+    control = numbers["bytes"][REFERENCE]["control"]
+    assert f"{control['text']} + {control['rodata']}" in table(measurement)
+
+
+# ---- instructions ---------------------------------------------------------------------------------------------------
+
+
+def test_the_same_every_time(measurement: Measurement, programs: Programs) -> None:
+    assert count(programs) == measurement.counts[REFERENCE]
+
+
+def test_clock_and_trace_agree(measurement: Measurement, programs: Programs) -> None:
+    """Two ways to count the same loops: the simulated timer, and every instruction looked up."""
+    program = QemuProgram(cost_program(programs, loops=True), COUNTING)
+    counts = parse(program.run(image(phases=1 << PHASES.index(PHASE), most=PERIODS)))
+    for kind, parts in ((Kind.FAST, measurement.stages.fast), (Kind.SLOW, measurement.stages.slow)):
+        assert 0 <= counts[PHASE, kind].mean - sum(parts.values()) <= CALL_AND_RETURN
+
+
+def test_seven_instructions_more_are_seven_more(measurement: Measurement, c_sources: Sources, tmp_path: Path) -> None:
+    """Counting is exact: additions to the fast loop appear in the fast loop and in no other."""
+    sources = c_sources.copy(tmp_path / "sources")
+    axis = sources.firmware / "drive" / "axis.c"
+    text = axis.read_text(encoding="utf-8")
+    head = "void axis_fast(axis_t *axis)\n{\n"
+    assert text.count(head) == 1
+    axis.write_text(text.replace(head, head + '__asm__ volatile(".rept 7\\n nop\\n .endr");\n'), encoding="utf-8")
+    more = count(Programs.compile(sources, tmp_path / "build", REFERENCE))
+    for key, before in measurement.counts[REFERENCE].items():
+        extra = 0 if key[1] is Kind.SLOW else 7
+        assert (more[key].least, more[key].most) == (before.least + extra, before.most + extra)
+
+
+def test_everything_is_included(measurement: Measurement) -> None:
+    """No part of the fast loop is missing from the run."""
+    parts = {name.split("/")[1] for name, mean in measurement.stages.fast.items() if mean > 1.0}
+    assert parts >= {
+        *("axis", "state_machine", "run_states", "encoder", "current_sense", "transforms"),
+        *("trig", "pi", "current_loop", "svm", "dead_time"),
+    }
+
+
+def test_axes_move(measurement: Measurement) -> None:
+    """In every phase the ways through the slow loop differ, and at the voltage limit those through the fast loop."""
+    counts = measurement.counts[REFERENCE]
+    assert counts["voltage limit", Kind.FAST].mean > counts["speed", Kind.FAST].mean + 20
+    for phase in PHASES[1:]:
+        assert counts[phase, Kind.SLOW].most > counts[phase, Kind.SLOW].least
+        assert counts[phase, Kind.FAST].number == 16 * counts[phase, Kind.SLOW].number / 2
+
+
+def test_a_run_that_ends_in_a_fault_is_refused() -> None:
+    with pytest.raises(TargetError, match="does not spin"):
+        parse("0000 0004 00000001 00000010 00000010 00000010\naxis 0001 0003 0020 00000000 00000000\n")
+    with pytest.raises(TargetError, match="did not come to its end"):
+        parse("0000 0004 00000001 00000010 00000010 00000010\n")
+
+
+# ---- bytes ----------------------------------------------------------------------------------------------------------
+
+
+def test_sizes_add_up(measurement: Measurement) -> None:
+    for one in measurement.sizes.values():
+        server = one.rooms[SERVER] + one.rooms[VARIABLES]
+        rest = one.complete.text - one.control.text
+        assert server.text <= rest <= server.text + 1000  # and what only the server needs of the compiler's library
+        assert one.complete.bss - one.control.bss > 500
+        assert one.rooms["math"].rodata >= 2 * 257  # the quarter wave
+
+
+def test_sizes_are_those_of_the_program(programs: Programs, measurement: Measurement) -> None:
+    """The linker's map against the program: all of its code is the application, or the board and the machine."""
+    assert sizes(programs) == measurement.sizes[REFERENCE]
+    elf = programs.folder / "application.elf"
+    lines = map(str.split, run(["arm-none-eabi-nm", "-S", elf]).splitlines())
+    code = {words[3]: int(words[1], 16) for words in lines if len(words) == 4 and words[2] in "tT"}
+    board = re.compile("hal_|bench_|machine_|startup_|main|application_")
+    application = sum(size for name, size in code.items() if not board.match(name))
+    counted = measurement.sizes[REFERENCE].complete.text
+    assert application == pytest.approx(counted, rel=0.06)  # alignment, constants between functions
+    assert Size(1, 2, 3, 4) + Size(1, 1, 1, 1) == Size(2, 3, 4, 5)

@@ -1,0 +1,199 @@
+"""The comparison of the targets bites: what is changed in a copy of the sources is noticed, and named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from targets.calls import Call, parse_console, parse_log
+from targets.casts import removals, verdict
+from targets.comparison import Expectation, check, combined, first_difference
+from targets.machines import TARGETS, Avr, AvrProgram, Host, Target
+from targets.recording import Arithmetic, Recorder, Recording
+from targets.sources import Sources
+from targets.toolchain import TargetError
+
+Needs = Callable[[Target], None]
+
+HOST = Host("host", "gcc", ("-O1",), "for these tests", ("gcc",))
+
+CASTS = [
+    ("math/frac.h", "frac16_t f16_add(", "(int32_t)"),
+    ("math/frac.h", "frac16_t f16_mul(", "(int32_t)"),
+    ("control/current_loop.c", "-2 * (int32_t)omega_e", "(int32_t)"),
+    ("control/svm.h", "#define SVM_ONE_BY_SQRT3_Q15", "INT32_C(18919)"),
+    ("sensing/encoder.c", "(int32_t)(int16_t)count - (int16_t)previous", "(int32_t)"),
+    ("drive/current_sense.c", "(uint32_t)code << SENSE_OFFSET_BITS", "(uint32_t)"),
+    ("comm/leb128.c", "(uint32_t)(data[at] & 0x7Fu) << shift", "(uint32_t)"),
+]
+"""File, a part of the line, and what is removed: the host's 32-bit `int` does without."""
+
+
+def edited(sources: Sources, folder: Path, file: str, before: str, after: str) -> Sources:
+    """Copy with one place of the firmware changed."""
+    copy = sources.copy(folder)
+    path = copy.firmware / file
+    text = path.read_text(encoding="utf-8")
+    assert text.count(before) == 1, f"{file} has changed: {before!r}"
+    path.write_text(text.replace(before, after), encoding="utf-8")
+    return copy
+
+
+def by_name(recordings: list[Recording], name: str) -> Recording:
+    return next(recording for recording in recordings if recording.name == name)
+
+
+# ---- a missing cast -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def avr(c_sources: Sources, needs: Needs, tmp_path_factory: pytest.TempPathFactory) -> AvrProgram:
+    needs(Avr())
+    return Avr().build(c_sources, tmp_path_factory.mktemp("avr"))
+
+
+@pytest.fixture(scope="module")
+def short(recorder: Recorder, recordings: list[Recording]) -> list[Expectation]:
+    """Enough to notice by, and quick."""
+    return [recorder.arithmetic(rounds=30), by_name(recordings, "server")]
+
+
+@pytest.mark.parametrize(("file", "fragment", "removed"), CASTS, ids=lambda value: value.replace(" ", ""))
+def test_missing_cast_is_noticed(
+    c_sources: Sources,
+    avr: AvrProgram,
+    short: list[Expectation],
+    tmp_path: Path,
+    file: str,
+    fragment: str,
+    removed: str,
+) -> None:
+    """By the machine with a 16-bit `int`, or by its compiler; the host sees nothing."""
+    (cast,) = [
+        one for one in removals(c_sources) if (one.file, one.removed) == (file, removed) and fragment in one.code
+    ]
+    (tmp_path / "host").mkdir()
+    host = HOST.build(cast.apply(c_sources, tmp_path / "copy"), tmp_path / "host")
+    assert [first_difference(host, one)[1] for one in short] == [None, None]
+    seen = verdict(cast, c_sources, avr, short, tmp_path / "avr")
+    assert seen is not None
+    assert seen != "the same machine code"
+
+
+def test_casts_are_found_in_code_only(tmp_path: Path) -> None:
+    file = tmp_path / "firmware" / "math" / "one.c"
+    file.parent.mkdir(parents=True)
+    file.write_text(
+        "int32_t f(int16_t a); /* (int32_t)a */\n"
+        'int32_t f(int16_t a) { g("(int32_t)a"); return (int32_t)a << INT16_C(2); }\n',
+        encoding="utf-8",
+    )
+    found = list(removals(Sources(tmp_path), ["math"]))
+    assert [(one.line, one.removed, one.rest) for one in found] == [(2, "(int32_t)", ""), (2, "INT16_C(2)", "2")]
+    text = file.read_text(encoding="utf-8")
+    cuts = [text[: one.start] + one.rest + text[one.end :] for one in found]
+    assert [cut.splitlines()[1].split("return ")[1] for cut in cuts] == ["a << INT16_C(2); }", "(int32_t)a << 2; }"]
+
+
+# ---- other mistakes -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "told"),
+    [
+        (
+            "drive/axis.c",
+            "#define U_DC_FILTER_SHIFT 4",
+            "#define U_DC_FILTER_SHIFT 5",
+            r"period \d+ \(\d+\.\d\d ms\), m2: u_dc is 0x[0-9a-f]+, recorded 0x[0-9a-f]+",
+        ),
+        (
+            "control/svm.h",
+            "INT32_C(18919)",
+            "INT32_C(18918)",
+            r"period \d+ \(\d+\.\d\d ms\), m[12]: axis[12] duty \d+ \d+ \d+, recorded axis[12] duty \d+ \d+ \d+",
+        ),
+        (
+            "drive/axis.c",
+            "hal_break_active(axis->hal, axis->index) || ",
+            "",
+            r"period \d+ \(\d+\.\d\d ms\), m[12]: left 1 inputs than were recorded",
+        ),
+    ],
+    ids=["constant", "output", "input"],
+)
+def test_change_is_named(
+    c_sources: Sources, recordings: list[Recording], tmp_path: Path, file: str, before: str, after: str, told: str
+) -> None:
+    """With the first call in which it shows, and what differs."""
+    (report,) = check([HOST], [recordings[0]], edited(c_sources, tmp_path, file, before, after), tmp_path / "build")
+    assert report.digest != combined([recordings[0].digest])
+    (problem,) = report.problems
+    assert re.fullmatch(f"{recordings[0].name}: {told}", problem), problem
+
+
+def test_sanitizers_notice_an_overflow(
+    c_sources: Sources, arithmetic: Arithmetic, needs: Needs, tmp_path: Path
+) -> None:
+    """Where the compiler happens to do what was meant, the digest is right, and the code is wrong all the same."""
+    sanitized = next(target for target in TARGETS if "sanitizers" in target.name)
+    needs(sanitized)
+    sources = edited(
+        c_sources, tmp_path, "math/frac.h", "return (int32_t)((uint32_t)a - (uint32_t)b);", "return a - b;"
+    )
+    plain, checked = check([HOST, sanitized], [arithmetic], sources, tmp_path / "build")
+    assert plain.problems == ()
+    assert "signed integer overflow" in "\n".join(checked.problems)
+
+
+def test_a_program_that_stops_early_is_no_success() -> None:
+    with pytest.raises(ValueError, match="did not come to its end"):
+        parse_console("=12345678\n")
+    assert parse_console("=12345678\nend 9ABCDEF0\n").digest == 0x9ABCDEF0
+
+
+def test_a_compiler_that_refuses_is_reported(c_sources: Sources, recordings: list[Recording], tmp_path: Path) -> None:
+    sources = edited(c_sources, tmp_path, "drive/axis.c", "#define U_DC_FILTER_SHIFT 4", "#define U_DC_FILTER_SHIFT")
+    (report,) = check([HOST], recordings[:1], sources, tmp_path / "build")
+    assert report.digest is None
+    assert report.problems[0].startswith("does not build: gcc ended with status 1")
+
+
+def test_recorder_knows_every_function_of_the_board(c_sources: Sources, tmp_path: Path) -> None:
+    """A function of the board that nobody records could not be replayed."""
+    sources = edited(
+        c_sources,
+        tmp_path / "copy",
+        "hal/hal.h",
+        "void hal_watchdog_service(hal_t *hal);",
+        "void hal_watchdog_service(hal_t *hal);\nvoid hal_new(hal_t *hal);",
+    )
+    axis = sources.firmware / "drive" / "axis.c"
+    text = axis.read_text(encoding="utf-8")
+    axis.write_text(
+        text.replace("    filter_bus(axis);\n", "    filter_bus(axis);\n    hal_new(axis->hal);\n", 1), "utf-8"
+    )
+    with pytest.raises(TargetError, match="__wrap_hal_new"):
+        Recorder(sources, tmp_path)
+
+
+# ---- the recorder's log ---------------------------------------------------------------------------------------------
+
+
+def test_log_and_console_agree(c_sources: Sources, recordings: list[Recording], tmp_path: Path) -> None:
+    """What the recorder notes of each call is what a replay prints of it."""
+    recording = by_name(recordings, "server")
+    program = HOST.build(c_sources, tmp_path)
+    calls = parse_console(program.run(recording.printing(0, recording.periods))).calls
+    assert list(calls) == recording.calls()
+    assert any(call.snapshot for call in calls)
+
+
+def test_log_reads_several_calls() -> None:
+    words = [7, 1, 1, 0, 2, 0x0101, 0xFFFF, 1, 5, 0x5678, 0x1234, 8, 1, 4, 1, 0, 0]
+    first, second = parse_log(words)
+    assert first == Call(0x10007, 1, 0, 0, 0, (0x0101, 0xFFFF), ((5, 0x12345678),))
+    assert second == Call(0x10008, 4, 1, 0, 0, ())
+    assert (first.place, second.place) == ("period 65543 (4096.44 ms), m1", "period 65544 (4096.50 ms), edge of axis2")
