@@ -119,7 +119,7 @@ class TestRotorSearch:
 
     def test_commands_that_came_before_the_twin_was_ready_are_made_up_for(self) -> None:
         # The real rotor stands where its search is short; axis 1 never rests, so the twin must not be run ahead.
-        quick = PlantConfig.load().with_axis(1, theta_start=0.0)
+        quick = PlantConfig.load().with_axis(1, theta_start=0.2)
         lengths = []
         with TwinRig(plant=quick) as rig:
             rig.run(0.1)
