@@ -1,0 +1,114 @@
+/* switching.h - both inverters, motors and the DC bus at the level of single gate signals: every edge of the PWM at its
+ * own instant, both-open intervals in which the current chooses a diode, shunts that see a current only while it goes
+ * through the lower half of a leg, encoder lines with the edge times that the moving shaft gives.
+ *
+ * Time is counted in bus clocks of the chip (10 ns). The plant is one more source of events: between two calls of
+ * switching_edge nothing outside acts on it, so it can tell when it will have something to say next.
+ *
+ *     while (...) {
+ *         const uint64_t clock = min(next event of the chip, switching_next(plant));
+ *         switching_advance(plant, clock);
+ *         while (switching_take(plant, &event)) ...        encoder lines, comparator; event.clock == clock
+ *         ... the chip's own event: sample, or switching_edge(plant, axis, phase, leg) ...
+ *     }
+ *
+ * Advancing past switching_next is allowed: the events wait, in order, with their own clocks (at most SWITCHING_EVENTS).
+ * What is read (shunts, bus, truth) is the state of the clock last advanced to.
+ */
+#ifndef PLANT_SWITCHING_H
+#define PLANT_SWITCHING_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "board.h"
+
+#define SWITCHING_CLOCK_HZ 100e6
+#define SWITCHING_HORIZON 3200u /* longest step without a look around [clocks] */
+#define SWITCHING_EVENTS 256u
+
+typedef struct switching switching_t; /* below; the chip needs none of its members */
+
+/* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
+typedef enum {
+    SWITCHING_OPEN = 0,
+    SWITCHING_HIGH = 1,
+    SWITCHING_LOW = 2,
+    SWITCHING_SHORT = 3, /* both on: the bus is shorted, the comparator trips, nothing else is computed */
+} switching_leg_t;
+
+typedef enum {
+    SWITCHING_ENCODER,      /* a line has changed: `line` 0: A, 1: B; `level` is the new one */
+    SWITCHING_OVER_CURRENT, /* output of an axis' over-current comparator: `level` 1 tripped, 0 released */
+} switching_kind_t;
+
+typedef struct {
+    uint64_t clock;
+    switching_kind_t kind;
+    int axis;
+    int line;
+    bool level;
+} switching_event_t;
+
+/* All switches open, shafts at rest, bus charged, clock 0. */
+void switching_init(switching_t *plant, const board_config_t *config);
+
+/* ---- time --------------------------------------------------------------------------------------------------------- */
+
+/* From the present clock on a leg's gates are so. Several legs may change at one clock. */
+void switching_edge(switching_t *plant, int axis, int phase, switching_leg_t leg);
+
+/* Clock of the plant's own next event if no gate changes before; never further away than SWITCHING_HORIZON, where it may
+ * turn out that nothing has happened. Always later than the present clock. */
+uint64_t switching_next(switching_t *plant);
+
+/* To `clock`, the present one or later. */
+void switching_advance(switching_t *plant, uint64_t clock);
+
+/* Oldest event that has not been taken; false if there is none. */
+bool switching_take(switching_t *plant, switching_event_t *event);
+
+/* ---- what the chip's pins see at the present clock ------------------------------------------------------------------ */
+
+/* Converter code (12 bits, mid-scale 2048) of a phase's current amplifier: what its shunt carries, after the amplifier's
+ * settling, with offset and noise. Each call draws new noise. */
+uint16_t switching_current_code(switching_t *plant, int axis, int phase);
+
+/* Converter code of the bus divider (12 bits). */
+uint16_t switching_bus_code(switching_t *plant);
+
+bool switching_over_current(const switching_t *plant, int axis); /* output of the comparator */
+bool switching_line(const switching_t *plant, int axis, int line); /* level of encoder line 0: A, 1: B */
+
+/* ---- truth ---------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    double theta, omega;       /* shaft, mechanical, not wrapped [rad], [rad/s] */
+    double i_d, i_q;           /* [A] */
+    double phase[3];           /* [A] into the motor */
+    double shunt[3];           /* what the shunts carry [A], sign of the phase current */
+    double amplifier[3];       /* what the amplifiers show of it [A] */
+    double torque;             /* air gap [N m] */
+    double voltage[3];         /* mean leg voltage above the negative rail since the last switching_mean [V] */
+    double t_winding, t_sink;  /* [deg C] */
+    double e_bus;              /* taken out of the bus since clock 0 [J] */
+    double e_copper, e_switch; /* burnt in the windings, in switches and diodes [J] */
+    bool over_current;
+} switching_truth_t;
+
+/* Present state of one axis (the phases' voltage means begin anew with `restart`). */
+void switching_truth(switching_t *plant, int axis, bool restart, switching_truth_t *truth);
+double switching_bus_voltage(switching_t *plant);
+double switching_source_energy(switching_t *plant); /* delivered by the supply into the bus since clock 0 [J] */
+
+/* ---- faults and other hands on the plant ---------------------------------------------------------------------------- */
+
+void switching_set_load(switching_t *plant, int axis, double torque);
+void switching_set_supply(switching_t *plant, double volts);
+void switching_lock(switching_t *plant, int axis, bool locked);
+void switching_plug(switching_t *plant, int axis, bool plugged);  /* motor cable */
+void switching_cut(switching_t *plant, int axis, int line, bool cut); /* encoder line stuck low */
+void switching_brake(switching_t *plant, bool on);                /* brake resistor across the bus */
+void switching_set_temperature(switching_t *plant, int axis, double winding, double sink);
+
+#endif
