@@ -6,22 +6,31 @@
 #ifndef PORT_ACCESS_H
 #define PORT_ACCESS_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #ifdef CHIP_ON_HOST
 
 struct chip;
-uint16_t chip_read(struct chip *chip, uint16_t address);
-void chip_write(struct chip *chip, uint16_t address, uint16_t value);
+uint16_t chip_read(struct chip *chip, uint32_t address);
+void chip_write(struct chip *chip, uint32_t address, uint16_t value);
+void chip_interrupts(struct chip *chip, bool on);
 
-#define REG_READ(hal, address) chip_read((hal)->chip, (uint16_t)(address))
-#define REG_WRITE(hal, address, value) chip_write((hal)->chip, (uint16_t)(address), (uint16_t)(value))
+#define REG_READ(hal, address) chip_read((hal)->chip, (address))
+#define REG_WRITE(hal, address, value) chip_write((hal)->chip, (address), (uint16_t)(value))
+#define INTERRUPTS_ON(hal) chip_interrupts((hal)->chip, true)
 
 #else
 
 #define REG_AT(address) (*(volatile uint16_t *)(uint16_t)(address))
 #define REG_READ(hal, address) ((void)(hal), REG_AT(address))
 #define REG_WRITE(hal, address, value) ((void)(hal), REG_AT(address) = (uint16_t)(value))
+
+#ifdef __CWCC__
+#define INTERRUPTS_ON(hal) ((void)(hal), __EI(0)) /* levels 0 to 3 */
+#else
+#define INTERRUPTS_ON(hal) ((void)(hal)) /* another compiler only checks the source */
+#endif
 
 #endif
 

@@ -687,7 +687,7 @@
 #define INTC_CTRL_INT_DIS BIT(5)
 
 /* The priority fields of the peripherals lie in the order of their vectors, eight to a register. */
-#define INTC_FIELD(vector) ((vector)-9U)
+#define INTC_FIELD(vector) ((vector) - 9U)
 #define INTC_IPR_INDEX(vector) (INTC_FIELD(vector) / 8U)
 #define INTC_IPR(vector) (INTC_BASE + INTC_IPR_INDEX(vector))
 #define INTC_IPR_SHIFT(vector) (2U * (INTC_FIELD(vector) % 8U))

@@ -1,0 +1,131 @@
+/* port.c - how the board starts, and the circle of the two loops (DRM 4.3). */
+#include "port/mc56f84789/port.h"
+
+#include "port/mc56f84789/drivers.h"
+
+#define LOSSES_MOST 2U /* restarts in succession with the outputs on */
+
+/* ---- sequence ----------------------------------------------------------------------------------------------------------- */
+
+/* Neither motor samples, M1 does not run; the scan begins anew with the first pair. */
+static void sequence_stop(hal_t *hal)
+{
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_TCTRL, 0U);
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_INTEN, 0U);
+    REG_WRITE(hal, PWMB_BASE + PWM_SM(0U) + PWM_TCTRL, 0U);
+    adc_stop(hal);
+}
+
+/* The start interrupt lies between motor 2's sample and the end of motor 1's period: the next trigger is motor 1's. */
+static void sequence_arm(hal_t *hal)
+{
+    adc_arm(hal);
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(0U) + PWM_STS, PWM_STS_CMPF(START_VAL));
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(0U) + PWM_INTEN, PWM_INTEN_CMPIE(START_VAL));
+}
+
+/* Once, in the order of DRM 4.3.3. */
+void port_start(hal_t *hal)
+{
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_STS, PWM_STS_CMPF(M1_VAL));
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_TCTRL, SET_TCTRL_SAMPLE);
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_INTEN, PWM_INTEN_CMPIE(M1_VAL));
+    REG_WRITE(hal, PWMB_BASE + PWM_SM(0U) + PWM_TCTRL, SET_TCTRL_SAMPLE);
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(0U) + PWM_STS, PWM_STS_CMPF(START_VAL));
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(0U) + PWM_INTEN, 0U);
+}
+
+/* A trigger was lost. The duties stand for one period while the scan starts anew; if that does not help, the switches
+ * open and the watchdog, which is not served without loops, resets the board. */
+static void sequence_lost(hal_t *hal)
+{
+    sequence_stop(hal);
+    hal->restarts++;
+    if (hal->losses < LOSSES_MOST) {
+        hal->losses++;
+    } else {
+        for (uint16_t axis = 0; axis < HAL_AXES; axis++) {
+            hal_pwm_enable(hal, axis, false);
+        }
+    }
+    sequence_arm(hal);
+}
+
+/* ---- t1 and t3 ------------------------------------------------------------------------------------------------------------ */
+
+static void scope(hal_t *hal, uint16_t pins) { REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DR, pins); }
+
+void port_m1(hal_t *hal)
+{
+    scope(hal, PIN_SCOPE_M1);
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_STS, PWM_STS_CMPF(M1_VAL));
+    if (adc_take_first(hal)) {
+        servo_m1_isr(hal->servo);
+    } else {
+        sequence_lost(hal);
+    }
+    scope(hal, 0U);
+}
+
+void port_m2(hal_t *hal)
+{
+    scope(hal, PIN_SCOPE_M2);
+    if (adc_take_second(hal)) {
+        hal->losses = 0;
+        servo_m2_isr(hal->servo);
+        REG_WRITE(hal, ADC_STAT, ADC_STAT_EOSI0);
+    } else {
+        sequence_lost(hal);
+    }
+    scope(hal, 0U);
+}
+
+/* ---- start ------------------------------------------------------------------------------------------------------------------ */
+
+static void state_init(hal_t *hal, servo_t *servo)
+{
+    static const uint16_t pwm[HAL_AXES] = {PWMA_BASE, PWMB_BASE};
+    static const uint16_t tmr[HAL_AXES] = {TMRA_BASE, TMRB_BASE};
+    const adc_pair_t middle = {2048U, 2048U};
+    hal->servo = servo;
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        port_axis_t *axis = &hal->axis[i];
+        axis->pwm = pwm[i];
+        axis->tmr = tmr[i];
+        axis->pair = PHASE_PAIR_AB;
+        axis->currents = middle;
+        axis->offsets = middle;
+        axis->sink = 0;
+        axis->armed = false;
+        axis->arms = 0;
+    }
+    hal->bus = 0;
+    hal->losses = 0;
+    hal->restarts = 0;
+}
+
+bool port_init(hal_t *hal, servo_t *servo)
+{
+    state_init(hal, servo);
+    cop_stop(hal);
+    if (!clock_init(hal)) {
+        return false;
+    }
+    sim_init(hal);
+    pwm_init(hal); /* outputs off before a pin belongs to a PWM */
+    pins_init(hal);
+    crossbar_init(hal);
+    timers_init(hal);
+    serial_init(hal);
+    if (!adc_init(hal)) {
+        return false;
+    }
+    interrupts_init(hal);
+    servo_init(servo, hal);
+    sequence_stop(hal);
+    pwm_run(hal);
+    sequence_arm(hal);
+    cop_start(hal);
+    INTERRUPTS_ON(hal);
+    return true;
+}

@@ -1,0 +1,134 @@
+/* pwm.c - two inverters on eFlexPWM A and B. */
+#include "port/mc56f84789/drivers.h"
+
+/* ---- set up ------------------------------------------------------------------------------------------------------------- */
+
+static void write_sm(hal_t *hal, uint16_t module, uint16_t sm, uint16_t reg, uint16_t value)
+{
+    REG_WRITE(hal, module + PWM_SM(sm) + reg, value);
+}
+
+static uint16_t read_sm(hal_t *hal, uint16_t module, uint16_t sm, uint16_t reg)
+{
+    return REG_READ(hal, module + PWM_SM(sm) + reg);
+}
+
+static void submodule_init(hal_t *hal, uint16_t module, uint16_t sm)
+{
+    write_sm(hal, module, sm, PWM_CTRL, SET_PWM_CTRL);
+    write_sm(hal, module, sm, PWM_INIT, SET_PWM_INIT);
+    write_sm(hal, module, sm, PWM_VAL0, SET_PWM_VAL0);
+    write_sm(hal, module, sm, PWM_VAL1, SET_PWM_VAL1);
+    write_sm(hal, module, sm, PWM_VAL2, WORD(-PWM_HALF_PERIOD / 2)); /* 50 %, as the states before RUN have it */
+    write_sm(hal, module, sm, PWM_VAL3, WORD(PWM_HALF_PERIOD / 2));
+    write_sm(hal, module, sm, PWM_VAL4, SET_PWM_VAL4);
+    write_sm(hal, module, sm, PWM_VAL5, 0U);
+    write_sm(hal, module, sm, PWM_FRCTRL, 0U); /* whole clocks */
+    write_sm(hal, module, sm, PWM_OCTRL, SET_PWM_OCTRL);
+    write_sm(hal, module, sm, PWM_INTEN, 0U);
+    write_sm(hal, module, sm, PWM_TCTRL, 0U);
+    write_sm(hal, module, sm, PWM_DISMAP0, SET_PWM_DISMAP0);
+    write_sm(hal, module, sm, PWM_DISMAP1, SET_PWM_DISMAP1);
+    write_sm(hal, module, sm, PWM_DTCNT0, SET_PWM_DTCNT);
+    write_sm(hal, module, sm, PWM_DTCNT1, SET_PWM_DTCNT);
+}
+
+static void module_init(hal_t *hal, uint16_t module, uint16_t ctrl2_first, uint16_t ctrl2_others)
+{
+    REG_WRITE(hal, module + PWM_OUTEN, 0U);
+    REG_WRITE(hal, module + PWM_MCTRL, 0U);
+    for (uint16_t sm = 0; sm < PWM_SM_USED; sm++) {
+        submodule_init(hal, module, sm);
+        write_sm(hal, module, sm, PWM_CTRL2, (sm == 0U) ? ctrl2_first : ctrl2_others);
+    }
+    REG_WRITE(hal, module + PWM_DTSRCSEL, 0U);
+    REG_WRITE(hal, module + PWM_MASK, 0U);
+}
+
+/* Buffers are loaded, FORCE takes the outputs' sources over, then the faults are armed. */
+static void module_finish(hal_t *hal, uint16_t module)
+{
+    REG_WRITE(hal, module + PWM_MCTRL, PWM_MCTRL_LDOK(PWM_ALL));
+    for (uint16_t sm = 0; sm < PWM_SM_USED; sm++) {
+        write_sm(hal, module, sm, PWM_CTRL2, read_sm(hal, module, sm, PWM_CTRL2) | PWM_CTRL2_FORCE);
+    }
+    REG_WRITE(hal, module + PWM_FFILT0, SET_PWM_FFILT0);
+    REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0_SILENT);
+    REG_WRITE(hal, module + PWM_FSTS0, SET_PWM_FSTS0 | PWM_FSTS_FFLAG_MASK);
+    REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0);
+}
+
+void pwm_init(hal_t *hal)
+{
+    module_init(hal, PWMA_BASE, SET_PWMA_SM0_CTRL2, SET_PWMA_SM12_CTRL2);
+    write_sm(hal, PWMA_BASE, 0U, PWM_VAL0, SET_PWMA_SM0_VAL0);
+    write_sm(hal, PWMA_BASE, 0U, PWM_VAL5, SET_PWMA_SM0_VAL5);
+    write_sm(hal, PWMA_BASE, 1U, PWM_VAL5, SET_PWMA_SM1_VAL5);
+    write_sm(hal, PWMA_BASE, 0U, PWM_TCTRL, SET_PWMA_SM0_TCTRL);
+    module_init(hal, PWMB_BASE, SET_PWMB_SM0_CTRL2, SET_PWMB_SM12_CTRL2);
+    module_finish(hal, PWMA_BASE);
+    module_finish(hal, PWMB_BASE);
+}
+
+/* The follower first: the master's first VAL0 already finds it running. */
+void pwm_run(hal_t *hal)
+{
+    REG_WRITE(hal, PWMB_BASE + PWM_MCTRL, PWM_MCTRL_RUN(PWM_ALL) | PWM_MCTRL_LDOK(PWM_ALL));
+    REG_WRITE(hal, PWMA_BASE + PWM_MCTRL, PWM_MCTRL_RUN(PWM_ALL) | PWM_MCTRL_LDOK(PWM_ALL));
+}
+
+/* ---- hal/hal.h ----------------------------------------------------------------------------------------------------------- */
+
+/* Half the clocks that the high side is on. */
+static int16_t half_pulse(int16_t duty)
+{
+    const int32_t clocks = ((int32_t)duty * PWM_HALF_PERIOD + INT32_C(0x4000)) / INT32_C(0x8000);
+    return (int16_t)((clocks < HALF_PULSE_LEAST_CLOCKS) ? HALF_PULSE_LEAST_CLOCKS : clocks);
+}
+
+void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c)
+{
+    const uint16_t module = hal->axis[axis].pwm;
+    const int16_t half[PWM_SM_USED] = {half_pulse(duty_a), half_pulse(duty_b), half_pulse(duty_c)};
+    const uint16_t mctrl = REG_READ(hal, module + PWM_MCTRL);
+    const uint16_t run = mctrl & PWM_MCTRL_RUN_MASK;
+    if ((mctrl & PWM_MCTRL_LDOK_MASK) != 0U) { /* not loaded yet, and locked until it is: take it back */
+        REG_WRITE(hal, module + PWM_MCTRL, run | PWM_MCTRL_CLDOK(PWM_ALL));
+    }
+    for (uint16_t sm = 0; sm < PWM_SM_USED; sm++) {
+        write_sm(hal, module, sm, PWM_VAL2, WORD(-half[sm]));
+        write_sm(hal, module, sm, PWM_VAL3, WORD(half[sm]));
+    }
+    REG_WRITE(hal, module + PWM_MCTRL, run | PWM_MCTRL_LDOK(PWM_ALL));
+}
+
+/* OUTEN acts at once, MASK would wait for a FORCE. */
+void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
+{
+    REG_WRITE(hal, hal->axis[axis].pwm + PWM_OUTEN, on ? SET_PWM_OUTEN : 0U);
+}
+
+bool hal_break_active(hal_t *hal, uint16_t axis)
+{
+    const uint16_t fsts = REG_READ(hal, hal->axis[axis].pwm + PWM_FSTS0);
+    return (fsts & (PWM_FSTS_FFLAG(FAULT_INPUT) | PWM_FSTS_FFPIN(FAULT_INPUT))) != 0U;
+}
+
+void hal_break_clear(hal_t *hal, uint16_t axis)
+{
+    const uint16_t module = hal->axis[axis].pwm;
+    REG_WRITE(hal, module + PWM_FSTS0, SET_PWM_FSTS0 | PWM_FSTS_FFLAG(FAULT_INPUT));
+    REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0);
+}
+
+/* ---- over-current: the outputs are off already, the flag stays until the application clears it -------------------------------- */
+
+static void over_current(hal_t *hal, uint16_t axis)
+{
+    REG_WRITE(hal, hal->axis[axis].pwm + PWM_FCTRL0, SET_PWM_FCTRL0_SILENT);
+    servo_break_isr(hal->servo, axis);
+}
+
+void port_break_1(hal_t *hal) { over_current(hal, 0U); }
+
+void port_break_2(hal_t *hal) { over_current(hal, 1U); }

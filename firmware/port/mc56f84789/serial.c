@@ -1,0 +1,61 @@
+/* serial.c - the host's line: received by interrupt into a ring, sent through the interface's FIFO. */
+#include "port/mc56f84789/drivers.h"
+
+#define REG(reg) (QSCI0_BASE + (reg))
+#define RING_MASK (PORT_RING - 1U)
+#define ERRORS (QSCI_STAT_OR | QSCI_STAT_NF | QSCI_STAT_FE | QSCI_STAT_PF)
+
+void serial_init(hal_t *hal)
+{
+    REG_WRITE(hal, REG(QSCI_CTRL1), 0U);
+    REG_WRITE(hal, REG(QSCI_RATE), SET_QSCI_RATE);
+    REG_WRITE(hal, REG(QSCI_CTRL3), 0U);
+    REG_WRITE(hal, REG(QSCI_CTRL2), SET_QSCI_CTRL2);
+    REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1);
+    hal->ring_in = 0;
+    hal->ring_out = 0;
+    hal->overruns = 0;
+}
+
+/* RDRF goes with reading STAT and then the data; errors go with reading and then writing STAT. */
+void port_receive(hal_t *hal)
+{
+    const uint16_t stat = REG_READ(hal, REG(QSCI_STAT));
+    while ((REG_READ(hal, REG(QSCI_CTRL2)) & QSCI_CTRL2_RFCNT_MASK) != 0U) {
+        const uint16_t data = REG_READ(hal, REG(QSCI_DATA));
+        const uint16_t in = hal->ring_in;
+        if ((uint16_t)(in - hal->ring_out) < PORT_RING) {
+            hal->ring[in & RING_MASK] = (uint8_t)(data & 0xFFU);
+            hal->ring_in = (uint16_t)(in + 1U);
+        } else {
+            hal->overruns++;
+        }
+    }
+    if ((stat & ERRORS) != 0U) { /* a frame's checksum finds what is wrong with the bytes */
+        if ((stat & QSCI_STAT_OR) != 0U) {
+            hal->overruns++;
+        }
+        REG_WRITE(hal, REG(QSCI_STAT), 0U);
+    }
+}
+
+bool hal_serial_get(hal_t *hal, uint8_t *byte)
+{
+    const uint16_t out = hal->ring_out;
+    if (out == hal->ring_in) {
+        return false;
+    }
+    *byte = hal->ring[out & RING_MASK];
+    hal->ring_out = (uint16_t)(out + 1U);
+    return true;
+}
+
+bool hal_serial_put(hal_t *hal, uint8_t byte)
+{
+    const uint16_t waiting = FIELD_GET(REG_READ(hal, REG(QSCI_CTRL2)), QSCI_CTRL2_TFCNT_MASK);
+    if (waiting >= QSCI_FIFO_WORDS) {
+        return false;
+    }
+    REG_WRITE(hal, REG(QSCI_DATA), byte);
+    return true;
+}
