@@ -32,6 +32,13 @@ typedef struct {
     double dead_time;      /* [s] */
     double v_drop;         /* forward drop of switch and diode [V] */
     double r_on;           /* on resistance [ohm] */
+    /* seen by the plant at switching level only */
+    double turn_off;       /* a switch conducts so long after its gate has gone off [s] */
+    double i_settle;       /* time constant of the current amplifiers [s] */
+    double encoder_jitter; /* standard deviation of an edge [counts] */
+    double encoder_duty_error; /* a line is high for 1/2 + this of its period */
+    double winding_capacity, winding_resistance; /* to the ambient air [J/K], [K/W] */
+    double sink_capacity, sink_resistance; /* heatsink of the inverter [J/K], [K/W] */
 } plant_axis_t;
 
 typedef struct {
@@ -40,12 +47,14 @@ typedef struct {
     double capacitance;    /* [F] */
     double u_full_scale;   /* ADC full scale of the bus divider [V] */
     double u_noise;        /* standard deviation of a bus sample [V] */
+    double r_brake;        /* brake resistor [ohm]; 0: there is none */
 } plant_bus_t;
 
 typedef struct {
     plant_axis_t axis[2];
     plant_bus_t bus;
     double pwm_frequency;  /* [Hz] */
+    double ambient;        /* temperature of the air [deg C] */
     double baud;           /* serial line [bit/s], 10 bits per byte */
     uint64_t seed;         /* of every random number */
 } board_config_t;

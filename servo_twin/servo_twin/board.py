@@ -116,6 +116,7 @@ def _native_config(plant: PlantConfig, seed: int, baud: float) -> Any:
     for name, value in vars(plant.bus).items():
         setattr(config.bus, name, value)
     config.pwm_frequency = plant.pwm_frequency
+    config.ambient = plant.ambient
     config.baud = baud
     config.seed = seed
     return config

@@ -48,6 +48,14 @@ _AXIS_RULES: Final[Mapping[str, _Rule]] = {
     "dead_time": _NOT_NEGATIVE,
     "v_drop": _NOT_NEGATIVE,
     "r_on": _NOT_NEGATIVE,
+    "turn_off": _NOT_NEGATIVE,
+    "i_settle": _NOT_NEGATIVE,
+    "encoder_jitter": _NOT_NEGATIVE,
+    "encoder_duty_error": ("between -0.2 and 0.2", lambda x: -0.2 < x < 0.2),
+    "winding_capacity": _POSITIVE,
+    "winding_resistance": _POSITIVE,
+    "sink_capacity": _POSITIVE,
+    "sink_resistance": _POSITIVE,
 }
 
 _BUS_RULES: Final[Mapping[str, _Rule]] = {
@@ -56,6 +64,7 @@ _BUS_RULES: Final[Mapping[str, _Rule]] = {
     "capacitance": _POSITIVE,
     "u_full_scale": _POSITIVE,
     "u_noise": _NOT_NEGATIVE,
+    "r_brake": _NOT_NEGATIVE,
 }
 
 
@@ -102,6 +111,19 @@ class AxisPlant:
         Both switches of a leg are open for so long at every edge [s].
     v_drop, r_on : float
         Forward drop [V] and resistance [ohm] of switch and diode.
+    turn_off : float
+        A switch conducts so long after its gate has gone off [s]. This and all that follows is seen by the plant at
+        switching level only.
+    i_settle : float
+        Time constant of the current amplifiers [s].
+    encoder_jitter : float
+        Standard deviation of an edge of the encoder [counts].
+    encoder_duty_error : float
+        An encoder line is high for 1/2 and this part of its period.
+    winding_capacity, winding_resistance : float
+        Thermal capacity [J/K] of the winding, its resistance to the air [K/W].
+    sink_capacity, sink_resistance : float
+        The same for the inverter's heatsink.
     """
 
     r_s: float
@@ -121,6 +143,14 @@ class AxisPlant:
     dead_time: float
     v_drop: float
     r_on: float
+    turn_off: float
+    i_settle: float
+    encoder_jitter: float
+    encoder_duty_error: float
+    winding_capacity: float
+    winding_resistance: float
+    sink_capacity: float
+    sink_resistance: float
 
     def __post_init__(self) -> None:
         for name, rule in _AXIS_RULES.items():
@@ -156,6 +186,8 @@ class BusPlant:
         Full scale of the ADC [V].
     u_noise : float
         Standard deviation of a voltage sample [V].
+    r_brake : float
+        Brake resistor [ohm]; 0: there is none.
     """
 
     u_source: float
@@ -163,6 +195,7 @@ class BusPlant:
     capacitance: float
     u_full_scale: float
     u_noise: float
+    r_brake: float
 
     def __post_init__(self) -> None:
         for name, rule in _BUS_RULES.items():
@@ -181,14 +214,18 @@ class PlantConfig:
         The DC bus.
     pwm_frequency : float
         Carrier of the inverters [Hz].
+    ambient : float
+        Temperature of the air around motors and heatsinks [deg C].
     """
 
     axes: tuple[AxisPlant, AxisPlant]
     bus: BusPlant
     pwm_frequency: float
+    ambient: float
 
     def __post_init__(self) -> None:
         _check("pwm_frequency", self.pwm_frequency, _POSITIVE)
+        _check("ambient", self.ambient, _ANY)
         if len(self.axes) != 2:
             raise PlantError(f"axes: {len(self.axes)} given, a board has two")
         quarter_ns = 1e9 / self.pwm_frequency / 4.0
@@ -226,6 +263,7 @@ class PlantConfig:
             axes=(_part(AxisPlant, "axis1", table), _part(AxisPlant, "axis2", table)),
             bus=_part(BusPlant, "bus", table),
             pwm_frequency=table["pwm_frequency"],
+            ambient=table["ambient"],
         )
 
     def drawn(self, seed: int) -> PlantConfig:

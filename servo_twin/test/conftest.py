@@ -13,6 +13,7 @@ if TEST not in sys.path:
     sys.path.insert(0, TEST)
 
 from native_library import CHIP_CDEF, NATIVE, PLANT_CDEF, Native, build  # noqa: E402
+from switching_rig import SWITCHING_CDEF  # noqa: E402
 
 
 @pytest.fixture(scope="session")
@@ -34,4 +35,17 @@ def chip_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
         '#include "ideal_chip.h"\n',
         [fake, NATIVE, NATIVE.parents[1] / "firmware"],
         [NATIVE / "ideal_chip.c", NATIVE / "uart.c", fake / "servo.c"],
+    )
+
+
+@pytest.fixture(scope="session")
+def switching_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
+    """The plant at switching level (``ffi``, ``lib``)."""
+    return build(
+        tmp_path_factory.mktemp("switching"),
+        "switching_under_test",
+        PLANT_CDEF + SWITCHING_CDEF,
+        '#include "plant/plant.h"\n#include "plant/switching.h"',
+        [NATIVE],
+        [],
     )

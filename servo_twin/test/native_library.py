@@ -29,11 +29,12 @@ typedef struct { ...; } plant_random_t;
 typedef struct { double alpha, beta; } plant_vector_t;
 typedef struct {
     double r_s, l_d, l_q, psi_m, pole_pairs, inertia, friction, viscous, encoder_lines, theta_start, i_full_scale;
-    double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on;
+    double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, turn_off, i_settle, encoder_jitter, encoder_duty_error;
+    double winding_capacity, winding_resistance, sink_capacity, sink_resistance;
 } plant_axis_t;
-typedef struct { double u_source, r_source, capacitance, u_full_scale, u_noise; } plant_bus_t;
+typedef struct { double u_source, r_source, capacitance, u_full_scale, u_noise, r_brake; } plant_bus_t;
 typedef struct {
-    plant_axis_t axis[2]; plant_bus_t bus; double pwm_frequency; double baud; uint64_t seed;
+    plant_axis_t axis[2]; plant_bus_t bus; double pwm_frequency, ambient, baud; uint64_t seed;
 } board_config_t;
 
 typedef struct {
@@ -146,7 +147,7 @@ def c_config(native: Native, plant: PlantConfig, seed: int = 0, baud: float = 11
             setattr(target, name, value)
     for name, value in vars(plant.bus).items():
         setattr(config.bus, name, value)
-    config.pwm_frequency, config.baud, config.seed = plant.pwm_frequency, baud, seed
+    config.pwm_frequency, config.ambient, config.baud, config.seed = plant.pwm_frequency, plant.ambient, baud, seed
     return config
 
 

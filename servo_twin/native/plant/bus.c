@@ -1,24 +1,6 @@
 #include "plant/bus.h"
 
-/* 1 - exp(-x) by its Taylor series on x / 2^k and the doubling 1 - (1 - y)^2; see trig.h for why not libm. */
-static double one_minus_exp(double x)
-{
-    int doublings = 0;
-    while (x > 0.125 && doublings < 64) {
-        x *= 0.5;
-        doublings++;
-    }
-    double term = x;
-    double y = 0.0;
-    for (int n = 2; n < 14; n++) {
-        y += term;
-        term *= -x / n;
-    }
-    while (doublings-- > 0) {
-        y *= 2.0 - y;
-    }
-    return y;
-}
+#include "plant/decay.h"
 
 void plant_bus_init(plant_dc_bus_t *bus, const plant_bus_t *config, double step)
 {
@@ -27,7 +9,7 @@ void plant_bus_init(plant_dc_bus_t *bus, const plant_bus_t *config, double step)
         .r_source = config->r_source,
         .step_over_c = step / config->capacitance,
         .step_over_rc = step / (config->r_source * config->capacitance),
-        .approach = one_minus_exp(step / (config->r_source * config->capacitance)),
+        .approach = plant_approach(step / (config->r_source * config->capacitance)),
         .u_dc = config->u_source,
     };
 }

@@ -9,7 +9,7 @@ static uint64_t scramble(uint64_t z)
     return z ^ (z >> 31);
 }
 
-static uint64_t next(plant_random_t *random)
+uint64_t plant_random_bits(plant_random_t *random)
 {
     random->state += UINT64_C(0x9E3779B97F4A7C15);
     return scramble(random->state);
@@ -24,7 +24,7 @@ double plant_random_gauss(plant_random_t *random)
 {
     uint32_t sum = 0;
     for (int i = 0; i < 3; i++) {
-        const uint64_t bits = next(random);
+        const uint64_t bits = plant_random_bits(random);
         sum += (uint32_t)(bits & 0xFFFFu) + (uint32_t)((bits >> 16) & 0xFFFFu) + (uint32_t)((bits >> 32) & 0xFFFFu) +
                (uint32_t)(bits >> 48);
     }

@@ -11,6 +11,8 @@ typedef struct {
 
 void plant_random_init(plant_random_t *random, uint64_t seed, uint64_t stream);
 
+uint64_t plant_random_bits(plant_random_t *random);
+
 /* Nearly Gaussian, mean 0, standard deviation 1: the sum of twelve 16-bit uniforms, so it never leaves +-6. */
 double plant_random_gauss(plant_random_t *random);
 

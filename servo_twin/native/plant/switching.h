@@ -22,19 +22,22 @@
 #include <stdint.h>
 
 #include "board.h"
+#include "plant/bridge.h"
+#include "plant/quadrature.h"
+#include "plant/sensors.h"
+#include "plant/supply.h"
+#include "plant/thermal.h"
 
-#define SWITCHING_CLOCK_HZ 100e6
+#define SWITCHING_CLOCK_HZ BRIDGE_CLOCK_HZ
 #define SWITCHING_HORIZON 3200u /* longest step without a look around [clocks] */
-#define SWITCHING_EVENTS 256u
-
-typedef struct switching switching_t; /* below; the chip needs none of its members */
+#define SWITCHING_EVENTS 128u   /* a power of two */
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
 typedef enum {
-    SWITCHING_OPEN = 0,
-    SWITCHING_HIGH = 1,
-    SWITCHING_LOW = 2,
-    SWITCHING_SHORT = 3, /* both on: the bus is shorted, the comparator trips, nothing else is computed */
+    SWITCHING_OPEN = BRIDGE_OPEN,
+    SWITCHING_HIGH = BRIDGE_HIGH,
+    SWITCHING_LOW = BRIDGE_LOW,
+    SWITCHING_SHORT = 3, /* both on: the comparator trips as long as it lasts, the motor sees the leg open */
 } switching_leg_t;
 
 typedef enum {
@@ -49,6 +52,46 @@ typedef struct {
     int line;
     bool level;
 } switching_event_t;
+
+/* One axis. The bridge is advanced only when its own gates change or something asks for it; `clock` is where it stands. */
+typedef struct {
+    bridge_t bridge;
+    quadrature_t encoder;
+    thermal_t winding, sink;
+    plant_random_t noise;
+    uint64_t clock;
+    double booked;          /* charge that the bus has given meanwhile, at the extrapolated current [A s] */
+    double u_h;             /* integral of the bus voltage meanwhile [V s] */
+    uint64_t edge_clock;    /* when the encoder changes next, if nothing else does */
+    bool edge_upwards;
+    uint64_t look_clock;    /* when a current may pass the comparator's threshold */
+    uint64_t next_clock;    /* the earlier of the two, or the horizon */
+    uint64_t off_clock[3];  /* when a switch of the leg was last turned off, and which one */
+    switching_leg_t last_on[3];
+    switching_leg_t leg[3];
+    uint64_t short_clock;   /* end of a short through a leg */
+    bool tripped;           /* output of the comparator */
+    uint64_t turn_off;      /* a switch still conducts so long after its gate has gone off [clocks] */
+    double i_break, i_far;  /* threshold; below i_far it is out of reach within the horizon [A] */
+    double i_full_scale, i_offset[3], i_noise;
+    double r_s;             /* at the reference temperature [ohm] */
+    double e_copper, e_switch; /* that the temperatures have seen already [J] */
+    uint64_t mean_clock;    /* beginning of the voltages' mean, and the integrals there */
+    plant_vector_t mean_volts;
+    double mean_volts_0;
+} switching_axis_t;
+
+typedef struct {
+    switching_axis_t axis[BOARD_AXES];
+    supply_t supply;
+    plant_bus_t bus;
+    plant_random_t noise;
+    uint64_t now;
+    uint64_t supply_clock;  /* the bus stands here */
+    uint64_t thermal_clock; /* next step of the temperatures */
+    switching_event_t event[SWITCHING_EVENTS];
+    unsigned first, waiting;
+} switching_t;
 
 /* All switches open, shafts at rest, bus charged, clock 0. */
 void switching_init(switching_t *plant, const board_config_t *config);
@@ -89,17 +132,25 @@ typedef struct {
     double shunt[3];           /* what the shunts carry [A], sign of the phase current */
     double amplifier[3];       /* what the amplifiers show of it [A] */
     double torque;             /* air gap [N m] */
-    double voltage[3];         /* mean leg voltage above the negative rail since the last switching_mean [V] */
+    double voltage[3];         /* mean terminal voltage above the negative rail since the last switching_mean [V] */
     double t_winding, t_sink;  /* [deg C] */
     double e_bus;              /* taken out of the bus since clock 0 [J] */
     double e_copper, e_switch; /* burnt in the windings, in switches and diodes [J] */
     bool over_current;
 } switching_truth_t;
 
-/* Present state of one axis (the phases' voltage means begin anew with `restart`). */
-void switching_truth(switching_t *plant, int axis, bool restart, switching_truth_t *truth);
-double switching_bus_voltage(switching_t *plant);
-double switching_source_energy(switching_t *plant); /* delivered by the supply into the bus since clock 0 [J] */
+/* Present state of one axis. To look changes nothing. */
+void switching_truth(const switching_t *plant, int axis, switching_truth_t *truth);
+
+/* The voltages' mean begins anew. */
+void switching_mean(switching_t *plant, int axis);
+typedef struct {
+    double u_dc;     /* [V] */
+    double e_source; /* delivered by the supply into the bus since clock 0 [J] */
+    double e_brake;  /* burnt in the brake resistor [J] */
+} switching_bus_t;
+
+void switching_bus(const switching_t *plant, switching_bus_t *bus);
 
 /* ---- faults and other hands on the plant ---------------------------------------------------------------------------- */
 

@@ -1,0 +1,133 @@
+/* bridge.h - one inverter with its motor, between two edges of its gates.
+ *
+ * Legs. What a leg can do depends on its gates and on the sign of its current i (into the motor); u is the bus voltage,
+ * V the drop of a switch or diode (their resistance is part of the motor's circuit, being in series with the phase
+ * whatever conducts):
+ *
+ *   gates            i > 0           i < 0           i = 0
+ *   upper on         u - V (switch)  u + V (diode)   anything between the two
+ *   lower on          -V  (diode)      V  (switch)    ''
+ *   both off          -V  (diode)    u + V (diode)    ''
+ *
+ * So every leg is a voltage interval: at its lower end the current is positive, at its upper end negative, and a leg
+ * whose current is zero takes the voltage inside that keeps it there, for as long as there is one.
+ *
+ * Motor, in the stator frame (DRM E11-E15 with L_d and L_q kept apart, amplitude-invariant vectors):
+ *   d(psi)/dt = v - R i,    i = e^{j theta_e} L^-1 (e^{-j theta_e} psi - psi_m)
+ *   T_e = 3/2 p psi x i,    J d(omega)/dt = T_e - T_load - B omega - T_friction
+ * A segment is a stretch in which no gate changes and no current changes its sign, so the legs' part of v is known:
+ * u a + b with constant vectors a, b. The voltage enters psi as its integral, without error. Only R i has to be
+ * integrated, by the quadrature that is exact for a current of second order,
+ *   Q = h (2 i_0 + i_1) / 3 + h^2 i_0' / 6,    error h^4 i''' / 72,
+ * with i_1 from a first guess of third order; the torque is integrated the same way. In a segment of length h the current
+ * is wrong by about (R/L) (h^4 i'''/72) + (R h/L)/3 (R/L) (h^3 i''/6): with 1/tau = max(R/L, omega_e) and i' = u/L this is
+ * (u h/L) (h/tau)^3 / 12, some 1e-8 A for 10 us of the motors of the reference design and 1e-6 A for 30 us.
+ *
+ * The ends of a segment are roots of parabolas (a current that reaches zero, a shaft that stops or breaks loose, a floating
+ * leg that reaches an end of its interval), taken in closed form.
+ */
+#ifndef PLANT_BRIDGE_H
+#define PLANT_BRIDGE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "board.h"
+#include "plant/motor.h"
+
+/* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
+typedef enum {
+    BRIDGE_OPEN = 0,
+    BRIDGE_HIGH = 1,
+    BRIDGE_LOW = 2,
+} bridge_gates_t;
+
+#define BRIDGE_GATES 3
+#define BRIDGE_CLOCK_HZ 100e6 /* bus clock of the chip */
+
+typedef struct {
+    double upper;   /* part of the current that comes from the positive rail: 0 or 1 */
+    double drop;    /* leg voltage is upper u + drop [V] */
+    bool lower;     /* the lower half of the leg carries the current: the shunt sees it */
+} bridge_path_t;
+
+/* Decay of the amplifiers, e^(-n clocks / tau), as the product of two entries. */
+#define BRIDGE_DECAY 32
+
+typedef struct {
+    /* parameters */
+    bridge_path_t path[BRIDGE_GATES][3]; /* by gates and sign of the current + 1 */
+    double r_s, r_on;
+    double l_d, l_q, inv_l_d, inv_l_q;
+    double psi_m, pole_pairs;
+    double inertia, inv_inertia;
+    double friction, viscous;
+    double tau;                          /* of the current amplifiers [s] */
+    double decay_fine[BRIDGE_DECAY], decay_coarse[BRIDGE_DECAY];
+    /* inputs */
+    bridge_gates_t gates[3];
+    double load;                         /* [N m] */
+    bool locked, unplugged;
+    /* state */
+    plant_vector_t psi;                  /* stator flux linkage [V s] */
+    double theta, omega;                 /* mechanical [rad], [rad/s] */
+    int sign[3];                         /* of the phase currents; 0: the leg floats */
+    double amplifier[3];                 /* output of the current amplifiers [A] */
+    /* what follows from it */
+    double cosine, sine;                 /* of the electrical angle */
+    plant_vector_t i;                    /* [A] */
+    double phase[3];                     /* [A] */
+    double torque;                       /* [N m] */
+    unsigned steps;                      /* since cosine and sine were made afresh */
+    /* the segment that begins here, valid while `begun` */
+    bool begun;
+    bool held;                           /* the shaft has just stopped and stays so to the end of the segment */
+    int floating;                        /* index of the only leg without current, -1 if there is none */
+    double hold;                         /* its voltage at the beginning [V] */
+    bool dead;                           /* no current at all, and none will flow */
+    bool lower[3];
+    plant_vector_t a, b;                 /* v = u a + b */
+    double a_0, b_0;                     /* the same for the mean of the legs */
+    plant_vector_t di;                   /* [A/s] */
+    double dtorque;                      /* [N m/s] */
+    int direction;                       /* of motion; 0: stands */
+    double accel, jerk;                  /* [rad/s^2], [rad/s^3] */
+    /* sums since the beginning */
+    double e_copper, e_switch;           /* [J] */
+    double e_bus;                        /* taken out of the bus [J] */
+    plant_vector_t volt_seconds;         /* of the legs [V s] */
+    double volt_seconds_0;
+} bridge_t;
+
+/* All gates off, no current, shaft at rest. */
+void bridge_init(bridge_t *bridge, const plant_axis_t *config);
+
+/* Look at the present gates, currents and bus voltage: how this segment begins. */
+void bridge_begin(bridge_t *bridge, double u_dc);
+
+/* Move on by `h` seconds, in which the bus voltage has the integral `u_h` [V s]. Returns the charge taken out of the
+ * bus [A s]. */
+double bridge_advance(bridge_t *bridge, double h, double u_h);
+
+/* Current that the bus delivers, and its slope, at the beginning of the segment. */
+static inline double bridge_bus_current(const bridge_t *bridge)
+{
+    return 1.5 * (bridge->a.alpha * bridge->i.alpha + bridge->a.beta * bridge->i.beta);
+}
+
+static inline double bridge_bus_slope(const bridge_t *bridge)
+{
+    return 1.5 * (bridge->a.alpha * bridge->di.alpha + bridge->a.beta * bridge->di.beta);
+}
+
+/* What a phase's amplifier shows `h` seconds into the segment, which must be short (h^2 i'' / 2 is neglected). */
+double bridge_amplifier(const bridge_t *bridge, int phase, double h);
+
+/* True if other gates on a leg would change nothing, now and in the `h` seconds since the segment began: a dead time
+ * that the diode has bridged already, or is about to. */
+bool bridge_indifferent(const bridge_t *bridge, int phase, bridge_gates_t gates, double h);
+
+void bridge_set_winding(bridge_t *bridge, double r_s); /* as the copper warms up */
+void bridge_plug(bridge_t *bridge, bool plugged);
+
+#endif

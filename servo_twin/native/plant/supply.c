@@ -1,0 +1,72 @@
+#include "plant/supply.h"
+
+#include "plant/decay.h"
+
+void supply_init(supply_t *supply, const plant_bus_t *config)
+{
+    *supply = (supply_t){
+        .u_source = config->u_source,
+        .g_source = 1.0 / config->r_source,
+        .g_brake = (config->r_brake > 0.0) ? 1.0 / config->r_brake : 0.0,
+        .inv_c = 1.0 / config->capacitance,
+        .u = config->u_source,
+    };
+}
+
+/* With or without the source all along: u' = (i - g u) / C. Returns the voltage at the end. */
+static inline double settle(supply_t *s, double h, double i_load, bool fed, double *u_h)
+{
+    const double g_brake = s->braking ? s->g_brake : 0.0;
+    const double g = fed ? s->g_source + g_brake : g_brake;
+    const double i = fed ? s->g_source * s->u_source - i_load : -i_load;
+    const double x = h * g * s->inv_c;
+    const double rise = h * (i - g * s->u) * s->inv_c; /* at the slope of the beginning */
+    if (x < 0.125) { /* (1 - e^-x) / x and (x - 1 + e^-x) / x^2 */
+        *u_h = h * (s->u + rise * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0)))));
+        return s->u + rise * (1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0))));
+    }
+    const double y = plant_approach(x);
+    *u_h = h * (s->u + rise * (x - y) / (x * x));
+    return s->u + rise * y / x;
+}
+
+/* Part of a step in one regime; the voltage moves to `u` and has the integral `u_h`. */
+static inline void take_over(supply_t *s, double h, double u, double u_h, bool fed)
+{
+    if (fed) { /* int u (u_s - u) dt of a straight line */
+        const double mean = u_h / h;
+        const double swing = u - s->u;
+        s->e_source += s->g_source * h * (mean * (s->u_source - mean) - swing * swing * (1.0 / 12.0));
+    }
+    if (s->braking) {
+        s->e_brake += s->g_brake * u_h * u_h / h;
+    }
+    s->u = u;
+}
+
+double supply_advance(supply_t *s, double h, double i_load)
+{
+    const bool fed = s->u < s->u_source || (s->u == s->u_source && i_load > 0.0);
+    double u_h;
+    double u = settle(s, h, i_load, fed, &u_h);
+    if (fed ? u > s->u_source : u < s->u_source) {
+        const double part = h * (s->u_source - s->u) / (u - s->u);
+        double first_h = 0.0;
+        if (part > 0.0) {
+            (void)settle(s, part, i_load, fed, &first_h);
+            take_over(s, part, s->u_source, first_h, fed);
+        }
+        s->u = s->u_source;
+        u = settle(s, h - part, i_load, !fed, &u_h);
+        if (h > part) {
+            take_over(s, h - part, u, u_h, !fed);
+        }
+        u_h += first_h;
+    } else {
+        take_over(s, h, u, u_h, fed);
+    }
+    if (s->u < 0.0) {
+        s->u = 0.0;
+    }
+    return u_h;
+}

@@ -1,0 +1,443 @@
+#include "plant/switching.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "plant/trig.h"
+
+#define CLOCK (1.0 / SWITCHING_CLOCK_HZ) /* [s] */
+#define NEVER UINT64_MAX
+#define SAMPLE_NEAR 50u /* a sample so soon after an edge is taken from the slope [clocks] */
+#define THERMAL_STEP UINT64_C(100000) /* [clocks] */
+#define COPPER 3.93e-3 /* rise of its resistance [1/K] */
+
+static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to - from) * CLOCK; }
+
+void switching_init(switching_t *plant, const board_config_t *config)
+{
+    memset(plant, 0, sizeof *plant);
+    supply_init(&plant->supply, &config->bus);
+    plant->bus = config->bus;
+    plant_random_init(&plant->noise, config->seed, 0);
+    plant->thermal_clock = THERMAL_STEP;
+    for (int i = 0; i < BOARD_AXES; i++) {
+        const plant_axis_t *c = &config->axis[i];
+        switching_axis_t *axis = &plant->axis[i];
+        const double l = (c->l_d < c->l_q) ? c->l_d : c->l_q;
+        bridge_init(&axis->bridge, c);
+        quadrature_init(&axis->encoder, c, config->seed, (uint64_t)i + 3u);
+        thermal_init(&axis->winding, c->winding_capacity, c->winding_resistance, config->ambient);
+        thermal_init(&axis->sink, c->sink_capacity, c->sink_resistance, config->ambient);
+        plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
+        axis->turn_off = (uint64_t)(c->turn_off * SWITCHING_CLOCK_HZ + 0.5);
+        axis->i_break = c->i_break;
+        axis->i_far = c->i_break - 2.0 * config->bus.u_source / l * SWITCHING_HORIZON * CLOCK;
+        axis->i_full_scale = c->i_full_scale;
+        axis->i_noise = c->i_noise;
+        memcpy(axis->i_offset, c->i_offset, sizeof axis->i_offset);
+        axis->r_s = c->r_s;
+    }
+}
+
+/* ---- events ------------------------------------------------------------------------------------------------------- */
+
+static void tell(switching_t *plant, switching_event_t event)
+{
+    if (plant->waiting < SWITCHING_EVENTS) {
+        plant->event[(plant->first + plant->waiting++) % SWITCHING_EVENTS] = event;
+    }
+}
+
+bool switching_take(switching_t *plant, switching_event_t *event)
+{
+    if (plant->waiting == 0u) {
+        return false;
+    }
+    *event = plant->event[plant->first];
+    plant->first = (plant->first + 1u) % SWITCHING_EVENTS;
+    plant->waiting--;
+    return true;
+}
+
+/* ---- looking ahead ------------------------------------------------------------------------------------------------ */
+
+static uint64_t earlier(uint64_t a, uint64_t b) { return (a < b) ? a : b; }
+
+/* Clock at or after `seconds` from where the axis stands, and after the present one. */
+static uint64_t clock_after(const switching_t *plant, const switching_axis_t *axis, double time)
+{
+    const double whole = time * SWITCHING_CLOCK_HZ;
+    const uint64_t clock = axis->clock + (uint64_t)whole + 1u;
+    return (clock > plant->now) ? clock : plant->now + 1u;
+}
+
+/* Straight on, when does a current reach the comparator's threshold, from either side? */
+static void look_ahead(const switching_t *plant, switching_axis_t *axis)
+{
+    const bridge_t *b = &axis->bridge;
+    const plant_vector_t i = b->i;
+    axis->look_clock = NEVER;
+    if (i.alpha * i.alpha + i.beta * i.beta < axis->i_far * axis->i_far && axis->i_far > 0.0) {
+        return;
+    }
+    const double side = 0.5 * PLANT_SQRT3 * b->di.beta;
+    const double slope[3] = {b->di.alpha, -0.5 * b->di.alpha + side, -0.5 * b->di.alpha - side};
+    double soonest = 1.0;
+    for (int k = 0; k < 3; k++) {
+        const double size = fabs(b->phase[k]);
+        const double grows = (b->phase[k] > 0.0) ? slope[k] : -slope[k];
+        const double t = (axis->i_break - size) / grows;
+        if (t >= 0.0 && t < soonest) {
+            soonest = t;
+        }
+    }
+    if (soonest < SWITCHING_HORIZON * CLOCK) {
+        axis->look_clock = clock_after(plant, axis, soonest);
+    }
+}
+
+static void find_edge(const switching_t *plant, switching_axis_t *axis)
+{
+    const bridge_t *b = &axis->bridge;
+    axis->edge_clock = NEVER;
+    if (b->direction == 0) {
+        return;
+    }
+    const double reach = SWITCHING_HORIZON * CLOCK;
+    const double t = quadrature_time(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, reach, &axis->edge_upwards);
+    if (t < reach) {
+        axis->edge_clock = clock_after(plant, axis, t);
+    }
+}
+
+static void find_next(switching_axis_t *axis)
+{
+    axis->next_clock = earlier(earlier(axis->edge_clock, axis->look_clock), axis->clock + SWITCHING_HORIZON);
+}
+
+/* After whatever has changed at the present clock. */
+static inline void look_around(switching_t *plant)
+{
+    for (int i = 0; i < BOARD_AXES; i++) {
+        switching_axis_t *axis = &plant->axis[i];
+        if (!axis->bridge.begun) {
+            bridge_begin(&axis->bridge, plant->supply.u);
+            find_edge(plant, axis);
+            look_ahead(plant, axis);
+            find_next(axis);
+        }
+    }
+}
+
+/* ---- moving on ---------------------------------------------------------------------------------------------------- */
+
+/* The bus to the present clock, with the currents of both axes extrapolated along their slopes. */
+static void advance_supply(switching_t *plant)
+{
+    const uint64_t from = plant->supply_clock;
+    if (plant->now == from) {
+        return;
+    }
+    const double h = seconds(from, plant->now);
+    double load = 0.0;
+    for (int i = 0; i < BOARD_AXES; i++) {
+        switching_axis_t *axis = &plant->axis[i];
+        const double middle = seconds(axis->clock, from) + 0.5 * h;
+        const double current = bridge_bus_current(&axis->bridge) + middle * bridge_bus_slope(&axis->bridge);
+        axis->booked += current * h;
+        load += current;
+    }
+    const double u_h = supply_advance(&plant->supply, h, load);
+    for (int i = 0; i < BOARD_AXES; i++) {
+        plant->axis[i].u_h += u_h;
+    }
+    plant->supply_clock = plant->now;
+}
+
+static void compare(switching_t *plant, int i)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    const double *p = axis->bridge.phase;
+    const double most = axis->i_break;
+    const bool tripped = p[0] > most || p[1] > most || p[2] > most || p[0] < -most || p[1] < -most || p[2] < -most ||
+                         axis->short_clock > plant->now;
+    if (tripped != axis->tripped) {
+        axis->tripped = tripped;
+        tell(plant, (switching_event_t){plant->now, SWITCHING_OVER_CURRENT, i, 0, tripped});
+    }
+}
+
+/* One axis to the present clock. */
+static void advance_axis(switching_t *plant, int i)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    if (axis->clock == plant->now) {
+        return;
+    }
+    advance_supply(plant);
+    const double charge = bridge_advance(&axis->bridge, seconds(axis->clock, plant->now), axis->u_h);
+    supply_take(&plant->supply, charge - axis->booked);
+    axis->booked = 0.0;
+    axis->u_h = 0.0;
+    axis->clock = plant->now;
+    compare(plant, i);
+}
+
+static void warm_up(switching_t *plant)
+{
+    const double h = (double)THERMAL_STEP * CLOCK;
+    for (int i = 0; i < BOARD_AXES; i++) {
+        switching_axis_t *axis = &plant->axis[i];
+        bridge_t *b = &axis->bridge;
+        advance_axis(plant, i);
+        thermal_advance(&axis->winding, h, b->e_copper - axis->e_copper);
+        thermal_advance(&axis->sink, h, b->e_switch - axis->e_switch);
+        axis->e_copper = b->e_copper;
+        axis->e_switch = b->e_switch;
+        bridge_set_winding(b, axis->r_s * (1.0 + COPPER * (axis->winding.t - axis->winding.ambient)));
+    }
+    plant->thermal_clock += THERMAL_STEP;
+}
+
+static void pass_edge(switching_t *plant, int i)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    const quadrature_edge_t edge = quadrature_pass(&axis->encoder, axis->edge_upwards);
+    if (edge.seen) {
+        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, i, edge.line, edge.level});
+    }
+    find_edge(plant, axis);
+    find_next(axis);
+}
+
+/* Everything of the plant's own at the present clock. */
+static void happen(switching_t *plant)
+{
+    for (int i = 0; i < BOARD_AXES; i++) {
+        switching_axis_t *axis = &plant->axis[i];
+        if (axis->edge_clock == plant->now) {
+            pass_edge(plant, i);
+        }
+        if (axis->next_clock == plant->now) {
+            advance_axis(plant, i);
+        }
+        if (axis->short_clock == plant->now) {
+            compare(plant, i);
+        }
+    }
+    if (plant->thermal_clock == plant->now) {
+        warm_up(plant);
+    }
+}
+
+uint64_t switching_next(switching_t *plant)
+{
+    look_around(plant);
+    uint64_t next = plant->thermal_clock;
+    for (int i = 0; i < BOARD_AXES; i++) {
+        const switching_axis_t *axis = &plant->axis[i];
+        next = earlier(next, axis->next_clock);
+        if (axis->short_clock > plant->now) {
+            next = earlier(next, axis->short_clock);
+        }
+    }
+    return next;
+}
+
+void switching_advance(switching_t *plant, uint64_t clock)
+{
+    for (uint64_t next = switching_next(plant); next <= clock; next = switching_next(plant)) {
+        plant->now = next;
+        happen(plant);
+    }
+    plant->now = clock;
+}
+
+/* ---- gates -------------------------------------------------------------------------------------------------------- */
+
+/* A switch conducts a little longer than its gate says: turned on against it, the leg is a short. */
+static void watch_short(switching_t *plant, int i, int phase, switching_leg_t leg)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    const switching_leg_t before = axis->leg[phase];
+    uint64_t until = 0;
+    if (before == SWITCHING_SHORT) {
+        axis->short_clock = earlier(axis->short_clock, plant->now + axis->turn_off);
+    } else if (before != SWITCHING_OPEN && before != leg) {
+        axis->off_clock[phase] = plant->now;
+        axis->last_on[phase] = before;
+    }
+    if (leg == SWITCHING_SHORT) {
+        until = NEVER;
+    } else if (leg != SWITCHING_OPEN && leg != axis->last_on[phase] && axis->last_on[phase] != SWITCHING_OPEN) {
+        until = axis->off_clock[phase] + axis->turn_off;
+    }
+    axis->leg[phase] = leg;
+    if (until > plant->now) {
+        axis->short_clock = until;
+    }
+    compare(plant, i);
+}
+
+void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    bridge_t *b = &axis->bridge;
+    if (axis->leg[phase] == leg) {
+        return;
+    }
+    const bridge_gates_t gates = (leg == SWITCHING_SHORT) ? BRIDGE_OPEN : (bridge_gates_t)leg;
+    if (!bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now))) {
+        advance_axis(plant, i);
+        b->begun = false;
+    }
+    b->gates[phase] = gates;
+    watch_short(plant, i, phase, leg);
+}
+
+/* ---- pins --------------------------------------------------------------------------------------------------------- */
+
+uint16_t switching_current_code(switching_t *plant, int i, int phase)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    if (plant->now - axis->clock > SAMPLE_NEAR) {
+        advance_axis(plant, i);
+    }
+    look_around(plant);
+    const double current = bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now));
+    const double shown = current + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
+    return plant_code_bipolar(shown, axis->i_full_scale);
+}
+
+uint16_t switching_bus_code(switching_t *plant)
+{
+    look_around(plant);
+    advance_supply(plant);
+    const double shown = plant->supply.u + plant->bus.u_noise * plant_random_gauss(&plant->noise);
+    return plant_code_unipolar(shown, plant->bus.u_full_scale);
+}
+
+bool switching_over_current(const switching_t *plant, int axis) { return plant->axis[axis].tripped; }
+
+bool switching_line(const switching_t *plant, int axis, int line)
+{
+    return quadrature_level(&plant->axis[axis].encoder, line);
+}
+
+/* ---- truth -------------------------------------------------------------------------------------------------------- */
+
+/* Copy of the plant with the bus and one axis at the present clock. */
+static switching_t here(const switching_t *plant, int axis)
+{
+    switching_t copy = *plant;
+    look_around(&copy);
+    advance_supply(&copy);
+    advance_axis(&copy, axis);
+    return copy;
+}
+
+void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
+{
+    switching_t copy = here(plant, i);
+    look_around(&copy);
+    const switching_axis_t *axis = &copy.axis[i];
+    const bridge_t *b = &axis->bridge;
+    *truth = (switching_truth_t){
+        .theta = b->theta,
+        .omega = b->omega,
+        .i_d = b->i.alpha * b->cosine + b->i.beta * b->sine,
+        .i_q = b->i.beta * b->cosine - b->i.alpha * b->sine,
+        .torque = b->torque,
+        .t_winding = axis->winding.t,
+        .t_sink = axis->sink.t,
+        .e_bus = b->e_bus,
+        .e_copper = b->e_copper,
+        .e_switch = b->e_switch,
+        .over_current = axis->tripped,
+    };
+    const double h = seconds(axis->mean_clock, copy.now);
+    const double per_h = (h > 0.0) ? 1.0 / h : 0.0;
+    const double alpha = (b->volt_seconds.alpha - axis->mean_volts.alpha) * per_h;
+    const double beta = 0.5 * PLANT_SQRT3 * (b->volt_seconds.beta - axis->mean_volts.beta) * per_h;
+    const double mean = (b->volt_seconds_0 - axis->mean_volts_0) * per_h;
+    truth->voltage[0] = mean + alpha;
+    truth->voltage[1] = mean - 0.5 * alpha + beta;
+    truth->voltage[2] = mean - 0.5 * alpha - beta;
+    for (int k = 0; k < 3; k++) {
+        truth->phase[k] = b->phase[k];
+        truth->shunt[k] = b->lower[k] ? b->phase[k] : 0.0;
+        truth->amplifier[k] = b->amplifier[k];
+    }
+}
+
+void switching_mean(switching_t *plant, int i)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    look_around(plant);
+    advance_axis(plant, i);
+    axis->mean_clock = plant->now;
+    axis->mean_volts = axis->bridge.volt_seconds;
+    axis->mean_volts_0 = axis->bridge.volt_seconds_0;
+}
+
+void switching_bus(const switching_t *plant, switching_bus_t *bus)
+{
+    switching_t copy = here(plant, 0);
+    advance_axis(&copy, 1);
+    bus->u_dc = copy.supply.u;
+    bus->e_source = copy.supply.e_source;
+    bus->e_brake = copy.supply.e_brake;
+}
+
+/* ---- other hands on the plant ------------------------------------------------------------------------------------- */
+
+/* The axis to the present clock, where something about it changes. */
+static bridge_t *touch(switching_t *plant, int i)
+{
+    look_around(plant);
+    advance_axis(plant, i);
+    plant->axis[i].bridge.begun = false;
+    return &plant->axis[i].bridge;
+}
+
+void switching_set_load(switching_t *plant, int axis, double torque) { touch(plant, axis)->load = torque; }
+
+void switching_lock(switching_t *plant, int axis, bool locked)
+{
+    bridge_t *bridge = touch(plant, axis);
+    bridge->locked = locked;
+    bridge->omega = locked ? 0.0 : bridge->omega;
+}
+
+void switching_plug(switching_t *plant, int axis, bool plugged) { bridge_plug(touch(plant, axis), plugged); }
+
+void switching_set_supply(switching_t *plant, double volts)
+{
+    look_around(plant);
+    advance_supply(plant);
+    plant->supply.u_source = volts;
+}
+
+void switching_brake(switching_t *plant, bool on)
+{
+    look_around(plant);
+    advance_supply(plant);
+    plant->supply.braking = on;
+}
+
+void switching_cut(switching_t *plant, int i, int line, bool cut)
+{
+    quadrature_t *encoder = &plant->axis[i].encoder;
+    const bool before = quadrature_level(encoder, line);
+    encoder->cut[line] = cut;
+    const bool after = quadrature_level(encoder, line);
+    if (after != before) {
+        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, i, line, after});
+    }
+}
+
+void switching_set_temperature(switching_t *plant, int i, double winding, double sink)
+{
+    plant->axis[i].winding.t = winding;
+    plant->axis[i].sink.t = sink;
+}

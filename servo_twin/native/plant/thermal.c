@@ -1,0 +1,14 @@
+#include "plant/thermal.h"
+
+#include "plant/decay.h"
+
+void thermal_init(thermal_t *body, double capacity, double resistance, double ambient)
+{
+    *body = (thermal_t){capacity, resistance, ambient, ambient};
+}
+
+void thermal_advance(thermal_t *body, double h, double energy)
+{
+    const double end = body->ambient + body->resistance * energy / h; /* where this power leads to */
+    body->t += (end - body->t) * plant_approach(h / (body->resistance * body->capacity));
+}

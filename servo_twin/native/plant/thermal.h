@@ -1,0 +1,20 @@
+/* thermal.h - temperatures of a winding and of a heatsink: one capacity each, one resistance to the ambient air.
+ *
+ *   C dT/dt = P - (T - T_ambient) / R
+ */
+#ifndef PLANT_THERMAL_H
+#define PLANT_THERMAL_H
+
+typedef struct {
+    double capacity;   /* [J/K] */
+    double resistance; /* [K/W] */
+    double ambient;    /* [deg C] */
+    double t;          /* [deg C] */
+} thermal_t;
+
+void thermal_init(thermal_t *body, double capacity, double resistance, double ambient);
+
+/* `energy` has been burnt in the last `h` seconds, evenly [J]. */
+void thermal_advance(thermal_t *body, double h, double energy);
+
+#endif

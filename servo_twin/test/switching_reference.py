@@ -1,0 +1,275 @@
+"""An independent integration of the same PWM edges: what the plant at switching level is compared with.
+
+Everything is done another way than in the plant: one joint state of both axes and the bus, in the rotors' frames, advanced
+by Runge-Kutta steps of a fraction of a microsecond; the legs' conduction is found by trying every combination; a current
+that changes its sign, a floating leg that reaches its limit and a shaft that stops end a step by bisection.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_twin.plant import AxisPlant, BusPlant, PlantConfig
+
+CLOCK = 1e-8
+OPEN, HIGH, LOW = 0, 1, 2
+
+Edge = tuple[int, int, int, int]
+"""Clock, axis, phase, gates."""
+
+_AXIS = [(1.0, 0.0), (-0.5, math.sqrt(0.75)), (-0.5, -math.sqrt(0.75))]
+
+
+def clarke(v: Sequence[float]) -> tuple[float, float]:
+    return (2 * v[0] - v[1] - v[2]) / 3, (v[1] - v[2]) / math.sqrt(3)
+
+
+@dataclass
+class Machine:
+    """One axis: state and pattern of conduction."""
+
+    plant: AxisPlant
+    i_d: float = 0.0
+    i_q: float = 0.0
+    omega: float = 0.0
+    theta: float = 0.0
+    gates: list[int] = field(default_factory=lambda: [OPEN] * 3)
+    sign: list[int] = field(default_factory=lambda: [0] * 3)
+    moving: int = 0
+    load: float = 0.0
+
+    def phases(self) -> list[float]:
+        angle = self.plant.pole_pairs * self.theta
+        c, s = math.cos(angle), math.sin(angle)
+        a, b = self.i_d * c - self.i_q * s, self.i_d * s + self.i_q * c
+        return [a * x + b * y for x, y in _AXIS]
+
+    def torque(self) -> float:
+        p = self.plant
+        return 1.5 * p.pole_pairs * (p.psi_m + (p.l_d - p.l_q) * self.i_d) * self.i_q
+
+    def limits(self, k: int, u: float) -> tuple[float, float]:
+        v = self.plant.v_drop
+        return {OPEN: (-v, u + v), HIGH: (u - v, u + v), LOW: (-v, v)}[self.gates[k]]
+
+    def rates(self, x: Sequence[float], u: float, sign: Sequence[int]) -> tuple[list[float], list[float], float]:
+        """Derivatives of i_d, i_q, omega, theta; the leg voltages; the current out of the bus."""
+        p = self.plant
+        i_d, i_q, omega, theta = x
+        angle = p.pole_pairs * theta
+        c, s = math.cos(angle), math.sin(angle)
+        w = p.pole_pairs * omega
+        r = p.r_s + p.r_on
+
+        def slopes(v: Sequence[float]) -> tuple[float, float]:
+            a, b = clarke(v)
+            return (
+                (a * c + b * s - r * i_d + w * p.l_q * i_q) / p.l_d,
+                (b * c - a * s - r * i_q - w * (p.l_d * i_d + p.psi_m)) / p.l_q,
+            )
+
+        def phase_slope(k: int, v: Sequence[float]) -> float:
+            d, q = slopes(v)
+            da = d * c - q * s - w * (i_d * s + i_q * c)
+            db = d * s + q * c + w * (i_d * c - i_q * s)
+            return da * _AXIS[k][0] + db * _AXIS[k][1]
+
+        v = [0.0, 0.0, 0.0]
+        for k in range(3):
+            low, high = self.limits(k, u)
+            v[k] = low if sign[k] > 0 else high if sign[k] < 0 else 0.0
+        floating = [k for k in range(3) if sign[k] == 0]
+        if len(floating) == 3:
+            emf = [-w * p.psi_m * s, w * p.psi_m * c]
+            v = [emf[0] * a + emf[1] * b for a, b in _AXIS]
+        elif len(floating) == 1:
+            k = floating[0]
+            zero = phase_slope(k, v)
+            v[k] = 1.0
+            v[k] = -zero / (phase_slope(k, v) - zero)
+        d, q = (0.0, 0.0) if len(floating) == 3 else slopes(v)
+        accel = 0.0
+        if self.moving:
+            torque = 1.5 * p.pole_pairs * (p.psi_m + (p.l_d - p.l_q) * i_d) * i_q
+            accel = (torque - self.load - self.moving * p.friction - p.viscous * omega) / p.inertia
+        current = 0.0
+        for k, (a, b) in enumerate(_AXIS):
+            upper = self.gates[k] == HIGH or (self.gates[k] == OPEN and sign[k] < 0)
+            if upper and sign[k] != 0:
+                current += a * (i_d * c - i_q * s) + b * (i_d * s + i_q * c)
+        return [d, q, accel, omega], v, current
+
+    @property
+    def x(self) -> list[float]:
+        return [self.i_d, self.i_q, self.omega, self.theta]
+
+    @x.setter
+    def x(self, value: Sequence[float]) -> None:
+        self.i_d, self.i_q, self.omega, self.theta = value
+
+    def decide(self, u: float) -> None:
+        """Signs of the currents that are zero, by trial; direction of motion."""
+        zero = [k for k in range(3) if self.sign[k] == 0]
+        if zero:
+            for trial in sorted(itertools.product((0, 1, -1), repeat=len(zero)), key=lambda t: sum(map(abs, t))):
+                sign = list(self.sign)
+                for k, value in zip(zero, trial, strict=True):
+                    sign[k] = value
+                if sorted(sign) in ([-1, 0, 0], [0, 0, 1], [1, 1, 1], [-1, -1, -1]) or not self._consistent(u, sign, zero):
+                    continue
+                self.sign = sign
+                break
+            else:
+                raise AssertionError(f"no way to conduct: {self}")
+        if abs(self.omega) > 1e-9:
+            self.moving = 1 if self.omega > 0 else -1
+        else:
+            drive = self.torque() - self.load
+            self.omega = 0.0
+            self.moving = 0 if abs(drive) <= self.plant.friction else 1 if drive > 0 else -1
+
+    def _consistent(self, u: float, sign: Sequence[int], zero: Sequence[int]) -> bool:
+        rates, v, _ = self.rates(self.x, u, sign)
+        if all(s == 0 for s in sign):
+            span = [(low - e, high - e) for (low, high), e in zip((self.limits(k, u) for k in range(3)), v, strict=True)]
+            return max(s[0] for s in span) <= min(s[1] for s in span)
+        p = self.plant
+        angle = p.pole_pairs * self.theta
+        c, s = math.cos(angle), math.sin(angle)
+        w = p.pole_pairs * self.omega
+        da = rates[0] * c - rates[1] * s - w * (self.i_d * s + self.i_q * c)
+        db = rates[0] * s + rates[1] * c + w * (self.i_d * c - self.i_q * s)
+        for k in zero:
+            slope = da * _AXIS[k][0] + db * _AXIS[k][1]
+            low, high = self.limits(k, u)
+            if sign[k] == 0 and not low <= v[k] <= high:
+                return False
+            if sign[k] != 0 and slope * sign[k] <= 0.0:
+                return False
+        return True
+
+    def violated(self, u: float) -> float:
+        """How far the state is beyond what the pattern allows (0: not at all)."""
+        worst = 0.0
+        for current, sign in zip(self.phases(), self.sign, strict=True):
+            if sign != 0:
+                worst = max(worst, -current * sign)
+        if self.moving and self.omega * self.moving < 0.0:
+            worst = max(worst, abs(self.omega))
+        floating = [k for k in range(3) if self.sign[k] == 0]
+        _, v, _ = self.rates(self.x, u, self.sign)
+        if len(floating) == 1:
+            low, high = self.limits(floating[0], u)
+            worst = max(worst, low - v[floating[0]], v[floating[0]] - high)
+        elif floating:
+            span = [(self.limits(k, u)[0] - v[k], self.limits(k, u)[1] - v[k]) for k in range(3)]
+            worst = max(worst, max(s[0] for s in span) - min(s[1] for s in span))
+        if not self.moving:
+            worst = max(worst, abs(self.torque() - self.load) - self.plant.friction)
+        return worst
+
+    def cross(self) -> None:
+        """At the moment of a violation: currents at zero are zero."""
+        for k, current in enumerate(self.phases()):
+            if self.sign[k] != 0 and abs(current) < 1e-7 and current * self.sign[k] < 1e-9:
+                self.sign[k] = 0
+        if sum(map(abs, self.sign)) < 2:
+            self.sign = [0, 0, 0]
+            self.i_d = self.i_q = 0.0
+        if self.moving and self.omega * self.moving < 1e-9:
+            self.omega = 0.0
+
+    def release(self, u: float) -> None:
+        """Floating legs beyond their limits begin to conduct: the choice is made anew."""
+
+
+class Reference:
+    """Two axes on one bus."""
+
+    def __init__(self, plant: PlantConfig, step: float = 2e-7) -> None:
+        self.axes = [Machine(axis, theta=float(axis.theta_start)) for axis in plant.axes]
+        self.bus: BusPlant = plant.bus
+        self.u = plant.bus.u_source
+        self.step = step
+        self.clock = 0
+        self.energy = [0.0, 0.0]
+        self.volt_seconds = np.zeros((2, 3))
+
+    def _rates(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        rates = np.zeros_like(x)
+        u = float(x[8])
+        load = 0.0
+        for n, axis in enumerate(self.axes):
+            rate, v, current = axis.rates([float(value) for value in x[4 * n : 4 * n + 4]], u, axis.sign)
+            rates[4 * n : 4 * n + 4] = rate
+            rates[9 + n] = u * current
+            rates[11 + 3 * n : 14 + 3 * n] = v
+            load += current
+        source = max(0.0, (self.bus.u_source - u) / self.bus.r_source)
+        rates[8] = (source - load) / self.bus.capacitance
+        return rates
+
+    def _state(self) -> NDArray[np.float64]:
+        state = [value for axis in self.axes for value in axis.x]
+        return np.array([*state, self.u, *self.energy, *self.volt_seconds.ravel()])
+
+    def _put(self, x: NDArray[np.float64]) -> None:
+        for n, axis in enumerate(self.axes):
+            axis.x = [float(value) for value in x[4 * n : 4 * n + 4]]
+        self.u = float(x[8])
+        self.energy = [float(x[9]), float(x[10])]
+        self.volt_seconds = x[11:17].reshape(2, 3).copy()
+
+    def _try(self, x: NDArray[np.float64], h: float) -> None:
+        k1 = self._rates(x)
+        k2 = self._rates(x + 0.5 * h * k1)
+        k3 = self._rates(x + 0.5 * h * k2)
+        k4 = self._rates(x + h * k3)
+        self._put(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+
+    def _advance(self, seconds: float) -> None:
+        while seconds > 1e-16:
+            for axis in self.axes:
+                axis.decide(self.u)
+            h = min(seconds, self.step)
+            x = self._state()
+            self._try(x, h)
+            if any(axis.violated(self.u) > 1e-12 for axis in self.axes):
+                early, late = 0.0, h
+                for _ in range(45):
+                    h = 0.5 * (early + late)
+                    self._try(x, h)
+                    if any(axis.violated(self.u) > 1e-12 for axis in self.axes):
+                        late = h
+                    else:
+                        early = h
+                h = late
+                self._try(x, h)
+                for axis in self.axes:
+                    axis.cross()
+            seconds -= h
+
+    def run(self, edges: Iterable[Edge], until: int) -> None:
+        """Through the edges, which are in order of time, and on to a clock."""
+        for clock, axis, phase, gates in edges:
+            self._advance((clock - self.clock) * CLOCK)
+            self.clock = clock
+            self.axes[axis].gates[phase] = gates
+        self._advance((until - self.clock) * CLOCK)
+        self.clock = until
+
+
+def centred_edges(start: int, period: int, duty: Sequence[float], dead: int, axis: int) -> list[Edge]:
+    """Edges of one period that begins at a low-side centre; both gates are off for `dead` clocks at each."""
+    edges: list[Edge] = []
+    for phase, part in enumerate(duty):
+        low = round(0.5 * period * (1.0 - part))
+        rise, fall = start + low, start + period - low
+        edges += [(rise, axis, phase, OPEN), (rise + dead, axis, phase, HIGH)]
+        edges += [(fall, axis, phase, OPEN), (fall + dead, axis, phase, LOW)]
+    return edges

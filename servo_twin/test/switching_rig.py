@@ -1,0 +1,77 @@
+"""The plant at switching level as Python sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from native_library import Native, c_config
+from servo_twin.plant import PlantConfig
+from switching_reference import Edge
+
+SWITCHING_CDEF = """
+typedef struct { ...; } switching_t;
+typedef struct { uint64_t clock; int kind, axis, line; bool level; } switching_event_t;
+void switching_init(switching_t *plant, const board_config_t *config);
+void switching_edge(switching_t *plant, int axis, int phase, int leg);
+uint64_t switching_next(switching_t *plant);
+void switching_advance(switching_t *plant, uint64_t clock);
+bool switching_take(switching_t *plant, switching_event_t *event);
+uint16_t switching_current_code(switching_t *plant, int axis, int phase);
+uint16_t switching_bus_code(switching_t *plant);
+bool switching_over_current(const switching_t *plant, int axis);
+bool switching_line(const switching_t *plant, int axis, int line);
+typedef struct {
+    double theta, omega, i_d, i_q, phase[3], shunt[3], amplifier[3], torque, voltage[3], t_winding, t_sink;
+    double e_bus, e_copper, e_switch; bool over_current;
+} switching_truth_t;
+void switching_truth(const switching_t *plant, int axis, switching_truth_t *truth);
+void switching_mean(switching_t *plant, int axis);
+typedef struct { double u_dc, e_source, e_brake; } switching_bus_t;
+void switching_bus(const switching_t *plant, switching_bus_t *bus);
+void switching_set_load(switching_t *plant, int axis, double torque);
+void switching_set_supply(switching_t *plant, double volts);
+void switching_lock(switching_t *plant, int axis, bool locked);
+void switching_plug(switching_t *plant, int axis, bool plugged);
+void switching_cut(switching_t *plant, int axis, int line, bool cut);
+void switching_brake(switching_t *plant, bool on);
+void switching_set_temperature(switching_t *plant, int axis, double winding, double sink);
+"""
+
+
+class Switching:
+    """A plant that follows lists of edges and keeps the events."""
+
+    def __init__(self, native: Native, plant: PlantConfig, seed: int = 0) -> None:
+        self.ffi, self.lib = native.ffi, native.lib
+        self.c = self.ffi.new("switching_t *")
+        self.lib.switching_init(self.c, c_config(native, plant, seed))
+        self.events: list[tuple[int, int, int, int, bool]] = []
+        self.clock = 0
+
+    def advance(self, clock: int) -> None:
+        event = self.ffi.new("switching_event_t *")
+        self.lib.switching_advance(self.c, clock)
+        self.clock = clock
+        while self.lib.switching_take(self.c, event):
+            self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
+
+    def edge(self, axis: int, phase: int, gates: int) -> None:
+        self.lib.switching_edge(self.c, axis, phase, gates)
+
+    def run(self, edges: Iterable[Edge], until: int) -> None:
+        for clock, axis, phase, gates in edges:
+            self.advance(clock)
+            self.edge(axis, phase, gates)
+        self.advance(until)
+
+    def truth(self, axis: int) -> Any:
+        truth = self.ffi.new("switching_truth_t *")
+        self.lib.switching_truth(self.c, axis, truth)
+        return truth
+
+    @property
+    def bus(self) -> Any:
+        bus = self.ffi.new("switching_bus_t *")
+        self.lib.switching_bus(self.c, bus)
+        return bus
