@@ -26,7 +26,7 @@ void chip_interrupts(struct chip *chip, bool on);
 #define REG_READ(hal, address) ((void)(hal), REG_AT(address))
 #define REG_WRITE(hal, address, value) ((void)(hal), REG_AT(address) = (uint16_t)(value))
 
-#ifdef __CWCC__
+#ifdef __MWERKS__
 #define INTERRUPTS_ON(hal) ((void)(hal), __EI(0)) /* levels 0 to 3 */
 #else
 #define INTERRUPTS_ON(hal) ((void)(hal)) /* another compiler only checks the source */
