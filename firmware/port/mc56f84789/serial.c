@@ -25,7 +25,7 @@ void port_receive(hal_t *hal)
         const uint16_t data = REG_READ(hal, REG(QSCI_DATA));
         const uint16_t in = hal->ring_in;
         if ((uint16_t)(in - hal->ring_out) < PORT_RING) {
-            hal->ring[in & RING_MASK] = (uint8_t)(data & 0xFFU);
+            hal->ring[in & RING_MASK] = (uint8_t)data;
             hal->ring_in = (uint16_t)(in + 1U);
         } else {
             hal->overruns++;

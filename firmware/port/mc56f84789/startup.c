@@ -18,6 +18,8 @@ int main(void)
 }
 
 #ifdef __MWERKS__
+extern uint16_t _stack_addr[], _data_words[], _data_rom_addr[], _data_ram_addr[], _bss_words[], _bss_addr[];
+
 /* clang-format off */
 /* Interrupts off, mode of the core as C wants it, stack, data out of flash, bss; the symbols are the linker's. */
 asm void startup_entry(void)

@@ -1,0 +1,183 @@
+"""Encoder timers and serial line of the MC56F84789 port."""
+
+from __future__ import annotations
+
+import pytest
+from firmware_compiler import CompileC
+from port_board import EDGE, SERVO, TMR, FakeBoard
+
+ISR_EDGE, ISR_RECEIVE = (28, 24), 52
+IEF, IEFIE, TOF = 0x0800, 0x0400, 0x2000
+CAPT, CNTR, SCTRL = 2, 5, 7
+
+
+@pytest.fixture
+def board(compile_c: CompileC) -> FakeBoard:
+    board = FakeBoard(compile_c)
+    board.forget()
+    return board
+
+
+def edge(board: FakeBoard, axis: int, count: int, time: int) -> None:
+    """A B edge: timers whose flag is clear take their counter."""
+    for channel, value in ((0, count), (1, time), (3, 0)):
+        base = TMR[axis] + 0x10 * channel
+        if not board[base + SCTRL] & IEF:
+            board[base + CAPT] = value
+            board[base + SCTRL] |= IEF
+            if channel == 3:
+                board[base + CNTR] = 0
+
+
+def take(board: FakeBoard, axis: int) -> tuple[int, int] | None:
+    capture = board.ffi.new("edge_capture_t *")
+    return (capture.count, capture.time) if board.lib.hal_capture_take(board.hal, axis, capture) else None
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_counters(board: FakeBoard, axis: int) -> None:
+    board[TMR[axis] + CNTR] = 0xF061
+    board[TMR[axis] + 0x20 + CNTR] = 7
+    assert board.lib.hal_encoder_count(board.hal, axis) == 0xF061
+    assert board.lib.hal_index_count(board.hal, axis) == 7
+    board.lib.hal_encoder_preset(board.hal, axis, 1000)
+    assert board[TMR[axis] + CNTR] == 1000
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_arm_opens_the_captures_and_the_interrupt(board: FakeBoard, axis: int) -> None:
+    for channel in range(4):
+        board[TMR[axis] + 0x10 * channel + SCTRL] |= IEF
+    board.lib.hal_capture_arm(board.hal, axis)
+    assert [board[TMR[axis] + 0x10 * n + SCTRL] & (IEF | IEFIE) for n in (0, 1, 3)] == [IEFIE, 0, 0]
+
+
+def test_one_capture_per_arming(board: FakeBoard) -> None:
+    board.lib.hal_capture_arm(board.hal, 0)
+    assert take(board, 0) is None
+    edge(board, 0, 123, 456)
+    assert take(board, 0) == (123, 456)
+    assert not board[TMR[0] + SCTRL] & IEFIE
+    edge(board, 0, 124, 457)  # kept out: nobody has armed
+    assert take(board, 0) is None
+    board.lib.hal_capture_arm(board.hal, 0)
+    edge(board, 0, 125, 458)
+    assert take(board, 0) == (125, 458)
+    assert take(board, 1) is None
+
+
+def test_arming_repeats_when_an_edge_slips_in_between(board: FakeBoard) -> None:
+    """An edge that one timer has taken and another has not would be a wrong speed."""
+    for writes in range(1, 7):
+        for channel in (0, 1, 3):
+            board[TMR[0] + 0x10 * channel + SCTRL] |= IEF
+        board.chip.slip = writes
+        board.lib.hal_capture_arm(board.hal, 0)
+        count, time = (bool(board[TMR[0] + 0x10 * n + SCTRL] & IEF) for n in (0, 1))
+        assert count == time, writes
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_edge_interrupt(board: FakeBoard, axis: int) -> None:
+    board.chip.takes_edge = True
+    board.lib.hal_capture_arm(board.hal, axis)
+    edge(board, axis, 321, 654)
+    accesses = board.isr(ISR_EDGE[axis])
+    assert (SERVO, EDGE, axis) in accesses
+    assert (board.chip.taken.count, board.chip.taken.time) == (321, 654)
+    assert not board[TMR[axis] + SCTRL] & IEFIE
+
+
+def test_edge_that_nobody_takes_does_not_interrupt_for_ever(board: FakeBoard) -> None:
+    board.lib.hal_capture_arm(board.hal, 0)
+    edge(board, 0, 1, 2)
+    board.isr(ISR_EDGE[0])
+    assert board[TMR[0] + SCTRL] & (IEF | IEFIE) == IEF
+    assert take(board, 0) == (1, 2)  # it still waits for the slow loop
+
+
+# ---- age of the last edge ---------------------------------------------------------------------------------------------
+
+
+def test_age(board: FakeBoard) -> None:
+    board[TMR[0] + 0x30 + CNTR] = 4711
+    assert board.lib.hal_edge_age(board.hal, 0) == 4711
+    board[TMR[0] + 0x30 + SCTRL] |= TOF
+    assert board.lib.hal_edge_age(board.hal, 0) == 0x10000
+
+
+def test_counter_is_read_before_its_flag(board: FakeBoard) -> None:
+    board.lib.hal_edge_age(board.hal, 0)
+    assert [a.address for a in board.accesses] == [TMR[0] + 0x35, TMR[0] + 0x37]
+
+
+def test_overflow_survives_arming_and_ends_with_an_edge(board: FakeBoard) -> None:
+    board.lib.hal_capture_arm(board.hal, 0)
+    board[TMR[0] + 0x37] |= TOF
+    board.lib.hal_capture_arm(board.hal, 0)
+    assert board.lib.hal_edge_age(board.hal, 0) == 0x10000
+    edge(board, 0, 1, 2)
+    assert take(board, 0) == (1, 2)
+    assert board.lib.hal_edge_age(board.hal, 0) == 0
+
+
+def test_overflow_ends_with_an_edge_that_nobody_took(board: FakeBoard) -> None:
+    board.lib.hal_capture_arm(board.hal, 0)
+    board[TMR[0] + 0x37] |= TOF
+    edge(board, 0, 1, 2)
+    board.lib.hal_capture_arm(board.hal, 0)
+    assert board.lib.hal_edge_age(board.hal, 0) == 0
+
+
+# ---- serial line ----------------------------------------------------------------------------------------------------------
+
+STAT, DATA, CTRL2 = 0xE083, 0xE084, 0xE082
+
+
+def received(board: FakeBoard) -> bytes:
+    byte = board.ffi.new("uint8_t *")
+    data = b""
+    while board.lib.hal_serial_get(board.hal, byte):
+        data += bytes([byte[0]])
+    return data
+
+
+def test_receives_what_the_fifo_holds(board: FakeBoard) -> None:
+    assert received(board) == b""
+    for byte in b"wxyz":
+        board.lib.fake_receive(board.chip, byte)
+    accesses = board.isr(ISR_RECEIVE)
+    assert accesses[0].address == STAT  # reading it and then the data clears the flag
+    assert received(board) == b"wxyz"
+
+
+def test_ring_keeps_its_order_around_its_end(board: FakeBoard) -> None:
+    for start in range(0, 400, 4):
+        block = bytes((start + k) % 256 for k in range(4))
+        for byte in block:
+            board.lib.fake_receive(board.chip, byte)
+        board.isr(ISR_RECEIVE)
+        assert received(board) == block
+
+
+def test_full_ring_loses_the_newest(board: FakeBoard) -> None:
+    for byte in range(80):
+        board.lib.fake_receive(board.chip, byte)
+        board.isr(ISR_RECEIVE)
+    assert received(board) == bytes(range(64))
+
+
+def test_overrun_is_cleared(board: FakeBoard) -> None:
+    """Reception stays blocked while the flag is set; writing STAT clears it."""
+    board[STAT] = 0x2800
+    board.lib.fake_receive(board.chip, 1)
+    board.isr(ISR_RECEIVE)
+    assert (STAT, 0) in board.writes
+
+
+@pytest.mark.parametrize("waiting", [0, 3, 4])
+def test_sends_while_the_fifo_has_room(board: FakeBoard, waiting: int) -> None:
+    board[CTRL2] = 0x20 | waiting << 13
+    sent = board.lib.hal_serial_put(board.hal, 0x5A)
+    assert sent == (waiting < 4)
+    assert board.writes == ([(DATA, 0x5A)] if sent else [])

@@ -1,0 +1,281 @@
+"""Interrupts of the MC56F84789 port: start sequence, both loops, over-current, and what hal.h promises of ADC and PWM."""
+
+from __future__ import annotations
+
+import pytest
+from firmware_compiler import CompileC
+from port_board import BREAK, M1, M2, PWM, READ, SERVO, WRITE, FakeBoard
+
+START, ISR_M1, ISR_M2, FAULT = 87, 85, 30, (77, 63)
+FIRST, SECOND = 0x0707, 0x3838
+RDY = 0xE50A
+
+
+@pytest.fixture
+def board(compile_c: CompileC) -> FakeBoard:
+    board = FakeBoard(compile_c)
+    board.forget()
+    return board
+
+
+def servo_calls(board: FakeBoard) -> list[tuple[int, int]]:
+    return [(a.address, a.value) for a in board.accesses if a.kind == SERVO]
+
+
+def run_m1(board: FakeBoard, codes: dict[int, int] | None = None) -> None:
+    board.results(FIRST, codes or {})
+    board.isr(ISR_M1)
+
+
+def run_m2(board: FakeBoard, codes: dict[int, int] | None = None) -> None:
+    board.results(SECOND, codes or {})
+    board.isr(ISR_M2)
+
+
+# ---- start (DRM 4.3.3) ----------------------------------------------------------------------------------------------
+
+
+def test_start_sequence_in_the_order_of_the_reference(board: FakeBoard) -> None:
+    board.isr(START)
+    assert board.writes == [
+        (0xE642, 0x0020),  # clear SM1 VAL5's flag
+        (0xE645, 0x0010),  # its VAL4 triggers
+        (0xE643, 0x0020),  # its VAL5 interrupts
+        (0xE715, 0x0010),  # PWMB SM0's VAL4 triggers
+        (0xE612, 0x0020),  # clear the start's own flag
+        (0xE613, 0x0000),  # and never again
+    ]
+
+
+# ---- t1 and t3 -------------------------------------------------------------------------------------------------------
+
+
+def test_m1_clears_its_flag_and_calls_the_loop_once(board: FakeBoard) -> None:
+    board[0xE642] = 0x0020
+    run_m1(board)
+    assert board[0xE642] == 0
+    assert servo_calls(board) == [(M1, 0)]
+    assert not board[RDY]
+
+
+def test_m2_calls_the_loop_and_clears_the_end_of_scan_last(board: FakeBoard) -> None:
+    board[0xE509] = 0x0800
+    run_m2(board)
+    kinds = [(a.kind, a.address) for a in board.accesses]
+    assert kinds.index((SERVO, M2)) < kinds.index((WRITE, 0xE509))
+    assert board[0xE509] == 0
+    assert not board[RDY]
+
+
+@pytest.mark.parametrize(("run", "pin"), [(run_m1, 0x0040), (run_m2, 0x0080)])
+def test_scope_pin_is_high_for_the_length_of_the_handler(board: FakeBoard, run: object, pin: int) -> None:
+    run(board)  # type: ignore[operator]
+    assert board.writes[0] == (0xE251, pin)
+    assert board.writes[-1] == (0xE251, 0)
+
+
+# Results of the six pairs: converter A, converter B.
+CODES = {pair: 100 + pair for pair in range(6)} | {8 + pair: 200 + pair for pair in range(6)}
+
+
+def test_results_of_the_first_half(board: FakeBoard) -> None:
+    run_m1(board, CODES)
+    currents, offsets = board.lib.hal_adc_currents(board.hal, 0), board.lib.hal_adc_offsets(board.hal, 1)
+    assert (currents.first, currents.second) == (100, 200)
+    assert (offsets.first, offsets.second) == (101, 201)
+    assert board.lib.hal_adc_bus(board.hal) == 102
+
+
+def test_results_of_the_second_half(board: FakeBoard) -> None:
+    run_m2(board, CODES)
+    currents, offsets = board.lib.hal_adc_currents(board.hal, 1), board.lib.hal_adc_offsets(board.hal, 0)
+    assert (currents.first, currents.second) == (103, 203)
+    assert (offsets.first, offsets.second) == (104, 204)
+    assert board.lib.hal_adc_bus(board.hal) == 105
+
+
+def test_codes_have_12_bits_without_sign(board: FakeBoard) -> None:
+    run_m1(board, {0: 4095, 8: 0, 2: 0x1FFF})  # the last one with the sign bit set
+    currents = board.lib.hal_adc_currents(board.hal, 0)
+    assert (currents.first, currents.second) == (4095, 0)
+    assert board.lib.hal_adc_bus(board.hal) == 4095
+
+
+# Phase of each channel code: ANA0 1 4 5 and ANB0 1 4 5.
+PHASE = {0: "a", 1: "b", 8: "b", 9: "c", 4: "a", 5: "b", 12: "b", 13: "c"}
+
+
+@pytest.mark.parametrize(("pair", "phases"), [(0, "ab"), (1, "bc"), (2, "ca")])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_pair_selection(board: FakeBoard, axis: int, pair: int, phases: str) -> None:
+    """Every selected phase arrives where hal.h says, through whichever converter it goes."""
+    board.lib.hal_adc_select(board.hal, axis, pair)
+    lists = [board[0xE504 + n] for n in range(4)]
+    channel = {n: lists[n // 4] >> 4 * (n % 4) & 0xF for n in range(16)}
+    # Each converter sees its own channels only.
+    assert all(channel[n] < 8 for n in range(6))
+    assert all(channel[n] >= 8 for n in range(8, 14))
+    assert (channel[2], channel[5]) == (6, 6)
+    own = range(8) if axis == 0 else range(4, 16)
+    codes = {n: ord(PHASE.get(channel[n], "-")) for n in range(16)}
+    run_m1(board, codes)
+    run_m2(board, codes)
+    for reading in (board.lib.hal_adc_currents(board.hal, axis), board.lib.hal_adc_offsets(board.hal, axis)):
+        assert chr(reading.first) + chr(reading.second) == phases
+    other = board.lib.hal_adc_currents(board.hal, 1 - axis)
+    assert chr(other.first) + chr(other.second) == "ab"
+    currents = (0, 8) if axis == 0 else (3, 11)
+    assert all((channel[n] % 8 in own) == (n in currents or axis == 0) for n in currents)
+
+
+def test_channels_of_the_motors_are_apart(board: FakeBoard) -> None:
+    seen: dict[int, set[int]] = {0: set(), 1: set()}
+    for pair in range(3):
+        for axis, samples in ((0, (0, 4, 8, 12)), (1, (1, 3, 9, 11))):
+            board.lib.hal_adc_select(board.hal, axis, pair)
+            seen[axis] |= {board[0xE504 + n // 4] >> 4 * (n % 4) & 0xF for n in samples}
+    assert seen == {0: {0, 1, 8, 9}, 1: {4, 5, 12, 13}}
+
+
+def test_selecting_the_same_pair_again_costs_nothing(board: FakeBoard) -> None:
+    board.lib.hal_adc_select(board.hal, 0, 2)
+    board.forget()
+    board.lib.hal_adc_select(board.hal, 0, 2)
+    assert board.accesses == []
+
+
+# ---- a lost trigger -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ready", [0, SECOND, FIRST | SECOND, 0x0307])
+def test_m1_with_a_wrong_scan_starts_anew(board: FakeBoard, ready: int) -> None:
+    board.lib.hal_pwm_enable(board.hal, 0, True)
+    board.results(ready, {})
+    board.isr(ISR_M1)
+    assert servo_calls(board) == []
+    assert (board[0xE645], board[0xE643], board[0xE715]) == (0, 0, 0)  # triggers and M1 off
+    assert board[0xE613] == 0x0020  # the start interrupt waits again
+    adc = [(address, value) for address, value in board.writes if address == 0xE500]
+    assert adc == [(0xE500, 0x5005), (0xE500, 0x1805)]
+    assert not board[RDY] & 0x3F3F
+    assert board[0xE6C0] == 0x0770  # the duties stand
+
+
+def test_lost_for_good_opens_the_switches(board: FakeBoard) -> None:
+    for axis in (0, 1):
+        board.lib.hal_pwm_enable(board.hal, axis, True)
+    for _ in range(3):
+        assert board[0xE6C0] == board[0xE7C0] == 0x0770
+        board.results(0, {})
+        board.isr(ISR_M1)
+    assert board[0xE6C0] == board[0xE7C0] == 0
+
+
+def test_a_good_period_forgives(board: FakeBoard) -> None:
+    board.lib.hal_pwm_enable(board.hal, 0, True)
+    for _ in range(5):
+        board.results(0, {})
+        board.isr(ISR_M1)
+        run_m1(board)
+        run_m2(board)
+    assert board[0xE6C0] == 0x0770
+
+
+# ---- duties ---------------------------------------------------------------------------------------------------------------
+
+
+def signed(value: int) -> int:
+    return value - 0x10000 if value & 0x8000 else value
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_duties_are_symmetrical_pulses(board: FakeBoard, axis: int) -> None:
+    duties = (8192, 16384, 24576)
+    board.lib.hal_pwm_duty(board.hal, axis, *duties)
+    for sm, duty in enumerate(duties):
+        on, off = (signed(board[PWM[axis] + 0x30 * sm + offset]) for offset in (9, 0xB))
+        assert on == -off
+        assert abs((off - on) - 6250 * duty / 32768) <= 1
+
+
+@pytest.mark.parametrize(("duty", "half"), [(32767, 3125), (0, 2), (1, 2), (-32768, 2), (21, 2), (32, 3)])
+def test_ends_of_the_duty(board: FakeBoard, duty: int, half: int) -> None:
+    """100 % is never switched off (VAL3 is beyond the period), 0 % is too short to get through the dead time."""
+    board.lib.hal_pwm_duty(board.hal, 0, duty, duty, duty)
+    assert signed(board[0xE60B]) == half
+    assert signed(board[0xE609]) == -half
+
+
+def test_ldok_is_the_last_act(board: FakeBoard) -> None:
+    board[0xE6C4] = 0x0700  # loaded
+    board.forget()
+    board.lib.hal_pwm_duty(board.hal, 0, 1, 2, 3)
+    assert board.writes[-1] == (0xE6C4, 0x0707)
+    assert [address for address, _ in board.writes].count(0xE6C4) == 1
+
+
+def test_values_that_have_not_been_loaded_are_taken_back(board: FakeBoard) -> None:
+    """VALx are locked while LDOK is set."""
+    board[0xE6C4] = 0x0707
+    board.forget()
+    board.lib.hal_pwm_duty(board.hal, 0, 1, 2, 3)
+    assert board.writes[0] == (0xE6C4, 0x0770)
+    assert board[0xE6C4] == 0x0707
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_enable_works_on_one_module_at_once(board: FakeBoard, axis: int) -> None:
+    board.lib.hal_pwm_enable(board.hal, axis, True)
+    assert (board[PWM[axis] + 0xC0], board[PWM[1 - axis] + 0xC0]) == (0x0770, 0)
+    board.lib.hal_pwm_enable(board.hal, axis, False)
+    assert board.writes == [(PWM[axis] + 0xC0, 0x0770), (PWM[axis] + 0xC0, 0)]
+
+
+# ---- over-current --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_break(board: FakeBoard, axis: int) -> None:
+    module = PWM[axis]
+    board[module + 0xC7] = 0x0111  # flag, pin
+    board.isr(FAULT[axis])
+    assert servo_calls(board) == [(BREAK, axis)]
+    assert board[module + 0xC6] == 0x1010  # does not ask again
+    assert board.lib.hal_break_active(board.hal, axis)
+    assert not board.lib.hal_break_active(board.hal, 1 - axis)
+
+    board.lib.hal_break_clear(board.hal, axis)
+    assert board[module + 0xC6] == 0x1011
+    board[module + 0xC7] = 0x0110
+    assert board.lib.hal_break_active(board.hal, axis)  # the comparator still says so
+    board[module + 0xC7] = 0x0010
+    assert not board.lib.hal_break_active(board.hal, axis)
+
+
+def test_clearing_a_break_keeps_the_way_back(board: FakeBoard) -> None:
+    """FFULL stays: without it the outputs would never come back."""
+    board.lib.hal_break_clear(board.hal, 0)
+    assert board.writes[0] == (0xE6C7, 0x0011)
+
+
+# ---- the rest -------------------------------------------------------------------------------------------------------------------
+
+
+def test_unknown_vectors_do_nothing(board: FakeBoard) -> None:
+    known = {77, 63, 85, 30, 87, 28, 24, 52}
+    assert all(board.isr(vector) == [] for vector in range(111) if vector not in known)
+
+
+def test_watchdog_service(board: FakeBoard) -> None:
+    board.lib.hal_watchdog_service(board.hal)
+    assert board.writes == [(0xE322, 0x5555), (0xE322, 0xAAAA)]
+
+
+def test_the_loops_read_what_they_need_and_no_more(board: FakeBoard) -> None:
+    """Register accesses cost time in every period."""
+    run_m1(board)
+    assert sum(a.kind == READ for a in board.accesses) == 7
+    assert sum(a.kind == WRITE for a in board.accesses) == 3
+    run_m2(board)
+    assert sum(a.kind == READ for a in board.accesses) == 7
+    assert sum(a.kind == WRITE for a in board.accesses) == 3
