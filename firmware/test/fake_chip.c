@@ -50,7 +50,7 @@ servo_t *fake_servo(fake_chip_t *chip) { return &board_of(chip)->servo; }
 
 void fake_receive(fake_chip_t *chip, uint8_t byte) { chip->data[chip->data_in++ % 16] = byte; }
 
-/* ---- registers ---------------------------------------------------------------------------------------------------- */
+/* ---- registers -------------------------------------------------------------------------------------------------- */
 
 /* Crystal, PLL and converter are as quick as the software. */
 static uint16_t clock_status(const fake_chip_t *chip)
@@ -131,7 +131,7 @@ void chip_write(struct chip *chip, uint32_t address, uint16_t value)
 
 void chip_interrupts(struct chip *chip, bool on) { enter(chip, FAKE_INTERRUPTS, 0, on); }
 
-/* ---- application ---------------------------------------------------------------------------------------------------- */
+/* ---- application ------------------------------------------------------------------------------------------------ */
 
 void servo_init(servo_t *servo, hal_t *hal)
 {

@@ -96,7 +96,7 @@ def test_edge_that_nobody_takes_does_not_interrupt_for_ever(board: FakeBoard) ->
     assert take(board, 0) == (1, 2)  # it still waits for the slow loop
 
 
-# ---- age of the last edge ---------------------------------------------------------------------------------------------
+# ---- age of the last edge -------------------------------------------------------------------------------------------
 
 
 def test_age(board: FakeBoard) -> None:
@@ -129,7 +129,7 @@ def test_overflow_ends_with_an_edge_that_nobody_took(board: FakeBoard) -> None:
     assert board.lib.hal_edge_age(board.hal, 0) == 0
 
 
-# ---- serial line ----------------------------------------------------------------------------------------------------------
+# ---- serial line ----------------------------------------------------------------------------------------------------
 
 STAT, DATA, CTRL2 = 0xE083, 0xE084, 0xE082
 

@@ -1,4 +1,4 @@
-"""Interrupts of the MC56F84789 port: start sequence, both loops, over-current, and what hal.h promises of ADC and PWM."""
+"""Interrupts of the MC56F84789 port: start sequence, both loops, over-current; what hal.h says of ADC and PWM."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_start_sequence_in_the_order_of_the_reference(board: FakeBoard) -> None:
     ]
 
 
-# ---- t1 and t3 -------------------------------------------------------------------------------------------------------
+# ---- t1 and t3 ------------------------------------------------------------------------------------------------------
 
 
 def test_m1_clears_its_flag_and_calls_the_loop_once(board: FakeBoard) -> None:
@@ -144,7 +144,7 @@ def test_selecting_the_same_pair_again_costs_nothing(board: FakeBoard) -> None:
     assert board.accesses == []
 
 
-# ---- a lost trigger -----------------------------------------------------------------------------------------------------
+# ---- a lost trigger -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("ready", [0, SECOND, FIRST | SECOND, 0x0307])
@@ -181,7 +181,7 @@ def test_a_good_period_forgives(board: FakeBoard) -> None:
     assert board[0xE6C0] == 0x0770
 
 
-# ---- duties ---------------------------------------------------------------------------------------------------------------
+# ---- duties ---------------------------------------------------------------------------------------------------------
 
 
 def signed(value: int) -> int:
@@ -231,7 +231,7 @@ def test_enable_works_on_one_module_at_once(board: FakeBoard, axis: int) -> None
     assert board.writes == [(PWM[axis] + 0xC0, 0x0770), (PWM[axis] + 0xC0, 0)]
 
 
-# ---- over-current --------------------------------------------------------------------------------------------------------------
+# ---- over-current ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -258,7 +258,7 @@ def test_clearing_a_break_keeps_the_way_back(board: FakeBoard) -> None:
     assert board.writes[0] == (0xE6C7, 0x0011)
 
 
-# ---- the rest -------------------------------------------------------------------------------------------------------------------
+# ---- the rest -------------------------------------------------------------------------------------------------------
 
 
 def test_unknown_vectors_do_nothing(board: FakeBoard) -> None:

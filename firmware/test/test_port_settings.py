@@ -138,7 +138,7 @@ def test_the_application_has_the_same_quantities() -> None:
     assert quantity("ENCODER_LINES") == belief["defaults"]["encoder"]["lines"]
 
 
-# ---- a change of a quantity moves the registers that it should, and no others --------------------------------------
+# ---- a change of a quantity moves the registers that it should, and no others ---------------------------------------
 
 CARRIER = {"PWM_PERIOD", "START_COUNT", "M1_COUNT", "SAMPLE_COUNT", "SET_PWM_INIT", "SET_PWM_VAL1", "SET_PWM_VAL4"}
 EVENTS = {"SET_PWMA_SM0_VAL5", "SET_PWMA_SM1_VAL5"}
@@ -195,7 +195,7 @@ def test_half_of_the_bus_clock_needs_the_postscaler(values: Any) -> None:
     assert values("BUS_CLOCK_HZ=40000000UL", "FAULT_FILTER_NS=250UL")["SET_OCCS_DIVBY"] == 0x2127  # 320 MHz, halved
 
 
-# ---- order of the instants (DRM F34) ---------------------------------------------------------------------------------
+# ---- order of the instants (DRM F34) --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("define", ["PWM_FREQUENCY_HZ=16000UL", "PWM_FREQUENCY_HZ=8000UL", "PWM_FREQUENCY_HZ=20000UL"])
@@ -209,7 +209,7 @@ def test_instants_in_order(values: Any, define: str) -> None:
     assert motor_2_done < found["START_COUNT"] < half - 500
 
 
-# ---- what the hardware cannot do --------------------------------------------------------------------------------------
+# ---- what the hardware cannot do ------------------------------------------------------------------------------------
 
 
 def compile_errors(tmp_path: Path, defines: Sequence[str]) -> str:

@@ -127,7 +127,7 @@ def test_pins(board: FakeBoard) -> None:
     assert selects == [0, 0, 0x4010, 0x0001, 0, 0xA000, 0x0001, 0, 0x1001, 0, 0]
 
 
-# ---- order --------------------------------------------------------------------------------------------------------------
+# ---- order ----------------------------------------------------------------------------------------------------------
 
 # Registers of a block, its gate register and the bits that must be set before.
 GATED = [
@@ -196,7 +196,7 @@ def test_adc_is_powered_before_it_is_released(board: FakeBoard) -> None:
     assert first(board, 0xE54E) < first(board, 0xE500, 0x1805)
 
 
-# ---- what does not come up --------------------------------------------------------------------------------------------------
+# ---- what does not come up ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("stuck", "value"), [(0xE2B2, 0x0003)])

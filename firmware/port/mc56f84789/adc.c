@@ -8,7 +8,7 @@
 #define SECOND_HALF ADC_SAMPLES_MASK(ADC_PAIRS, ADC_PAIRS)
 #define BOTH_HALVES (FIRST_HALF | SECOND_HALF)
 
-/* ---- channel lists ------------------------------------------------------------------------------------------------------ */
+/* ---- channel lists ---------------------------------------------------------------------------------------------- */
 
 /* Channels of a pair of phases: converter A, converter B. The shunts of phase b reach both converters. */
 typedef struct {
@@ -45,7 +45,7 @@ void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair)
     }
 }
 
-/* ---- set up --------------------------------------------------------------------------------------------------------------- */
+/* ---- set up ----------------------------------------------------------------------------------------------------- */
 
 bool adc_init(hal_t *hal)
 {
@@ -93,7 +93,7 @@ void adc_arm(hal_t *hal)
     REG_WRITE(hal, ADC_CTRL1, SET_ADC_CTRL1_ARMED);
 }
 
-/* ---- results ----------------------------------------------------------------------------------------------------------------- */
+/* ---- results ---------------------------------------------------------------------------------------------------- */
 
 static uint16_t code(hal_t *hal, uint16_t sample)
 {

@@ -5,7 +5,7 @@
 
 #define LOSSES_MOST 2U /* restarts in succession with the outputs on */
 
-/* ---- sequence ----------------------------------------------------------------------------------------------------------- */
+/* ---- sequence --------------------------------------------------------------------------------------------------- */
 
 /* Neither motor samples, M1 does not run; the scan begins anew with the first pair. */
 static void sequence_stop(hal_t *hal)
@@ -51,7 +51,7 @@ static void sequence_lost(hal_t *hal)
     sequence_arm(hal);
 }
 
-/* ---- t1 and t3 ------------------------------------------------------------------------------------------------------------ */
+/* ---- t1 and t3 -------------------------------------------------------------------------------------------------- */
 
 static void scope(hal_t *hal, uint16_t pins) { REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DR, pins); }
 
@@ -80,7 +80,7 @@ void port_m2(hal_t *hal)
     scope(hal, 0U);
 }
 
-/* ---- start ------------------------------------------------------------------------------------------------------------------ */
+/* ---- start ------------------------------------------------------------------------------------------------------ */
 
 static void state_init(hal_t *hal, servo_t *servo)
 {

@@ -1,7 +1,7 @@
 /* pwm.c - two inverters on eFlexPWM A and B. */
 #include "port/mc56f84789/drivers.h"
 
-/* ---- set up ------------------------------------------------------------------------------------------------------------- */
+/* ---- set up ----------------------------------------------------------------------------------------------------- */
 
 static void write_sm(hal_t *hal, uint16_t module, uint16_t sm, uint16_t reg, uint16_t value)
 {
@@ -77,7 +77,7 @@ void pwm_run(hal_t *hal)
     REG_WRITE(hal, PWMA_BASE + PWM_MCTRL, PWM_MCTRL_RUN(PWM_ALL) | PWM_MCTRL_LDOK(PWM_ALL));
 }
 
-/* ---- hal/hal.h ----------------------------------------------------------------------------------------------------------- */
+/* ---- hal/hal.h -------------------------------------------------------------------------------------------------- */
 
 /* Half the clocks that the high side is on. */
 static int16_t half_pulse(int16_t duty)
@@ -121,7 +121,7 @@ void hal_break_clear(hal_t *hal, uint16_t axis)
     REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0);
 }
 
-/* ---- over-current: the outputs are off already, the flag stays until the application clears it -------------------------------- */
+/* ---- over-current: the outputs are off already, the flag stays until the application clears it ------------------ */
 
 static void over_current(hal_t *hal, uint16_t axis)
 {

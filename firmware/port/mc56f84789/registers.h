@@ -12,7 +12,7 @@
 #define FIELD(lsb, value) ((uint16_t)((unsigned)(value) << (lsb)))
 #define FIELD_GET(value, mask) ((uint16_t)(((unsigned)(value) & (mask)) / ((mask) & (~(unsigned)(mask) + 1U))))
 
-/* ---- eFlexPWM: submodule n of a module at base + PWM_SM(n) ---------------------------------------------------------- */
+/* ---- eFlexPWM: submodule n of a module at base + PWM_SM(n) ------------------------------------------------------ */
 
 #define PWMA_BASE 0xE600U
 #define PWMB_BASE 0xE700U
@@ -183,7 +183,7 @@
 #define PWM_FFILT_FILT_CNT_MASK FIELD(8, 7)
 #define PWM_FFILT_GSTR BIT(15)
 
-/* ---- 12-bit cyclic ADC ------------------------------------------------------------------------------------------------ */
+/* ---- 12-bit cyclic ADC ------------------------------------------------------------------------------------------ */
 
 #define ADC_BASE 0xE500U
 #define ADC_SAMPLES 16U
@@ -274,7 +274,7 @@
 #define ADC_PWR2_DIV1(v) FIELD(8, v)
 #define ADC_PWR2_DIV1_MASK FIELD(8, 0x3F)
 
-/* ---- quad timers: channel n of a module at base + TMR_CHANNEL(n) ------------------------------------------------------ */
+/* ---- quad timers: channel n of a module at base + TMR_CHANNEL(n) ------------------------------------------------ */
 
 #define TMRA_BASE 0xE140U
 #define TMRB_BASE 0xE180U
@@ -372,7 +372,7 @@
 
 #define TMR_ENBL_MASK FIELD(0, 15)
 
-/* ---- crossbars and AND-OR-invert ---------------------------------------------------------------------------------------- */
+/* ---- crossbars and AND-OR-invert -------------------------------------------------------------------------------- */
 
 /* SELk holds the inputs of two outputs: 2k in the low byte, 2k + 1 in the high byte. */
 #define XBARA_BASE 0xE340U
@@ -422,7 +422,7 @@
 #define AOI_INVERT 2U
 #define AOI_1 3U
 
-/* ---- serial interfaces --------------------------------------------------------------------------------------------------- */
+/* ---- serial interfaces ------------------------------------------------------------------------------------------ */
 
 #define QSCI0_BASE 0xE080U
 #define QSCI1_BASE 0xE090U
@@ -481,7 +481,7 @@
 #define QSCI_STAT_TIDLE BIT(14)
 #define QSCI_STAT_TDRE BIT(15)
 
-/* ---- clock ------------------------------------------------------------------------------------------------------------------ */
+/* ---- clock ------------------------------------------------------------------------------------------------------ */
 
 #define OCCS_CTRL 0xE2B0U
 #define OCCS_DIVBY 0xE2B1U
@@ -537,7 +537,7 @@
 #define OCCS_OSCTL2_COPD BIT(14)
 #define OCCS_OSCTL2_ROPD32K BIT(15)
 
-/* ---- watchdog ---------------------------------------------------------------------------------------------------------------- */
+/* ---- watchdog --------------------------------------------------------------------------------------------------- */
 
 #define COP_CTRL 0xE320U
 #define COP_TOUT 0xE321U
@@ -565,7 +565,7 @@
 #define COP_SERVICE_1 0x5555U
 #define COP_SERVICE_2 0xAAAAU
 
-/* ---- system integration -------------------------------------------------------------------------------------------------------- */
+/* ---- system integration ----------------------------------------------------------------------------------------- */
 
 #define SIM_CTRL 0xE400U
 #define SIM_RSTAT 0xE401U
@@ -656,7 +656,7 @@
 #define SIM_G2_PWMB_0B 0U
 #define SIM_G3_PWMB_0A 0U
 
-/* ---- ports: register of a port at GPIO(port) + offset, one bit per pin ---------------------------------------------------- */
+/* ---- ports: register of a port at GPIO(port) + offset, one bit per pin ------------------------------------------ */
 
 #define GPIO_A 0U
 #define GPIO_B 1U
@@ -678,7 +678,7 @@
 #define GPIO_PUS 0xCU
 #define GPIO_SRE 0xDU
 
-/* ---- interrupt controller ----------------------------------------------------------------------------------------------------- */
+/* ---- interrupt controller --------------------------------------------------------------------------------------- */
 
 #define INTC_BASE 0xE300U
 #define INTC_IPRS 13U

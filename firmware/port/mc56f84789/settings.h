@@ -10,7 +10,7 @@
 
 #include "port/mc56f84789/registers.h"
 
-/* ==== quantities ===================================================================================================== */
+/* ==== quantities ================================================================================================= */
 
 /* Clock. */
 #ifndef CRYSTAL_HZ
@@ -92,14 +92,14 @@
 #define LEVEL_EDGE 0U
 #define LEVEL_SERIAL 0U
 
-/* ==== derived ========================================================================================================== */
+/* ==== derived ==================================================================================================== */
 
 #define SETTINGS_CHECK(what, true_condition) typedef char check_##what[(true_condition) ? 1 : -1]
 
 #define CLOCKS_OF_NS(ns) (((ns) * (BUS_CLOCK_HZ / 1000000UL) + 500UL) / 1000UL)
 #define WORD(value) ((uint16_t)(value)) /* two's complement of a signed count */
 
-/* ---- clock: crystal -> PLL -> /2 -> postscaler -> /2 ------------------------------------------------------------------ */
+/* ---- clock: crystal -> PLL -> /2 -> postscaler -> /2 ------------------------------------------------------------ */
 
 #define PLL_LEAST_HZ 240000000UL
 #define PLL_MOST_HZ 400000000UL
@@ -121,7 +121,7 @@ SETTINGS_CHECK(pll_is_a_multiple_of_the_crystal, PLL_HZ % CRYSTAL_HZ == 0UL);
 SETTINGS_CHECK(pll_multiplier_fits, PLL_MULTIPLIER >= 1UL && PLL_MULTIPLIER <= 64UL);
 SETTINGS_CHECK(bus_clock_is_whole_megahertz, BUS_CLOCK_HZ % 1000000UL == 0UL);
 
-/* ---- PWM: signed counters -half .. half - 1, pulses -h .. h about zero --------------------------------------------------- */
+/* ---- PWM: signed counters -half .. half - 1, pulses -h .. h about zero ------------------------------------------ */
 
 #define PWM_SM_USED 3U
 #define PWM_ALL (BIT(PWM_SM_USED) - 1U) /* one bit per submodule */
@@ -169,7 +169,7 @@ SETTINGS_CHECK(shortest_pulse_is_swallowed,
 
 SETTINGS_CHECK(fault_filter_can_be_set, FAULT_FILTER_PERIOD >= 1UL && FAULT_FILTER_PERIOD <= 255UL);
 
-/* ---- sampling (DRM F34) ------------------------------------------------------------------------------------------------ */
+/* ---- sampling (DRM F34) ----------------------------------------------------------------------------------------- */
 
 #define ADC_DIVIDER (BUS_CLOCK_HZ / ADC_CLOCK_HZ)
 #define ADC_SPEED_CODE                                                                                                 \
@@ -236,7 +236,7 @@ SETTINGS_CHECK(start_interrupt_has_time, PWM_HALF_PERIOD - START_COUNT >= (int32
 #define CHANNEL_SINK_1 ADC_ANB(6U) /* heat sink temperatures */
 #define CHANNEL_SINK_2 ADC_ANB(7U)
 
-/* ---- crossbars: VAL0 of PWMA starts PWMB; both sample events, ORed, reach the ADC ------------------------------------------ */
+/* ---- crossbars: VAL0 of PWMA starts PWMB; both sample events, ORed, reach the ADC ------------------------------- */
 
 #define SYNC_SOURCE XBARA_IN_PWMA_TRIG(0U, SYNC_VAL % 2U)
 #define SET_XBARA_PWMB_SYNC_0 XBARA_INPUT(XBARA_OUT_PWMB_EXT_SYNC(0U), SYNC_SOURCE)
@@ -254,7 +254,7 @@ SETTINGS_CHECK(start_interrupt_has_time, PWM_HALF_PERIOD - START_COUNT >= (int32
     (XBARA_INPUT(XBARA_OUT_ADCA_SYNC, XBARA_IN_AOI(SAMPLE_EVENT)) |                                                    \
      XBARA_INPUT(XBARA_OUT_ADCB_SYNC, XBARA_IN_AOI(SAMPLE_EVENT)))
 
-/* ---- encoder timers (DRM F10): A on input 0, B on input 1 of the module ---------------------------------------------------- */
+/* ---- encoder timers (DRM F10): A on input 0, B on input 1 of the module ----------------------------------------- */
 
 #define ENCODER_COUNTS (4 * (int32_t)ENCODER_LINES)
 #define SET_TMR0_COMP1 WORD(ENCODER_COUNTS - 1)
@@ -290,7 +290,7 @@ SETTINGS_CHECK(encoder_filter_can_be_set, ENCODER_FILTER_PERIOD >= 1UL && ENCODE
 SETTINGS_CHECK(encoder_filter_passes_the_speed, 4UL * ENCODER_FILTER_NS <= ENCODER_QUARTER_NS);
 SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(TIME_STAMP_DIVIDER));
 
-/* ---- serial line --------------------------------------------------------------------------------------------------------- */
+/* ---- serial line ------------------------------------------------------------------------------------------------ */
 
 #define SERIAL_CLOCK_HZ (SERIAL_CLOCK_DOUBLE ? 2UL * BUS_CLOCK_HZ : BUS_CLOCK_HZ)
 #define SERIAL_RATE ((SERIAL_CLOCK_HZ + SERIAL_BAUD) / (2UL * SERIAL_BAUD)) /* eighths of 1/16 bit */
@@ -307,7 +307,7 @@ SETTINGS_CHECK(baud_rate_is_not_too_low, SERIAL_RATE <= 0xFFFFUL);
 SETTINGS_CHECK(baud_rate_is_not_too_high, SERIAL_RATE >= 8UL);
 SETTINGS_CHECK(baud_rate_deviates_less_than_1_6_percent, SERIAL_DEVIATION <= SERIAL_CLOCK_HZ / 64UL);
 
-/* ---- watchdog: on the internal oscillator, which outlives the crystal --------------------------------------------------------- */
+/* ---- watchdog: on the internal oscillator, which outlives the crystal ------------------------------------------- */
 
 #define WATCHDOG_COUNTS ((WATCHDOG_MS * (RC_CLOCK_HZ / 1000UL) + WATCHDOG_PRESCALER - 1UL) / WATCHDOG_PRESCALER)
 #define WATCHDOG_PSS                                                                                                   \
@@ -321,7 +321,7 @@ SETTINGS_CHECK(baud_rate_deviates_less_than_1_6_percent, SERIAL_DEVIATION <= SER
 
 SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 0x10000UL);
 
-/* ---- clock gates and pins -------------------------------------------------------------------------------------------------------- */
+/* ---- clock gates and pins --------------------------------------------------------------------------------------- */
 
 #define SET_SIM_PCE0                                                                                                   \
     (SIM_PCE0_GPIO(GPIO_A) | SIM_PCE0_GPIO(GPIO_B) | SIM_PCE0_GPIO(GPIO_C) | SIM_PCE0_GPIO(GPIO_D) |                   \

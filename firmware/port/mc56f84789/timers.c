@@ -52,7 +52,7 @@ void timers_init(hal_t *hal)
     }
 }
 
-/* ---- counters ------------------------------------------------------------------------------------------------------------ */
+/* ---- counters --------------------------------------------------------------------------------------------------- */
 
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis) { return REG_READ(hal, at(hal, axis, COUNT, TMR_CNTR)); }
 
@@ -71,7 +71,7 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
     return overflow ? HAL_EDGE_AGE_OVERFLOW : age;
 }
 
-/* ---- captures (DRM F17): a set IEF keeps the capture, until it is cleared -------------------------------------------------- */
+/* ---- captures (DRM F17): a set IEF keeps the capture, until it is cleared --------------------------------------- */
 
 static bool latched(hal_t *hal, uint16_t axis, uint16_t channel)
 {
@@ -126,7 +126,7 @@ bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
     return true;
 }
 
-/* ---- the edge interrupt ------------------------------------------------------------------------------------------------------ */
+/* ---- the edge interrupt ----------------------------------------------------------------------------------------- */
 
 static void edge(hal_t *hal, uint16_t axis)
 {
