@@ -1,0 +1,226 @@
+#include "chip/chip.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "chip/parts.h"
+
+#define ESCAPE_FAILURE 1
+#define ESCAPE_RESET 2
+#define POLLS_MOST 20000u /* reads at one instant: software that waits for time, which stands still */
+
+/* ---- errors ------------------------------------------------------------------------------------------------------- */
+
+void chip_fail(chip_t *chip, const char *format, ...)
+{
+    if (!chip->failed) {
+        char text[CHIP_ERROR_SIZE];
+        va_list arguments;
+        va_start(arguments, format);
+        (void)vsnprintf(text, sizeof text, format, arguments);
+        va_end(arguments);
+        (void)snprintf(chip->error, sizeof chip->error, "%.150s (at %.2f us)", text, (double)chip->now * 0.01);
+    }
+    chip->failed = true;
+    longjmp(chip->escape, ESCAPE_FAILURE);
+}
+
+void chip_no_register(chip_t *chip, uint32_t address)
+{
+    char name[64];
+    chip_register_name(address, name, sizeof name);
+    chip_fail(chip, "%s (%04lXh) is not modelled", name, (unsigned long)address);
+}
+
+void chip_no_value(chip_t *chip, uint32_t address, uint16_t value, const char *why)
+{
+    char name[64];
+    chip_register_name(address, name, sizeof name);
+    chip_fail(chip, "%s = %04Xh: %s", name, (unsigned)value, why);
+}
+
+void chip_reset(chip_t *chip, reset_cause_t cause)
+{
+    for (unsigned i = 0; i < CHIP_SOURCES; i++) {
+        chip->next[i] = CHIP_NEVER;
+    }
+    core_reset(chip);
+    system_reset(chip, cause);
+    pwm_reset(chip);
+    adc_reset(chip);
+    qtmr_reset(chip);
+    xbar_reset(chip);
+    sci_reset(chip);
+    pins_reroute(chip);
+    chip->must_boot = true;
+    longjmp(chip->escape, ESCAPE_RESET);
+}
+
+/* ---- access ------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    uint32_t begin, end;
+    uint16_t (*read)(chip_t *chip, uint32_t address);
+    void (*write)(chip_t *chip, uint32_t address, uint16_t value);
+} block_t;
+
+static const block_t blocks[] = {
+    {0xE600, 0xE800, pwm_read, pwm_write},   {0xE500, 0xE556, adc_read, adc_write},
+    {0xE140, 0xE1C0, qtmr_read, qtmr_write}, {0xE080, 0xE0B0, sci_read, sci_write},
+    {0xE200, 0xE270, gpio_read, gpio_write}, {0xE300, 0xE31C, intc_read, intc_write},
+    {0xE320, 0xE324, cop_read, cop_write},   {0xE340, 0xE388, xbar_read, xbar_write},
+    {0xE400, 0xE42E, sim_read, sim_write},   {0xE2B0, 0xE2B9, occs_read, occs_write},
+};
+
+static const block_t *block_of(chip_t *chip, uint32_t address)
+{
+    for (size_t i = 0; i < sizeof blocks / sizeof blocks[0]; i++) {
+        if (address >= blocks[i].begin && address < blocks[i].end) {
+            return &blocks[i];
+        }
+    }
+    chip_no_register(chip, address);
+}
+
+static bool step(chip_t *chip, uint64_t until);
+
+/* An access has taken its time. */
+static void pass(chip_t *chip)
+{
+    core_t *core = &chip->core;
+    if (core->booting) {
+        const uint64_t clock = chip->now + core->access_clocks;
+        while (step(chip, clock)) {
+        }
+    }
+}
+
+uint16_t chip_read(chip_t *chip, uint32_t address)
+{
+    pass(chip);
+    uint16_t value;
+    if (chip->core.deferred_count > 0 && core_deferred(chip, address, &value)) {
+        return value;
+    }
+    if (++chip->core.polls > POLLS_MOST) {
+        char name[64];
+        chip_register_name(address, name, sizeof name);
+        chip_fail(chip, "the software waits for %s, which cannot change meanwhile", name);
+    }
+    return block_of(chip, address)->read(chip, address);
+}
+
+void chip_write(chip_t *chip, uint32_t address, uint16_t value)
+{
+    pass(chip);
+    if (core_defers(chip, address)) {
+        core_defer(chip, address, value);
+        return;
+    }
+    chip_note(chip, TRACE_WRITE, address, value);
+    block_of(chip, address)->write(chip, address, value);
+}
+
+void chip_interrupts(chip_t *chip, bool on)
+{
+    chip->core.masked = !on;
+    chip->core.changed = true;
+}
+
+/* ---- time --------------------------------------------------------------------------------------------------------- */
+
+static void serve(chip_t *chip, unsigned source)
+{
+    if (source < SOURCE_PWM_FAULT) {
+        pwm_event(chip, source / PWM_SUBMODULES, source % PWM_SUBMODULES);
+    } else if (source < SOURCE_TIMER) {
+        pwm_fault_event(chip, source - SOURCE_PWM_FAULT);
+    } else if (source < SOURCE_ADC) {
+        qtmr_event(chip, source - SOURCE_TIMER);
+    } else if (source < SOURCE_SCI) {
+        adc_event(chip, source - SOURCE_ADC);
+    } else if (source < SOURCE_LINE) {
+        sci_event(chip, source - SOURCE_SCI);
+    } else if (source == SOURCE_LINE) {
+        sci_line_event(chip);
+    } else if (source == SOURCE_CORE) {
+        core_event(chip);
+    } else {
+        cop_event(chip);
+    }
+}
+
+/* The next event up to `until`, or else that clock itself; false then. */
+static bool step(chip_t *chip, uint64_t until)
+{
+    unsigned source = 0;
+    uint64_t clock = chip->next[0];
+    for (unsigned i = 1; i < CHIP_SOURCES; i++) {
+        if (chip->next[i] < clock) {
+            clock = chip->next[i];
+            source = i;
+        }
+    }
+    const chip_world_t *world = &chip->world;
+    const uint64_t outside = world->next(world->context);
+    const uint64_t due = (outside < clock) ? outside : clock;
+    if (due > until) {
+        if (until > chip->now) {
+            chip->now = until;
+            chip->core.polls = 0;
+            world->advance(world->context, until);
+        }
+        return false;
+    }
+    if (due > chip->now) {
+        chip->now = due;
+        chip->core.polls = 0;
+        world->advance(world->context, due);
+    }
+    if (outside <= due) {
+        world->events(world->context);
+    }
+    if (clock <= due) {
+        serve(chip, source);
+    }
+    return true;
+}
+
+static void boot(chip_t *chip)
+{
+    chip->must_boot = false;
+    chip->core.booting = true;
+    chip->world.boot(chip->world.context);
+    chip->core.booting = false;
+    core_step(chip);
+}
+
+bool chip_run(chip_t *chip, uint64_t until)
+{
+    if (chip->failed) {
+        return false;
+    }
+    if (setjmp(chip->escape) == ESCAPE_FAILURE) {
+        return false;
+    }
+    if (chip->must_boot) {
+        boot(chip);
+    }
+    while (!chip->stop && step(chip, until)) {
+        core_step(chip);
+    }
+    return true;
+}
+
+void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *world)
+{
+    memset(chip, 0, sizeof *chip);
+    chip->config = *config;
+    chip->world = *world;
+    chip->line.byte_clocks = 10.0 * (double)CHIP_BUS_HZ / config->baud;
+    chip->line.in_clock = CHIP_NEVER;
+    if (setjmp(chip->escape) == 0) {
+        chip_reset(chip, RESET_POWER_ON);
+    }
+}

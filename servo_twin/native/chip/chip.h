@@ -1,0 +1,104 @@
+/* chip.h - the MC56F84789 as far as a servo uses it: registers, peripherals, interrupts, time.
+ *
+ * Time is counted in clocks of the 100 MHz bus (10 ns) since power-on. The chip is event driven: each source of events
+ * says when its next one is, nothing is ticked. What is not modelled is an error that ends the run and names the
+ * register; after an error the chip stands still.
+ *
+ * Software runs in no time of its own: a handler's body is executed when it begins, and the core is busy for as many
+ * clocks as it says. Its writes to the buffered registers of the PWM, to MCTRL and (after the first) to GPIO data
+ * registers take effect when it ends, being its last acts; reading them back in the handler gives what was written.
+ * While the software boots each access takes a few clocks, so that it can wait for flags.
+ */
+#ifndef CHIP_CHIP_H
+#define CHIP_CHIP_H
+
+#include <setjmp.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "chip/adc.h"
+#include "chip/core.h"
+#include "chip/pins.h"
+#include "chip/pwm.h"
+#include "chip/qtmr.h"
+#include "chip/sci.h"
+#include "chip/system.h"
+#include "chip/trace.h"
+#include "chip/world.h"
+#include "chip/xbar.h"
+
+#define CHIP_BUS_HZ 100000000
+#define CHIP_ERROR_SIZE 200
+
+/* Sources of events; at one clock they are served in this order. */
+typedef enum {
+    SOURCE_PWM,                                             /* one per submodule */
+    SOURCE_PWM_FAULT = SOURCE_PWM + PWM_MODULES * PWM_SUBMODULES,
+    SOURCE_TIMER = SOURCE_PWM_FAULT + PWM_MODULES,
+    SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES,               /* one per converter */
+    SOURCE_SCI = SOURCE_ADC + ADC_CONVERTERS,
+    SOURCE_LINE = SOURCE_SCI + SCI_MODULES,
+    SOURCE_CORE,
+    SOURCE_COP,
+    CHIP_SOURCES
+} chip_source_t;
+
+typedef struct {
+    chip_wiring_t wiring;
+    double baud;             /* of the host */
+    unsigned crossbar_clocks; /* from a trigger to the input that it is led to */
+} chip_config_t;
+
+typedef struct chip {
+    uint64_t now;
+    uint64_t next[CHIP_SOURCES];
+    chip_world_t world;
+    chip_config_t config;
+    core_t core;
+    pwm_t pwm[PWM_MODULES];
+    adc_t adc;
+    qtmr_t timer[QTMR_MODULES];
+    xbar_t xbar;
+    sci_t sci[SCI_MODULES];
+    sci_line_t line;
+    pins_t pins;
+    occs_t occs;
+    sim_t sim;
+    cop_t cop;
+    trace_t trace;
+    bool stop;               /* end chip_run after the present event */
+    bool must_boot;
+    bool failed;
+    char error[CHIP_ERROR_SIZE];
+    jmp_buf escape;          /* out of the software that made an error, or that a reset ends */
+} chip_t;
+
+/* Power on. The software boots in the first chip_run. */
+void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *world);
+
+/* Everything up to and including `until`; booting may take longer. Returns false if an error has ended the run. */
+bool chip_run(chip_t *chip, uint64_t until);
+
+/* ---- the software's side ------------------------------------------------------------------------------------------- */
+
+uint16_t chip_read(chip_t *chip, uint32_t address);
+void chip_write(chip_t *chip, uint32_t address, uint16_t value);
+
+/* The core's mask of all interrupts; masked after reset. */
+void chip_interrupts(chip_t *chip, bool on);
+
+/* ---- the board's side ---------------------------------------------------------------------------------------------- */
+
+/* A digital input changes at the present clock. */
+void chip_pin(chip_t *chip, unsigned pin, bool level);
+
+/* Level of a pin, whoever drives it. */
+bool chip_pin_level(const chip_t *chip, unsigned pin);
+
+/* The host's end of the serial line. */
+size_t chip_line_write(chip_t *chip, const uint8_t *data, size_t size);
+size_t chip_line_read(chip_t *chip, uint8_t *data, size_t room);
+uint64_t chip_line_next(const chip_t *chip); /* when the next byte moves */
+
+#endif

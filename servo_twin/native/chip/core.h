@@ -1,0 +1,52 @@
+/* core.h - interrupt controller and the core as a resource: whose turn it is, and for how long. */
+#ifndef CHIP_CORE_H
+#define CHIP_CORE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define CORE_VECTORS 111
+#define CORE_LEVELS 3   /* priority levels of peripherals */
+#define CORE_DEFERRED 64
+
+/* Interrupt vectors. */
+typedef enum {
+    VECTOR_TMRB3 = 21, VECTOR_TMRB0 = 24, VECTOR_TMRA3 = 25, VECTOR_TMRA0 = 28,
+    VECTOR_ADC_CC1 = 29, VECTOR_ADC_CC0 = 30,
+    VECTOR_SCI2_RERR = 43, VECTOR_SCI1_RERR = 47, VECTOR_SCI0_RERR = 51, /* then RCV, TIDLE, TDRE */
+    VECTOR_PWMB_FAULT = 63, VECTOR_PWMB_RERR = 64,
+    VECTOR_PWMA_FAULT = 77, VECTOR_PWMA_RERR = 78,
+    VECTOR_COP = 108,
+} core_vector_t;
+
+typedef struct {
+    unsigned vector;
+    int level;
+    uint64_t end_clock;
+    unsigned deferred; /* its first deferred write */
+} core_frame_t;
+
+typedef struct {
+    /* interrupt controller */
+    uint16_t ipr[13], vba, ctrl;
+    uint64_t request[2];            /* bit per vector: the peripheral asks */
+    uint64_t enabled[CORE_LEVELS][2];
+    bool changed;                   /* look for a handler to start */
+    /* core */
+    bool booting;                   /* every access takes time, no interrupts */
+    bool masked;                    /* all interrupts of peripherals */
+    bool background_due;
+    bool in_background;
+    core_frame_t frame[CORE_LEVELS];
+    int depth;
+    struct {
+        uint32_t address;
+        uint16_t value;
+    } deferred[CORE_DEFERRED];
+    unsigned deferred_count;
+    bool deferring;                 /* software is inside a handler */
+    uint32_t polls;                 /* reads since time last moved */
+    uint64_t access_clocks;         /* per access while booting */
+} core_t;
+
+#endif

@@ -1,0 +1,154 @@
+/* parts.h - what the peripherals of the chip offer to each other. */
+#ifndef CHIP_PARTS_H
+#define CHIP_PARTS_H
+
+#include "chip/chip.h"
+
+#if defined(__GNUC__)
+#define CHIP_NORETURN __attribute__((noreturn))
+#define CHIP_PRINTF(text, first) __attribute__((format(printf, text, first)))
+#else
+#define CHIP_NORETURN
+#define CHIP_PRINTF(text, first)
+#endif
+
+/* ---- errors (chip.c) ------------------------------------------------------------------------------------------------ */
+
+/* End the run: what happened. The clock is added. */
+CHIP_NORETURN void chip_fail(chip_t *chip, const char *format, ...) CHIP_PRINTF(2, 3);
+
+/* End the run: this register does not exist here, or this value of it is not modelled. */
+CHIP_NORETURN void chip_no_register(chip_t *chip, uint32_t address);
+CHIP_NORETURN void chip_no_value(chip_t *chip, uint32_t address, uint16_t value, const char *why);
+
+/* Refuse bits of a value. */
+static inline void chip_only(chip_t *chip, uint32_t address, uint16_t value, uint16_t allowed, const char *why)
+{
+    if ((value & ~allowed) != 0) {
+        chip_no_value(chip, address, value, why);
+    }
+}
+
+/* Name of a register for people, "PWMA SM1 VAL3"; always terminated. */
+void chip_register_name(uint32_t address, char *name, size_t size);
+
+CHIP_NORETURN void chip_reset(chip_t *chip, reset_cause_t cause);
+
+static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32_t b)
+{
+    if (chip->trace.size < chip->trace.room) {
+        chip->trace.entry[chip->trace.size++] = (trace_entry_t){chip->now, (uint32_t)kind, a, b};
+    }
+}
+
+/* ---- registers ------------------------------------------------------------------------------------------------------ */
+
+uint16_t pwm_read(chip_t *chip, uint32_t address);
+void pwm_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t adc_read(chip_t *chip, uint32_t address);
+void adc_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t qtmr_read(chip_t *chip, uint32_t address);
+void qtmr_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t xbar_read(chip_t *chip, uint32_t address);
+void xbar_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t sci_read(chip_t *chip, uint32_t address);
+void sci_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t intc_read(chip_t *chip, uint32_t address);
+void intc_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t gpio_read(chip_t *chip, uint32_t address);
+void gpio_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t occs_read(chip_t *chip, uint32_t address);
+void occs_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t sim_read(chip_t *chip, uint32_t address);
+void sim_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t cop_read(chip_t *chip, uint32_t address);
+void cop_write(chip_t *chip, uint32_t address, uint16_t value);
+
+/* ---- reset state ---------------------------------------------------------------------------------------------------- */
+
+void pwm_reset(chip_t *chip);
+void adc_reset(chip_t *chip);
+void qtmr_reset(chip_t *chip);
+void xbar_reset(chip_t *chip);
+void sci_reset(chip_t *chip);
+void core_reset(chip_t *chip);
+void system_reset(chip_t *chip, reset_cause_t cause);
+
+/* ---- events at the present clock -------------------------------------------------------------------------------------- */
+
+void pwm_event(chip_t *chip, unsigned module, unsigned submodule);
+void pwm_fault_event(chip_t *chip, unsigned module);
+void adc_event(chip_t *chip, unsigned converter);
+void qtmr_event(chip_t *chip, unsigned module);
+void sci_event(chip_t *chip, unsigned module);
+void sci_line_event(chip_t *chip);
+void core_event(chip_t *chip); /* a handler ends */
+void cop_event(chip_t *chip);
+
+/* Start handlers, run the background: whatever is due. */
+void core_step(chip_t *chip);
+
+/* Register writes of a handler that wait for its end. */
+bool core_defers(const chip_t *chip, uint32_t address);
+void core_defer(chip_t *chip, uint32_t address, uint16_t value);
+bool core_deferred(const chip_t *chip, uint32_t address, uint16_t *value);
+
+/* ---- signals --------------------------------------------------------------------------------------------------------- */
+
+/* A peripheral asks for its interrupt, or no longer does. */
+static inline void intc_request(chip_t *chip, unsigned vector, bool on)
+{
+    const uint64_t bit = UINT64_C(1) << (vector & 63u);
+    uint64_t *word = &chip->core.request[vector >> 6];
+    const uint64_t value = on ? (*word | bit) : (*word & ~bit);
+    if (value != *word) {
+        *word = value;
+        chip->core.changed = true;
+    }
+}
+
+/* An input of crossbar A, of B (-1: none). */
+void xbar_signal(chip_t *chip, int a_input, int b_input, xbar_edge_t edge);
+
+void pwm_ext_sync(chip_t *chip, unsigned module, unsigned submodule); /* at the present clock; latency is added */
+void pwm_fault_input(chip_t *chip, unsigned module, unsigned input, bool level);
+void pwm_pins_changed(chip_t *chip);              /* routing of the gate pins */
+void pwm_gates_changed(chip_t *chip);             /* clock gates of the SIM */
+void adc_sync(chip_t *chip, unsigned converter);
+void qtmr_gates_changed(chip_t *chip);
+void qtmr_input(chip_t *chip, unsigned module, unsigned input, bool level);
+void qtmr_pulse(chip_t *chip, unsigned module, unsigned input);
+
+/* ---- pins and gates --------------------------------------------------------------------------------------------------- */
+
+/* Functions that a pin can be given to. */
+typedef enum {
+    FUNCTION_GPIO,
+    FUNCTION_OTHER,     /* one that is not modelled */
+    FUNCTION_ANALOG,
+    FUNCTION_PWM_A0A,   /* + 8 module + 2 submodule + side */
+    FUNCTION_FAULT_A0 = FUNCTION_PWM_A0A + 16, /* + 8 module + input */
+    FUNCTION_TIMER_A0 = FUNCTION_FAULT_A0 + 16, /* + 4 module + channel */
+    FUNCTION_TXD0 = FUNCTION_TIMER_A0 + 8,
+    FUNCTION_RXD0 = FUNCTION_TXD0 + SCI_MODULES,
+    FUNCTION_XB_IN2 = FUNCTION_RXD0 + SCI_MODULES, /* XB_IN2 .. XB_IN11 */
+    FUNCTION_COUNT = FUNCTION_XB_IN2 + 10
+} pin_function_t;
+
+pin_function_t pins_function(const chip_t *chip, unsigned pin);
+
+/* Level that the board puts on the pin of a function; low if no pin has it. */
+bool pins_input(const chip_t *chip, pin_function_t function);
+
+void pins_reroute(chip_t *chip); /* a function select, a port's PER or SIM_IPS0 has changed */
+void sim_gate(chip_t *chip, uint32_t address, unsigned index, unsigned bit); /* refuse access behind a closed gate */
+
+static inline bool sim_gate_open(const chip_t *chip, unsigned index, unsigned bit)
+{
+    return ((chip->sim.pce[index] >> bit) & 1u) != 0;
+}
+
+/* Something starts that needs the full bus clock. */
+void occs_need_bus_clock(chip_t *chip, const char *what);
+
+#endif

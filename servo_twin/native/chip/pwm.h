@@ -1,0 +1,77 @@
+/* pwm.h - eFlexPWM: two modules of four submodules.
+ *
+ * A counter is a function of time: `base` at the clock `origin`, one more every 2^prescaler clocks. Distances from the
+ * origin take the place of counts, so that INIT and wraps need no special cases: VALk matches at the distance
+ * (VALk - base) mod 2^16, and the cycle ends one past the distance of VAL1.
+ *
+ * Matches that change an output, load registers, fire a trigger or want an interrupt are events; the flags of all others
+ * are found when somebody looks (`settled`).
+ *
+ * Within one clock: compares see the values that were active at its beginning; what is loaded at a VAL0 match acts from
+ * the next clock on, so a new VAL that equals the count of that very clock is missed. What is loaded at the end of the
+ * cycle acts from its first clock on, INIT included.
+ */
+#ifndef CHIP_PWM_H
+#define CHIP_PWM_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define PWM_MODULES 2
+#define PWM_SUBMODULES 4
+#define PWM_VALS 6
+#define PWM_FAULTS 4 /* inputs 0-3; 4-7 are not modelled */
+
+typedef struct {
+    uint16_t init;
+    uint16_t val[PWM_VALS];
+    uint16_t prescaler; /* exponent of two */
+} pwm_buffered_t;
+
+typedef struct {
+    /* registers */
+    pwm_buffered_t buffer; /* as written */
+    pwm_buffered_t active; /* as loaded */
+    uint16_t ctrl, ctrl2, octrl, inten, tctrl, dismap0, dismap1, dtcnt[2];
+    uint16_t flags;        /* STS without RUF */
+    bool updated;          /* RUF: a buffer was written since the last load */
+    unsigned opportunities; /* for LDFQ */
+    /* counter */
+    bool running;
+    bool stuck;            /* a cycle of a single clock: VAL1 == INIT, the state after reset */
+    uint64_t origin;
+    uint16_t base;
+    uint32_t distance[PWM_VALS];
+    uint32_t cycle;        /* distance of the end: that of VAL1, and one */
+    int64_t done;          /* events up to this distance have been handled */
+    int64_t settled;       /* flags up to this distance have been found */
+    unsigned watched;      /* bit k: VALk is an event */
+    uint64_t sync_clock;   /* EXT_SYNC on its way */
+    /* outputs */
+    bool generated[2];     /* PWM23, PWM45 */
+    unsigned source[2];    /* DTSRCSEL in force: of PWM23, of PWM45 */
+    bool software[2];      /* SWCOUT in force */
+    unsigned mask;         /* MASK in force: bit 0 A, bit 1 B */
+    bool pair;             /* input of the dead-time unit */
+    bool out[2];           /* its outputs A and B, or those of an independent submodule */
+    uint64_t dead_clock;   /* end of the dead time in progress */
+    unsigned blocked;      /* faults that hold the outputs */
+    unsigned live, high, inverted; /* pins that follow the outputs; that are high whatever these do; polarity */
+    unsigned levels;       /* what the pins show: bit 0 the upper, bit 1 the lower switch */
+} pwm_submodule_t;
+
+typedef struct {
+    pwm_submodule_t sub[PWM_SUBMODULES];
+    uint16_t outen, mask, swcout, dtsrcsel, mctrl2;
+    uint16_t ldok, run, ipol;
+    uint16_t fctrl, fsts_full, fsts_half, ffilt, ftst;
+    uint16_t fctrl1, fsts1, ffilt1, ftst1; /* faults 4-7: stored only */
+    unsigned fault_flag;   /* FFLAG */
+    unsigned fault_pin;    /* inputs, raw levels */
+    unsigned fault_filtered;
+    uint64_t fault_clock[PWM_FAULTS]; /* when the filter will let the raw level through */
+    unsigned fault_active; /* filtered and at the level that means a fault */
+    uint32_t locked_writes; /* lost because LDOK was set */
+} pwm_t;
+
+#endif

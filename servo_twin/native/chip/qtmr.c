@@ -1,0 +1,581 @@
+#include "chip/qtmr.h"
+
+#include "chip/parts.h"
+
+#define BASE 0xE140u
+#define MODULE_SIZE 0x40u
+
+enum {
+    COMP1, COMP2, CAPT, LOAD, HOLD, CNTR, CTRL, SCTRL, CMPLD1, CMPLD2, CSCTRL, FILT, DMA, ENBL = 0x0F
+};
+
+#define CTRL_OUTMODE(x) ((x) & 7u)
+#define CTRL_COINIT 0x0008u
+#define CTRL_DIR 0x0010u
+#define CTRL_LENGTH 0x0020u
+#define CTRL_ONCE 0x0040u
+#define CTRL_SCS(x) (((x) >> 7) & 3u)
+#define CTRL_PCS(x) (((x) >> 9) & 0xFu)
+#define CTRL_CM(x) (((unsigned)(x) >> 13) & 7u)
+enum { CM_STOP, CM_RISING, CM_BOTH, CM_GATED, CM_QUADRATURE, CM_SIGNED, CM_TRIGGERED, CM_CASCADE };
+enum { OUT_ACTIVE, OUT_CLEAR, OUT_SET, OUT_TOGGLE, OUT_ALTERNATE, OUT_SET_SECONDARY, OUT_SET_ROLLOVER, OUT_GATED };
+
+#define SCTRL_FORCE 0x0004u
+#define SCTRL_VAL 0x0008u
+#define SCTRL_CAPTURE(x) (((x) >> 6) & 3u)
+#define SCTRL_INPUT 0x0100u
+#define SCTRL_IPS 0x0200u
+#define SCTRL_IEFIE 0x0400u
+#define SCTRL_IEF 0x0800u
+#define SCTRL_TOFIE 0x1000u
+#define SCTRL_TOF 0x2000u
+#define SCTRL_TCFIE 0x4000u
+#define SCTRL_TCF 0x8000u
+#define SCTRL_FLAGS (SCTRL_IEF | SCTRL_TOF | SCTRL_TCF)
+
+#define CSCTRL_TCF1 0x0010u
+#define CSCTRL_TCF2 0x0020u
+#define CSCTRL_TCF1EN 0x0040u
+#define CSCTRL_TCF2EN 0x0080u
+#define CSCTRL_UP 0x0200u
+#define CSCTRL_ROC 0x0800u
+
+#define FIRST_BUS_SOURCE 8u
+
+static bool enabled(const qtmr_t *timer, unsigned n) { return ((timer->enable >> n) & 1u) != 0; }
+
+static bool runs_on_bus(const qtmr_t *timer, unsigned n) { return ((timer->on_bus >> n) & 1u) != 0; }
+
+static unsigned prescaler(const qtmr_channel_t *c) { return CTRL_PCS(c->ctrl) - FIRST_BUS_SOURCE; }
+
+static bool counts_down(const qtmr_channel_t *c) { return (c->ctrl & CTRL_DIR) != 0; }
+
+static void request(chip_t *chip, unsigned m, unsigned n)
+{
+    const qtmr_channel_t *c = &chip->timer[m].channel[n];
+    const unsigned flags = c->sctrl & (SCTRL_FLAGS);
+    const unsigned wanted = ((unsigned)c->sctrl << 1) & SCTRL_FLAGS; /* each enable stands below its flag */
+    const bool compare = (((unsigned)c->csctrl << 2) & c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0;
+    intc_request(chip, ((m == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & wanted) != 0 || compare);
+}
+
+/* ---- counting -------------------------------------------------------------------------------------------------------- */
+
+static void count(chip_t *chip, unsigned m, unsigned n, bool up);
+
+static void set_oflag(chip_t *chip, unsigned m, unsigned n, bool level)
+{
+    qtmr_t *timer = &chip->timer[m];
+    qtmr_channel_t *c = &timer->channel[n];
+    if (c->oflag == level) {
+        return;
+    }
+    c->oflag = level;
+    const bool out = level != ((c->sctrl & 2u) != 0); /* OPS inverts what leaves the timer */
+    xbar_signal(chip, (int)((m == 0) ? 36u + n : 16u + n), (int)((m == 0) ? 16u + n : 4u + n),
+                out ? XBAR_RISE : XBAR_FALL);
+    for (unsigned k = 0; timer->follows[n] >> k != 0; k++) {
+        if (((timer->follows[n] >> k) & 1u) != 0) {
+            const unsigned mode = CTRL_CM(timer->channel[k].ctrl);
+            if (level || mode == CM_BOTH) {
+                count(chip, m, k, !counts_down(&timer->channel[k]));
+            }
+        }
+    }
+}
+
+/* The count has met COMP1 (up) or COMP2 (down). */
+static void compare(chip_t *chip, unsigned m, unsigned n, bool up)
+{
+    qtmr_t *timer = &chip->timer[m];
+    qtmr_channel_t *c = &timer->channel[n];
+    c->sctrl = (uint16_t)(c->sctrl | SCTRL_TCF);
+    c->csctrl = (uint16_t)(c->csctrl | (up ? CSCTRL_TCF1 : CSCTRL_TCF2));
+    switch (CTRL_OUTMODE(c->ctrl)) {
+    case OUT_CLEAR:
+        set_oflag(chip, m, n, false);
+        break;
+    case OUT_SET:
+    case OUT_SET_SECONDARY:
+    case OUT_SET_ROLLOVER:
+        set_oflag(chip, m, n, true);
+        break;
+    case OUT_TOGGLE:
+        set_oflag(chip, m, n, !c->oflag);
+        break;
+    default:
+        break;
+    }
+    for (unsigned k = 0; timer->cascade >> k != 0; k++) {
+        if (((timer->cascade >> k) & 1u) != 0 && CTRL_PCS(timer->channel[k].ctrl) == 4u + n) {
+            count(chip, m, k, up);
+        }
+    }
+    if ((c->ctrl & CTRL_ONCE) != 0) {
+        c->ctrl = (uint16_t)(c->ctrl & 0x1FFFu);
+        timer->on_bus &= ~(1u << n);
+    }
+    request(chip, m, n);
+}
+
+static void rollover(chip_t *chip, unsigned m, unsigned n)
+{
+    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    c->sctrl = (uint16_t)(c->sctrl | SCTRL_TOF);
+    if (CTRL_OUTMODE(c->ctrl) == OUT_SET_ROLLOVER) {
+        set_oflag(chip, m, n, false);
+    }
+    if ((c->sctrl & SCTRL_TOFIE) != 0) {
+        request(chip, m, n);
+    }
+}
+
+/* One count. With LENGTH the count after a match is LOAD, in the direction of that match. */
+static void count(chip_t *chip, unsigned m, unsigned n, bool up)
+{
+    qtmr_t *timer = &chip->timer[m];
+    qtmr_channel_t *c = &timer->channel[n];
+    if (!enabled(timer, n)) {
+        return;
+    }
+    c->csctrl = (uint16_t)(up ? (c->csctrl | CSCTRL_UP) : (c->csctrl & ~CSCTRL_UP));
+    const uint16_t limit = up ? c->comp1 : c->comp2;
+    if ((c->ctrl & CTRL_LENGTH) != 0 && c->cntr == limit) {
+        c->cntr = c->load;
+    } else {
+        c->cntr = (uint16_t)(c->cntr + (up ? 1u : 0xFFFFu));
+        if (c->cntr == (up ? 0u : 0xFFFFu)) {
+            rollover(chip, m, n);
+        }
+    }
+    if (c->cntr == limit) {
+        compare(chip, m, n, up);
+    }
+}
+
+/* Counts until something happens to a channel on the bus clock: a compare or a rollover. At least 1. */
+static uint32_t counts_to_event(const qtmr_channel_t *c)
+{
+    const bool down = counts_down(c);
+    const uint16_t limit = down ? c->comp2 : c->comp1;
+    if ((c->ctrl & CTRL_LENGTH) != 0 && c->cntr == limit) {
+        return 1u;
+    }
+    const uint32_t to_limit = (uint16_t)(down ? c->cntr - limit : limit - c->cntr);
+    const uint32_t to_wrap = down ? c->cntr + 1u : 0x10000u - c->cntr;
+    return (to_limit != 0 && to_limit < to_wrap) ? to_limit : to_wrap;
+}
+
+static void settle(chip_t *chip, unsigned m, unsigned n)
+{
+    qtmr_t *timer = &chip->timer[m];
+    qtmr_channel_t *c = &timer->channel[n];
+    if (!runs_on_bus(timer, n)) {
+        return;
+    }
+    const unsigned shift = prescaler(c);
+    uint64_t counts = (chip->now >> shift) - (c->since >> shift);
+    c->since = chip->now;
+    while (counts > 0 && runs_on_bus(timer, n)) {
+        const uint32_t next = counts_to_event(c);
+        if (counts < next) {
+            c->cntr = (uint16_t)(counts_down(c) ? c->cntr - counts : c->cntr + counts);
+            break;
+        }
+        c->cntr = (uint16_t)(counts_down(c) ? c->cntr - (next - 1u) : c->cntr + (next - 1u));
+        count(chip, m, n, !counts_down(c));
+        counts -= next;
+    }
+}
+
+static void settle_all(chip_t *chip, unsigned m)
+{
+    for (unsigned n = 0; chip->timer[m].on_bus >> n != 0; n++) {
+        settle(chip, m, n);
+    }
+}
+
+/* A channel on the bus clock whose compares nobody hears of has no events. */
+static bool has_events(const qtmr_channel_t *c)
+{
+    return (c->sctrl & (SCTRL_TCFIE | SCTRL_TOFIE)) != 0 || (c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0 ||
+           CTRL_OUTMODE(c->ctrl) != OUT_ACTIVE || (c->ctrl & CTRL_ONCE) != 0;
+}
+
+static void schedule(chip_t *chip, unsigned m)
+{
+    qtmr_t *timer = &chip->timer[m];
+    uint64_t next = CHIP_NEVER;
+    for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
+        next = (timer->change_clock[i] < next) ? timer->change_clock[i] : next;
+    }
+    for (unsigned n = 0; timer->on_bus >> n != 0; n++) {
+        qtmr_channel_t *c = &timer->channel[n];
+        if (runs_on_bus(timer, n) && (has_events(c) || timer->follows[n] != 0 || timer->cascade != 0)) {
+            settle(chip, m, n);
+            const unsigned shift = prescaler(c);
+            const uint64_t clock = ((chip->now >> shift) + counts_to_event(c)) << shift;
+            next = (clock < next) ? clock : next;
+        }
+    }
+    chip->next[SOURCE_TIMER + m] = next;
+}
+
+/* ---- inputs ---------------------------------------------------------------------------------------------------------- */
+
+/* Each channel that a mask names. */
+#define FOR_EACH(n, mask) \
+    for (unsigned n = 0; (mask) >> n != 0; n++) \
+        if ((((mask) >> n) & 1u) != 0)
+
+static void capture(chip_t *chip, unsigned m, unsigned n, bool rises)
+{
+    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
+    const unsigned edge = (rises != inverted) ? 1u : 2u;
+    if ((SCTRL_CAPTURE(c->sctrl) & edge) == 0 || (c->sctrl & SCTRL_IEF) != 0) {
+        return; /* what has been captured stays until software clears IEF */
+    }
+    settle(chip, m, n);
+    c->capt = c->cntr;
+    c->sctrl = (uint16_t)(c->sctrl | SCTRL_IEF);
+    if ((c->csctrl & CSCTRL_ROC) != 0) {
+        c->cntr = c->load;
+        schedule(chip, m);
+    }
+    chip_note(chip, TRACE_CAPTURE, m * QTMR_CHANNELS + n, c->capt);
+    if ((c->sctrl & SCTRL_IEFIE) != 0) {
+        request(chip, m, n);
+    }
+}
+
+/* A leads B upwards: after an edge of A the lines differ then, after one of B they are equal. */
+static void decode(chip_t *chip, unsigned m, unsigned n, unsigned input)
+{
+    const qtmr_t *timer = &chip->timer[m];
+    const qtmr_channel_t *c = &timer->channel[n];
+    const unsigned a = CTRL_PCS(c->ctrl);
+    const unsigned b = CTRL_SCS(c->ctrl);
+    if (a > 3u || (input != a && input != b)) {
+        return;
+    }
+    const bool differ = (((timer->in >> a) ^ (timer->in >> b)) & 1u) != 0;
+    const bool up = (input == a) ? differ : !differ;
+    count(chip, m, n, up != counts_down(c));
+}
+
+/* A level behind the filter has changed. What a secondary input does to OFLAG comes before the count, its capture after:
+ * the captured count includes the edge. */
+static void edge(chip_t *chip, unsigned m, unsigned input)
+{
+    qtmr_t *timer = &chip->timer[m];
+    timer->in ^= 1u << input;
+    const bool rises = ((timer->in >> input) & 1u) != 0;
+    FOR_EACH(n, timer->cleared_by[input])
+    {
+        set_oflag(chip, m, n, false);
+    }
+    FOR_EACH(n, timer->quadrature)
+    {
+        decode(chip, m, n, input);
+    }
+    FOR_EACH(n, timer->counts_edges[input])
+    {
+        const qtmr_channel_t *c = &timer->channel[n];
+        const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
+        if (CTRL_CM(c->ctrl) == CM_BOTH || rises != inverted) {
+            count(chip, m, n, !counts_down(c));
+        }
+    }
+    FOR_EACH(n, timer->captures[input])
+    {
+        capture(chip, m, n, rises);
+    }
+}
+
+void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
+{
+    qtmr_t *timer = &chip->timer[m];
+    const unsigned bit = 1u << input;
+    if (((timer->raw & bit) != 0) == level) {
+        return;
+    }
+    timer->raw ^= bit;
+    const uint16_t filter = timer->channel[input].filt;
+    const uint64_t delay = (uint64_t)(filter & 0xFFu) * (((unsigned)filter >> 8 & 7u) + 3u);
+    if (((timer->in & bit) != 0) == level) {
+        timer->change_clock[input] = CHIP_NEVER; /* shorter than the filter */
+    } else if (delay == 0) {
+        edge(chip, m, input);
+        return;
+    } else {
+        timer->change_clock[input] = chip->now + delay;
+    }
+    schedule(chip, m);
+}
+
+void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
+{
+    if ((chip->timer[m].channel[input].filt & 0xFFu) == 0) {
+        edge(chip, m, input);
+        edge(chip, m, input);
+    }
+}
+
+void qtmr_event(chip_t *chip, unsigned m)
+{
+    qtmr_t *timer = &chip->timer[m];
+    for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
+        if (timer->change_clock[input] <= chip->now) {
+            timer->change_clock[input] = CHIP_NEVER;
+            edge(chip, m, input);
+        }
+    }
+    schedule(chip, m);
+}
+
+/* ---- registers ------------------------------------------------------------------------------------------------------- */
+
+/* Who counts, captures and follows what. */
+static void derive(chip_t *chip, unsigned m)
+{
+    qtmr_t *timer = &chip->timer[m];
+    settle_all(chip, m);
+    timer->on_bus = timer->quadrature = timer->cascade = 0;
+    for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
+        timer->counts_edges[i] = timer->follows[i] = timer->captures[i] = timer->cleared_by[i] = 0;
+    }
+    for (unsigned n = 0; n < QTMR_CHANNELS; n++) {
+        qtmr_channel_t *c = &timer->channel[n];
+        const unsigned bit = 1u << n;
+        const unsigned mode = CTRL_CM(c->ctrl);
+        const unsigned source = CTRL_PCS(c->ctrl);
+        const bool gate = sim_gate_open(chip, 0, ((m == 0) ? 15u : 11u) - n);
+        if (mode == CM_STOP || !gate) {
+            continue;
+        }
+        if (mode == CM_QUADRATURE) {
+            timer->quadrature |= bit;
+        } else if (mode == CM_CASCADE) {
+            timer->cascade |= bit;
+        } else if (source >= FIRST_BUS_SOURCE) {
+            if (enabled(timer, n)) {
+                timer->on_bus |= bit;
+                c->since = chip->now;
+            }
+        } else if (source >= 4u) {
+            timer->follows[source - 4u] |= bit;
+        } else {
+            timer->counts_edges[source] |= bit;
+        }
+        if (SCTRL_CAPTURE(c->sctrl) != 0) {
+            timer->captures[CTRL_SCS(c->ctrl)] |= bit;
+        }
+        if (CTRL_OUTMODE(c->ctrl) == OUT_SET_SECONDARY) {
+            timer->cleared_by[CTRL_SCS(c->ctrl)] |= bit;
+        }
+    }
+    if (timer->on_bus != 0) {
+        occs_need_bus_clock(chip, "a timer");
+    }
+    schedule(chip, m);
+}
+
+void qtmr_gates_changed(chip_t *chip)
+{
+    derive(chip, 0);
+    derive(chip, 1);
+}
+
+static void write_ctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint16_t value)
+{
+    qtmr_t *timer = &chip->timer[m];
+    const unsigned mode = CTRL_CM(value);
+    const unsigned source = CTRL_PCS(value);
+    const unsigned out = CTRL_OUTMODE(value);
+    if (mode == CM_GATED || mode == CM_SIGNED || mode == CM_TRIGGERED) {
+        chip_no_value(chip, address, value, "this count mode is not modelled");
+    }
+    if (out == OUT_ALTERNATE || out == OUT_GATED) {
+        chip_no_value(chip, address, value, "this output mode is not modelled");
+    }
+    if ((value & CTRL_COINIT) != 0) {
+        chip_no_value(chip, address, value, "COINIT is not modelled");
+    }
+    if (mode == CM_BOTH && source >= FIRST_BUS_SOURCE) {
+        chip_no_value(chip, address, value, "both edges of the bus clock are not modelled");
+    }
+    if (mode != CM_STOP && source == 4u + n) {
+        chip_no_value(chip, address, value, "a channel cannot count its own output");
+    }
+    settle(chip, m, n);
+    timer->channel[n].ctrl = value;
+    derive(chip, m);
+}
+
+static uint16_t read_channel(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r)
+{
+    qtmr_t *timer = &chip->timer[m];
+    qtmr_channel_t *c = &timer->channel[n];
+    switch (r) {
+    case COMP1:
+        return c->comp1;
+    case COMP2:
+        return c->comp2;
+    case CAPT:
+        return c->capt;
+    case LOAD:
+        return c->load;
+    case HOLD:
+        return c->hold;
+    case CNTR:
+        settle_all(chip, m);
+        for (unsigned k = 0; k < QTMR_CHANNELS; k++) {
+            timer->channel[k].hold = timer->channel[k].cntr;
+        }
+        return c->cntr;
+    case CTRL:
+        settle(chip, m, n);
+        return c->ctrl;
+    case SCTRL: {
+        settle(chip, m, n);
+        const bool level = ((timer->in >> CTRL_SCS(c->ctrl)) & 1u) != 0;
+        return (uint16_t)(c->sctrl | ((level != ((c->sctrl & SCTRL_IPS) != 0)) ? SCTRL_INPUT : 0u));
+    }
+    case CMPLD1:
+        return c->cmpld1;
+    case CMPLD2:
+        return c->cmpld2;
+    case CSCTRL:
+        settle(chip, m, n);
+        return c->csctrl;
+    case FILT:
+        return c->filt;
+    case DMA:
+        return 0;
+    case ENBL:
+        if (n == 0) {
+            return timer->enable;
+        }
+        chip_no_register(chip, address);
+    default:
+        chip_no_register(chip, address);
+    }
+}
+
+static void write_sctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint16_t value)
+{
+    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    chip_only(chip, address, value, 0xFFCF, "master and external OFLAG modes are not modelled");
+    settle(chip, m, n);
+    const unsigned flags = c->sctrl & value & SCTRL_FLAGS; /* a flag is cleared by writing 0, never set */
+    c->sctrl = (uint16_t)((value & ~(SCTRL_FLAGS | SCTRL_INPUT | SCTRL_FORCE)) | flags);
+    if ((value & SCTRL_FORCE) != 0) {
+        set_oflag(chip, m, n, (value & SCTRL_VAL) != 0);
+    }
+    derive(chip, m);
+    request(chip, m, n);
+}
+
+static void write_csctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint16_t value)
+{
+    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    chip_only(chip, address, value, 0xCAF0, "preloads, TCI, FAULT and ALT_LOAD are not modelled");
+    settle(chip, m, n);
+    const unsigned flags = c->csctrl & value & (CSCTRL_TCF1 | CSCTRL_TCF2);
+    const unsigned kept = c->csctrl & CSCTRL_UP;
+    c->csctrl = (uint16_t)((value & ~(CSCTRL_TCF1 | CSCTRL_TCF2 | CSCTRL_UP)) | flags | kept);
+    schedule(chip, m);
+    request(chip, m, n);
+}
+
+static void write_channel(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r, uint16_t value)
+{
+    qtmr_t *timer = &chip->timer[m];
+    qtmr_channel_t *c = &timer->channel[n];
+    settle(chip, m, n);
+    switch (r) {
+    case COMP1:
+        c->comp1 = value;
+        break;
+    case COMP2:
+        c->comp2 = value;
+        break;
+    case CAPT:
+        c->capt = value;
+        return;
+    case LOAD:
+        c->load = value;
+        break;
+    case HOLD:
+        c->hold = value;
+        return;
+    case CNTR:
+        c->cntr = value;
+        break;
+    case CTRL:
+        write_ctrl(chip, address, m, n, value);
+        return;
+    case SCTRL:
+        write_sctrl(chip, address, m, n, value);
+        return;
+    case CMPLD1:
+        c->cmpld1 = value;
+        return;
+    case CMPLD2:
+        c->cmpld2 = value;
+        return;
+    case CSCTRL:
+        write_csctrl(chip, address, m, n, value);
+        return;
+    case FILT:
+        chip_only(chip, address, value, 0x07FF, "reserved");
+        c->filt = value;
+        return;
+    case DMA:
+        chip_only(chip, address, value, 0, "DMA is not modelled");
+        return;
+    case ENBL:
+        if (n == 0) {
+            settle_all(chip, m);
+            timer->enable = value & 0xFu;
+            derive(chip, m);
+            return;
+        }
+        chip_no_register(chip, address);
+    default:
+        chip_no_register(chip, address);
+    }
+    schedule(chip, m);
+}
+
+static void check_gate(chip_t *chip, uint32_t address, unsigned m, unsigned n)
+{
+    sim_gate(chip, address, 0, ((m == 0) ? 15u : 11u) - n);
+}
+
+uint16_t qtmr_read(chip_t *chip, uint32_t address)
+{
+    const unsigned m = (address - BASE) / MODULE_SIZE;
+    const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
+    check_gate(chip, address, m, n);
+    return read_channel(chip, address, m, n, address & 0xFu);
+}
+
+void qtmr_write(chip_t *chip, uint32_t address, uint16_t value)
+{
+    const unsigned m = (address - BASE) / MODULE_SIZE;
+    const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
+    check_gate(chip, address, m, n);
+    write_channel(chip, address, m, n, address & 0xFu, value);
+}
+
+void qtmr_reset(chip_t *chip)
+{
+    for (unsigned m = 0; m < QTMR_MODULES; m++) {
+        chip->timer[m] = (qtmr_t){.enable = 0xF};
+        for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
+            chip->timer[m].change_clock[i] = CHIP_NEVER;
+        }
+    }
+}

@@ -1,0 +1,37 @@
+/* qtmr.h - quad timers A and B: four channels each, which share four inputs.
+ *
+ * Channels that count the bus clock are functions of time, brought up to date when somebody looks or when one of their
+ * events has a consequence. Channels that count edges are stepped by them.
+ */
+#ifndef CHIP_QTMR_H
+#define CHIP_QTMR_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define QTMR_MODULES 2
+#define QTMR_CHANNELS 4
+
+typedef struct {
+    uint16_t comp1, comp2, capt, load, hold, cntr, ctrl, sctrl, cmpld1, cmpld2, csctrl, filt;
+    bool oflag;
+    bool alternate; /* OFLAG mode 4: COMP2 is next */
+    uint64_t since; /* clock to which a channel on the bus clock has been brought up */
+} qtmr_channel_t;
+
+typedef struct {
+    qtmr_channel_t channel[QTMR_CHANNELS];
+    uint16_t enable;
+    unsigned raw;                        /* levels on the inputs, bit per input */
+    unsigned in;                         /* behind the filters */
+    uint64_t change_clock[QTMR_CHANNELS]; /* when the filter of an input will let its level through */
+    /* what follows from the registers */
+    unsigned on_bus;                     /* channels that count the bus clock */
+    unsigned quadrature, cascade;        /* channels in these modes */
+    unsigned counts_edges[QTMR_CHANNELS]; /* channels that count edges of an input */
+    unsigned follows[QTMR_CHANNELS];     /* channels that count the output of a channel */
+    unsigned captures[QTMR_CHANNELS];    /* channels that capture on an input */
+    unsigned cleared_by[QTMR_CHANNELS];  /* channels whose OFLAG an input clears */
+} qtmr_t;
+
+#endif

@@ -1,0 +1,33 @@
+/* trace.h - what a logic analyser on the chip would show: written while somebody has given a buffer for it. */
+#ifndef CHIP_TRACE_H
+#define CHIP_TRACE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+typedef enum {
+    TRACE_CYCLE,     /* a counter starts from INIT: a = 4 module + submodule, b = INIT */
+    TRACE_MATCH,     /* a watched compare matches: a = 4 module + submodule, b = number of the VAL */
+    TRACE_LOAD,      /* buffered registers become active: a = 4 module + submodule */
+    TRACE_GATES,     /* a pair of pins: a = 4 module + submodule, b = levels (bit 0 upper, bit 1 lower) */
+    TRACE_TRIGGER,   /* a pulse into crossbar A: a = its input */
+    TRACE_SYNC,      /* a sync pulse at the ADC: a = converter, b = 1 if it was obeyed */
+    TRACE_SAMPLE,    /* a channel is held: a = sample, b = channel */
+    TRACE_SCAN_END,  /* a = converter */
+    TRACE_ENTER,     /* a handler starts: a = vector, b = level */
+    TRACE_LEAVE,     /* and ends: a = vector */
+    TRACE_WRITE,     /* a register: a = address, b = value */
+    TRACE_CAPTURE,   /* a timer captures: a = 4 module + channel, b = value */
+} trace_kind_t;
+
+typedef struct {
+    uint64_t clock;
+    uint32_t kind, a, b;
+} trace_entry_t;
+
+typedef struct {
+    trace_entry_t *entry;
+    size_t size, room; /* nothing is written once it is full */
+} trace_t;
+
+#endif

@@ -1,0 +1,34 @@
+/* world.h - what the chip's pins are soldered to, and the software that its core runs.
+ *
+ * The chip calls these functions and includes nothing of plant and firmware, so that a test can be the world too.
+ */
+#ifndef CHIP_WORLD_H
+#define CHIP_WORLD_H
+
+#include <stdint.h>
+
+#define CHIP_NEVER UINT64_MAX /* clock of what is not going to happen */
+
+typedef struct {
+    void *context; /* handed to each function */
+
+    /* Come along to `clock` (never back). */
+    void (*advance)(void *context, uint64_t clock);
+    /* Clock of the next event of the world's own, CHIP_NEVER if there is none; called again after everything that the
+     * chip does to it. */
+    uint64_t (*next)(void *context);
+    /* That clock has come: hand over what happened by chip_pin. */
+    void (*events)(void *context);
+    /* Levels of a pair of gate signals from now on: bit 0 the upper switch (PWM_A), bit 1 the lower one (PWM_B). */
+    void (*gates)(void *context, unsigned module, unsigned submodule, unsigned levels);
+    /* 12-bit code of an analogue pin at this instant: 0..7 ANA0-7, 8..15 ANB0-7. */
+    uint16_t (*convert)(void *context, unsigned channel);
+
+    /* Software: after reset (memory lost); the body of an interrupt, which returns how many clocks it takes; and what
+     * runs when there is nothing else to do. */
+    void (*boot)(void *context);
+    uint32_t (*interrupt)(void *context, unsigned vector);
+    void (*background)(void *context);
+} chip_world_t;
+
+#endif

@@ -1,0 +1,370 @@
+"""The chip alone: registers are written by the tests, the rest of the world is written in Python."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cffi import FFI
+
+NATIVE = Path(__file__).resolve().parents[1] / "native"
+
+NEVER = (1 << 64) - 1
+PERIOD, HALF = 6250, 3125
+"""Of the PWM, in bus clocks of 10 ns."""
+
+CDEF = """
+typedef struct {
+    void *context;
+    void (*advance)(void *, uint64_t);
+    uint64_t (*next)(void *);
+    void (*events)(void *);
+    void (*gates)(void *, unsigned, unsigned, unsigned);
+    uint16_t (*convert)(void *, unsigned);
+    void (*boot)(void *);
+    uint32_t (*interrupt)(void *, unsigned);
+    void (*background)(void *);
+} chip_world_t;
+typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
+typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; } chip_config_t;
+typedef struct { uint64_t clock; uint32_t kind, a, b; } trace_entry_t;
+typedef struct { trace_entry_t *entry; size_t size, room; } trace_t;
+typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
+typedef struct { uint32_t services; ...; } cop_t;
+typedef struct { uint32_t locked_writes; ...; } pwm_t;
+typedef struct { uint64_t now; sci_line_t line; trace_t trace; cop_t cop; pwm_t pwm[2]; bool stop, failed;
+                 char error[200]; ...; } chip_t;
+void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *world);
+bool chip_run(chip_t *chip, uint64_t until);
+uint16_t chip_read(chip_t *chip, uint32_t address);
+void chip_write(chip_t *chip, uint32_t address, uint16_t value);
+void chip_interrupts(chip_t *chip, bool on);
+void chip_pin(chip_t *chip, unsigned pin, bool level);
+bool chip_pin_level(const chip_t *chip, unsigned pin);
+size_t chip_line_write(chip_t *chip, const uint8_t *data, size_t size);
+size_t chip_line_read(chip_t *chip, uint8_t *data, size_t room);
+uint64_t chip_line_next(const chip_t *chip);
+void chip_register_name(uint32_t address, char *name, size_t size);
+/* A call that may end in an error: 0, or -1. */
+int try_read(chip_t *chip, uint32_t address);
+int try_write(chip_t *chip, uint32_t address, uint16_t value);
+"""
+
+PREAMBLE = """
+#include <setjmp.h>
+#include "chip/parts.h"
+
+/* The tests act as software from outside of chip_run: errors come back to here. */
+static int try_read(chip_t *chip, uint32_t address)
+{
+    if (setjmp(chip->escape) != 0) {
+        return -1;
+    }
+    return chip_read(chip, address);
+}
+
+static int try_write(chip_t *chip, uint32_t address, uint16_t value)
+{
+    if (setjmp(chip->escape) != 0) {
+        return -1;
+    }
+    chip_write(chip, address, value);
+    core_step(chip);
+    return 0;
+}
+"""
+
+KINDS = ("cycle", "match", "load", "gates", "trigger", "sync", "sample", "scan_end", "enter", "leave", "write", "capture")
+
+
+class Native(NamedTuple):
+    ffi: FFI
+    lib: Any
+
+
+class Event(NamedTuple):
+    clock: int
+    kind: str
+    a: int
+    b: int
+
+
+def build(folder: Path) -> Native:
+    builder = FFI()
+    builder.cdef(CDEF)
+    builder.set_source(
+        "_chip_under_test",
+        PREAMBLE,
+        sources=[str(path) for path in sorted((NATIVE / "chip").glob("*.c"))],
+        include_dirs=[str(NATIVE)],
+        extra_compile_args=["-std=c99", "-O1"],
+    )
+    spec = importlib.util.spec_from_file_location("_chip_under_test", builder.compile(tmpdir=str(folder)))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return Native(module.ffi, module.lib)
+
+
+def pin(name: str) -> int:
+    """Number of a pin by its name, as "C3"."""
+    return (ord(name[0]) - ord("A")) << 4 | int(name[1:])
+
+
+WIRING = {
+    "gate": [
+        [[pin("E1"), pin("E0")], [pin("E3"), pin("E2")], [pin("E5"), pin("E4")]],
+        [[pin("G3"), pin("G2")], [pin("G1"), pin("G0")], [pin("E7"), pin("E6")]],
+    ],
+    "txd": pin("C7"),
+    "rxd": pin("C8"),
+}
+
+# ---- addresses, from the register definitions of the part --------------------------------------------------------------
+
+_SUB = {
+    "CNT": 0x00, "INIT": 0x01, "CTRL2": 0x02, "CTRL": 0x03, "VAL0": 0x05, "FRACVAL1": 0x06, "VAL1": 0x07, "VAL2": 0x09,
+    "VAL3": 0x0B, "VAL4": 0x0D, "VAL5": 0x0F, "FRCTRL": 0x10, "OCTRL": 0x11, "STS": 0x12, "INTEN": 0x13, "DMAEN": 0x14,
+    "TCTRL": 0x15, "DISMAP0": 0x16, "DISMAP1": 0x17, "DTCNT0": 0x18, "DTCNT1": 0x19,
+}  # fmt: skip
+_MODULE = {
+    "OUTEN": 0xC0, "MASK": 0xC1, "SWCOUT": 0xC2, "DTSRCSEL": 0xC3, "MCTRL": 0xC4, "FCTRL0": 0xC6, "FSTS0": 0xC7,
+    "FFILT0": 0xC8, "FTST0": 0xC9,
+}  # fmt: skip
+_TIMER = {
+    "COMP1": 0, "COMP2": 1, "CAPT": 2, "LOAD": 3, "HOLD": 4, "CNTR": 5, "CTRL": 6, "SCTRL": 7, "CMPLD1": 8, "CSCTRL": 10,
+    "FILT": 11, "ENBL": 15,
+}  # fmt: skip
+
+
+def _addresses() -> Iterator[tuple[str, int]]:
+    for letter, base in (("A", 0xE600), ("B", 0xE700)):
+        for n in range(4):
+            for name, offset in _SUB.items():
+                yield f"PWM{letter}{n}_{name}", base + 0x30 * n + offset
+        for name, offset in _MODULE.items():
+            yield f"PWM{letter}_{name}", base + offset
+    for letter, base in (("A", 0xE140), ("B", 0xE180)):
+        for n in range(4):
+            for name, offset in _TIMER.items():
+                yield f"TMR{letter}{n}_{name}", base + 0x10 * n + offset
+    adc = ["CTRL1", "CTRL2", "ZXCTRL1", "ZXCTRL2", "CLIST1", "CLIST2", "CLIST3", "CLIST4", "SDIS", "STAT", "RDY"]
+    for offset, name in enumerate(adc):
+        yield f"ADC_{name}", 0xE500 + offset
+    for n in range(16):
+        yield f"ADC_RSLT{n}", 0xE50E + n
+        yield f"ADC_OFFST{n}", 0xE53E + n
+    for offset, name in enumerate(["PWR", "CAL", "GC1", "GC2", "SCTRL", "PWR2", "CTRL3", "SCHLTEN"]):
+        yield f"ADC_{name}", 0xE54E + offset
+    for n, base in enumerate((0xE080, 0xE090, 0xE0A0)):
+        for offset, name in enumerate(["RATE", "CTRL1", "CTRL2", "STAT", "DATA", "CTRL3"]):
+            yield f"SCI{n}_{name}", base + offset
+    for n in range(30):
+        yield f"XBARA_SEL{n}", 0xE340 + n
+    for n in range(8):
+        yield f"XBARB_SEL{n}", 0xE360 + n
+    for n in range(4):
+        yield f"AOI_BFCRT01_{n}", 0xE380 + 2 * n
+        yield f"AOI_BFCRT23_{n}", 0xE381 + 2 * n
+    for n in range(13):
+        yield f"INTC_IPR{n}", 0xE300 + n
+    yield "INTC_CTRL", 0xE31B
+    for offset, name in enumerate(["CTRL", "TOUT", "CNTR"]):
+        yield f"COP_{name}", 0xE320 + offset
+    for offset, name in enumerate(["CTRL", "DIVBY", "STAT"]):
+        yield f"OCCS_{name}", 0xE2B0 + offset
+    yield from {"OCCS_OSCTL1": 0xE2B4, "OCCS_OSCTL2": 0xE2B5}.items()
+    for n in range(4):
+        yield f"SIM_PCE{n}", 0xE40C + n
+    yield from {"SIM_CTRL": 0xE400, "SIM_RSTAT": 0xE401, "SIM_PCR": 0xE40B, "SIM_IPS0": 0xE422}.items()
+    for offset, name in enumerate("AL BH CL CH DL EL EH FL FH GL GH".split()):
+        yield f"SIM_GPS{name}", 0xE417 + offset
+    for n, letter in enumerate("ABCDEFG"):
+        for name, offset in {"DR": 1, "DDR": 2, "PER": 3, "IENR": 5, "RAWDATA": 10}.items():
+            yield f"GPIO{letter}_{name}", 0xE200 + 0x10 * n + offset
+
+
+ADDRESS = dict(_addresses())
+
+
+class ChipError(Exception):
+    """The chip has stopped."""
+
+
+class ChipRig:
+    """A chip with its clocks up and every gate open, and a world that does as the test says.
+
+    Attributes
+    ----------
+    codes : list of int
+        What the analogue pins ANA0-7, ANB0-7 convert to; a function of the clock in its place is called.
+    handlers : dict
+        By vector: what the software does, a function that returns the clocks it takes.
+    edges : list of (clock, pin, level)
+        What the world will put on pins; sorted.
+    """
+
+    def __init__(self, native: Native, *, baud: float = 115200.0, crossbar_clocks: int = 0, start: bool = True) -> None:
+        self.ffi, self.lib = native.ffi, native.lib
+        self.codes: list[int | Callable[[int], int]] = [100 * k for k in range(16)]
+        self.handlers: dict[int, Callable[[], int | None]] = {}
+        self.edges: list[tuple[int, str, bool]] = []
+        self.gates: list[tuple[int, int, int, int]] = []
+        self.background: Callable[[], None] = lambda: None
+        self.boots = 0
+        self.raised: list[BaseException] = []
+        self._settled = start
+        world = self.ffi.new("chip_world_t *")
+        calls = {
+            "advance": ("void(void *, uint64_t)", lambda _, clock: None),
+            "next": ("uint64_t(void *)", lambda _: self.edges[0][0] if self.edges else NEVER),
+            "events": ("void(void *)", self._events),
+            "gates": ("void(void *, unsigned, unsigned, unsigned)", self._gates),
+            "convert": ("uint16_t(void *, unsigned)", self._convert),
+            "boot": ("void(void *)", self._boot),
+            "interrupt": ("uint32_t(void *, unsigned)", self._interrupt),
+            "background": ("void(void *)", lambda _: self.background()),
+        }
+        self._keep = {name: self.ffi.callback(kind, call) for name, (kind, call) in calls.items()}
+        for name, call in self._keep.items():
+            setattr(world, name, call)
+        self.chip = self.ffi.new("chip_t *")
+        config = {"wiring": WIRING, "baud": baud, "crossbar_clocks": crossbar_clocks}
+        self.lib.chip_init(self.chip, self.ffi.new("chip_config_t *", config), world)
+        self._world = world
+        self._trace = self.ffi.new("trace_entry_t[]", 200_000)
+        self.run(0)
+        self.clear()
+
+    # ---- the world ------------------------------------------------------------------------------------------------------
+
+    def _events(self, _: Any) -> None:
+        while self.edges and self.edges[0][0] <= self.chip.now:
+            _, name, level = self.edges.pop(0)
+            self.lib.chip_pin(self.chip, pin(name), level)
+
+    def _gates(self, _: Any, module: int, submodule: int, levels: int) -> None:
+        self.gates.append((self.chip.now, module, submodule, levels))
+
+    def _convert(self, _: Any, channel: int) -> int:
+        code = self.codes[channel]
+        return code(self.chip.now) if callable(code) else code
+
+    def _interrupt(self, _: Any, vector: int) -> int:
+        return self.handlers[vector]() or 100
+
+    def _boot(self, _: Any) -> None:
+        self.boots += 1
+        if self._settled:
+            self.lib.chip_write(self.chip, ADDRESS["COP_CTRL"], 0)
+            self.clock_up()
+            for n, value in enumerate((0xFF7F, 0x1C00, 0x0080, 0x00FF)):
+                self.lib.chip_write(self.chip, ADDRESS[f"SIM_PCE{n}"], value)
+
+    def clock_up(self, divby: int = 0x2031) -> None:
+        """PLL on the internal oscillator; the bus runs at 100 MHz."""
+        write, read = self.lib.chip_write, self.lib.chip_read
+        write(self.chip, ADDRESS["OCCS_DIVBY"], divby)
+        write(self.chip, ADDRESS["OCCS_CTRL"], 0x0080)
+        while read(self.chip, ADDRESS["OCCS_STAT"]) & 0x0060 != 0x0060:
+            pass
+        write(self.chip, ADDRESS["OCCS_CTRL"], 0x0081)
+        while read(self.chip, ADDRESS["OCCS_STAT"]) & 3 != 1:
+            pass
+
+    # ---- the test -------------------------------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> int:
+        return int(self.chip.now)
+
+    def _check(self, good: bool) -> None:
+        if not good:
+            raise ChipError(self.ffi.string(self.chip.error).decode())
+
+    def run(self, until: int) -> None:
+        """Run up to and including a clock."""
+        self._check(self.lib.chip_run(self.chip, until))
+
+    def step(self, clocks: int) -> None:
+        self.run(self.now + clocks)
+
+    def read(self, name: str) -> int:
+        value = self.lib.try_read(self.chip, ADDRESS[name])
+        self._check(value >= 0)
+        return int(value)
+
+    def write(self, name: str, value: int) -> None:
+        self._check(self.lib.try_write(self.chip, ADDRESS[name], value & 0xFFFF) == 0)
+
+    def write_all(self, values: dict[str, int]) -> None:
+        for name, value in values.items():
+            self.write(name, value)
+
+    def pin(self, name: str, level: bool) -> None:
+        self.lib.chip_pin(self.chip, pin(name), level)
+
+    def interrupts(self) -> None:
+        self.lib.chip_interrupts(self.chip, True)
+
+    def clear(self) -> None:
+        """Forget what has been recorded."""
+        self.chip.trace = {"entry": self._trace, "size": 0, "room": 200_000}
+        self.gates.clear()
+
+    def events(self, *kinds: str) -> list[Event]:
+        log = self._trace[0 : self.chip.trace.size]
+        events = [Event(int(e.clock), KINDS[e.kind], int(e.a), int(e.b)) for e in log]
+        return [e for e in events if not kinds or e.kind in kinds]
+
+    def clocks(self, kind: str, a: int | None = None, b: int | None = None) -> list[int]:
+        """Clocks of the recorded events of a kind."""
+        return [
+            e.clock for e in self.events(kind) if (a is None or e.a == a) and (b is None or e.b == b)
+        ]
+
+    def host_write(self, data: bytes) -> None:
+        assert self.lib.chip_line_write(self.chip, data, len(data)) == len(data)
+
+    def host_read(self) -> bytes:
+        buffer = self.ffi.new("uint8_t[]", 70_000)
+        return bytes(self.ffi.buffer(buffer, self.lib.chip_line_read(self.chip, buffer, 70_000)))
+
+    def name(self, address: int) -> str:
+        buffer = self.ffi.new("char[]", 64)
+        self.lib.chip_register_name(address, buffer, 64)
+        return self.ffi.string(buffer).decode()
+
+
+PWM_PINS = {"GPIOE_PER": 0x01FF, "GPIOG_PER": 0x000F, "SIM_GPSEL": 0xA000, "SIM_GPSEH": 0x0001, "GPIOF_PER": 0x4000,
+            "SIM_GPSFH": 0x1000}  # fmt: skip
+"""Gates of both motors, and the fault pins E8 (PWMA_FAULT0) and F14 (PWMB_FAULT0)."""
+
+
+def pwm_module(letter: str, half: int = 1000, **changes: int) -> dict[str, int]:
+    """Registers of a module as the reference design has them: centre aligned, half-cycle reload, 1 us of dead time."""
+    values: dict[str, int] = {}
+    for n in range(3):
+        follower = (0x0204 if letter == "A" else 0x0304) if n else (0x0000 if letter == "A" else 0x0300)
+        values |= {
+            f"PWM{letter}{n}_INIT": -HALF, f"PWM{letter}{n}_VAL0": 0, f"PWM{letter}{n}_VAL1": HALF - 1,
+            f"PWM{letter}{n}_VAL2": -half, f"PWM{letter}{n}_VAL3": half, f"PWM{letter}{n}_VAL4": -HALF + 100,
+            f"PWM{letter}{n}_VAL5": -HALF + 400, f"PWM{letter}{n}_CTRL2": follower, f"PWM{letter}{n}_CTRL": 0x0800,
+            f"PWM{letter}{n}_DTCNT0": 100, f"PWM{letter}{n}_DTCNT1": 100, f"PWM{letter}{n}_DISMAP0": 0xFF11,
+            f"PWM{letter}{n}_DISMAP1": 0xFF00, f"PWM{letter}{n}_TCTRL": 0,
+        }  # fmt: skip
+    values |= {f"PWM{letter}_FCTRL0": 0xF0F0, f"PWM{letter}_FSTS0": 0x00FF}
+    return values | changes
+
+
+def start_pwm(rig: ChipRig, letter: str, *, outputs: bool = True) -> None:
+    """LDOK, RUN, and outputs on."""
+    rig.write(f"PWM{letter}_MCTRL", 0x0007)
+    rig.write(f"PWM{letter}_MCTRL", 0x0700)
+    if outputs:
+        rig.write(f"PWM{letter}_OUTEN", 0x0770)
+
+
