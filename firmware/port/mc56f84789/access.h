@@ -22,7 +22,7 @@ void chip_interrupts(struct chip *chip, bool on);
 
 #else
 
-#define REG_AT(address) (*(volatile uint16_t *)(uint16_t)(address))
+#define REG_AT(address) (*(volatile uint16_t *)(uintptr_t)(uint16_t)(address))
 #define REG_READ(hal, address) ((void)(hal), REG_AT(address))
 #define REG_WRITE(hal, address, value) ((void)(hal), REG_AT(address) = (uint16_t)(value))
 
