@@ -37,7 +37,7 @@ setup(
         # The nodes and experiments run without; there is no rerun for Python 3.10.
         "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
     },
-    cffi_modules=["servo_twin/_build_native.py:ffi"],
+    cffi_modules=["servo_twin/_build_native.py:ffi", "servo_twin/_build_native.py:registers_ffi"],
     entry_points={
         "console_scripts": [
             "servo_twin = servo_twin.node:main",

@@ -9,6 +9,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "chip/trace.h"
+
 #define BOARD_AXES 2
 
 /* CFFI-BEGIN: the build script hands the lines up to CFFI-END to cffi.cdef */
@@ -50,12 +52,23 @@ typedef struct {
     double r_brake;        /* brake resistor [ohm]; 0: there is none */
 } plant_bus_t;
 
+/* How long the core is busy with each handler [bus clocks] (servo_twin/core.toml); register level only. */
+typedef struct {
+    uint32_t m1, m1_slow;  /* t1: without and with the slow loop */
+    uint32_t m2, m2_slow;  /* t3 */
+    uint32_t start;        /* of the sequence, once */
+    uint32_t edge;         /* captured encoder edge */
+    uint32_t fault;        /* over-current break */
+    uint32_t receive;      /* byte from the host */
+} board_core_t;
+
 typedef struct {
     plant_axis_t axis[2];
     plant_bus_t bus;
     double pwm_frequency;  /* [Hz] */
     double ambient;        /* temperature of the air [deg C] */
     double baud;           /* serial line [bit/s], 10 bits per byte */
+    board_core_t core;
     uint64_t seed;         /* of every random number */
 } board_config_t;
 
@@ -65,7 +78,8 @@ typedef struct {
     double omega_m;        /* mechanical speed [rad/s] */
     double i_d, i_q;       /* [A] */
     double torque_e;       /* air-gap torque [N m] */
-    double u_a, u_b, u_c;  /* mean phase-to-midpoint voltages of the last half cycle [V] */
+    double u_a, u_b, u_c;  /* mean phase-to-midpoint voltages [V]: of the last half cycle on the ideal level, since the last
+                            * call that moved time began at register level */
     double u_dc;           /* [V] */
 } board_truth_t;
 
@@ -75,6 +89,18 @@ void board_free(board_t *board);
 /* Run up to and including simulated time `until_ns`; a time in the past does nothing. */
 void board_advance(board_t *board, uint64_t until_ns);
 uint64_t board_time_ns(const board_t *board);
+
+/* Why the board has stopped for good, NULL while it has not: software did to the chip what is not modelled. */
+const char *board_error(const board_t *board);
+
+/* As board_advance, and write down what a logic analyser on the chip would show; stops early when `room` is full.
+ * Returns the number of entries; none on a board without registers. */
+size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room);
+
+/* Registers, by the hand of a debugger; a read takes no part in clearing sequences of its own accord, but it is a read.
+ * The value, or 0; -1 if there is no such register, which stops the board. */
+int32_t board_peek(board_t *board, uint32_t address);
+int board_poke(board_t *board, uint32_t address, uint16_t value);
 
 /* As board_advance, and store the snapshot block after each slow tick into `log` (rows of board_snapshot_size() bytes).
  * Stops early when `max_rows` are full. Returns the number of rows stored. */

@@ -1,6 +1,8 @@
-"""Build script of ``servo_twin._native``: firmware, ideal chip and plant in one extension module.
+"""Build script of the virtual board's two levels: firmware, chip and plant in one extension module each.
 
-``setup.py`` names it in ``cffi_modules``; then setuptools compiles it for pip and colcon alike.
+``servo_twin._native`` has the ideal chip and the averaged plant, ``servo_twin._registers`` the MC56F84789 with its
+registers, the firmware's own drivers for it and the plant at switching level. Both have the interface of ``board.h``.
+``setup.py`` names them in ``cffi_modules``; then setuptools compiles them for pip and colcon alike.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 NATIVE = PACKAGE / "native"
 FIRMWARE = PACKAGE.parent / "firmware"
 FIRMWARE_FOLDERS = ("math", "control", "sensing", "drive", "app", "comm", "config")
+PORT = FIRMWARE / "port" / "mc56f84789"
 
 # Without contraction of a * b + c every processor computes the same bits; pairs of doubles in vectors only cost time in
 # code where each number waits for the one before.
@@ -38,7 +41,7 @@ _PREAMBLE = """
 
 
 def declarations(header: str) -> str:
-    """Declarations for `cffi.FFI.cdef` out of the text of ``board.h``.
+    """Declarations for `cffi.FFI.cdef` out of the text of a header.
 
     Raises
     ------
@@ -47,7 +50,7 @@ def declarations(header: str) -> str:
     """
     match = re.search(r"^/\* CFFI-BEGIN.*?\*/$(.*?)^/\* CFFI-END \*/$", header, re.MULTILINE | re.DOTALL)
     if match is None:
-        raise ValueError("board.h has no lines between CFFI-BEGIN and CFFI-END")
+        raise ValueError("the header has no lines between CFFI-BEGIN and CFFI-END")
     return re.sub(r"/\*.*?\*/", "", match.group(1), flags=re.DOTALL)
 
 
@@ -73,22 +76,27 @@ def _relative(paths: Iterable[Path]) -> list[str]:
     return [os.path.relpath(path) for path in paths]
 
 
-def make_ffi() -> FFI:
-    """Description of the extension module for the compiler."""
-    native_sources = sorted([*NATIVE.glob("*.c"), *(NATIVE / "plant").glob("*.c")])
+def make_ffi(module: str, native: Iterable[Path], options: Iterable[str] = ()) -> FFI:
+    """Description of one extension module for the compiler."""
     headers = sorted([*NATIVE.rglob("*.h"), *FIRMWARE.rglob("*.h")])
     builder = FFI()
-    builder.cdef(declarations((NATIVE / "board.h").read_text(encoding="utf-8")))
+    for header in (NATIVE / "chip" / "trace.h", NATIVE / "board.h"):
+        builder.cdef(declarations(header.read_text(encoding="utf-8")))
     builder.set_source(
-        "servo_twin._native",
+        module,
         _PREAMBLE,
-        sources=_relative([*native_sources, *firmware_sources()]),
+        sources=_relative([NATIVE / "board.c", *native, *sorted((NATIVE / "plant").glob("*.c")), *firmware_sources()]),
         include_dirs=_relative([NATIVE, FIRMWARE]),
         depends=_relative(headers),
         libraries=["m"],
-        extra_compile_args=[*_OPTIONS, *_WARNINGS, f"-isystem{sysconfig.get_paths()['include']}"],
+        extra_compile_args=[*_OPTIONS, *_WARNINGS, *options, f"-isystem{sysconfig.get_paths()['include']}"],
     )
     return builder
 
 
-ffi = make_ffi()
+ffi = make_ffi("servo_twin._native", [NATIVE / name for name in ("board_ideal.c", "ideal_chip.c", "uart.c")])
+registers_ffi = make_ffi(
+    "servo_twin._registers",
+    [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c")), *sorted(PORT.glob("*.c"))],
+    ["-DCHIP_ON_HOST"],
+)

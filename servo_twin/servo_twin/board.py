@@ -1,4 +1,7 @@
-"""One virtual board: the firmware, an ideal chip and a plant, as a Python object.
+"""One virtual board: the firmware, a chip and a plant, as a Python object.
+
+There are two levels. ``registers``: the firmware's drivers run on the MC56F84789's registers, and the plant sees every
+edge of the gate signals. ``ideal``: no registers, no time for conversions and software, an averaged plant; quicker.
 
 Simulated time moves by `Board.advance`, `Board.run` and `Board.record` and by nothing else; the same calls on the same
 configuration give the same results, bit for bit. Any number of boards may live in one process, each used by one thread
@@ -7,6 +10,7 @@ at a time; the long calls let other threads run.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -17,21 +21,33 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
+from servo_twin.core_load import CoreLoad
 from servo_twin.plant import PlantConfig
 
 try:
-    from servo_twin._native import ffi as _ffi
-    from servo_twin._native import lib as _lib
+    from servo_twin import _native, _registers
 except ImportError as error:
     raise ImportError(
         f"the compiled part of servo_twin is missing or does not fit this Python ({error}); "
         "build it with `make build`, or `python setup.py build_ext --inplace` in the folder servo_twin"
     ) from error
 
-__all__ = ["Board", "BoardError", "BoardStats", "Truth"]
+__all__ = ["Board", "BoardError", "BoardStats", "ChipError", "Level", "TraceEvent", "Truth"]
+
+Level = Literal["registers", "ideal"]
+"""How closely the board is modelled."""
+
+LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
+"""Environment variable that names the level of boards for which nobody does."""
+
+_MODULES: Final[Mapping[str, Any]] = {"registers": _registers, "ideal": _native}
 
 _ENTRY_SIZE: Final = 16
 _IDLE: Final = (1 << 64) - 1
+
+_TRACE_KINDS: Final = (
+    "cycle", "match", "load", "gates", "trigger", "sync", "sample", "scan_end", "enter", "leave", "write", "capture",
+)  # fmt: skip
 
 _STATUS_TEXT: Final[Mapping[int, str]] = {
     0x84: "more bytes than the server moves at once",
@@ -53,6 +69,33 @@ class BoardError(RuntimeError):
     def __init__(self, message: str, status: int = 0) -> None:
         super().__init__(message)
         self.status = status
+
+
+class ChipError(BoardError):
+    """Software did to the chip what is not modelled, or what silicon would not survive; the board stands still."""
+
+
+@dataclass(frozen=True)
+class TraceEvent:
+    """What a logic analyser on the chip shows at one clock.
+
+    Attributes
+    ----------
+    clock : int
+        In clocks of the bus (10 ns) since power-on.
+    kind : str
+        ``cycle``, ``match``, ``load``, ``gates``: a PWM counter starts from INIT, a watched compare matches, buffered
+        registers become active, a pair of gate signals changes (`a` is 4 module + submodule). ``trigger``: a pulse into
+        crossbar A. ``sync``, ``sample``, ``scan_end``: of the ADC. ``enter``, ``leave``: a handler. ``write``: a register.
+        ``capture``: of a timer (`a` is 4 module + channel).
+    a, b : int
+        Which and what, as in ``chip/trace.h``.
+    """
+
+    clock: int
+    kind: str
+    a: int
+    b: int
 
 
 @dataclass(frozen=True)
@@ -108,8 +151,8 @@ class BoardStats:
     watchdog_services: int
 
 
-def _native_config(plant: PlantConfig, seed: int, baud: float) -> Any:
-    config = _ffi.new("board_config_t *")
+def _native_config(ffi: Any, plant: PlantConfig, core: CoreLoad, seed: int, baud: float) -> Any:
+    config = ffi.new("board_config_t *")
     for target, axis in zip(config.axis, plant.drawn(seed).axes, strict=True):
         for name, value in vars(axis).items():
             setattr(target, name, value)
@@ -118,6 +161,8 @@ def _native_config(plant: PlantConfig, seed: int, baud: float) -> Any:
     config.pwm_frequency = plant.pwm_frequency
     config.ambient = plant.ambient
     config.baud = baud
+    for name, clocks in vars(core).items():
+        setattr(config.core, name, clocks)
     config.seed = seed
     return config
 
@@ -135,6 +180,16 @@ class Board:
         Speed of the serial line [bit/s], ten bits per byte.
     catalogue : Catalogue, optional
         Table of variables; the packaged one by default.
+    level : {"registers", "ideal"}, optional
+        How closely chip and plant are modelled; by default what the environment variable SERVO_TWIN_LEVEL names, or else
+        ``ideal``.
+    core : CoreLoad, optional
+        How long the handlers take at register level; the packaged ``core.toml`` by default.
+
+    Raises
+    ------
+    ChipError
+        If the firmware cannot start on this chip.
     """
 
     def __init__(
@@ -144,26 +199,33 @@ class Board:
         seed: int = 0,
         baud: float = 115200.0,
         catalogue: Catalogue | None = None,
+        level: Level | None = None,
+        core: CoreLoad | None = None,
     ) -> None:
         if not 0 <= seed < 1 << 64:
             raise ValueError(f"seed {seed} is not within 0 .. 2^64 - 1")
         if not 100.0 <= baud <= 1e8:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
+        self.level = level or os.environ.get(LEVEL_VARIABLE, "ideal")
+        if self.level not in _MODULES:
+            raise ValueError(f"level {self.level!r}: a board has the levels {', '.join(_MODULES)}")
+        self._ffi, self._lib = _MODULES[self.level].ffi, _MODULES[self.level].lib
         self.plant = plant or PlantConfig.load()
         self.catalogue = catalogue or Catalogue.load()
-        handle = _lib.board_new(_native_config(self.plant, seed, baud))
-        if handle == _ffi.NULL:
+        handle = self._lib.board_new(_native_config(self._ffi, self.plant, core or CoreLoad.load(), seed, baud))
+        if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
-        self._handle: Any = _ffi.gc(handle, _lib.board_free)
+        self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._addresses: dict[str, int] | None = None
         self._dtype: np.dtype[np.void] | None = None
+        self._check()
 
     # ---- life -----------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
         """Free the board; a second call does nothing."""
         if self._handle is not None:
-            _ffi.release(self._handle)
+            self._ffi.release(self._handle)
             self._handle = None
 
     def __enter__(self) -> Board:
@@ -180,16 +242,23 @@ class Board:
             raise BoardError("the board is closed")
         return self._handle
 
+    def _check(self) -> None:
+        """Raise if the chip has stopped for good."""
+        error = self._lib.board_error(self._board)
+        if error != self._ffi.NULL:
+            raise ChipError(self._ffi.string(error).decode())
+
     # ---- time -----------------------------------------------------------------------------------------------------
 
     @property
     def time_ns(self) -> int:
         """Simulated time since reset [ns]."""
-        return int(_lib.board_time_ns(self._board))
+        return int(self._lib.board_time_ns(self._board))
 
     def advance(self, until_ns: int) -> None:
         """Run up to and including simulated time `until_ns`; a time in the past does nothing."""
-        _lib.board_advance(self._board, until_ns)
+        self._lib.board_advance(self._board, until_ns)
+        self._check()
 
     def run(self, seconds: float) -> None:
         """Run for some simulated time [s]."""
@@ -206,8 +275,44 @@ class Board:
         dtype = self.snapshot_dtype
         room = max(until_ns - self.time_ns, 0) // (PERIOD_NS * SLOW_PERIODS) + 2
         log = np.zeros(room, dtype)
-        rows = _lib.board_record(self._board, until_ns, _ffi.from_buffer("uint8_t[]", log, require_writable=True), room)
+        rows = self._lib.board_record(self._board, until_ns, self._ffi.from_buffer("uint8_t[]", log, require_writable=True), room)
+        self._check()
         return log[:rows]
+
+    def trace(self, seconds: float, room: int = 100_000) -> list[TraceEvent]:
+        """Run as `run` does, and write down what happens on the chip; the first `room` events are kept.
+
+        A board at the level ``ideal`` has no chip to look at: its list is empty.
+        """
+        log = self._ffi.new("trace_entry_t[]", room)
+        until_ns = self.time_ns + round(seconds * 1e9)
+        size = self._lib.board_trace(self._board, until_ns, log, room)
+        self._check()
+        names = _TRACE_KINDS
+        return [TraceEvent(int(e.clock), names[e.kind], int(e.a), int(e.b)) for e in log[0:size]]
+
+    # ---- registers --------------------------------------------------------------------------------------------------
+
+    def peek(self, address: int) -> int:
+        """Read a register of the chip, with all that a read does to it.
+
+        Raises
+        ------
+        ChipError
+            If there is no such register; the board stands still then.
+        """
+        value = int(self._lib.board_peek(self._board, address))
+        self._check_register(value)
+        return value
+
+    def poke(self, address: int, value: int) -> None:
+        """Write a register of the chip, as a debugger would."""
+        self._check_register(int(self._lib.board_poke(self._board, address, value & 0xFFFF)))
+
+    def _check_register(self, result: int) -> None:
+        self._check()
+        if result < 0:
+            raise BoardError("a board at the level 'ideal' has no registers")
 
     @property
     def snapshot_dtype(self) -> np.dtype[np.void]:
@@ -220,7 +325,7 @@ class Board:
                     "names": [v.name for v in variables],
                     "formats": [_format(v) for v in variables],
                     "offsets": [self.address(v.name) - start for v in variables],
-                    "itemsize": int(_lib.board_snapshot_size()),
+                    "itemsize": int(self._lib.board_snapshot_size()),
                 }
             )
         return self._dtype
@@ -287,20 +392,20 @@ class Board:
         BoardError
             If the board refuses; `BoardError.status` says why.
         """
-        data = _ffi.new("uint8_t[]", max(size, 1))
-        status = _lib.board_read(self._board, address, data, size)
+        data = self._ffi.new("uint8_t[]", max(size, 1))
+        status = self._lib.board_read(self._board, address, data, size)
         if status != 0:
             raise BoardError(f"reading {size} bytes at {address:#x}: {_status_text(status)}", status)
-        return bytes(_ffi.buffer(data, size))
+        return bytes(self._ffi.buffer(data, size))
 
     def write_memory(self, address: int, data: bytes) -> None:
         """Write bytes at an address, as FreeMASTER WRITEMEM does."""
-        status = _lib.board_write(self._board, address, data, len(data))
+        status = self._lib.board_write(self._board, address, data, len(data))
         if status != 0:
             raise BoardError(f"writing {len(data)} bytes at {address:#x}: {_status_text(status)}", status)
 
     def _read_variable(self, variable: Variable) -> bytes:
-        size = variable.size or int(_lib.board_snapshot_size())
+        size = variable.size or int(self._lib.board_snapshot_size())
         return self.read_memory(self.address(variable.name), size)
 
     def _write_bytes(self, name: str, data: bytes) -> None:
@@ -311,8 +416,8 @@ class Board:
 
     def _discover(self) -> dict[str, int]:
         """Names and addresses out of the table of the board (16 bytes per entry: name, type, address, info)."""
-        start, size = _ffi.new("uint32_t *"), _ffi.new("uint32_t *")
-        _lib.board_table(start, size)
+        start, size = self._ffi.new("uint32_t *"), self._ffi.new("uint32_t *")
+        self._lib.board_table(start, size)
         found: dict[str, int] = {}
         for entry in range(start[0], start[0] + size[0], _ENTRY_SIZE):
             data = self.read_memory(entry, _ENTRY_SIZE)
@@ -324,8 +429,8 @@ class Board:
     def _string(self, address: int) -> str:
         """Text of the board's memory; its terminating 00 is what the board does not let out."""
         text = bytearray()
-        byte = _ffi.new("uint8_t[1]")
-        while _lib.board_read(self._board, address + len(text), byte, 1) == 0:
+        byte = self._ffi.new("uint8_t[1]")
+        while self._lib.board_read(self._board, address + len(text), byte, 1) == 0:
             text.append(byte[0])
         return text.decode("latin-1")
 
@@ -333,61 +438,61 @@ class Board:
 
     def serial_in(self, data: bytes) -> int:
         """Put bytes on the wire to the board; returns how many there was room for."""
-        return int(_lib.board_serial_in(self._board, data, len(data)))
+        return int(self._lib.board_serial_in(self._board, data, len(data)))
 
     def serial_out(self) -> bytes:
         """Bytes that have come off the wire from the board and were not fetched yet."""
         room = 4096
-        buffer = _ffi.new("uint8_t[]", room)
+        buffer = self._ffi.new("uint8_t[]", room)
         parts: list[bytes] = []
         while True:
-            size = int(_lib.board_serial_out(self._board, buffer, room))
-            parts.append(bytes(_ffi.buffer(buffer, size)))
+            size = int(self._lib.board_serial_out(self._board, buffer, room))
+            parts.append(bytes(self._ffi.buffer(buffer, size)))
             if size < room:
                 return b"".join(parts)
 
     def serial_next_ns(self) -> int | None:
         """Simulated time at which the next byte on the wire is complete [ns]; None while the line is idle."""
-        next_ns = int(_lib.board_serial_next_ns(self._board))
+        next_ns = int(self._lib.board_serial_next_ns(self._board))
         return None if next_ns == _IDLE else next_ns
 
     # ---- plant ------------------------------------------------------------------------------------------------------
 
     def truth(self, axis: int) -> Truth:
         """What is really going on at an axis (index 0 or 1)."""
-        truth = _ffi.new("board_truth_t *")
-        _lib.board_truth(self._board, _axis_index(axis), truth)
+        truth = self._ffi.new("board_truth_t *")
+        self._lib.board_truth(self._board, _axis_index(axis), truth)
         return Truth(**{name: getattr(truth, name) for name in Truth.__dataclass_fields__})
 
     def stats(self) -> BoardStats:
         """Counters of the chip."""
-        stats = _ffi.new("board_stats_t *")
-        _lib.board_stats(self._board, stats)
+        stats = self._ffi.new("board_stats_t *")
+        self._lib.board_stats(self._board, stats)
         return BoardStats(**{name: getattr(stats, name) for name in BoardStats.__dataclass_fields__})
 
     def set_load(self, axis: int, torque: float) -> None:
         """External torque that slows positive motion and drives negative motion [N m]."""
-        _lib.board_set_load(self._board, _axis_index(axis), torque)
+        self._lib.board_set_load(self._board, _axis_index(axis), torque)
 
     def set_supply(self, volts: float) -> None:
         """Open-circuit voltage of the supply [V]."""
-        _lib.board_set_supply(self._board, volts)
+        self._lib.board_set_supply(self._board, volts)
 
     def lock_shaft(self, axis: int, locked: bool = True) -> None:
         """Hold the shaft of an axis fast, or let it go."""
-        _lib.board_set_shaft(self._board, _axis_index(axis), int(locked))
+        self._lib.board_set_shaft(self._board, _axis_index(axis), int(locked))
 
     def connect_encoder(self, axis: int, connected: bool = True) -> None:
         """Plug in the encoder of an axis, or pull its plug."""
-        _lib.board_set_encoder(self._board, _axis_index(axis), int(connected))
+        self._lib.board_set_encoder(self._board, _axis_index(axis), int(connected))
 
     def cut_encoder_line(self, axis: int, line: Literal["A", "B"]) -> None:
         """Leave one line of the encoder of an axis dead; `connect_encoder` repairs it."""
-        _lib.board_cut_encoder(self._board, _axis_index(axis), "AB".index(line))
+        self._lib.board_cut_encoder(self._board, _axis_index(axis), "AB".index(line))
 
     def connect_motor(self, axis: int, connected: bool = True) -> None:
         """Plug in the motor cable of an axis, or pull it."""
-        _lib.board_set_motor(self._board, _axis_index(axis), int(connected))
+        self._lib.board_set_motor(self._board, _axis_index(axis), int(connected))
 
 
 def _format(variable: Variable) -> str:

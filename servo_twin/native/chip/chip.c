@@ -213,6 +213,27 @@ bool chip_run(chip_t *chip, uint64_t until)
     return true;
 }
 
+int32_t chip_peek(chip_t *chip, uint32_t address)
+{
+    if (chip->failed || setjmp(chip->escape) != 0) {
+        return -1;
+    }
+    chip->core.polls = 0;
+    return chip_read(chip, address);
+}
+
+int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
+{
+    if (chip->failed || setjmp(chip->escape) == ESCAPE_FAILURE) {
+        return -1;
+    }
+    if (!chip->must_boot) { /* a write that resets the chip comes back to here */
+        chip_write(chip, address, value);
+        core_step(chip);
+    }
+    return 0;
+}
+
 void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *world)
 {
     memset(chip, 0, sizeof *chip);

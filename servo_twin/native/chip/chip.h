@@ -93,6 +93,10 @@ void chip_interrupts(chip_t *chip, bool on);
 /* A digital input changes at the present clock. */
 void chip_pin(chip_t *chip, unsigned pin, bool level);
 
+/* Registers from outside of chip_run, as with a debugger: the value, or 0; -1 after an error. */
+int32_t chip_peek(chip_t *chip, uint32_t address);
+int chip_poke(chip_t *chip, uint32_t address, uint16_t value);
+
 /* Level of a pin, whoever drives it. */
 bool chip_pin_level(const chip_t *chip, unsigned pin);
 

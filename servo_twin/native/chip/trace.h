@@ -5,6 +5,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* CFFI-BEGIN */
 typedef enum {
     TRACE_CYCLE,     /* a counter starts from INIT: a = 4 module + submodule, b = INIT */
     TRACE_MATCH,     /* a watched compare matches: a = 4 module + submodule, b = number of the VAL */
@@ -24,6 +25,7 @@ typedef struct {
     uint64_t clock;
     uint32_t kind, a, b;
 } trace_entry_t;
+/* CFFI-END */
 
 typedef struct {
     trace_entry_t *entry;

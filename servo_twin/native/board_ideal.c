@@ -1,0 +1,144 @@
+/* The board with the ideal chip and the averaged plant. */
+#include "board_parts.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "ideal_chip.h"
+
+struct board {
+    servo_t servo;
+    hal_t chip;
+};
+
+board_t *board_new(const board_config_t *config)
+{
+    board_t *board = (board_t *)calloc(1, sizeof *board);
+    if (board != NULL) {
+        chip_init(&board->chip, config, &board->servo);
+        servo_init(&board->servo, &board->chip);
+    }
+    return board;
+}
+
+void board_free(board_t *board) { free(board); }
+
+servo_t *board_servo(board_t *board) { return &board->servo; }
+
+const char *board_error(const board_t *board)
+{
+    (void)board;
+    return NULL;
+}
+
+void board_advance(board_t *board, uint64_t until_ns) { (void)chip_run(&board->chip, until_ns, false); }
+
+uint64_t board_time_ns(const board_t *board) { return board->chip.now_ns; }
+
+size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_rows)
+{
+    const size_t size = sizeof board->servo.snapshot;
+    size_t rows = 0;
+    while (rows < max_rows) {
+        const uint32_t tick = board->servo.snapshot.tick;
+        if (!chip_run(&board->chip, until_ns, true)) {
+            break;
+        }
+        if (board->servo.snapshot.tick != tick) {
+            memcpy(log + rows * size, &board->servo.snapshot, size);
+            rows++;
+        }
+    }
+    return rows;
+}
+
+size_t board_serial_in(board_t *board, const uint8_t *data, size_t size)
+{
+    return uart_host_write(&board->chip.uart, data, size, board->chip.now_ns);
+}
+
+size_t board_serial_out(board_t *board, uint8_t *data, size_t room)
+{
+    return uart_host_read(&board->chip.uart, data, room);
+}
+
+uint64_t board_serial_next_ns(const board_t *board) { return uart_next_ns(&board->chip.uart); }
+
+static plant_drive_t *drive_of(board_t *board, int axis) { return &board->chip.plant.axis[axis]; }
+
+void board_truth(const board_t *board, int axis, board_truth_t *truth)
+{
+    const plant_drive_t *drive = &board->chip.plant.axis[axis];
+    *truth = (board_truth_t){
+        .theta_m = drive->motor.theta,
+        .omega_m = drive->motor.omega,
+        .i_d = drive->motor.i_d,
+        .i_q = drive->motor.i_q,
+        .torque_e = plant_motor_torque(&drive->motor),
+        .u_a = drive->voltage[0],
+        .u_b = drive->voltage[1],
+        .u_c = drive->voltage[2],
+        .u_dc = board->chip.plant.bus.u_dc,
+    };
+}
+
+void board_stats(const board_t *board, board_stats_t *stats)
+{
+    *stats = (board_stats_t){
+        .serial_overruns = board->chip.uart.overruns,
+        .serial_lost = board->chip.uart.tx_lost,
+        .breaks = board->chip.breaks,
+        .watchdog_services = board->chip.watchdog,
+    };
+}
+
+void board_set_load(board_t *board, int axis, double torque) { drive_of(board, axis)->motor.load = torque; }
+
+void board_set_supply(board_t *board, double volts) { board->chip.plant.bus.u_source = volts; }
+
+void board_set_shaft(board_t *board, int axis, int locked)
+{
+    plant_motor_lock(&drive_of(board, axis)->motor, locked != 0);
+}
+
+void board_set_encoder(board_t *board, int axis, int connected)
+{
+    plant_drive_t *drive = drive_of(board, axis);
+    plant_encoder_connect(&drive->encoder, connected != 0, drive->motor.theta);
+}
+
+void board_cut_encoder(board_t *board, int axis, int line)
+{
+    plant_encoder_cut(&drive_of(board, axis)->encoder, (line == 0) ? PLANT_LINE_A : PLANT_LINE_B);
+}
+
+void board_set_motor(board_t *board, int axis, int connected)
+{
+    plant_drive_t *drive = drive_of(board, axis);
+    plant_inverter_plug(&drive->inverter, &drive->motor, connected != 0);
+}
+
+/* ---- registers: there are none ------------------------------------------------------------------------------------ */
+
+size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room)
+{
+    (void)log;
+    (void)room;
+    board_advance(board, until_ns);
+    return 0;
+}
+
+int32_t board_peek(board_t *board, uint32_t address)
+{
+    (void)board;
+    (void)address;
+    return -1;
+}
+
+int board_poke(board_t *board, uint32_t address, uint16_t value)
+{
+    (void)board;
+    (void)address;
+    (void)value;
+    return -1;
+}

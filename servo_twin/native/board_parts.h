@@ -1,0 +1,10 @@
+/* board_parts.h - what the two levels of a board offer to the part that they share. */
+#ifndef SERVO_TWIN_BOARD_PARTS_H
+#define SERVO_TWIN_BOARD_PARTS_H
+
+#include "app/servo.h"
+#include "board.h"
+
+servo_t *board_servo(board_t *board);
+
+#endif

@@ -1,0 +1,276 @@
+/* The board with the MC56F84789 at register level and the plant at switching level. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "board_parts.h"
+#include "chip/chip.h"
+#include "plant/switching.h"
+#include "port/mc56f84789/port.h"
+
+#define CLOCK_NS 10u
+#define SYNC_CLOCKS 2u /* through the crossbar; not documented, two flip-flops are assumed */
+
+struct board {
+    servo_t servo;
+    hal_t hal;
+    chip_t chip;
+    switching_t plant;
+    board_core_t core;
+    uint64_t time_ns;
+    uint32_t breaks;
+    bool tripped[BOARD_AXES];
+    bool recording; /* stop after each slow tick */
+};
+
+/* ---- what is soldered where ----------------------------------------------------------------------------------------- */
+
+static const chip_wiring_t wiring = {
+    .gate = {{{CHIP_PIN('E', 1), CHIP_PIN('E', 0)}, {CHIP_PIN('E', 3), CHIP_PIN('E', 2)}, {CHIP_PIN('E', 5), CHIP_PIN('E', 4)}},
+             {{CHIP_PIN('G', 3), CHIP_PIN('G', 2)}, {CHIP_PIN('G', 1), CHIP_PIN('G', 0)}, {CHIP_PIN('E', 7), CHIP_PIN('E', 6)}}},
+    .txd = CHIP_PIN('C', 7),
+    .rxd = CHIP_PIN('C', 8),
+};
+
+static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN('C', 4)}, {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
+static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
+
+/* Analogue pins ANA0-7, ANB0-7. Phase b is on both converters, so that any two phases can be sampled together. */
+typedef enum { NOTHING, CURRENT, BUS, SINK } analog_kind_t;
+
+static const struct {
+    analog_kind_t kind;
+    int axis, phase;
+} analog[16] = {
+    [0] = {CURRENT, 0, 0}, [1] = {CURRENT, 0, 1}, [8] = {CURRENT, 0, 1}, [9] = {CURRENT, 0, 2},
+    [4] = {CURRENT, 1, 0}, [5] = {CURRENT, 1, 1}, [12] = {CURRENT, 1, 1}, [13] = {CURRENT, 1, 2},
+    [6] = {BUS, 0, 0},     [14] = {SINK, 0, 0},   [15] = {SINK, 1, 0},
+};
+
+#define SINK_FULL_SCALE 150.0 /* [deg C] at 3.3 V */
+
+/* ---- the world of the chip ------------------------------------------------------------------------------------------ */
+
+static void advance(void *context, uint64_t clock)
+{
+    board_t *board = (board_t *)context;
+    switching_advance(&board->plant, clock);
+}
+
+static uint64_t next(void *context)
+{
+    board_t *board = (board_t *)context;
+    return switching_next(&board->plant);
+}
+
+static void events(void *context)
+{
+    board_t *board = (board_t *)context;
+    switching_event_t event;
+    while (switching_take(&board->plant, &event)) {
+        if (event.kind == SWITCHING_ENCODER) {
+            chip_pin(&board->chip, encoder_pin[event.axis][event.line], event.level);
+        } else {
+            chip_pin(&board->chip, comparator_pin[event.axis], event.level);
+            board->breaks += (event.level && !board->tripped[event.axis]) ? 1u : 0u;
+            board->tripped[event.axis] = event.level;
+        }
+    }
+}
+
+static void gates(void *context, unsigned module, unsigned submodule, unsigned levels)
+{
+    board_t *board = (board_t *)context;
+    switching_edge(&board->plant, (int)module, (int)submodule, (switching_leg_t)levels);
+}
+
+static uint16_t convert(void *context, unsigned channel)
+{
+    board_t *board = (board_t *)context;
+    switch (analog[channel].kind) {
+    case CURRENT:
+        return switching_current_code(&board->plant, analog[channel].axis, analog[channel].phase);
+    case BUS:
+        return switching_bus_code(&board->plant);
+    case SINK:
+        return plant_code_unipolar(board->plant.axis[analog[channel].axis].sink.t, SINK_FULL_SCALE);
+    default:
+        return 0;
+    }
+}
+
+static void boot(void *context)
+{
+    board_t *board = (board_t *)context;
+    memset(&board->servo, 0, sizeof board->servo);
+    memset(&board->hal, 0, sizeof board->hal);
+    board->hal.chip = &board->chip;
+    (void)port_init(&board->hal, &board->servo);
+}
+
+static uint32_t interrupt(void *context, unsigned vector)
+{
+    board_t *board = (board_t *)context;
+    const board_core_t *core = &board->core;
+    const bool slow = board->servo.slow_tick;
+    const uint32_t tick = board->servo.snapshot.tick;
+    port_isr(&board->hal, (uint16_t)vector);
+    switch (vector) {
+    case 85: /* PWMA_CMP1 */
+        return board->servo.slow_tick ? core->m1_slow : core->m1;
+    case VECTOR_ADC_CC0:
+        board->chip.stop = board->recording && board->servo.snapshot.tick != tick;
+        return slow ? core->m2_slow : core->m2;
+    case 87: /* PWMA_CMP0 */
+        return core->start;
+    case VECTOR_PWMA_FAULT:
+    case VECTOR_PWMB_FAULT:
+        return core->fault;
+    case VECTOR_TMRA0:
+    case VECTOR_TMRB0:
+        return core->edge;
+    default:
+        return core->receive;
+    }
+}
+
+static void background(void *context)
+{
+    board_t *board = (board_t *)context;
+    servo_background(&board->servo);
+}
+
+/* ---- board.h -------------------------------------------------------------------------------------------------------- */
+
+board_t *board_new(const board_config_t *config)
+{
+    board_t *board = (board_t *)calloc(1, sizeof *board);
+    if (board == NULL) {
+        return NULL;
+    }
+    board->core = config->core;
+    switching_init(&board->plant, config);
+    const chip_config_t chip = {.wiring = wiring, .baud = config->baud, .crossbar_clocks = SYNC_CLOCKS};
+    const chip_world_t world = {board, advance, next, events, gates, convert, boot, interrupt, background};
+    chip_init(&board->chip, &chip, &world);
+    for (int axis = 0; axis < BOARD_AXES; axis++) {
+        for (int line = 0; line < 2; line++) {
+            chip_pin(&board->chip, encoder_pin[axis][line], switching_line(&board->plant, axis, line));
+        }
+    }
+    (void)chip_run(&board->chip, 0);
+    board->time_ns = board->chip.now * CLOCK_NS;
+    return board;
+}
+
+void board_free(board_t *board) { free(board); }
+
+servo_t *board_servo(board_t *board) { return &board->servo; }
+
+const char *board_error(const board_t *board) { return board->chip.failed ? board->chip.error : NULL; }
+
+/* Returns true if it has stopped before `until_ns`, for a slow tick. */
+static bool run(board_t *board, uint64_t until_ns)
+{
+    board->chip.stop = false;
+    for (int axis = 0; axis < BOARD_AXES; axis++) {
+        switching_mean(&board->plant, axis);
+    }
+    (void)chip_run(&board->chip, until_ns / CLOCK_NS);
+    const uint64_t reached = board->chip.now * CLOCK_NS;
+    if (board->chip.stop || board->chip.failed) {
+        board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
+        return board->chip.stop;
+    }
+    board->time_ns = (until_ns > board->time_ns) ? until_ns : board->time_ns;
+    board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
+    return false;
+}
+
+void board_advance(board_t *board, uint64_t until_ns) { (void)run(board, until_ns); }
+
+uint64_t board_time_ns(const board_t *board) { return board->time_ns; }
+
+size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_rows)
+{
+    const size_t size = sizeof board->servo.snapshot;
+    size_t rows = 0;
+    board->recording = true;
+    while (rows < max_rows && run(board, until_ns)) {
+        memcpy(log + rows * size, &board->servo.snapshot, size);
+        rows++;
+    }
+    board->recording = false;
+    return rows;
+}
+
+size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room)
+{
+    board->chip.trace = (trace_t){.entry = log, .size = 0, .room = room};
+    board_advance(board, until_ns);
+    const size_t size = board->chip.trace.size;
+    board->chip.trace = (trace_t){.entry = NULL, .size = 0, .room = 0};
+    return size;
+}
+
+int32_t board_peek(board_t *board, uint32_t address) { return chip_peek(&board->chip, address); }
+
+int board_poke(board_t *board, uint32_t address, uint16_t value) { return chip_poke(&board->chip, address, value); }
+
+size_t board_serial_in(board_t *board, const uint8_t *data, size_t size)
+{
+    return chip_line_write(&board->chip, data, size);
+}
+
+size_t board_serial_out(board_t *board, uint8_t *data, size_t room) { return chip_line_read(&board->chip, data, room); }
+
+uint64_t board_serial_next_ns(const board_t *board)
+{
+    const uint64_t clock = chip_line_next(&board->chip);
+    return (clock == CHIP_NEVER) ? UINT64_MAX : clock * CLOCK_NS;
+}
+
+void board_truth(const board_t *board, int axis, board_truth_t *truth)
+{
+    switching_truth_t now;
+    switching_bus_t bus;
+    switching_truth(&board->plant, axis, &now);
+    switching_bus(&board->plant, &bus);
+    const double middle = 0.5 * bus.u_dc;
+    *truth = (board_truth_t){
+        .theta_m = now.theta,
+        .omega_m = now.omega,
+        .i_d = now.i_d,
+        .i_q = now.i_q,
+        .torque_e = now.torque,
+        .u_a = now.voltage[0] - middle,
+        .u_b = now.voltage[1] - middle,
+        .u_c = now.voltage[2] - middle,
+        .u_dc = bus.u_dc,
+    };
+}
+
+void board_stats(const board_t *board, board_stats_t *stats)
+{
+    *stats = (board_stats_t){
+        .serial_overruns = board->chip.line.overruns + board->hal.overruns,
+        .serial_lost = board->chip.line.lost,
+        .breaks = board->breaks,
+        .watchdog_services = board->chip.cop.services,
+    };
+}
+
+void board_set_load(board_t *board, int axis, double torque) { switching_set_load(&board->plant, axis, torque); }
+
+void board_set_supply(board_t *board, double volts) { switching_set_supply(&board->plant, volts); }
+
+void board_set_shaft(board_t *board, int axis, int locked) { switching_lock(&board->plant, axis, locked != 0); }
+
+void board_set_encoder(board_t *board, int axis, int connected)
+{
+    switching_cut(&board->plant, axis, 0, connected == 0);
+    switching_cut(&board->plant, axis, 1, connected == 0);
+}
+
+void board_cut_encoder(board_t *board, int axis, int line) { switching_cut(&board->plant, axis, line, true); }
+
+void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }
