@@ -20,11 +20,33 @@ static void enter(fake_chip_t *chip, fake_kind_t kind, uint32_t address, uint16_
     }
 }
 
+/* Nothing is zero that the port has not made zero, but for flags. */
+static void fill(uint16_t *memory)
+{
+    for (uint32_t address = 0xE000; address < 0xE800; address++) {
+        memory[address] = 0x5A5A;
+    }
+    for (uint32_t module = PWMA_BASE; module <= PWMB_BASE; module += PWMB_BASE - PWMA_BASE) {
+        for (uint32_t sm = 0; sm < PWM_SUBMODULES; sm++) {
+            memory[module + PWM_SM(sm) + PWM_STS] = 0;
+        }
+        memory[module + PWM_FSTS0] = 0;
+        memory[module + PWM_MCTRL] = 0;
+    }
+    for (uint32_t channel = 0; channel < 2 * TMR_CHANNELS; channel++) {
+        memory[TMRA_BASE + TMR_CHANNEL(channel) + TMR_SCTRL] = 0;
+    }
+    memory[ADC_RDY] = 0;
+    memory[OCCS_STAT] = 0;
+    memory[QSCI0_BASE + QSCI_STAT] = 0;
+}
+
 fake_chip_t *fake_new(void)
 {
     fake_board_t *board = (fake_board_t *)calloc(1, sizeof *board);
     board->hal.chip = &board->chip;
     uint16_t *memory = board->chip.memory;
+    fill(memory);
     for (uint16_t n = 0; n < 2; n++) {
         const uint16_t module = (n == 0) ? PWMA_BASE : PWMB_BASE;
         for (uint16_t sm = 0; sm < PWM_SUBMODULES; sm++) {

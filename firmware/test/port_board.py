@@ -98,6 +98,9 @@ class FakeBoard:
     def writes(self) -> list[tuple[int, int]]:
         return [(a.address, a.value) for a in self.accesses if a.kind == WRITE]
 
+    def writes_of(self, address: int) -> list[int]:
+        return [value for register, value in self.writes if register == address]
+
     def __getitem__(self, address: int) -> int:
         return int(self.chip.memory[address])
 

@@ -147,16 +147,25 @@ def test_selecting_the_same_pair_again_costs_nothing(board: FakeBoard) -> None:
 # ---- a lost trigger -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ready", [0, SECOND, FIRST | SECOND, 0x0307])
-def test_m1_with_a_wrong_scan_starts_anew(board: FakeBoard, ready: int) -> None:
+@pytest.mark.parametrize(
+    ("vector", "ready"),
+    [(ISR_M1, ready) for ready in (0, SECOND, FIRST | SECOND, 0x0307)]
+    + [(ISR_M2, ready) for ready in (0, FIRST, FIRST | SECOND, 0x3830)],
+)
+def test_wrong_scan_starts_anew(board: FakeBoard, vector: int, ready: int) -> None:
     board.lib.hal_pwm_enable(board.hal, 0, True)
+    board.isr(START)
+    board[0xE612] = 0x0020  # VAL5 of SM0 has matched in every period
+    board[0xE509] = 0x0800
     board.results(ready, {})
-    board.isr(ISR_M1)
+    board.isr(vector)
     assert servo_calls(board) == []
     assert (board[0xE645], board[0xE643], board[0xE715]) == (0, 0, 0)  # triggers and M1 off
-    assert board[0xE613] == 0x0020  # the start interrupt waits again
-    adc = [(address, value) for address, value in board.writes if address == 0xE500]
-    assert adc == [(0xE500, 0x5005), (0xE500, 0x1805)]
+    assert board[0xE613] == 0x0020  # the start interrupt waits again,
+    assert board[0xE612] == 0  # for the next match
+    assert board.writes_of(0xE500) == [0x5005, 0x1805]
+    assert board.writes_of(0xE501) == [0x4044, 0x0044]
+    assert not board[0xE509]
     assert not board[RDY] & 0x3F3F
     assert board[0xE6C0] == 0x0770  # the duties stand
 

@@ -32,6 +32,7 @@ PWM_SM = {
     0x05: (0, 0, 0),
     0x07: (0x0C34, 0x0C34, 0x0C34),
     0x0D: (0xF42F, 0xF42F, 0xF42F),
+    0x10: (0, 0, 0),
     0x11: (0, 0, 0),
     0x16: (0xFF11, 0xFF11, 0xFF11),
     0x17: (0xFF00, 0xFF00, 0xFF00),
@@ -47,6 +48,7 @@ def test_pwm_submodules(board: FakeBoard, axis: int, ctrl2: tuple[int, int, int]
         found = {offset: board[base + offset] for offset in PWM_SM}
         assert found == {offset: values[sm] for offset, values in PWM_SM.items()}
         assert board[base + 0x02] & ~0x40 == ctrl2[sm]
+        assert board[base + 0x0F] == {(0, 0): 1674, (0, 1): 0xF4AA}.get((axis, sm), 0)
         low, high = board[base + 0x09], board[base + 0x0B]
         assert (low + high) & 0xFFFF == 0  # symmetrical about zero
         assert high == 3125 // 2
@@ -68,7 +70,7 @@ def test_pwm_module(board: FakeBoard, axis: int) -> None:
     assert board[module + 0xC6] == 0x1011
     assert board[module + 0xC7] & 0x00F0 == 0x0010
     assert board[module + 0xC8] == 0x0202
-    assert board[module + 0xC3] == 0
+    assert board[module + 0xC1] == board[module + 0xC3] == 0
 
 
 def test_adc(board: FakeBoard) -> None:
@@ -80,7 +82,11 @@ def test_adc(board: FakeBoard) -> None:
     assert board[0xE553] == 0x040F
     assert board[0xE54E] == 0x1DA4  # power bits only
     assert [board[0xE53E + n] for n in range(16)] == [0] * 16
-    assert board[0xE555] == 0
+    others = (0xE502, 0xE503, 0xE54F, 0xE550, 0xE551, 0xE554, 0xE555)
+    assert [board[address] for address in others] == [0] * len(others)
+    assert board.writes_of(0xE500) == [0x5005, 0x1805]  # stopped while it is set up
+    assert board.writes_of(0xE501) == [0x4044, 0x0044]
+    assert (0xE509, 0x1800) in board.writes
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -121,10 +127,10 @@ def test_clock_serial_watchdog(board: FakeBoard) -> None:
 
 def test_pins(board: FakeBoard) -> None:
     per = {port: board[base + 3] for port, base in GPIO.items()}
-    assert per == {"A": 0x73, "B": 0xF3, "C": 0x019F, "D": 0, "E": 0x01FF, "F": 0x4100, "G": 0x000F}
+    assert per == {"A": 0x73, "B": 0xF3, "C": 0x019F, "D": 0x5A5A, "E": 0x01FF, "F": 0x4100, "G": 0x000F}
     assert board[GPIO["F"] + 2] == 0x00C0  # scope pins are outputs
-    selects = [board[address] for address in range(0xE417, 0xE422)]
-    assert selects == [0, 0, 0x4010, 0x0001, 0, 0xA000, 0x0001, 0, 0x1001, 0, 0]
+    selects = [board[address] for address in range(0xE417, 0xE422) if address not in (0xE418, 0xE41B, 0xE421)]
+    assert selects == [0, 0x4010, 0x0001, 0xA000, 0x0001, 0, 0x1001, 0]
 
 
 # ---- order ----------------------------------------------------------------------------------------------------------
@@ -174,10 +180,10 @@ def test_pwm_order(board: FakeBoard, axis: int) -> None:
     module = PWM[axis]
     force = first(board, module + 0x02, board[module + 0x02])
     values = max(last(board, module + 0x30 * sm + offset) for sm in range(3) for offset in (1, 5, 7, 9, 0xB, 0xD))
-    ldok = first(board, module + 0xC4, 0x0007)
-    faults = first(board, module + 0xC6, 0x1011)
-    run = first(board, module + 0xC4, 0x0707)
-    assert first(board, module + 0xC0) < values < ldok < force < faults < run
+    mctrl = [first(board, module + 0xC4, value) for value in (0, 0x0007, 0x0707)]
+    faults = [first(board, module + 0xC6, 0x1010), first(board, module + 0xC7), first(board, module + 0xC6, 0x1011)]
+    assert mctrl[0] < values
+    assert first(board, module + 0xC0) < values < mctrl[1] < force < faults[0] < faults[1] < faults[2] < mctrl[2]
     assert board[module + 0x02] & 0x40 == 0x40
     assert first(board, module + 0xC0) < first(board, GPIO["EG"[axis]] + 3)
 

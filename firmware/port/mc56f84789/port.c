@@ -122,7 +122,6 @@ bool port_init(hal_t *hal, servo_t *servo)
     }
     interrupts_init(hal);
     servo_init(servo, hal);
-    sequence_stop(hal);
     pwm_run(hal);
     sequence_arm(hal);
     cop_start(hal);
