@@ -1,0 +1,31 @@
+"""Where the servo uses what on the chip (DRM 4.3): submodules, crossbar inputs, vectors, registers of the start."""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = ["PHASES", "START_STEPS", "VECTOR_M1", "VECTOR_M2", "VECTOR_START"]
+
+PHASES: Final = ((0, 1, 2), (4, 5, 6))
+"""Submodules (4 module + submodule) of the phases a, b, c of both motors."""
+
+VECTOR_M1: Final = 85
+"""PWMA SM1, compare (VAL5)."""
+VECTOR_M2: Final = 30
+"""ADC, end of scan."""
+VECTOR_START: Final = 87
+"""PWMA SM0, compare (VAL5)."""
+
+_SM0_A, _SM1_A, _SM0_B = 0xE600, 0xE630, 0xE700
+_STS, _INTEN, _TCTRL = 0x12, 0x13, 0x15
+_VAL4, _VAL5 = 1 << 4, 1 << 5
+
+START_STEPS: Final = (
+    ("clear the flag of PWMA SM1 VAL5", _SM1_A + _STS, _VAL5),
+    ("enable the trigger of PWMA SM1 VAL4", _SM1_A + _TCTRL, _VAL4),
+    ("enable the interrupt of PWMA SM1 VAL5", _SM1_A + _INTEN, _VAL5),
+    ("enable the trigger of PWMB SM0 VAL4", _SM0_B + _TCTRL, _VAL4),
+    ("clear the flag of PWMA SM0 VAL5", _SM0_A + _STS, _VAL5),
+    ("disable the interrupt of PWMA SM0 VAL5", _SM0_A + _INTEN, 0),
+)
+"""What the start interrupt does, in order: step, address, value written (DRM 4.3.3)."""

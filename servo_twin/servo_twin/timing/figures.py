@@ -1,0 +1,255 @@
+"""The figures of DRM F34, F35 and F38 and the start of DRM 4.3.3, measured on a trace. Pure."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_twin.experiments.outcome import Bound, Row
+from servo_twin.timing.chip_map import PHASES, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
+from servo_twin.timing.trace import CLOCK, Kind, Trace
+
+__all__ = ["circle", "start"]
+
+PWM: Final = 16e3  # [Hz]
+PAIRS: Final = 3  # per motor (F35)
+MOTORS: Final = ("motor 1", "motor 2")
+VECTORS: Final = (VECTOR_M1, VECTOR_M2)
+NAMES: Final = ("M1", "M2")
+
+PHASE_MOST: Final = 0.3
+"""Off 180 degrees: a few clocks through the crossbar [degrees]."""
+CENTRE_MOST: Final = 1.0e-6
+"""From the centre of a window to the sample in it: the delays of amplifier and converter [s]."""
+CONVERSION: Final = 0.3e-6
+"""Each pair after the first takes 6 clocks of the converter at 20 MHz [s]."""
+
+SOON: Final = 5e-6
+"""From the data to the interrupt that reads them [s]; later they would be those of another half period."""
+
+
+def circle(trace: Trace) -> list[Row]:
+    """Rows about the circle t0..t3, from a trace of some hundred periods with both axes under control."""
+    return [*_carriers(trace), *_samples(trace), *_scans(trace), *_interrupts(trace)]
+
+
+# ---- carriers (F33, F34) ---------------------------------------------------------------------------------------------
+
+
+def _carriers(trace: Trace) -> list[Row]:
+    rows: list[Row] = []
+    for motor, phases in zip(MOTORS, PHASES, strict=True):
+        cycles = [trace.clocks(Kind.CYCLE, submodule) for submodule in phases]
+        periods = np.diff(cycles[0])
+        clocks = 1.0 / (PWM * CLOCK)
+        exact = Bound(clocks - 0.5, clocks + 0.5)
+        rows.append(Row(f"{motor}: period, shortest", "4.3.1: 16 kHz", _least(periods), "clocks", exact))
+        rows.append(Row(f"{motor}: period, longest", "4.3.1: 16 kHz", _most(periods), "clocks", exact))
+        apart = _apart(cycles)
+        rows.append(Row(f"{motor}: counters apart", "F33: in step", apart, "clocks", Bound(0.0, 0.0)))
+    first, second = (trace.clocks(Kind.CYCLE, phases[0]) for phases in PHASES)
+    turns = 360.0 * _after(first, second) * CLOCK * PWM
+    around = Bound(180.0 - PHASE_MOST, 180.0 + PHASE_MOST)
+    rows.append(Row("motor 2 behind motor 1, least", "F34: 180 degrees", _least(turns), "deg", around))
+    rows.append(Row("motor 2 behind motor 1, most", "F34: 180 degrees", _most(turns), "deg", around))
+    return rows
+
+
+def _apart(counters: Sequence[NDArray[np.int64]]) -> float | None:
+    """Largest distance of the events of counters that ought to be one [clocks]."""
+    size = min(clocks.size for clocks in counters)
+    if size == 0 or max(clocks.size for clocks in counters) > size + 1:
+        return None
+    return float(np.ptp([clocks[:size] for clocks in counters], axis=0).max())
+
+
+# ---- samples (F34) ---------------------------------------------------------------------------------------------------
+
+
+def _samples(trace: Trace) -> list[Row]:
+    rows: list[Row] = []
+    for number, (motor, phases) in enumerate(zip(MOTORS, PHASES, strict=True)):
+        own, foreign = number * PAIRS, (1 - number) * PAIRS + 1
+        for what, sample, switch, side in (("currents", own, 1, "low"), ("offsets", foreign, 0, "high")):
+            instants = trace.clocks(Kind.SAMPLE, sample)
+            offsets = [_from_centre(trace.intervals(phase, switch), instants) for phase in phases]
+            both = np.concatenate(offsets) * CLOCK if offsets else np.empty(0)
+            within = Bound(0.0, CENTRE_MOST * 1e6)
+            text = f"F34: {side}-side centre"
+            rows.append(Row(f"{motor}: {what} after the centre, least", text, _scaled(_least(both)), "us", within))
+            rows.append(Row(f"{motor}: {what} after the centre, most", text, _scaled(_most(both)), "us", within))
+    return rows
+
+
+def _from_centre(intervals: NDArray[np.int64], instants: NDArray[np.int64]) -> NDArray[np.float64]:
+    """From the centre of the interval that an instant lies in to the instant [clocks]; none for those in none."""
+    if intervals.size == 0 or instants.size == 0:
+        return np.empty(0)
+    index = np.searchsorted(intervals[:, 0], instants, side="right") - 1
+    chosen = intervals[np.clip(index, 0, None)]
+    inside = (index >= 0) & (instants <= chosen[:, 1])
+    return np.asarray((instants - chosen.mean(axis=1))[inside])
+
+
+# ---- scans (F35) -----------------------------------------------------------------------------------------------------
+
+
+def _scans(trace: Trace) -> list[Row]:
+    """Six pairs in a row, with a pause after the third."""
+    ends = trace.clocks(Kind.SCAN_END, 0)
+    samples = trace.of(Kind.SAMPLE)
+    clocks, pairs = samples["clock"].astype(np.int64), samples["a"] % 8
+    first = samples["a"] < 8
+    in_order, together, pauses = 0, 0, []
+    for begin, end in itertools.pairwise(ends):
+        scan = (clocks > begin) & (clocks <= end)
+        on_a = pairs[scan & first]
+        in_order += on_a.tolist() == list(range(2 * PAIRS))
+        together += _same(clocks, pairs, scan & first, scan & ~first)
+        instants = clocks[scan & first]
+        if instants.size == 2 * PAIRS:
+            pauses.append(instants[PAIRS] - instants[PAIRS - 1])
+    count = max(ends.size - 1, 0)
+    whole = Bound(1.0, 1.0)
+    half = 0.5 / PWM * 1e6
+    pause = _scaled(_least(np.asarray(pauses) * CLOCK))
+    return [
+        Row("scans with six pairs in order", "F35", _share(in_order, count), "of all", whole),
+        Row("scans with both converters together", "F35: parallel", _share(together, count), "of all", whole),
+        Row("pause after the third pair, least", "F35: until t2", pause, "us", Bound(0.5 * half, half)),
+    ]
+
+
+def _same(
+    clocks: NDArray[np.int64], pairs: NDArray[np.uint32], one: NDArray[np.bool_], other: NDArray[np.bool_]
+) -> bool:
+    """Whether both converters hold the same pairs at the same instants."""
+    return bool(np.array_equal(clocks[one], clocks[other]) and np.array_equal(pairs[one], pairs[other]))
+
+
+# ---- interrupts (F34, F38) -------------------------------------------------------------------------------------------
+
+
+def _interrupts(trace: Trace) -> list[Row]:
+    rows: list[Row] = []
+    periods = trace.clocks(Kind.CYCLE, PHASES[0][0])
+    loads = [trace.clocks(Kind.LOAD, phases[0]) for phases in PHASES]
+    ready = (trace.clocks(Kind.SAMPLE, PAIRS - 1), trace.clocks(Kind.SCAN_END, 0))
+    for name, vector, load, data in zip(NAMES, VECTORS, loads, ready, strict=True):
+        runs = trace.handlers(vector)
+        lengths = (runs[:, 1] - runs[:, 0]) * CLOCK
+        per_period = _share(runs.shape[0], periods.size)
+        about_one = Bound(1.0 - 2.0 / max(periods.size, 1), 1.0 + 2.0 / max(periods.size, 1))
+        rows.append(Row(f"{name} per PWM period", "F38: once", per_period, "", about_one))
+        since = _scaled(_least(_before(data, runs[:, 0]) * CLOCK))
+        least = CONVERSION if vector == VECTOR_M1 else 0.0
+        text = "t1: after three conversions" if vector == VECTOR_M1 else "t3: after the scan"
+        rows.append(Row(f"{name} begins after its data, least", text, since, "us", Bound(least * 1e6, SOON * 1e6)))
+        spare = _scaled(_least(_after(runs[:, 1], load) * CLOCK))
+        text = "F38: done before half the period"
+        rows.append(Row(f"{name} done before its duties load, least", text, spare, "us", Bound(0.0, 0.5 / PWM * 1e6)))
+        longest = Bound(0.0, 0.5 / PWM * 1e6)
+        rows.append(Row(f"{name}, longest", "F38", _scaled(_most(lengths)), "us", longest))
+    order = _order(trace)
+    rows.append(Row("periods with t0, t1, t2, t3 in order", "F34", order, "of all", Bound(1.0, 1.0)))
+    overlap = _overlap(trace.handlers(VECTOR_M1), trace.handlers(VECTOR_M2))
+    rows.append(Row("M1 and M2 at the same time", "never", overlap, "times", Bound(0.0, 0.0)))
+    return rows
+
+
+def _order(trace: Trace) -> float | None:
+    """Share of the periods in which currents of motor 1, M1, currents of motor 2 and M2 come in this order."""
+    begins = (
+        trace.clocks(Kind.SAMPLE, 0),
+        trace.clocks(Kind.ENTER, VECTOR_M1),
+        trace.clocks(Kind.SAMPLE, PAIRS),
+        trace.clocks(Kind.ENTER, VECTOR_M2),
+    )
+    marks = np.concatenate([np.full(clocks.size, k) for k, clocks in enumerate(begins)])
+    sequence = marks[np.argsort(np.concatenate(begins), kind="stable")]
+    if sequence.size < 2:
+        return None
+    return float(np.mean((sequence[1:] - sequence[:-1]) % 4 == 1))
+
+
+def _overlap(one: NDArray[np.int64], other: NDArray[np.int64]) -> float:
+    """How often a handler begins while another has not ended."""
+    runs = np.concatenate([one, other])
+    runs = runs[np.argsort(runs[:, 0], kind="stable")]
+    return float(np.sum(runs[1:, 0] < runs[:-1, 1]))
+
+
+# ---- start (4.3.3) ---------------------------------------------------------------------------------------------------
+
+
+def start(trace: Trace) -> list[Row]:
+    """Rows about the start interrupt, from a trace from power-on until both loops run."""
+    runs = trace.handlers(VECTOR_START)
+    writes = trace.of(Kind.WRITE)
+    rows = [Row("start interrupt", "4.3.3: runs once", float(runs.shape[0]), "times", Bound(1.0, 1.0))]
+    steps: Sequence[tuple[int, int]] = []
+    if runs.shape[0]:
+        inside = writes[(writes["clock"] >= runs[0, 0]) & (writes["clock"] <= runs[0, 1])]
+        steps = [(int(entry["a"]), int(entry["b"])) for entry in inside]
+    wanted = [(address, value) for _, address, value in START_STEPS]
+    done = _in_order(steps, wanted)
+    everything = Bound(float(len(wanted)), float(len(wanted)))
+    rows.append(Row("steps of the start in order", "4.3.3: list of five", float(done), "", everything))
+    samples = trace.of(Kind.SAMPLE)
+    first = float(samples["a"][0] % 8) if samples.size else None
+    rows.append(Row("first pair that is sampled", "t0: motor 1", first, "", Bound(0.0, 0.0)))
+    after = runs[0, 1] if runs.shape[0] else 0
+    handlers = [int(entry["a"]) for entry in trace.of(Kind.ENTER) if entry["clock"] >= after and entry["a"] in VECTORS]
+    alternate = [VECTORS[k % 2] for k in range(len(handlers))]
+    right = _share(sum(a == b for a, b in zip(handlers, alternate, strict=True)), len(handlers))
+    rows.append(Row("M1, M2, M1, ... from the start on", "F34", right, "of all", Bound(1.0, 1.0)))
+    early = [e for e in trace.of(Kind.ENTER) if e["clock"] < (runs[0, 0] if runs.shape[0] else 0) and e["a"] in VECTORS]
+    rows.append(Row("M1 or M2 before the start", "4.3.3: disabled", float(len(early)), "times", Bound(0.0, 0.0)))
+    return rows
+
+
+def _in_order(steps: Sequence[tuple[int, int]], wanted: Sequence[tuple[int, int]]) -> int:
+    """How many of the wanted steps are found one after the other."""
+    done = 0
+    for step in steps:
+        if done < len(wanted) and step == wanted[done]:
+            done += 1
+    return done
+
+
+# ---- small change ----------------------------------------------------------------------------------------------------
+
+
+def _after(instants: NDArray[np.int64], events: NDArray[np.int64]) -> NDArray[np.int64]:
+    """From each instant to the next event [clocks]; none where there is none."""
+    index = np.searchsorted(events, instants, side="left")
+    found = index < events.size
+    return np.asarray(events[index[found]] - instants[found])
+
+
+def _before(events: NDArray[np.int64], instants: NDArray[np.int64]) -> NDArray[np.int64]:
+    """From the last event before each instant to it [clocks]; none where there is none."""
+    index = np.searchsorted(events, instants, side="right") - 1
+    found = index >= 0
+    return np.asarray(instants[found] - events[index[found]])
+
+
+def _least(values: NDArray[Any]) -> float | None:
+    return float(values.min()) if values.size else None
+
+
+def _most(values: NDArray[Any]) -> float | None:
+    return float(values.max()) if values.size else None
+
+
+def _scaled(seconds: float | None) -> float | None:
+    """Microseconds."""
+    return None if seconds is None else seconds * 1e6
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

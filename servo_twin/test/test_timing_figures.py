@@ -1,0 +1,159 @@
+"""Figures of the timing: right on a trace that is right, and each mistake shows where it belongs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from servo_twin.experiments.outcome import Row
+from servo_twin.timing.chip_map import START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
+from servo_twin.timing.figures import circle, start
+from servo_twin.timing.trace import ENTRY, Kind, Trace
+
+PERIOD = 6250
+HALF = PERIOD // 2
+COUNT = 40  # periods
+FIRST, NEXT = 50, 30  # clocks from a trigger to the first pair, and from pair to pair
+DEAD = 100
+Entry = tuple[int, int, int, int]
+Mistake = Callable[[list[Entry]], list[Entry]]
+
+
+def ideal() -> list[Entry]:
+    """The circle as F34 draws it; phase a at a quarter, b at a half, c at three quarters of the period."""
+    entries: list[Entry] = []
+
+    def add(clock: int, kind: Kind, a: int, b: int = 0) -> None:
+        entries.append((clock, int(kind), a, b))
+
+    for k in range(COUNT):
+        for module, origin in ((0, k * PERIOD), (1, k * PERIOD + HALF)):
+            for sm, high in enumerate((PERIOD // 4, PERIOD // 2, 3 * PERIOD // 4)):
+                submodule = 4 * module + sm
+                add(origin, Kind.CYCLE, submodule, 0x10000 - HALF)
+                up, down = origin + (PERIOD - high) // 2, origin + (PERIOD + high) // 2
+                add(up, Kind.GATES, submodule, 0)
+                add(up + DEAD, Kind.GATES, submodule, 1)
+                add(down, Kind.GATES, submodule, 0)
+                add(down + DEAD, Kind.GATES, submodule, 2)
+                add(origin + HALF, Kind.LOAD, submodule)
+            trigger = origin + 60
+            add(trigger, Kind.SYNC, 0, 1)
+            for pair in range(3):
+                clock = trigger + FIRST + pair * NEXT
+                for converter in range(2):
+                    add(clock, Kind.SAMPLE, 8 * converter + 3 * module + pair, pair)
+            vector, begin = (VECTOR_M1, origin + 260) if module == 0 else (VECTOR_M2, origin + 232)
+            if module == 1:
+                add(origin + 230, Kind.SCAN_END, 0)
+            add(begin, Kind.ENTER, vector, 1)
+            add(begin + 1200, Kind.LEAVE, vector)
+    return entries
+
+
+def trace(entries: list[Entry]) -> Trace:
+    return Trace(np.array(sorted(entries, key=lambda entry: entry[0]), dtype=ENTRY))
+
+
+def wrong(rows: list[Row]) -> set[str]:
+    return {row.name for row in rows if not row.agrees}
+
+
+def test_right_timing_agrees() -> None:
+    rows = circle(trace(ideal()))
+    assert wrong(rows) == set()
+    by_name = {row.name: row.measured for row in rows}
+    assert by_name["motor 2 behind motor 1, most"] == pytest.approx(180.0)
+    assert by_name["motor 1: currents after the centre, most"] == pytest.approx((60 + FIRST - DEAD / 2) * 0.01, abs=0.01)
+    assert by_name["M1, longest"] == pytest.approx(12.0)
+    assert by_name["M1 done before its duties load, least"] == pytest.approx((HALF - 260 - 1200) * 0.01)
+
+
+def shift(kind: Kind, marks: set[int], clocks: int) -> Mistake:
+    """Move what has one of these marks."""
+    return lambda entries: [
+        (clock + clocks if which == kind and a in marks else clock, which, a, b) for clock, which, a, b in entries
+    ]
+
+
+def without(kind: Kind, a: int) -> Mistake:
+    return lambda entries: [entry for entry in entries if not (entry[1] == kind and entry[2] == a)]
+
+
+def longer(vector: int, clocks: int) -> Mistake:
+    return shift(Kind.LEAVE, {vector}, clocks)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "row"),
+    [
+        (shift(Kind.CYCLE, {4, 5, 6}, 10), "motor 2 behind motor 1, most"),
+        (shift(Kind.CYCLE, {1}, 1), "motor 1: counters apart"),
+        (shift(Kind.SAMPLE, {0, 8}, 150), "motor 1: currents after the centre, most"),
+        (shift(Kind.SAMPLE, {0, 8}, -70), "motor 1: currents after the centre, least"),
+        (shift(Kind.SAMPLE, {4, 12}, 150), "motor 1: offsets after the centre, most"),
+        (shift(Kind.SAMPLE, {11}, 3), "scans with both converters together"),
+        (without(Kind.SAMPLE, 4), "scans with six pairs in order"),
+        (shift(Kind.SAMPLE, {0, 1, 2, 8, 9, 10}, 2000), "pause after the third pair, least"),
+        (shift(Kind.ENTER, {VECTOR_M1}, -100), "M1 begins after its data, least"),
+        (shift(Kind.SCAN_END, {0}, 100), "M2 begins after its data, least"),
+        (longer(VECTOR_M1, 2000), "M1, longest"),
+        (longer(VECTOR_M1, 2000), "M1 done before its duties load, least"),
+        (longer(VECTOR_M2, 2000), "M1 and M2 at the same time"),
+        (without(Kind.ENTER, VECTOR_M2), "M2 per PWM period"),
+        (shift(Kind.SAMPLE, {3, 11}, 200), "periods with t0, t1, t2, t3 in order"),
+    ],
+)
+def test_mistake_shows(mistake: Mistake, row: str) -> None:
+    assert row in wrong(circle(trace(mistake(ideal()))))
+
+
+def test_an_empty_trace_agrees_with_nothing() -> None:
+    rows = circle(trace([]))
+    assert wrong(rows) >= {row.name for row in rows} - {"M1 and M2 at the same time"}
+
+
+def beginning() -> list[Entry]:
+    """Power-on: the start interrupt between motor 2's sampling point and the end of the period, then the circle."""
+    begin = -500
+    entries = [(begin + 600, int(Kind.ENTER), VECTOR_START, 1)]
+    entries += [
+        (begin + 610 + 2 * k, int(Kind.WRITE), address, value) for k, (_, address, value) in enumerate(START_STEPS)
+    ]
+    entries.append((begin + 700, int(Kind.LEAVE), VECTOR_START, 0))
+    return entries + [(clock + 1000, kind, a, b) for clock, kind, a, b in ideal()]
+
+
+def test_right_start_agrees() -> None:
+    assert wrong(start(trace(beginning()))) == set()
+
+
+@pytest.mark.parametrize(
+    ("mistake", "row"),
+    [
+        (without(Kind.ENTER, VECTOR_START), "start interrupt"),
+        (lambda e: [*e, (90_000, 8, VECTOR_START, 1), (90_010, 9, VECTOR_START, 0)], "start interrupt"),
+        (without(Kind.WRITE, START_STEPS[2][1]), "steps of the start in order"),
+        (shift(Kind.WRITE, {START_STEPS[3][1]}, -20), "steps of the start in order"),
+        (lambda e: [*e, (500, int(Kind.SAMPLE), 3, 0)], "first pair that is sampled"),
+        (lambda e: [*e, (1, int(Kind.ENTER), VECTOR_M1, 1)], "M1 or M2 before the start"),
+        (lambda e: [*e, (900, int(Kind.ENTER), VECTOR_M2, 1)], "M1, M2, M1, ... from the start on"),
+    ],
+)
+def test_mistake_of_the_start_shows(mistake: Mistake, row: str) -> None:
+    assert row in wrong(start(trace(mistake(beginning()))))
+
+
+def test_intervals_that_began_before_the_recording_are_left_out() -> None:
+    gates: NDArray[np.void] = np.array(
+        [(10, 3, 0, 1), (20, 3, 0, 0), (30, 3, 0, 1), (45, 3, 0, 0), (50, 3, 0, 1)], dtype=ENTRY
+    )
+    assert Trace(gates).intervals(0, 0).tolist() == [[30, 45]]
+    assert Trace(gates[:0]).intervals(0, 0).shape == (0, 2)
+
+
+def test_handlers_are_paired() -> None:
+    runs = np.array([(5, 9, 85, 0), (10, 8, 85, 1), (20, 9, 85, 0), (30, 8, 85, 1)], dtype=ENTRY)
+    assert Trace(runs).handlers(85).tolist() == [[10, 20]]
