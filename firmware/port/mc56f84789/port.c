@@ -3,13 +3,16 @@
 
 #include "port/mc56f84789/drivers.h"
 
-#define LOSSES_MOST 2U /* restarts in succession with the outputs on */
+/* Losses are forgotten by one per period, so that more than four in 16 ms are too many. */
+#define LOSS 64U
+#define LOSSES_MOST 256U
 
 /* ---- sequence --------------------------------------------------------------------------------------------------- */
 
 /* Neither motor samples, M1 does not run; the scan begins anew with the first pair. */
 static void sequence_stop(hal_t *hal)
 {
+    REG_WRITE(hal, PWMA_BASE + PWM_SM(0U) + PWM_INTEN, 0U);
     REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_TCTRL, 0U);
     REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_INTEN, 0U);
     REG_WRITE(hal, PWMB_BASE + PWM_SM(0U) + PWM_TCTRL, 0U);
@@ -35,20 +38,20 @@ void port_start(hal_t *hal)
     REG_WRITE(hal, PWMA_BASE + PWM_SM(0U) + PWM_INTEN, 0U);
 }
 
-/* A trigger was lost. The duties stand for one period while the scan starts anew; if that does not help, the switches
- * open and the watchdog, which is not served without loops, resets the board. */
+/* A trigger was lost. The duties stand for one period while the scan starts anew; where that happens again and again the
+ * switches open, and the watchdog, which only running loops serve, resets the board. */
 static void sequence_lost(hal_t *hal)
 {
     sequence_stop(hal);
     hal->restarts++;
-    if (hal->losses < LOSSES_MOST) {
-        hal->losses++;
-    } else {
-        for (uint16_t axis = 0; axis < HAL_AXES; axis++) {
-            hal_pwm_enable(hal, axis, false);
-        }
+    hal->losses = (uint16_t)(hal->losses + LOSS);
+    if (hal->losses <= LOSSES_MOST) {
+        sequence_arm(hal);
+        return;
     }
-    sequence_arm(hal);
+    for (uint16_t axis = 0; axis < HAL_AXES; axis++) {
+        hal_pwm_enable(hal, axis, false);
+    }
 }
 
 /* ---- t1 and t3 -------------------------------------------------------------------------------------------------- */
@@ -71,7 +74,7 @@ void port_m2(hal_t *hal)
 {
     scope(hal, PIN_SCOPE_M2);
     if (adc_take_second(hal)) {
-        hal->losses = 0;
+        hal->losses = (uint16_t)(hal->losses - ((hal->losses > 0U) ? 1U : 0U));
         servo_m2_isr(hal->servo);
         REG_WRITE(hal, ADC_STAT, ADC_STAT_EOSI0);
     } else {

@@ -33,7 +33,7 @@ struct hal {
     servo_t *servo;
     port_axis_t axis[HAL_AXES];
     uint16_t bus;
-    uint16_t losses; /* scans in succession that came in the wrong order */
+    uint16_t losses; /* of triggers, forgotten with time */
     uint32_t restarts; /* of the sequence, since reset */
 
     volatile uint8_t ring[PORT_RING];
