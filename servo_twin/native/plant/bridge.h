@@ -109,17 +109,6 @@ void bridge_begin(bridge_t *bridge, double u_dc);
  * bus [A s]. */
 double bridge_advance(bridge_t *bridge, double h, double u_h);
 
-/* Current that the bus delivers, and its slope, at the beginning of the segment. */
-static inline double bridge_bus_current(const bridge_t *bridge)
-{
-    return 1.5 * (bridge->a.alpha * bridge->i.alpha + bridge->a.beta * bridge->i.beta);
-}
-
-static inline double bridge_bus_slope(const bridge_t *bridge)
-{
-    return 1.5 * (bridge->a.alpha * bridge->di.alpha + bridge->a.beta * bridge->di.beta);
-}
-
 /* What a phase's amplifier shows `h` seconds into the segment, which must be short (h^2 i'' / 2 is neglected). */
 double bridge_amplifier(const bridge_t *bridge, int phase, double h);
 

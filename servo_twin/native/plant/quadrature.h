@@ -46,9 +46,19 @@ static inline bool quadrature_level(const quadrature_t *encoder, int line)
     return encoder->level[line] && !encoder->cut[line];
 }
 
-/* Time until the shaft leaves the position, from theta, omega, acceleration and jerk; a huge number if it does not within
- * some `reach` seconds [s]. `upwards` tells on which side. */
-double quadrature_time(const quadrature_t *encoder, double theta, double omega, double accel, double jerk, double reach,
-                       bool *upwards);
+/* How the shaft moves from some moment on. */
+typedef struct {
+    double theta, omega, accel;
+    double per_omega;    /* 0 for a shaft that starts from rest */
+    double bend, twist;  /* accel / omega, jerk / (6 omega) */
+    double range;        /* more than it covers within the time of interest [rad] */
+    bool moves;
+} quadrature_course_t;
+
+quadrature_course_t quadrature_course(double theta, double omega, double accel, double jerk, double time);
+
+/* Time until the shaft leaves the position in the direction in which it begins to move; huge if that takes longer than
+ * the time of interest [s]. `upwards` tells on which side. */
+double quadrature_time(const quadrature_t *encoder, const quadrature_course_t *course, bool *upwards);
 
 #endif

@@ -8,6 +8,7 @@ void supply_init(supply_t *supply, const plant_bus_t *config)
         .u_source = config->u_source,
         .g_source = 1.0 / config->r_source,
         .g_brake = (config->r_brake > 0.0) ? 1.0 / config->r_brake : 0.0,
+        .c = config->capacitance,
         .inv_c = 1.0 / config->capacitance,
         .u = config->u_source,
     };
@@ -31,16 +32,14 @@ static inline double settle(supply_t *s, double h, double i_load, bool fed, doub
 }
 
 /* Part of a step in one regime; the voltage moves to `u` and has the integral `u_h`. */
-static inline void take_over(supply_t *s, double h, double u, double u_h, bool fed)
+static inline void take_over(supply_t *s, double h, double u, double u_h, double i_load, bool fed)
 {
-    if (fed) { /* int u (u_s - u) dt of a straight line */
-        const double mean = u_h / h;
-        const double swing = u - s->u;
-        s->e_source += s->g_source * h * (mean * (s->u_source - mean) - swing * swing * (1.0 / 12.0));
+    const double mean = 0.5 * (s->u + u);
+    const double q_brake = s->braking ? s->g_brake * u_h : 0.0;
+    if (fed) { /* what has come in: the rest of the balance of charges */
+        s->e_source += mean * ((u - s->u) * s->c + q_brake + i_load * h);
     }
-    if (s->braking) {
-        s->e_brake += s->g_brake * u_h * u_h / h;
-    }
+    s->e_brake += mean * q_brake;
     s->u = u;
 }
 
@@ -54,16 +53,16 @@ double supply_advance(supply_t *s, double h, double i_load)
         double first_h = 0.0;
         if (part > 0.0) {
             (void)settle(s, part, i_load, fed, &first_h);
-            take_over(s, part, s->u_source, first_h, fed);
+            take_over(s, part, s->u_source, first_h, i_load, fed);
         }
         s->u = s->u_source;
         u = settle(s, h - part, i_load, !fed, &u_h);
         if (h > part) {
-            take_over(s, h - part, u, u_h, !fed);
+            take_over(s, h - part, u, u_h, i_load, !fed);
         }
         u_h += first_h;
     } else {
-        take_over(s, h, u, u_h, fed);
+        take_over(s, h, u, u_h, i_load, fed);
     }
     if (s->u < 0.0) {
         s->u = 0.0;

@@ -15,7 +15,7 @@ typedef struct {
     double u_source;  /* open-circuit voltage [V] */
     double g_source;  /* [S] */
     double g_brake;   /* of the resistor [S]; 0: there is none */
-    double inv_c;     /* [1/F] */
+    double c, inv_c;  /* [F], [1/F] */
     bool braking;     /* the resistor is switched on */
     double u;         /* [V] */
     double e_source;  /* delivered by the source into the bus so far [J] */

@@ -16,6 +16,7 @@ static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to 
 void switching_init(switching_t *plant, const board_config_t *config)
 {
     memset(plant, 0, sizeof *plant);
+    plant->stale = true;
     supply_init(&plant->supply, &config->bus);
     plant->bus = config->bus;
     plant_random_init(&plant->noise, config->seed, 0);
@@ -31,7 +32,9 @@ void switching_init(switching_t *plant, const board_config_t *config)
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
         axis->turn_off = (uint64_t)(c->turn_off * SWITCHING_CLOCK_HZ + 0.5);
         axis->i_break = c->i_break;
-        axis->i_far = c->i_break - 2.0 * config->bus.u_source / l * SWITCHING_HORIZON * CLOCK;
+        axis->square_break = c->i_break * c->i_break;
+        const double far = c->i_break - 2.0 * config->bus.u_source / l * SWITCHING_HORIZON * CLOCK;
+        axis->square_far = (far > 0.0) ? far * far : 0.0;
         axis->i_full_scale = c->i_full_scale;
         axis->i_noise = c->i_noise;
         memcpy(axis->i_offset, c->i_offset, sizeof axis->i_offset);
@@ -72,17 +75,12 @@ static uint64_t clock_after(const switching_t *plant, const switching_axis_t *ax
 }
 
 /* Straight on, when does a current reach the comparator's threshold, from either side? */
-static void look_ahead(const switching_t *plant, switching_axis_t *axis)
+static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axis)
 {
     const bridge_t *b = &axis->bridge;
-    const plant_vector_t i = b->i;
-    axis->look_clock = NEVER;
-    if (i.alpha * i.alpha + i.beta * i.beta < axis->i_far * axis->i_far && axis->i_far > 0.0) {
-        return;
-    }
     const double side = 0.5 * PLANT_SQRT3 * b->di.beta;
     const double slope[3] = {b->di.alpha, -0.5 * b->di.alpha + side, -0.5 * b->di.alpha - side};
-    double soonest = 1.0;
+    double soonest = SWITCHING_HORIZON * CLOCK;
     for (int k = 0; k < 3; k++) {
         const double size = fabs(b->phase[k]);
         const double grows = (b->phase[k] > 0.0) ? slope[k] : -slope[k];
@@ -91,42 +89,50 @@ static void look_ahead(const switching_t *plant, switching_axis_t *axis)
             soonest = t;
         }
     }
-    if (soonest < SWITCHING_HORIZON * CLOCK) {
-        axis->look_clock = clock_after(plant, axis, soonest);
-    }
+    return (soonest < SWITCHING_HORIZON * CLOCK) ? clock_after(plant, axis, soonest) : NEVER;
 }
 
-static void find_edge(const switching_t *plant, switching_axis_t *axis)
+static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
 {
-    const bridge_t *b = &axis->bridge;
-    axis->edge_clock = NEVER;
-    if (b->direction == 0) {
-        return;
-    }
-    const double reach = SWITCHING_HORIZON * CLOCK;
-    const double t = quadrature_time(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, reach, &axis->edge_upwards);
-    if (t < reach) {
-        axis->edge_clock = clock_after(plant, axis, t);
-    }
+    const double t = quadrature_time(&axis->encoder, &axis->course, &axis->edge_upwards);
+    axis->edge_clock = (t < SWITCHING_HORIZON * CLOCK) ? clock_after(plant, axis, t) : NEVER;
 }
 
-static void find_next(switching_axis_t *axis)
+static inline void find_next(switching_axis_t *axis)
 {
     axis->next_clock = earlier(earlier(axis->edge_clock, axis->look_clock), axis->clock + SWITCHING_HORIZON);
 }
 
+static void find_next_of_all(switching_t *plant)
+{
+    uint64_t next = earlier(plant->thermal_clock, earlier(plant->axis[0].next_clock, plant->axis[1].next_clock));
+    for (int i = 0; i < BOARD_AXES; i++) {
+        if (plant->axis[i].short_clock > plant->now) {
+            next = earlier(next, plant->axis[i].short_clock);
+        }
+    }
+    plant->next = next;
+}
+
 /* After whatever has changed at the present clock. */
-static inline void look_around(switching_t *plant)
+void switching_look_around(switching_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
         switching_axis_t *axis = &plant->axis[i];
-        if (!axis->bridge.begun) {
-            bridge_begin(&axis->bridge, plant->supply.u);
+        bridge_t *b = &axis->bridge;
+        if (!b->begun) {
+            bridge_begin(b, plant->supply.u);
+            axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
+            axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
+            axis->course = quadrature_course(b->theta, b->omega, b->accel, b->jerk, SWITCHING_HORIZON * CLOCK);
             find_edge(plant, axis);
-            look_ahead(plant, axis);
+            const double square = b->i.alpha * b->i.alpha + b->i.beta * b->i.beta;
+            axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
             find_next(axis);
         }
     }
+    find_next_of_all(plant);
+    plant->stale = false;
 }
 
 /* ---- moving on ---------------------------------------------------------------------------------------------------- */
@@ -143,7 +149,7 @@ static void advance_supply(switching_t *plant)
     for (int i = 0; i < BOARD_AXES; i++) {
         switching_axis_t *axis = &plant->axis[i];
         const double middle = seconds(axis->clock, from) + 0.5 * h;
-        const double current = bridge_bus_current(&axis->bridge) + middle * bridge_bus_slope(&axis->bridge);
+        const double current = axis->i_bus + middle * axis->di_bus;
         axis->booked += current * h;
         load += current;
     }
@@ -154,6 +160,7 @@ static void advance_supply(switching_t *plant)
     plant->supply_clock = plant->now;
 }
 
+/* Output of the comparator. */
 static void compare(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
@@ -180,7 +187,11 @@ static void advance_axis(switching_t *plant, int i)
     axis->booked = 0.0;
     axis->u_h = 0.0;
     axis->clock = plant->now;
-    compare(plant, i);
+    plant->stale = true;
+    const plant_vector_t current = axis->bridge.i;
+    if (axis->tripped || current.alpha * current.alpha + current.beta * current.beta > axis->square_break) {
+        compare(plant, i);
+    }
 }
 
 static void warm_up(switching_t *plant)
@@ -210,9 +221,9 @@ static void pass_edge(switching_t *plant, int i)
     find_next(axis);
 }
 
-/* Everything of the plant's own at the present clock. */
-static void happen(switching_t *plant)
+void switching_happen(switching_t *plant)
 {
+    plant->now = plant->next;
     for (int i = 0; i < BOARD_AXES; i++) {
         switching_axis_t *axis = &plant->axis[i];
         if (axis->edge_clock == plant->now) {
@@ -228,55 +239,37 @@ static void happen(switching_t *plant)
     if (plant->thermal_clock == plant->now) {
         warm_up(plant);
     }
-}
-
-uint64_t switching_next(switching_t *plant)
-{
-    look_around(plant);
-    uint64_t next = plant->thermal_clock;
-    for (int i = 0; i < BOARD_AXES; i++) {
-        const switching_axis_t *axis = &plant->axis[i];
-        next = earlier(next, axis->next_clock);
-        if (axis->short_clock > plant->now) {
-            next = earlier(next, axis->short_clock);
-        }
+    if (!plant->stale) {
+        find_next_of_all(plant);
     }
-    return next;
-}
-
-void switching_advance(switching_t *plant, uint64_t clock)
-{
-    for (uint64_t next = switching_next(plant); next <= clock; next = switching_next(plant)) {
-        plant->now = next;
-        happen(plant);
-    }
-    plant->now = clock;
 }
 
 /* ---- gates -------------------------------------------------------------------------------------------------------- */
 
 /* A switch conducts a little longer than its gate says: turned on against it, the leg is a short. */
+static void begin_short(switching_t *plant, int i, uint64_t until)
+{
+    plant->axis[i].short_clock = until;
+    plant->stale = true;
+    compare(plant, i);
+}
+
 static void watch_short(switching_t *plant, int i, int phase, switching_leg_t leg)
 {
     switching_axis_t *axis = &plant->axis[i];
     const switching_leg_t before = axis->leg[phase];
-    uint64_t until = 0;
+    axis->leg[phase] = leg;
     if (before == SWITCHING_SHORT) {
-        axis->short_clock = earlier(axis->short_clock, plant->now + axis->turn_off);
-    } else if (before != SWITCHING_OPEN && before != leg) {
-        axis->off_clock[phase] = plant->now;
+        begin_short(plant, i, earlier(axis->short_clock, plant->now + axis->turn_off));
+    } else if (before != SWITCHING_OPEN) {
+        axis->off_clock[phase] = plant->now + axis->turn_off;
         axis->last_on[phase] = before;
     }
     if (leg == SWITCHING_SHORT) {
-        until = NEVER;
-    } else if (leg != SWITCHING_OPEN && leg != axis->last_on[phase] && axis->last_on[phase] != SWITCHING_OPEN) {
-        until = axis->off_clock[phase] + axis->turn_off;
+        begin_short(plant, i, NEVER);
+    } else if (leg != SWITCHING_OPEN && leg != axis->last_on[phase] && plant->now < axis->off_clock[phase]) {
+        begin_short(plant, i, axis->off_clock[phase]);
     }
-    axis->leg[phase] = leg;
-    if (until > plant->now) {
-        axis->short_clock = until;
-    }
-    compare(plant, i);
 }
 
 void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
@@ -290,6 +283,7 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
     if (!bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now))) {
         advance_axis(plant, i);
         b->begun = false;
+        plant->stale = true;
     }
     b->gates[phase] = gates;
     watch_short(plant, i, phase, leg);
@@ -303,7 +297,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
     if (plant->now - axis->clock > SAMPLE_NEAR) {
         advance_axis(plant, i);
     }
-    look_around(plant);
+    switching_look_around(plant);
     const double current = bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now));
     const double shown = current + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
     return plant_code_bipolar(shown, axis->i_full_scale);
@@ -311,7 +305,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
 
 uint16_t switching_bus_code(switching_t *plant)
 {
-    look_around(plant);
+    switching_look_around(plant);
     advance_supply(plant);
     const double shown = plant->supply.u + plant->bus.u_noise * plant_random_gauss(&plant->noise);
     return plant_code_unipolar(shown, plant->bus.u_full_scale);
@@ -330,7 +324,7 @@ bool switching_line(const switching_t *plant, int axis, int line)
 static switching_t here(const switching_t *plant, int axis)
 {
     switching_t copy = *plant;
-    look_around(&copy);
+    switching_look_around(&copy);
     advance_supply(&copy);
     advance_axis(&copy, axis);
     return copy;
@@ -339,7 +333,7 @@ static switching_t here(const switching_t *plant, int axis)
 void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
 {
     switching_t copy = here(plant, i);
-    look_around(&copy);
+    switching_look_around(&copy);
     const switching_axis_t *axis = &copy.axis[i];
     const bridge_t *b = &axis->bridge;
     *truth = (switching_truth_t){
@@ -373,7 +367,7 @@ void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
 void switching_mean(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
-    look_around(plant);
+    switching_look_around(plant);
     advance_axis(plant, i);
     axis->mean_clock = plant->now;
     axis->mean_volts = axis->bridge.volt_seconds;
@@ -394,9 +388,10 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus)
 /* The axis to the present clock, where something about it changes. */
 static bridge_t *touch(switching_t *plant, int i)
 {
-    look_around(plant);
+    switching_look_around(plant);
     advance_axis(plant, i);
     plant->axis[i].bridge.begun = false;
+    plant->stale = true;
     return &plant->axis[i].bridge;
 }
 
@@ -413,14 +408,14 @@ void switching_plug(switching_t *plant, int axis, bool plugged) { bridge_plug(to
 
 void switching_set_supply(switching_t *plant, double volts)
 {
-    look_around(plant);
+    switching_look_around(plant);
     advance_supply(plant);
     plant->supply.u_source = volts;
 }
 
 void switching_brake(switching_t *plant, bool on)
 {
-    look_around(plant);
+    switching_look_around(plant);
     advance_supply(plant);
     plant->supply.braking = on;
 }

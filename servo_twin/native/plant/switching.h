@@ -64,15 +64,19 @@ typedef struct {
     double u_h;             /* integral of the bus voltage meanwhile [V s] */
     uint64_t edge_clock;    /* when the encoder changes next, if nothing else does */
     bool edge_upwards;
+    quadrature_course_t course; /* of the shaft since `clock` */
+    double i_bus, di_bus;   /* current out of the bus at `clock`, and its slope [A], [A/s] */
     uint64_t look_clock;    /* when a current may pass the comparator's threshold */
     uint64_t next_clock;    /* the earlier of the two, or the horizon */
-    uint64_t off_clock[3];  /* when a switch of the leg was last turned off, and which one */
+    uint64_t off_clock[3];  /* when the switch of the leg that was on last no longer conducts, and which one it was */
     switching_leg_t last_on[3];
     switching_leg_t leg[3];
     uint64_t short_clock;   /* end of a short through a leg */
     bool tripped;           /* output of the comparator */
     uint64_t turn_off;      /* a switch still conducts so long after its gate has gone off [clocks] */
-    double i_break, i_far;  /* threshold; below i_far it is out of reach within the horizon [A] */
+    double i_break;         /* threshold [A] */
+    double square_break, square_far; /* of a current vector below which no phase is beyond the threshold, or can get
+                                        there within the horizon [A^2] */
     double i_full_scale, i_offset[3], i_noise;
     double r_s;             /* at the reference temperature [ohm] */
     double e_copper, e_switch; /* that the temperatures have seen already [J] */
@@ -87,6 +91,8 @@ typedef struct {
     plant_bus_t bus;
     plant_random_t noise;
     uint64_t now;
+    uint64_t next;          /* clock of the next event, unless `stale` */
+    bool stale;
     uint64_t supply_clock;  /* the bus stands here */
     uint64_t thermal_clock; /* next step of the temperatures */
     switching_event_t event[SWITCHING_EVENTS];
@@ -98,15 +104,31 @@ void switching_init(switching_t *plant, const board_config_t *config);
 
 /* ---- time --------------------------------------------------------------------------------------------------------- */
 
+/* Parts of the two functions below: find the next event; go there and let it happen. */
+void switching_look_around(switching_t *plant);
+void switching_happen(switching_t *plant);
+
 /* From the present clock on a leg's gates are so. Several legs may change at one clock. */
 void switching_edge(switching_t *plant, int axis, int phase, switching_leg_t leg);
 
 /* Clock of the plant's own next event if no gate changes before; never further away than SWITCHING_HORIZON, where it may
  * turn out that nothing has happened. Always later than the present clock. */
-uint64_t switching_next(switching_t *plant);
+static inline uint64_t switching_next(switching_t *plant)
+{
+    if (plant->stale) {
+        switching_look_around(plant);
+    }
+    return plant->next;
+}
 
 /* To `clock`, the present one or later. */
-void switching_advance(switching_t *plant, uint64_t clock);
+static inline void switching_advance(switching_t *plant, uint64_t clock)
+{
+    while (switching_next(plant) <= clock) {
+        switching_happen(plant);
+    }
+    plant->now = clock;
+}
 
 /* Oldest event that has not been taken; false if there is none. */
 bool switching_take(switching_t *plant, switching_event_t *event);
