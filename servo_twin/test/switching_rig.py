@@ -11,7 +11,7 @@ from switching_reference import Edge
 
 SWITCHING_CDEF = """
 typedef struct { ...; } switching_t;
-typedef struct { uint64_t clock; int kind, axis, line; bool level; } switching_event_t;
+typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;
 void switching_init(switching_t *plant, const board_config_t *config);
 void switching_edge(switching_t *plant, int axis, int phase, int leg);
 uint64_t switching_next(switching_t *plant);

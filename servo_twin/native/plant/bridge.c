@@ -3,6 +3,7 @@
 #include <math.h>
 
 #include "plant/decay.h"
+#include "plant/inline.h"
 #include "plant/trig.h"
 
 #define STANDING 1e-9 /* slower is at rest [rad/s] */
@@ -34,25 +35,49 @@ typedef struct {
     int phase, sign;
 } cut_t;
 
+/* Ways through a leg, one bit per phase: from the positive rail; with the drop counting upwards (current out of the
+ * motor); through the shunt. */
+#define UPPER(k) (1u << (k))
+#define RAISED(k) (8u << (k))
+#define LOWER(k) (64u << (k))
+#define PHASES(paths, bit0) (((paths) / (bit0)) & 7u)
+
+/* For one phase, by gates and sign of the current + 1, to be shifted by the number of the phase. */
+static const unsigned leg_paths[BRIDGE_GATES][3] = {
+    [BRIDGE_OPEN] = {UPPER(0) | RAISED(0), 0, LOWER(0)},
+    [BRIDGE_HIGH] = {UPPER(0) | RAISED(0), 0, UPPER(0)},
+    [BRIDGE_LOW] = {LOWER(0) | RAISED(0), LOWER(0), LOWER(0)},
+};
+
+/* Clarke transform and mean of legs that are at 1 (bit set) or 0. */
+static const struct {
+    plant_vector_t v;
+    double mean;
+} legs_at[8] = {
+    {{0.0, 0.0}, 0.0},
+    {{2.0 * THIRD, 0.0}, THIRD},
+    {{-THIRD, 1.0 / PLANT_SQRT3}, THIRD},
+    {{THIRD, 1.0 / PLANT_SQRT3}, 2.0 * THIRD},
+    {{-THIRD, -1.0 / PLANT_SQRT3}, THIRD},
+    {{THIRD, -1.0 / PLANT_SQRT3}, 2.0 * THIRD},
+    {{-2.0 * THIRD, 0.0}, 2.0 * THIRD},
+    {{0.0, 0.0}, 1.0},
+};
+
 void bridge_init(bridge_t *bridge, const plant_axis_t *config)
 {
-    const double v = config->v_drop;
-    const double x = (config->i_settle > 0.0) ? 1.0 / (BRIDGE_CLOCK_HZ * config->i_settle) : 800.0;
     *bridge = (bridge_t){
-        .path =
-            {
-                [BRIDGE_OPEN] = {{1.0, v, false}, {0.0, 0.0, false}, {0.0, -v, true}},
-                [BRIDGE_HIGH] = {{1.0, v, false}, {0.0, 0.0, false}, {1.0, -v, false}},
-                [BRIDGE_LOW] = {{0.0, v, true}, {0.0, 0.0, true}, {0.0, -v, true}},
-            },
+        .v_drop = config->v_drop,
         .r_s = config->r_s,
         .r_on = config->r_on,
+        .r = config->r_s + config->r_on,
         .l_d = config->l_d,
         .l_q = config->l_q,
         .inv_l_d = 1.0 / config->l_d,
         .inv_l_q = 1.0 / config->l_q,
         .psi_m = config->psi_m,
         .pole_pairs = config->pole_pairs,
+        .k_torque = 1.5 * config->pole_pairs,
         .inertia = config->inertia,
         .inv_inertia = 1.0 / config->inertia,
         .friction = config->friction,
@@ -60,6 +85,7 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .tau = config->i_settle,
         .theta = config->theta_start,
     };
+    const double x = (config->i_settle > 0.0) ? 1.0 / (BRIDGE_CLOCK_HZ * config->i_settle) : 800.0;
     for (int n = 0; n < BRIDGE_DECAY; n++) {
         bridge->decay_fine[n] = plant_decay(n * x);
         bridge->decay_coarse[n] = plant_decay(n * BRIDGE_DECAY * x);
@@ -100,28 +126,31 @@ static inline plant_vector_t per_inductance(const bridge_t *b, plant_vector_t v)
     return (plant_vector_t){d * b->cosine - q * b->sine, d * b->sine + q * b->cosine};
 }
 
-/* di/dt at the beginning of a segment with the leg voltages v: i' = L^-1 (v - R i - j w psi) + j w i, from
+/* di/dt at the beginning of a segment where the flux changes by dpsi: i' = L^-1 (psi' - j w psi) + j w i, from
  * d/dt of e^{j theta} L^-1 (e^{-j theta} psi - psi_m). */
-static inline plant_vector_t slope_of(const bridge_t *b, plant_vector_t v)
+static inline plant_vector_t slope_of(const bridge_t *b, plant_vector_t dpsi)
 {
-    const double r = b->r_s + b->r_on;
     const double w = b->pole_pairs * b->omega;
-    const plant_vector_t drive = {v.alpha - r * b->i.alpha + w * b->psi.beta, v.beta - r * b->i.beta - w * b->psi.alpha};
+    const plant_vector_t drive = {dpsi.alpha + w * b->psi.beta, dpsi.beta - w * b->psi.alpha};
     const plant_vector_t rate = per_inductance(b, drive);
     return (plant_vector_t){rate.alpha - w * b->i.beta, rate.beta + w * b->i.alpha};
 }
 
-/* Ends of the interval of a leg without current. */
-static inline double lowest(const bridge_t *b, int k, double u)
+/* Voltage of a leg whose current has the given sign. */
+static inline double leg_voltage(const bridge_t *b, int k, int sign, double u)
 {
-    const bridge_path_t *path = &b->path[b->gates[k]][2];
-    return path->upper * u + path->drop;
+    const unsigned path = leg_paths[b->gates[k]][sign + 1];
+    return ((path & UPPER(0)) ? u : 0.0) + ((path & RAISED(0)) ? b->v_drop : -b->v_drop);
 }
 
-static inline double highest(const bridge_t *b, int k, double u)
+static inline double lowest(const bridge_t *b, int k, double u) { return leg_voltage(b, k, 1, u); }
+
+static inline double highest(const bridge_t *b, int k, double u) { return leg_voltage(b, k, -1, u); }
+
+static inline void set_sign(bridge_t *b, int k, int sign)
 {
-    const bridge_path_t *path = &b->path[b->gates[k]][0];
-    return path->upper * u + path->drop;
+    b->sign[k] = sign;
+    b->way[k] = sign;
 }
 
 /* ---- which way the currents go ------------------------------------------------------------------------------------ */
@@ -133,26 +162,32 @@ static double admittance(const bridge_t *b, int k)
 }
 
 /* Voltage of leg k that keeps its current at zero while the other two legs have theirs. */
-static double holding_voltage(const bridge_t *b, int k, const double leg[3])
+static double holding_voltage(const bridge_t *b, int k, double u)
 {
-    double v[3] = {leg[0], leg[1], leg[2]};
-    v[k] = 0.0;
-    return -dot(phase_axis[k], slope_of(b, plant_clarke(v))) / admittance(b, k);
+    double leg[3] = {0.0, 0.0, 0.0};
+    for (int n = 0; n < 3; n++) {
+        leg[n] = (n == k) ? 0.0 : leg_voltage(b, n, b->sign[n], u);
+    }
+    const plant_vector_t v = plant_clarke(leg);
+    const plant_vector_t dpsi = {v.alpha - b->r * b->i.alpha, v.beta - b->r * b->i.beta};
+    return -dot(phase_axis[k], slope_of(b, dpsi)) / admittance(b, k);
 }
 
 static int pulled(double hold, double low, double high) { return (hold < low) ? 1 : (hold > high) ? -1 : 0; }
 
-/* By how much the back-EMF exceeds what the legs block, all of them without current; and between which two [V]. */
-static double excess(const bridge_t *b, double u, int *out, int *back)
+/* By how much the back-EMF exceeds what the legs block, all of them without current; and between which two [V]. The flux
+ * is that of the magnet alone. */
+static double excess(const bridge_t *b, double u, plant_vector_t psi, double omega, int *out, int *back)
 {
-    const double w = b->pole_pairs * b->omega;
-    const plant_vector_t emf = {-w * b->psi.beta, w * b->psi.alpha}; /* psi is that of the magnet alone */
-    double push = -1e300;
-    double pull = 1e300;
-    for (int k = 0; k < 3; k++) {
-        const double e = dot(phase_axis[k], emf);
-        const double from = lowest(b, k, u) - e;
-        const double to = highest(b, k, u) - e;
+    const double w = b->pole_pairs * omega;
+    const double side = HALF_SQRT3 * w * psi.alpha;
+    const double emf[3] = {-w * psi.beta, 0.5 * w * psi.beta + side, 0.5 * w * psi.beta - side};
+    double push = lowest(b, 0, u) - emf[0];
+    double pull = highest(b, 0, u) - emf[0];
+    *out = *back = 0;
+    for (int k = 1; k < 3; k++) {
+        const double from = lowest(b, k, u) - emf[k];
+        const double to = highest(b, k, u) - emf[k];
         if (from > push) {
             push = from;
             *out = k;
@@ -165,10 +200,9 @@ static double excess(const bridge_t *b, double u, int *out, int *back)
     return push - pull;
 }
 
-/* Decide on the legs without current. Returns the leg voltage of a floating one. */
-static double decide(bridge_t *b, double u)
+/* Decide on the legs without current. */
+static void decide(bridge_t *b, double u)
 {
-    double leg[3] = {0.0, 0.0, 0.0};
     int zeros = 0;
     int k = 0;
     for (int n = 0; n < 3; n++) {
@@ -180,91 +214,86 @@ static double decide(bridge_t *b, double u)
     if (zeros >= 2) { /* one leg alone has no way back: nothing flows yet */
         int out = 0;
         int back = 0;
-        b->sign[0] = b->sign[1] = b->sign[2] = 0;
-        b->dead = b->unplugged || excess(b, u, &out, &back) <= 0.0 || out == back;
-        if (b->dead) {
-            return 0.0;
+        for (int n = 0; n < 3; n++) {
+            set_sign(b, n, 0);
         }
-        b->sign[out] = 1;
-        b->sign[back] = -1;
+        b->dead = b->unplugged || excess(b, u, b->psi, b->omega, &out, &back) <= 0.0 || out == back;
+        if (b->dead) {
+            return;
+        }
+        set_sign(b, out, 1);
+        set_sign(b, back, -1);
         k = 3 - out - back;
     }
-    for (int n = 0; n < 3; n++) {
-        const bridge_path_t *path = &b->path[b->gates[n]][b->sign[n] + 1];
-        leg[n] = path->upper * u + path->drop;
-    }
-    const double hold = holding_voltage(b, k, leg);
-    b->sign[k] = pulled(hold, lowest(b, k, u), highest(b, k, u));
+    b->hold = holding_voltage(b, k, u);
+    set_sign(b, k, pulled(b->hold, lowest(b, k, u), highest(b, k, u)));
     b->floating = (b->sign[k] == 0) ? k : -1;
-    return hold;
 }
 
-static int direction_of(const bridge_t *b)
+/* Of motion, from rest. */
+static double break_loose(const bridge_t *b)
 {
     if (b->locked || b->held) {
-        return 0;
-    }
-    if (b->omega > STANDING || b->omega < -STANDING) {
-        return (b->omega > 0.0) ? 1 : -1;
+        return 0.0;
     }
     const double drive = b->torque - b->load;
-    const int way = (drive > 0.0) ? 1 : -1;
+    const double way = (drive > 0.0) ? 1.0 : -1.0;
     const double rest = drive * way - b->friction;
-    return (rest > 0.0 || (rest > -THRESHOLD * b->friction && b->dtorque * way > 0.0)) ? way : 0;
+    return (rest > 0.0 || (rest > -THRESHOLD * b->friction && b->dtorque * way > 0.0)) ? way : 0.0;
 }
 
 void bridge_begin(bridge_t *b, double u)
 {
-    const bridge_path_t *path[3];
     b->floating = -1;
     b->dead = false;
+    b->begun = true;
+    b->u = u;
     if (b->sign[0] == 0 || b->sign[1] == 0 || b->sign[2] == 0) {
-        b->hold = decide(b, u);
+        decide(b, u);
     }
-    for (int k = 0; k < 3; k++) {
-        path[k] = &b->path[b->gates[k]][b->sign[k] + 1];
-        b->lower[k] = path[k]->lower;
-    }
-    double upper[3] = {path[0]->upper, path[1]->upper, path[2]->upper};
-    double drop[3] = {path[0]->drop, path[1]->drop, path[2]->drop};
-    if (b->floating >= 0) {
-        drop[b->floating] = b->hold;
-    }
-    b->a = plant_clarke(upper);
-    b->b = plant_clarke(drop);
-    b->a_0 = (upper[0] + upper[1] + upper[2]) * THIRD;
-    b->b_0 = (drop[0] + drop[1] + drop[2]) * THIRD;
+    b->paths = leg_paths[b->gates[0]][b->sign[0] + 1] | leg_paths[b->gates[1]][b->sign[1] + 1] << 1 |
+               leg_paths[b->gates[2]][b->sign[2] + 1] << 2;
     if (b->dead) {
-        const double w = b->pole_pairs * b->omega;
-        b->a = (plant_vector_t){0.0, 0.0};
-        b->b = (plant_vector_t){-w * b->psi.beta, w * b->psi.alpha};
-        b->a_0 = 0.5;
-        b->b_0 = 0.0;
-        b->di = (plant_vector_t){0.0, 0.0};
+        b->a = b->b = b->di = (plant_vector_t){0.0, 0.0};
         b->dtorque = 0.0;
     } else {
-        const double r = b->r_s + b->r_on;
-        const plant_vector_t v = {u * b->a.alpha + b->b.alpha, u * b->a.beta + b->b.beta};
-        const plant_vector_t dpsi = {v.alpha - r * b->i.alpha, v.beta - r * b->i.beta};
-        b->di = slope_of(b, v);
-        b->dtorque = 1.5 * b->pole_pairs * (cross(dpsi, b->i) + cross(b->psi, b->di));
+        const double drop = 2.0 * b->v_drop; /* the legs are at plus or minus half of this */
+        const plant_vector_t raised = legs_at[PHASES(b->paths, RAISED(0))].v;
+        b->a = legs_at[PHASES(b->paths, UPPER(0))].v;
+        b->b.alpha = drop * raised.alpha;
+        b->b.beta = drop * raised.beta;
+        if (b->floating >= 0) { /* the tables have it at -V */
+            const double more = (2.0 / 3.0) * (b->hold + b->v_drop);
+            b->b.alpha += more * phase_axis[b->floating].alpha;
+            b->b.beta += more * phase_axis[b->floating].beta;
+        }
+        const plant_vector_t dpsi = {u * b->a.alpha + b->b.alpha - b->r * b->i.alpha,
+                                     u * b->a.beta + b->b.beta - b->r * b->i.beta};
+        const plant_vector_t di = slope_of(b, dpsi);
+        b->di = di;
+        b->dtorque = b->k_torque * (cross(dpsi, b->i) + cross(b->psi, di));
     }
-    b->direction = direction_of(b);
-    if (b->direction == 0) {
-        b->omega = 0.0;
-        b->accel = 0.0;
-        b->jerk = 0.0;
+    if (b->omega > STANDING) {
+        b->direction = 1.0;
+    } else if (b->omega < -STANDING) {
+        b->direction = -1.0;
     } else {
-        b->accel = (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
-        b->jerk = (b->dtorque - b->viscous * b->accel) * b->inv_inertia;
+        b->omega = 0.0;
+        b->direction = break_loose(b);
+        if (b->direction == 0.0) {
+            b->accel = 0.0;
+            b->jerk = 0.0;
+            return;
+        }
     }
-    b->begun = true;
+    b->accel = (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
+    b->jerk = b->dtorque * b->inv_inertia;
 }
 
 /* ---- one step ----------------------------------------------------------------------------------------------------- */
 
 /* The shaft, and the rotor's angle with it. */
-static inline void turn(const bridge_t *b, double h, end_t *e)
+PLANT_INLINE void turn(const bridge_t *b, double h, end_t *e)
 {
     const double way = h * (b->omega + h * (0.5 * b->accel + (SIXTH * h) * b->jerk));
     const double x = b->pole_pairs * way;
@@ -277,30 +306,27 @@ static inline void turn(const bridge_t *b, double h, end_t *e)
 }
 
 /* A step with the integral `drive` of the legs' voltage. */
-static inline void travel(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
+PLANT_INLINE void travel(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
 {
-    const double r = b->r_s + b->r_on;
+    const double r = b->r;
+    const double half = 0.5 * h;
     const double third = THIRD * h;
     turn(b, h, e);
+    const plant_vector_t bent = {half * b->di.alpha, half * b->di.beta};
     const plant_vector_t free = {b->psi.alpha + drive.alpha, b->psi.beta + drive.beta};
-    const plant_vector_t guess = {free.alpha - r * h * (b->i.alpha + 0.5 * h * b->di.alpha),
-                                  free.beta - r * h * (b->i.beta + 0.5 * h * b->di.beta)};
+    const plant_vector_t guess = {free.alpha - r * h * (b->i.alpha + bent.alpha),
+                                  free.beta - r * h * (b->i.beta + bent.beta)};
     const plant_vector_t i_guess = current_of(b, guess, e->cosine, e->sine);
-    const plant_vector_t begun = {2.0 * b->i.alpha + 0.5 * h * b->di.alpha, 2.0 * b->i.beta + 0.5 * h * b->di.beta};
-    e->charge.alpha = third * (begun.alpha + i_guess.alpha);
-    e->charge.beta = third * (begun.beta + i_guess.beta);
+    e->charge.alpha = third * (2.0 * b->i.alpha + bent.alpha + i_guess.alpha);
+    e->charge.beta = third * (2.0 * b->i.beta + bent.beta + i_guess.beta);
     e->psi.alpha = free.alpha - r * e->charge.alpha;
     e->psi.beta = free.beta - r * e->charge.beta;
     e->i = current_of(b, e->psi, e->cosine, e->sine);
     phases_of(e->i, e->phase);
-    e->torque = 1.5 * b->pole_pairs * cross(e->psi, e->i);
-    if (b->direction == 0) {
-        e->omega = 0.0;
-    } else {
-        const double impulse = third * (2.0 * b->torque + 0.5 * h * b->dtorque + e->torque);
-        const double drag = h * (b->load + b->direction * b->friction) + b->viscous * (e->theta - b->theta);
-        e->omega = b->omega + (impulse - drag) * b->inv_inertia;
-    }
+    e->torque = b->k_torque * cross(e->psi, e->i);
+    const double impulse = third * (2.0 * b->torque + half * b->dtorque + e->torque);
+    const double drag = h * (b->load + b->direction * b->friction) + b->viscous * (e->theta - b->theta);
+    e->omega = (b->direction != 0.0) ? b->omega + (impulse - drag) * b->inv_inertia : 0.0;
 }
 
 /* A step without any current. */
@@ -339,9 +365,11 @@ static void sooner(cut_t *cut, double after, reason_t reason, int phase, int sig
 
 static inline bool ends_early(const bridge_t *b, const end_t *e)
 {
-    const bool crossed = e->phase[0] * b->sign[0] < 0.0 || e->phase[1] * b->sign[1] < 0.0 || e->phase[2] * b->sign[2] < 0.0;
-    const bool turned = e->omega * b->direction < 0.0;
-    return crossed || turned || (b->direction == 0 && !b->locked && fabs(e->torque - b->load) > b->friction);
+    const double p[3] = {e->phase[0] * b->way[0], e->phase[1] * b->way[1], e->phase[2] * b->way[2]};
+    if (p[0] < 0.0 || p[1] < 0.0 || p[2] < 0.0 || e->omega * b->direction < 0.0) {
+        return true;
+    }
+    return b->direction == 0.0 && !b->locked && fabs(e->torque - b->load) > b->friction;
 }
 
 static void find_cut(const bridge_t *b, double h, const end_t *e, cut_t *cut)
@@ -349,24 +377,26 @@ static void find_cut(const bridge_t *b, double h, const end_t *e, cut_t *cut)
     double slope[3];
     phases_of(b->di, slope);
     for (int k = 0; k < 3; k++) {
-        const int sign = b->sign[k];
+        const double sign = b->way[k];
         if (e->phase[k] * sign < 0.0) {
             sooner(cut, root_of(b->phase[k] * sign, slope[k] * sign, e->phase[k] * sign, h), CURRENT_ZERO, k, 0);
         }
     }
     if (e->omega * b->direction < 0.0) {
-        const int way = b->direction;
+        const double way = b->direction;
         sooner(cut, root_of(b->omega * way, b->accel * way, e->omega * way, h), STOPPED, 0, 0);
     }
-    if (b->direction == 0 && !b->locked && !b->held) {
-        const int way = (e->torque > b->load) ? 1 : -1;
+    if (b->direction == 0.0 && !b->locked && !b->held) {
+        const double way = (e->torque > b->load) ? 1.0 : -1.0;
         const double rest = b->friction - (e->torque - b->load) * way;
         if (rest < 0.0) {
             const double before = b->friction - (b->torque - b->load) * way;
-            sooner(cut, root_of(before, -b->dtorque * way, rest, h), BROKE_LOOSE, 0, way);
+            sooner(cut, root_of(before, -b->dtorque * way, rest, h), BROKE_LOOSE, 0, 0);
         }
     }
 }
+
+static void travel_out(const bridge_t *b, double h, plant_vector_t drive, end_t *e) { travel(b, h, drive, e); }
 
 /* Floating leg: the mean voltage that brings its current back to zero at the end. Its voltage is a straight line to good
  * approximation, so at the end it is off by twice the mean's difference. */
@@ -379,7 +409,7 @@ static void travel_floating(const bridge_t *b, double h, double u, plant_vector_
         const double more = (2.0 / 3.0) * volts * h;
         const plant_vector_t corrected = {drive.alpha + more * phase_axis[k].alpha,
                                           drive.beta + more * phase_axis[k].beta};
-        travel(b, h, corrected, e);
+        travel_out(b, h, corrected, e);
     }
     const double hold = b->hold;
     const double end = hold + 2.0 * volts;
@@ -398,14 +428,11 @@ static void find_conduction(const bridge_t *b, double h, double u, const end_t *
     if (b->unplugged) {
         return;
     }
-    bridge_t after = *b;
-    after.psi = e->psi;
-    after.omega = e->omega;
     int out = 0;
     int back = 0;
-    const double late = excess(&after, u, &out, &back);
+    const double late = excess(b, u, e->psi, e->omega, &out, &back);
     if (late > 0.0) {
-        const double early = excess(b, u, &out, &back);
+        const double early = excess(b, u, b->psi, b->omega, &out, &back);
         sooner(cut, h * ((early < 0.0) ? early / (early - late) : 0.0), CLAMPED, -1, 0);
     }
 }
@@ -418,12 +445,14 @@ static void attempt(const bridge_t *b, double h, double u, end_t *e, cut_t *cut)
         coast(b, h, e);
         find_conduction(b, h, u, e, cut);
     } else {
-        travel(b, h, drive, e);
+        travel_out(b, h, drive, e);
         if (b->floating >= 0) {
             travel_floating(b, h, u, drive, e, cut);
         }
     }
-    find_cut(b, h, e, cut);
+    if (ends_early(b, e)) {
+        find_cut(b, h, e, cut);
+    }
 }
 
 /* ---- moving on ---------------------------------------------------------------------------------------------------- */
@@ -434,25 +463,32 @@ static inline double decay(const bridge_t *b, double h)
     return (n < BRIDGE_DECAY * BRIDGE_DECAY) ? b->decay_coarse[n / BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY] : 0.0;
 }
 
+/* First-order lag behind a straight line, exact. */
+static inline double lag_behind(double y, double from, double to, double tau_h, double left)
+{
+    const double lag = tau_h * (to - from);
+    return to - lag + (y - from + lag) * left;
+}
+
 /* Take over the end of a step of length h > 0. Returns the charge taken out of the bus. */
-static inline double accept(bridge_t *b, double h, double u_h, const end_t *e)
+PLANT_INLINE double accept(bridge_t *b, double h, double u_h, const end_t *e)
 {
     const double per_h = 1.0 / h;
     const double left = decay(b, h);
-    for (int k = 0; k < 3; k++) { /* first-order lag behind a straight line, exact */
-        const double from = b->lower[k] ? b->phase[k] : 0.0;
-        const double to = b->lower[k] ? e->phase[k] : 0.0;
-        const double lag = b->tau * per_h * (to - from);
-        b->amplifier[k] = to - lag + (b->amplifier[k] - from + lag) * left;
+    const double tau_h = b->tau * per_h;
+    for (int k = 0; k < 3; k++) {
+        const double seen = (b->paths & LOWER(k)) ? 1.0 : 0.0;
+        b->amplifier[k] = lag_behind(b->amplifier[k], seen * b->phase[k], seen * e->phase[k], tau_h, left);
     }
     const double charge = 1.5 * dot(b->a, e->charge);
     const double squares = (0.5 * h) * (dot(b->i, b->i) + dot(b->i, e->i) + dot(e->i, e->i)); /* 3/2 int i^2 */
     b->e_copper += b->r_s * squares;
     b->e_switch += b->r_on * squares - 1.5 * dot(b->b, e->charge);
     b->e_bus += charge * u_h * per_h;
-    b->volt_seconds.alpha += b->a.alpha * u_h + b->b.alpha * h - b->r_on * e->charge.alpha;
-    b->volt_seconds.beta += b->a.beta * u_h + b->b.beta * h - b->r_on * e->charge.beta;
-    b->volt_seconds_0 += b->a_0 * u_h + b->b_0 * h;
+    b->charge.alpha += e->charge.alpha;
+    b->charge.beta += e->charge.beta;
+    b->volt_seconds_0 += legs_at[PHASES(b->paths, UPPER(0))].mean * u_h +
+                         (2.0 * legs_at[PHASES(b->paths, RAISED(0))].mean - 1.0) * b->v_drop * h;
     b->psi = e->psi;
     b->i = e->i;
     b->theta = e->theta;
@@ -466,6 +502,8 @@ static inline double accept(bridge_t *b, double h, double u_h, const end_t *e)
     b->begun = false;
     return charge;
 }
+
+static double accept_out(bridge_t *b, double h, double u_h, const end_t *e) { return accept(b, h, u_h, e); }
 
 /* Take the current of phase k out of i and psi; what is left of it is the error of a root. */
 static void remove_phase(bridge_t *b, int k)
@@ -491,7 +529,7 @@ static void remove_all(bridge_t *b)
     b->torque = 0.0;
     for (int k = 0; k < 3; k++) {
         b->phase[k] = 0.0;
-        b->sign[k] = 0;
+        set_sign(b, k, 0);
     }
 }
 
@@ -500,7 +538,7 @@ static void apply(bridge_t *b, const cut_t *cut)
 {
     switch (cut->reason) {
     case CURRENT_ZERO:
-        b->sign[cut->phase] = 0;
+        set_sign(b, cut->phase, 0);
         if (b->floating >= 0) {
             remove_all(b);
         } else {
@@ -509,7 +547,7 @@ static void apply(bridge_t *b, const cut_t *cut)
         break;
     case CLAMPED:
         if (cut->phase >= 0) {
-            b->sign[cut->phase] = cut->sign;
+            set_sign(b, cut->phase, cut->sign);
         }
         break;
     case STOPPED:
@@ -543,7 +581,7 @@ static double split_advance(bridge_t *b, double h, double u)
             attempt(b, cut.after, u, &e, &again);
         }
         if (cut.after > 0.0) {
-            charge += accept(b, cut.after, u * cut.after, &e);
+            charge += accept_out(b, cut.after, u * cut.after, &e);
             if (b->floating >= 0) {
                 remove_phase(b, b->floating);
             }
@@ -581,25 +619,41 @@ double bridge_amplifier(const bridge_t *b, int k, double h)
     if (h <= 0.0) {
         return b->amplifier[k];
     }
+    const double seen = (b->paths & LOWER(k)) ? 1.0 : 0.0;
     const double slope = dot(b->di, phase_axis[k]);
-    const double from = b->lower[k] ? b->phase[k] : 0.0;
-    const double to = b->lower[k] ? b->phase[k] + h * slope : 0.0;
-    const double lag = b->lower[k] ? b->tau * slope : 0.0;
-    return to - lag + (b->amplifier[k] - from + lag) * decay(b, h);
+    return lag_behind(b->amplifier[k], seen * b->phase[k], seen * (b->phase[k] + h * slope), b->tau / h, decay(b, h));
 }
 
-bool bridge_indifferent(const bridge_t *b, int k, bridge_gates_t gates, double h)
+double bridge_shunt(const bridge_t *b, int k) { return (b->paths & LOWER(k)) ? b->phase[k] : 0.0; }
+
+/* Without current: true if none begins with the leg's other gates. */
+static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
 {
-    if (!b->begun || b->sign[k] == 0) {
+    const bridge_gates_t before = b->gates[k];
+    int out = 0;
+    int back = 0;
+    b->gates[k] = gates;
+    const bool dead = b->unplugged || excess(b, b->u, b->psi, b->omega, &out, &back) <= 0.0;
+    b->gates[k] = before;
+    return dead;
+}
+
+bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
+{
+    if (b->begun && b->dead) {
+        return stays_dead(b, k, gates);
+    }
+    if (!b->begun || b->sign[k] == 0 || leg_paths[b->gates[k]][b->sign[k] + 1] != leg_paths[gates][b->sign[k] + 1]) {
         return false;
     }
-    const bridge_path_t *path = &b->path[b->gates[k]][b->sign[k] + 1];
-    const bridge_path_t *next = &b->path[gates][b->sign[k] + 1];
-    const double now = b->sign[k] * (b->phase[k] + h * dot(b->di, phase_axis[k]));
-    return path->upper == next->upper && path->drop == next->drop && path->lower == next->lower && now > 1e8 * h * h;
+    return b->way[k] * (b->phase[k] + h * dot(b->di, phase_axis[k])) > 1e8 * h * h;
 }
 
-void bridge_set_winding(bridge_t *b, double r_s) { b->r_s = r_s; }
+void bridge_set_winding(bridge_t *b, double r_s)
+{
+    b->r_s = r_s;
+    b->r = r_s + b->r_on;
+}
 
 void bridge_plug(bridge_t *b, bool plugged)
 {

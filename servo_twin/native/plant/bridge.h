@@ -45,21 +45,16 @@ typedef enum {
 #define BRIDGE_GATES 3
 #define BRIDGE_CLOCK_HZ 100e6 /* bus clock of the chip */
 
-typedef struct {
-    double upper;   /* part of the current that comes from the positive rail: 0 or 1 */
-    double drop;    /* leg voltage is upper u + drop [V] */
-    bool lower;     /* the lower half of the leg carries the current: the shunt sees it */
-} bridge_path_t;
-
 /* Decay of the amplifiers, e^(-n clocks / tau), as the product of two entries. */
 #define BRIDGE_DECAY 32
 
 typedef struct {
     /* parameters */
-    bridge_path_t path[BRIDGE_GATES][3]; /* by gates and sign of the current + 1 */
-    double r_s, r_on;
+    double v_drop;                       /* [V] */
+    double r_s, r_on, r;                 /* winding, switch or diode, their sum [ohm] */
     double l_d, l_q, inv_l_d, inv_l_q;
     double psi_m, pole_pairs;
+    double k_torque;                     /* 3/2 p */
     double inertia, inv_inertia;
     double friction, viscous;
     double tau;                          /* of the current amplifiers [s] */
@@ -72,6 +67,7 @@ typedef struct {
     plant_vector_t psi;                  /* stator flux linkage [V s] */
     double theta, omega;                 /* mechanical [rad], [rad/s] */
     int sign[3];                         /* of the phase currents; 0: the leg floats */
+    double way[3];                       /* the same as a number */
     double amplifier[3];                 /* output of the current amplifiers [A] */
     /* what follows from it */
     double cosine, sine;                 /* of the electrical angle */
@@ -81,22 +77,22 @@ typedef struct {
     unsigned steps;                      /* since cosine and sine were made afresh */
     /* the segment that begins here, valid while `begun` */
     bool begun;
+    double u;                            /* bus voltage [V] */
     bool held;                           /* the shaft has just stopped and stays so to the end of the segment */
     int floating;                        /* index of the only leg without current, -1 if there is none */
     double hold;                         /* its voltage at the beginning [V] */
     bool dead;                           /* no current at all, and none will flow */
-    bool lower[3];
+    unsigned paths;                      /* through the legs, see bridge.c */
     plant_vector_t a, b;                 /* v = u a + b */
-    double a_0, b_0;                     /* the same for the mean of the legs */
     plant_vector_t di;                   /* [A/s] */
     double dtorque;                      /* [N m/s] */
-    int direction;                       /* of motion; 0: stands */
+    double direction;                    /* of motion, 1 or -1; 0: stands */
     double accel, jerk;                  /* [rad/s^2], [rad/s^3] */
     /* sums since the beginning */
     double e_copper, e_switch;           /* [J] */
     double e_bus;                        /* taken out of the bus [J] */
-    plant_vector_t volt_seconds;         /* of the legs [V s] */
-    double volt_seconds_0;
+    plant_vector_t charge;               /* [A s] */
+    double volt_seconds_0;               /* of the legs' mean [V s] */
 } bridge_t;
 
 /* All gates off, no current, shaft at rest. */
@@ -114,7 +110,10 @@ double bridge_amplifier(const bridge_t *bridge, int phase, double h);
 
 /* True if other gates on a leg would change nothing, now and in the `h` seconds since the segment began: a dead time
  * that the diode has bridged already, or is about to. */
-bool bridge_indifferent(const bridge_t *bridge, int phase, bridge_gates_t gates, double h);
+bool bridge_indifferent(bridge_t *bridge, int phase, bridge_gates_t gates, double h);
+
+/* What the shunt of a phase carries at the beginning of the segment. */
+double bridge_shunt(const bridge_t *bridge, int phase);
 
 void bridge_set_winding(bridge_t *bridge, double r_s); /* as the copper warms up */
 void bridge_plug(bridge_t *bridge, bool plugged);

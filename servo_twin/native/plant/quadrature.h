@@ -22,7 +22,8 @@ typedef struct {
     double jitter;      /* standard deviation of an edge [pitches] */
     double early;       /* of a rising edge, and delay of a falling one [pitches] */
     int64_t position;   /* edges passed since angle 0 */
-    double above, below; /* angles at which the shaft leaves this position [rad] */
+    bool upwards;       /* direction in which the shaft moves, or has moved last */
+    double target;      /* angle of the next edge in that direction [rad] */
     bool level[QUADRATURE_LINES];
     bool cut[QUADRATURE_LINES]; /* the line stays low */
     plant_random_t random;
@@ -30,15 +31,15 @@ typedef struct {
 
 /* An edge, as the pin sees it. */
 typedef struct {
-    int line; /* 0: A, 1: B */
+    uint8_t line; /* 0: A, 1: B */
     bool level;
     bool seen; /* false: the line is cut */
 } quadrature_edge_t;
 
 void quadrature_init(quadrature_t *encoder, const plant_axis_t *config, uint64_t seed, uint64_t stream);
 
-/* The shaft has reached `above` or `below`. */
-quadrature_edge_t quadrature_pass(quadrature_t *encoder, bool upwards);
+/* The shaft has reached the target. */
+quadrature_edge_t quadrature_pass(quadrature_t *encoder);
 
 /* Level at the pin. */
 static inline bool quadrature_level(const quadrature_t *encoder, int line)
@@ -51,14 +52,24 @@ typedef struct {
     double theta, omega, accel;
     double per_omega;    /* 0 for a shaft that starts from rest */
     double bend, twist;  /* accel / omega, jerk / (6 omega) */
-    double range;        /* more than it covers within the time of interest [rad] */
-    bool moves;
 } quadrature_course_t;
 
-quadrature_course_t quadrature_course(double theta, double omega, double accel, double jerk, double time);
+quadrature_course_t quadrature_course(quadrature_t *encoder, double theta, double omega, double accel, double jerk);
 
-/* Time until the shaft leaves the position in the direction in which it begins to move; huge if that takes longer than
- * the time of interest [s]. `upwards` tells on which side. */
-double quadrature_time(const quadrature_t *encoder, const quadrature_course_t *course, bool *upwards);
+double quadrature_slow_time(const quadrature_course_t *course, double way);
+
+/* Time until the shaft reaches the target, which may be in the past or far away; huge if it never does on this course
+ * [s]. */
+static inline double quadrature_time(const quadrature_t *encoder, const quadrature_course_t *course)
+{
+    /* almost at constant speed: t = tau (1 - a tau / 2 + a^2 tau^2 / 2 - ...) - j tau^3 / (6 omega) */
+    const double way = encoder->target - course->theta;
+    const double tau = way * course->per_omega;
+    const double x = course->bend * tau;
+    if (x < 0.01 && x > -0.01 && course->per_omega != 0.0) {
+        return tau * (1.0 - x * (0.5 - x * (0.5 - 0.625 * x)) - course->twist * tau * tau);
+    }
+    return quadrature_slow_time(course, way);
+}
 
 #endif

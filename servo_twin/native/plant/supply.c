@@ -10,6 +10,7 @@ void supply_init(supply_t *supply, const plant_bus_t *config)
         .g_brake = (config->r_brake > 0.0) ? 1.0 / config->r_brake : 0.0,
         .c = config->capacitance,
         .inv_c = 1.0 / config->capacitance,
+        .per_rc = 1.0 / (config->r_source * config->capacitance),
         .u = config->u_source,
     };
 }
@@ -43,7 +44,8 @@ static inline void take_over(supply_t *s, double h, double u, double u_h, double
     s->u = u;
 }
 
-double supply_advance(supply_t *s, double h, double i_load)
+/* With a change of the regime, a brake or a source of little resistance. */
+static double advance_slowly(supply_t *s, double h, double i_load)
 {
     const bool fed = s->u < s->u_source || (s->u == s->u_source && i_load > 0.0);
     double u_h;
@@ -68,4 +70,20 @@ double supply_advance(supply_t *s, double h, double i_load)
         s->u = 0.0;
     }
     return u_h;
+}
+
+double supply_advance(supply_t *s, double h, double i_load)
+{
+    if (s->u < s->u_source && !s->braking) { /* the source feeds, nearly always */
+        const double x = h * s->per_rc;
+        const double rise = h * s->inv_c * (s->g_source * (s->u_source - s->u) - i_load);
+        const double u = s->u + rise * (1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0))));
+        if (x < 0.125 && u < s->u_source && u > 0.0) {
+            const double u_h = h * (s->u + rise * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0))));
+            s->e_source += 0.5 * (s->u + u) * ((u - s->u) * s->c + i_load * h);
+            s->u = u;
+            return u_h;
+        }
+    }
+    return advance_slowly(s, h, i_load);
 }

@@ -16,6 +16,7 @@ typedef struct {
     double g_source;  /* [S] */
     double g_brake;   /* of the resistor [S]; 0: there is none */
     double c, inv_c;  /* [F], [1/F] */
+    double per_rc;    /* [1/s] */
     bool braking;     /* the resistor is switched on */
     double u;         /* [V] */
     double e_source;  /* delivered by the source into the bus so far [J] */

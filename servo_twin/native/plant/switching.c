@@ -21,6 +21,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
     plant->bus = config->bus;
     plant_random_init(&plant->noise, config->seed, 0);
     plant->thermal_clock = THERMAL_STEP;
+    plant->rare_clock = THERMAL_STEP;
     for (int i = 0; i < BOARD_AXES; i++) {
         const plant_axis_t *c = &config->axis[i];
         switching_axis_t *axis = &plant->axis[i];
@@ -44,7 +45,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
 
 /* ---- events ------------------------------------------------------------------------------------------------------- */
 
-static void tell(switching_t *plant, switching_event_t event)
+static inline void tell(switching_t *plant, switching_event_t event)
 {
     if (plant->waiting < SWITCHING_EVENTS) {
         plant->event[(plant->first + plant->waiting++) % SWITCHING_EVENTS] = event;
@@ -66,11 +67,10 @@ bool switching_take(switching_t *plant, switching_event_t *event)
 
 static uint64_t earlier(uint64_t a, uint64_t b) { return (a < b) ? a : b; }
 
-/* Clock at or after `seconds` from where the axis stands, and after the present one. */
-static uint64_t clock_after(const switching_t *plant, const switching_axis_t *axis, double time)
+/* Clock at or after a time counted from where the axis stands, and after the present one. */
+static inline uint64_t clock_after(const switching_t *plant, const switching_axis_t *axis, double time)
 {
-    const double whole = time * SWITCHING_CLOCK_HZ;
-    const uint64_t clock = axis->clock + (uint64_t)whole + 1u;
+    const uint64_t clock = axis->clock + (uint64_t)(int64_t)(time * SWITCHING_CLOCK_HZ) + 1u;
     return (clock > plant->now) ? clock : plant->now + 1u;
 }
 
@@ -94,8 +94,11 @@ static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axi
 
 static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
 {
-    const double t = quadrature_time(&axis->encoder, &axis->course, &axis->edge_upwards);
-    axis->edge_clock = (t < SWITCHING_HORIZON * CLOCK) ? clock_after(plant, axis, t) : NEVER;
+    const double t = quadrature_time(&axis->encoder, &axis->course);
+    axis->edge_clock = NEVER;
+    if (t < SWITCHING_HORIZON * CLOCK) {
+        axis->edge_clock = clock_after(plant, axis, (t > 0.0) ? t : 0.0);
+    }
 }
 
 static inline void find_next(switching_axis_t *axis)
@@ -103,15 +106,19 @@ static inline void find_next(switching_axis_t *axis)
     axis->next_clock = earlier(earlier(axis->edge_clock, axis->look_clock), axis->clock + SWITCHING_HORIZON);
 }
 
-static void find_next_of_all(switching_t *plant)
+static inline void find_next_of_all(switching_t *plant)
 {
-    uint64_t next = earlier(plant->thermal_clock, earlier(plant->axis[0].next_clock, plant->axis[1].next_clock));
+    plant->next = earlier(plant->rare_clock, earlier(plant->axis[0].next_clock, plant->axis[1].next_clock));
+}
+
+static void find_rare(switching_t *plant)
+{
+    plant->rare_clock = plant->thermal_clock;
     for (int i = 0; i < BOARD_AXES; i++) {
         if (plant->axis[i].short_clock > plant->now) {
-            next = earlier(next, plant->axis[i].short_clock);
+            plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].short_clock);
         }
     }
-    plant->next = next;
 }
 
 /* After whatever has changed at the present clock. */
@@ -124,7 +131,7 @@ void switching_look_around(switching_t *plant)
             bridge_begin(b, plant->supply.u);
             axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
             axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
-            axis->course = quadrature_course(b->theta, b->omega, b->accel, b->jerk, SWITCHING_HORIZON * CLOCK);
+            axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk);
             find_edge(plant, axis);
             const double square = b->i.alpha * b->i.alpha + b->i.beta * b->i.beta;
             axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
@@ -170,7 +177,7 @@ static void compare(switching_t *plant, int i)
                          axis->short_clock > plant->now;
     if (tripped != axis->tripped) {
         axis->tripped = tripped;
-        tell(plant, (switching_event_t){plant->now, SWITCHING_OVER_CURRENT, i, 0, tripped});
+        tell(plant, (switching_event_t){plant->now, SWITCHING_OVER_CURRENT, (uint8_t)i, 0, tripped});
     }
 }
 
@@ -210,34 +217,45 @@ static void warm_up(switching_t *plant)
     plant->thermal_clock += THERMAL_STEP;
 }
 
-static void pass_edge(switching_t *plant, int i)
+static inline void pass_edge(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
-    const quadrature_edge_t edge = quadrature_pass(&axis->encoder, axis->edge_upwards);
+    const quadrature_edge_t edge = quadrature_pass(&axis->encoder);
     if (edge.seen) {
-        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, i, edge.line, edge.level});
+        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, edge.line, edge.level});
     }
     find_edge(plant, axis);
     find_next(axis);
+}
+
+static void happen_rarely(switching_t *plant)
+{
+    for (int i = 0; i < BOARD_AXES; i++) {
+        if (plant->axis[i].short_clock == plant->now) {
+            compare(plant, i);
+        }
+    }
+    if (plant->thermal_clock == plant->now) {
+        warm_up(plant);
+    }
+    find_rare(plant);
 }
 
 void switching_happen(switching_t *plant)
 {
     plant->now = plant->next;
     for (int i = 0; i < BOARD_AXES; i++) {
-        switching_axis_t *axis = &plant->axis[i];
-        if (axis->edge_clock == plant->now) {
-            pass_edge(plant, i);
-        }
+        const switching_axis_t *axis = &plant->axis[i];
         if (axis->next_clock == plant->now) {
-            advance_axis(plant, i);
-        }
-        if (axis->short_clock == plant->now) {
-            compare(plant, i);
+            if (axis->edge_clock == plant->now) {
+                pass_edge(plant, i);
+            } else {
+                advance_axis(plant, i);
+            }
         }
     }
-    if (plant->thermal_clock == plant->now) {
-        warm_up(plant);
+    if (plant->rare_clock == plant->now) {
+        happen_rarely(plant);
     }
     if (!plant->stale) {
         find_next_of_all(plant);
@@ -251,6 +269,7 @@ static void begin_short(switching_t *plant, int i, uint64_t until)
 {
     plant->axis[i].short_clock = until;
     plant->stale = true;
+    find_rare(plant);
     compare(plant, i);
 }
 
@@ -351,15 +370,18 @@ void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
     };
     const double h = seconds(axis->mean_clock, copy.now);
     const double per_h = (h > 0.0) ? 1.0 / h : 0.0;
-    const double alpha = (b->volt_seconds.alpha - axis->mean_volts.alpha) * per_h;
-    const double beta = 0.5 * PLANT_SQRT3 * (b->volt_seconds.beta - axis->mean_volts.beta) * per_h;
+    /* what the winding has integrated, and what its resistance has lost */
+    const plant_vector_t psi = {b->psi.alpha - axis->mean_psi.alpha, b->psi.beta - axis->mean_psi.beta};
+    const plant_vector_t charge = {b->charge.alpha - axis->mean_charge.alpha, b->charge.beta - axis->mean_charge.beta};
+    const double alpha = (psi.alpha + b->r_s * charge.alpha) * per_h;
+    const double beta = 0.5 * PLANT_SQRT3 * (psi.beta + b->r_s * charge.beta) * per_h;
     const double mean = (b->volt_seconds_0 - axis->mean_volts_0) * per_h;
     truth->voltage[0] = mean + alpha;
     truth->voltage[1] = mean - 0.5 * alpha + beta;
     truth->voltage[2] = mean - 0.5 * alpha - beta;
     for (int k = 0; k < 3; k++) {
         truth->phase[k] = b->phase[k];
-        truth->shunt[k] = b->lower[k] ? b->phase[k] : 0.0;
+        truth->shunt[k] = bridge_shunt(b, k);
         truth->amplifier[k] = b->amplifier[k];
     }
 }
@@ -370,7 +392,8 @@ void switching_mean(switching_t *plant, int i)
     switching_look_around(plant);
     advance_axis(plant, i);
     axis->mean_clock = plant->now;
-    axis->mean_volts = axis->bridge.volt_seconds;
+    axis->mean_psi = axis->bridge.psi;
+    axis->mean_charge = axis->bridge.charge;
     axis->mean_volts_0 = axis->bridge.volt_seconds_0;
 }
 
@@ -427,7 +450,7 @@ void switching_cut(switching_t *plant, int i, int line, bool cut)
     encoder->cut[line] = cut;
     const bool after = quadrature_level(encoder, line);
     if (after != before) {
-        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, i, line, after});
+        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, (uint8_t)line, after});
     }
 }
 

@@ -47,9 +47,9 @@ typedef enum {
 
 typedef struct {
     uint64_t clock;
-    switching_kind_t kind;
-    int axis;
-    int line;
+    uint8_t kind; /* switching_kind_t */
+    uint8_t axis;
+    uint8_t line;
     bool level;
 } switching_event_t;
 
@@ -63,7 +63,6 @@ typedef struct {
     double booked;          /* charge that the bus has given meanwhile, at the extrapolated current [A s] */
     double u_h;             /* integral of the bus voltage meanwhile [V s] */
     uint64_t edge_clock;    /* when the encoder changes next, if nothing else does */
-    bool edge_upwards;
     quadrature_course_t course; /* of the shaft since `clock` */
     double i_bus, di_bus;   /* current out of the bus at `clock`, and its slope [A], [A/s] */
     uint64_t look_clock;    /* when a current may pass the comparator's threshold */
@@ -81,7 +80,7 @@ typedef struct {
     double r_s;             /* at the reference temperature [ohm] */
     double e_copper, e_switch; /* that the temperatures have seen already [J] */
     uint64_t mean_clock;    /* beginning of the voltages' mean, and the integrals there */
-    plant_vector_t mean_volts;
+    plant_vector_t mean_psi, mean_charge;
     double mean_volts_0;
 } switching_axis_t;
 
@@ -95,6 +94,7 @@ typedef struct {
     bool stale;
     uint64_t supply_clock;  /* the bus stands here */
     uint64_t thermal_clock; /* next step of the temperatures */
+    uint64_t rare_clock;    /* that, or the end of a short */
     switching_event_t event[SWITCHING_EVENTS];
     unsigned first, waiting;
 } switching_t;
