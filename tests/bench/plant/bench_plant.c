@@ -1,4 +1,8 @@
-/* bench_plant.c - what one PWM period of both axes costs: plant at switching level, averaged plant. Prints nanoseconds. */
+/* bench_plant.c - what one PWM period of both axes costs: the plant at switching level, the averaged plant, and their
+ * ratio. The quickest of many blocks counts, because others use the machine as well.
+ *
+ *   bench_plant [PERIODS [CASE]]
+ */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,14 +14,22 @@
 
 #define PERIOD 6250u
 #define DEAD 100u
-#define EDGES 24
-#define BLOCK 50u /* the quickest counts: others use the machine as well */
+#define EDGES 24u  /* per period, both axes */
+#define GROUP 8u   /* periods whose edges are made in advance */
+#define BLOCK 8u   /* groups in a block: some electrical angle has to go by */
 
 typedef struct {
-    unsigned clock; /* in the period */
+    uint64_t clock;
     int axis, phase;
-    switching_leg_t leg; /* or -1: both axes are sampled */
+    switching_leg_t leg;
+    bool scan; /* the converter samples before this edge */
 } edge_t;
+
+typedef struct {
+    double volts, load; /* [V], [N m] */
+} case_t;
+
+static const case_t cases[] = {{0.0, 0.0}, {4.0, 0.05}, {11.0, 0.05}, {4.0, 0.0}, {11.0, 0.0}};
 
 static double now_ns(void)
 {
@@ -33,143 +45,173 @@ static int by_clock(const void *a, const void *b)
     return (x->clock > y->clock) - (x->clock < y->clock);
 }
 
-static void cycle(unsigned *count, edge_t *edge, int axis, const double duty[3], unsigned shift)
-{
-    for (int k = 0; k < 3; k++) {
-        const unsigned low = (unsigned)(0.5 * PERIOD * (1.0 - duty[k]));
-        const unsigned clock[4] = {low, low + DEAD, PERIOD - low, PERIOD - low + DEAD};
-        const switching_leg_t leg[4] = {SWITCHING_OPEN, SWITCHING_HIGH, SWITCHING_OPEN, SWITCHING_LOW};
-        for (int n = 0; n < 4; n++) {
-            edge[(*count)++] = (edge_t){(clock[n] + shift) % PERIOD, axis, k, leg[n]};
-        }
-    }
-}
-
-/* Voltage at an angle that turns with the rotor, as a controller would give it. */
+/* Voltage across the rotor's axis, as a controller would give it. */
 static void duties(double theta_e, double volts, double duty[3])
 {
     double c;
     double s;
     plant_sincos(theta_e, &s, &c);
     const double alpha = -volts * s / 24.0;
-    const double beta = volts * c / 24.0;
+    const double beta = 0.5 * PLANT_SQRT3 * volts * c / 24.0;
     duty[0] = 0.5 + alpha;
-    duty[1] = 0.5 - 0.5 * alpha + 0.8660254 * beta;
-    duty[2] = 0.5 - 0.5 * alpha - 0.8660254 * beta;
+    duty[1] = 0.5 - 0.5 * alpha + beta;
+    duty[2] = 0.5 - 0.5 * alpha - beta;
 }
 
-static double run_switching(const board_config_t *config, unsigned periods, double volts, unsigned *events)
+static unsigned cycle(edge_t *edge, int axis, const double duty[3], uint64_t start)
+{
+    static const switching_leg_t leg[4] = {SWITCHING_OPEN, SWITCHING_HIGH, SWITCHING_OPEN, SWITCHING_LOW};
+    unsigned count = 0;
+    for (int k = 0; k < 3; k++) {
+        const unsigned low = (unsigned)(0.5 * PERIOD * (1.0 - duty[k]));
+        const unsigned clock[4] = {low, low + DEAD, PERIOD - low, PERIOD - low + DEAD};
+        for (int n = 0; n < 4; n++) {
+            edge[count++] = (edge_t){start + clock[n], axis, k, leg[n], false};
+        }
+    }
+    return count;
+}
+
+/* Edges of the next periods, axis 2 half a period behind. */
+static unsigned group(const switching_t *plant, double volts, uint64_t start, edge_t *edge)
+{
+    unsigned count = 0;
+    for (unsigned n = 0; n < GROUP; n++) {
+        for (int i = 0; i < 2; i++) {
+            const bridge_t *b = &plant->axis[i].bridge;
+            double duty[3];
+            duties(b->pole_pairs * (b->theta + n * 62.5e-6 * b->omega), volts, duty);
+            count += cycle(edge + count, i, duty, start + n * PERIOD + (unsigned)i * (PERIOD / 2u));
+        }
+    }
+    qsort(edge, count, sizeof edge[0], by_clock);
+    for (unsigned n = 0; n < count; n += EDGES / 2u) {
+        edge[n].scan = true;
+    }
+    return count;
+}
+
+static double run_switching(const board_config_t *config, unsigned groups, case_t c, unsigned *events)
 {
     static switching_t plant;
-    static edge_t edge[2 * EDGES];
+    static edge_t edge[GROUP * EDGES];
     switching_event_t event;
-    double spent = 0.0;
     double least = 1e9;
-    uint16_t sink = 0;
+    double spent = 0.0;
+    volatile uint16_t code = 0;
     switching_init(&plant, config);
-    switching_set_load(&plant, 0, 0.05 * (volts > 1.0));
-    switching_set_load(&plant, 1, 0.05 * (volts > 1.0));
+    switching_set_load(&plant, 0, c.load);
+    switching_set_load(&plant, 1, c.load);
     *events = 0;
-    for (unsigned n = 0; n < periods; n++) {
-        unsigned count = 0;
-        for (int i = 0; i < 2; i++) {
-            double duty[3];
-            duties(plant.axis[i].bridge.pole_pairs * plant.axis[i].bridge.theta, volts, duty);
-            cycle(&count, edge, i, duty, i == 0 ? 0u : PERIOD / 2u);
-        }
-        qsort(edge, count, sizeof edge[0], by_clock);
-        const uint64_t start = (uint64_t)n * PERIOD;
+    for (unsigned n = 0; n < groups; n++) {
+        const unsigned count = group(&plant, c.volts, (uint64_t)n * GROUP * PERIOD + PERIOD, edge);
         const double begin = now_ns();
         for (unsigned e = 0; e < count; e++) {
-            const uint64_t clock = start + edge[e].clock;
-            if (e == count / 2u) { /* a scan: two currents, two offsets, bus */
-                for (int k = 0; k < 2; k++) {
-                    sink ^= switching_current_code(&plant, 0, k);
-                    sink ^= switching_current_code(&plant, 1, k);
-                }
-                sink ^= switching_bus_code(&plant);
-            }
             uint64_t next;
-            while ((next = switching_next(&plant)) <= clock) {
+            while ((next = switching_next(&plant)) <= edge[e].clock) {
                 switching_advance(&plant, next);
                 while (switching_take(&plant, &event)) {
                     (*events)++;
                 }
             }
-            switching_advance(&plant, clock);
+            switching_advance(&plant, edge[e].clock);
+            if (edge[e].scan) { /* twice per period: two currents, two offsets, bus */
+                for (int k = 0; k < 2; k++) {
+                    code = switching_current_code(&plant, 0, k);
+                    code = switching_current_code(&plant, 1, k);
+                }
+                code = switching_bus_code(&plant);
+            }
             switching_edge(&plant, edge[e].axis, edge[e].phase, edge[e].leg);
         }
         spent += now_ns() - begin;
         if (n % BLOCK == BLOCK - 1u) {
-            least = (spent < least) ? spent : least;
+            least = (spent < least && n > groups / 4u) ? spent : least;
             spent = 0.0;
         }
     }
-    if (volts > 100.0) {
-        printf("%u", sink);
-    }
-
-    return least / BLOCK;
+    (void)code;
+    return least / (BLOCK * GROUP);
 }
 
-static double run_averaged(const board_config_t *config, unsigned periods, double volts)
+static double run_averaged(const board_config_t *config, unsigned groups, case_t c)
 {
     static plant_t plant;
-    double spent = 0.0;
+    static double duty[GROUP][2][3];
     double least = 1e9;
+    double spent = 0.0;
+    volatile uint16_t code = 0;
     plant_init(&plant, config);
     for (int i = 0; i < 2; i++) {
         plant.axis[i].inverter.on = true;
-        plant.axis[i].motor.load = 0.05 * (volts > 1.0);
+        plant.axis[i].motor.load = c.load;
     }
     uint64_t clock = 0;
-    for (unsigned n = 0; n < periods; n++) {
-        double duty[2][3];
-        for (int i = 0; i < 2; i++) {
-            duties(plant.axis[i].motor.pole_pairs * plant.axis[i].motor.theta, volts, duty[i]);
+    for (unsigned n = 0; n < groups; n++) {
+        for (unsigned g = 0; g < GROUP; g++) {
+            for (int i = 0; i < 2; i++) {
+                const plant_motor_t *motor = &plant.axis[i].motor;
+                duties(motor->pole_pairs * (motor->theta + g * 62.5e-6 * motor->omega), c.volts, duty[g][i]);
+            }
         }
         const double begin = now_ns();
-        for (int i = 0; i < 2; i++) {
-            plant_inverter_load(&plant.axis[i].inverter, duty[i], plant.bus.u_dc);
-        }
-        for (int k = 0; k < 2 * PLANT_STEPS_PER_HALF; k++, clock += plant.step_ns) {
-            plant_step(&plant, clock);
+        for (unsigned g = 0; g < GROUP; g++) {
+            for (int half = 0; half < 2; half++) {
+                plant_half_cycle(&plant);
+                for (int i = 0; i < 2; i++) {
+                    plant_inverter_load(&plant.axis[i].inverter, duty[g][i], plant.bus.u_dc);
+                }
+                for (int k = 0; k < PLANT_STEPS_PER_HALF; k++, clock += plant.step_ns) {
+                    plant_step(&plant, clock);
+                }
+                for (int k = 0; k < 2; k++) {
+                    code = plant_current_code(&plant, 0, k, half == 0);
+                    code = plant_current_code(&plant, 1, k, half != 0);
+                }
+                code = plant_bus_code(&plant);
+            }
         }
         spent += now_ns() - begin;
         if (n % BLOCK == BLOCK - 1u) {
-            least = (spent < least) ? spent : least;
+            least = (spent < least && n > groups / 4u) ? spent : least;
             spent = 0.0;
         }
     }
-    return least / BLOCK;
+    (void)code;
+    return least / (BLOCK * GROUP);
 }
 
 static plant_axis_t motor(void)
 {
-    return (plant_axis_t){.r_s = 0.55, .l_d = 0.403e-3, .l_q = 0.512e-3, .psi_m = 0.0154, .pole_pairs = 2, .inertia = 0.8e-5,
-                          .friction = 2e-3, .viscous = 1e-5, .encoder_lines = 1000, .i_full_scale = 8.25, .i_noise = 0.008,
-                          .i_break = 14.0, .dead_time = 1e-6, .v_drop = 0.7, .r_on = 0.03, .turn_off = 0.25e-6,
-                          .i_settle = 0.2e-6, .encoder_jitter = 0.02, .encoder_duty_error = 0.02, .winding_capacity = 25,
-                          .winding_resistance = 4, .sink_capacity = 60, .sink_resistance = 5};
+    return (plant_axis_t){
+        .r_s = 0.55, .l_d = 0.403e-3, .l_q = 0.512e-3, .psi_m = 0.0154, .pole_pairs = 2, .inertia = 0.8e-5,
+        .friction = 2e-3, .viscous = 1e-5, .encoder_lines = 1000, .i_full_scale = 8.25, .i_noise = 0.008,
+        .i_break = 14.0, .dead_time = 1e-6, .v_drop = 0.7, .r_on = 0.03, .turn_off = 0.25e-6, .i_settle = 0.2e-6,
+        .encoder_jitter = 0.02, .encoder_duty_error = 0.02, .winding_capacity = 25, .winding_resistance = 4,
+        .sink_capacity = 60, .sink_resistance = 5,
+    };
 }
 
 int main(int argc, char **argv)
 {
-    const unsigned periods = (argc > 1) ? (unsigned)atoi(argv[1]) : 16000u;
-    const board_config_t config = {.axis = {motor(), motor()}, .bus = {24.0, 0.1, 4.7e-3, 36.3, 0.02, 0.0},
-                                   .pwm_frequency = 16000.0, .ambient = 25.0, .seed = 1};
-    const double volts[3] = {0.0, 4.0, 11.0};
-    for (int v = 0; v < 3; v++) {
+    const unsigned groups = ((argc > 1) ? (unsigned)atoi(argv[1]) : 16000u) / GROUP;
+    const board_config_t config = {
+        .axis = {motor(), motor()},
+        .bus = {24.0, 0.1, 4.7e-3, 36.3, 0.02, 0.0},
+        .pwm_frequency = 16000.0,
+        .ambient = 25.0,
+        .seed = 1,
+    };
+    for (int v = 0; v < (int)(sizeof cases / sizeof cases[0]); v++) {
         if (argc > 2 && v != atoi(argv[2])) {
             continue;
         }
         unsigned events = 0;
-        double best;
-        double averaged;
-        best = run_switching(&config, periods, volts[v], &events);
-        averaged = run_averaged(&config, periods, volts[v]);
-        printf("%.0f V: switching %.0f ns, averaged %.0f ns per period, ratio %.2f, %.1f events per period\n", volts[v], best, averaged, best / averaged,
-               (double)events / periods);
+        const double switching = run_switching(&config, groups, cases[v], &events);
+        const double averaged = run_averaged(&config, groups, cases[v]);
+        printf("%4.0f V %3.0f mN m: switching %5.0f ns, averaged %4.0f ns per period, ratio %.2f, %.1f encoder edges\n",
+               cases[v].volts, 1e3 * cases[v].load, switching, averaged, switching / averaged,
+               (double)events / (groups * GROUP));
     }
     return 0;
 }
