@@ -79,7 +79,7 @@ static void schedule(chip_t *chip, unsigned c)
             }
         }
     }
-    chip->next[SOURCE_ADC + c] = next;
+    chip_schedule(chip, SOURCE_ADC + c, next);
 }
 
 /* The first pair of a row. */
@@ -134,6 +134,7 @@ static void hold(chip_t *chip, unsigned c, unsigned n, uint64_t ready)
     }
     chip_note(chip, TRACE_SAMPLE, n, channel);
     const unsigned pin = CHIP_PIN((channel < 8u) ? 'A' : 'B', channel & 7u);
+    chip_meet_world(chip);
     const uint16_t code =
         (pins_function(chip, pin) == FUNCTION_ANALOG) ? chip->world.convert(chip->world.context, channel) : 0u;
     if (((adc->waits >> n) & 1u) != 0) {

@@ -43,7 +43,7 @@ void chip_no_value(chip_t *chip, uint32_t address, uint16_t value, const char *w
 void chip_reset(chip_t *chip, reset_cause_t cause)
 {
     for (unsigned i = 0; i < CHIP_SOURCES; i++) {
-        chip->next[i] = CHIP_NEVER;
+        chip_schedule(chip, i, CHIP_NEVER);
     }
     core_reset(chip);
     system_reset(chip, cause);
@@ -67,12 +67,13 @@ typedef struct {
 
 static const block_t blocks[] = {
     {0xE600, 0xE800, pwm_read, pwm_write},   {0xE500, 0xE556, adc_read, adc_write},
-    {0xE140, 0xE1C0, qtmr_read, qtmr_write}, {0xE080, 0xE0B0, sci_read, sci_write},
-    {0xE200, 0xE270, gpio_read, gpio_write}, {0xE300, 0xE31C, intc_read, intc_write},
-    {0xE320, 0xE324, cop_read, cop_write},   {0xE340, 0xE388, xbar_read, xbar_write},
+    {0xE140, 0xE1C0, qtmr_read, qtmr_write}, {0xE200, 0xE270, gpio_read, gpio_write},
+    {0xE080, 0xE0B0, sci_read, sci_write},   {0xE320, 0xE324, cop_read, cop_write},
+    {0xE300, 0xE31C, intc_read, intc_write}, {0xE340, 0xE388, xbar_read, xbar_write},
     {0xE400, 0xE42E, sim_read, sim_write},   {0xE2B0, 0xE2B9, occs_read, occs_write},
 };
 
+/* The blocks that handlers use come first. */
 static const block_t *block_of(chip_t *chip, uint32_t address)
 {
     for (size_t i = 0; i < sizeof blocks / sizeof blocks[0]; i++) {
@@ -88,17 +89,16 @@ static bool step(chip_t *chip, uint64_t until);
 /* An access has taken its time. */
 static void pass(chip_t *chip)
 {
-    core_t *core = &chip->core;
-    if (core->booting) {
-        const uint64_t clock = chip->now + core->access_clocks;
-        while (step(chip, clock)) {
-        }
+    const uint64_t clock = chip->now + chip->core.access_clocks;
+    while (step(chip, clock)) {
     }
 }
 
 uint16_t chip_read(chip_t *chip, uint32_t address)
 {
-    pass(chip);
+    if (chip->core.booting) {
+        pass(chip);
+    }
     uint16_t value;
     if (chip->core.deferred_count > 0 && core_deferred(chip, address, &value)) {
         return value;
@@ -113,7 +113,9 @@ uint16_t chip_read(chip_t *chip, uint32_t address)
 
 void chip_write(chip_t *chip, uint32_t address, uint16_t value)
 {
-    pass(chip);
+    if (chip->core.booting) {
+        pass(chip);
+    }
     if (core_defers(chip, address)) {
         core_defer(chip, address, value);
         return;
@@ -132,18 +134,16 @@ void chip_interrupts(chip_t *chip, bool on)
 
 static void serve(chip_t *chip, unsigned source)
 {
-    if (source < SOURCE_PWM_FAULT) {
+    if (source < SOURCE_FAULT) {
         pwm_event(chip, source / PWM_SUBMODULES, source % PWM_SUBMODULES);
-    } else if (source < SOURCE_TIMER) {
-        pwm_fault_event(chip, source - SOURCE_PWM_FAULT);
+    } else if (source == SOURCE_FAULT) {
+        pwm_fault_event(chip);
     } else if (source < SOURCE_ADC) {
         qtmr_event(chip, source - SOURCE_TIMER);
-    } else if (source < SOURCE_SCI) {
+    } else if (source < SOURCE_SERIAL) {
         adc_event(chip, source - SOURCE_ADC);
-    } else if (source < SOURCE_LINE) {
-        sci_event(chip, source - SOURCE_SCI);
-    } else if (source == SOURCE_LINE) {
-        sci_line_event(chip);
+    } else if (source == SOURCE_SERIAL) {
+        sci_event(chip);
     } else if (source == SOURCE_CORE) {
         core_event(chip);
     } else {
@@ -154,32 +154,26 @@ static void serve(chip_t *chip, unsigned source)
 /* The next event up to `until`, or else that clock itself; false then. */
 static bool step(chip_t *chip, uint64_t until)
 {
-    unsigned source = 0;
-    uint64_t clock = chip->next[0];
-    for (unsigned i = 1; i < CHIP_SOURCES; i++) {
-        if (chip->next[i] < clock) {
-            clock = chip->next[i];
-            source = i;
-        }
+    const unsigned source = chip->first[1];
+    const uint64_t clock = chip->next[source];
+    if (chip->touched) {
+        chip->touched = false;
+        chip->outside = chip->world.next(chip->world.context);
     }
-    const chip_world_t *world = &chip->world;
-    const uint64_t outside = world->next(world->context);
-    const uint64_t due = (outside < clock) ? outside : clock;
+    const uint64_t due = (chip->outside < clock) ? chip->outside : clock;
     if (due > until) {
         if (until > chip->now) {
             chip->now = until;
             chip->core.polls = 0;
-            world->advance(world->context, until);
         }
         return false;
     }
-    if (due > chip->now) {
-        chip->now = due;
-        chip->core.polls = 0;
-        world->advance(world->context, due);
-    }
-    if (outside <= due) {
-        world->events(world->context);
+    chip->now = due;
+    chip->core.polls = 0;
+    if (chip->outside <= due) {
+        chip_meet_world(chip);
+        chip->touched = true;
+        chip->world.events(chip->world.context);
     }
     if (clock <= due) {
         serve(chip, source);
@@ -204,12 +198,15 @@ bool chip_run(chip_t *chip, uint64_t until)
     if (setjmp(chip->escape) == ESCAPE_FAILURE) {
         return false;
     }
+    chip->touched = true;
     if (chip->must_boot) {
         boot(chip);
     }
     while (!chip->stop && step(chip, until)) {
         core_step(chip);
     }
+    chip_meet_world(chip);
+    chip->touched = true; /* who called may do things to it */
     return true;
 }
 
@@ -241,6 +238,7 @@ void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *wo
     chip->world = *world;
     chip->line.byte_clocks = 10.0 * (double)CHIP_BUS_HZ / config->baud;
     chip->line.in_clock = CHIP_NEVER;
+    chip->touched = true;
     if (setjmp(chip->escape) == 0) {
         chip_reset(chip, RESET_POWER_ON);
     }

@@ -104,7 +104,7 @@ static bool most_urgent(const core_t *core, int level, unsigned *vector, int *it
 static void schedule(chip_t *chip)
 {
     const core_t *core = &chip->core;
-    chip->next[SOURCE_CORE] = (core->depth > 0) ? core->frame[core->depth - 1].end_clock : CHIP_NEVER;
+    chip_schedule(chip, SOURCE_CORE, (core->depth > 0) ? core->frame[core->depth - 1].end_clock : CHIP_NEVER);
 }
 
 static void start(chip_t *chip, unsigned vector, int level)

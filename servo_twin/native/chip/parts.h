@@ -41,6 +41,31 @@ static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32
     }
 }
 
+/* When the next event of a source is: play its matches of the tournament again. */
+static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)
+{
+    chip->next[source] = clock;
+    unsigned winner = source & ~1u;
+    winner += (chip->next[winner + 1u] < chip->next[winner]) ? 1u : 0u;
+    unsigned node = (CHIP_SOURCES + source) / 2u;
+    chip->first[node] = (uint8_t)winner;
+    while (node > 1u) {
+        const unsigned left = chip->first[node & ~1u];
+        const unsigned right = chip->first[node | 1u];
+        node /= 2u;
+        chip->first[node] = (uint8_t)((chip->next[right] < chip->next[left]) ? right : left);
+    }
+}
+
+/* Bring the world along to the present clock, before something acts on it or looks at it. */
+static inline void chip_meet_world(chip_t *chip)
+{
+    if (chip->world_clock < chip->now) {
+        chip->world_clock = chip->now;
+        chip->world.advance(chip->world.context, chip->now);
+    }
+}
+
 /* ---- registers ------------------------------------------------------------------------------------------------------ */
 
 uint16_t pwm_read(chip_t *chip, uint32_t address);
@@ -77,11 +102,10 @@ void system_reset(chip_t *chip, reset_cause_t cause);
 /* ---- events at the present clock -------------------------------------------------------------------------------------- */
 
 void pwm_event(chip_t *chip, unsigned module, unsigned submodule);
-void pwm_fault_event(chip_t *chip, unsigned module);
+void pwm_fault_event(chip_t *chip);
 void adc_event(chip_t *chip, unsigned converter);
 void qtmr_event(chip_t *chip, unsigned module);
-void sci_event(chip_t *chip, unsigned module);
-void sci_line_event(chip_t *chip);
+void sci_event(chip_t *chip);
 void core_event(chip_t *chip); /* a handler ends */
 void cop_event(chip_t *chip);
 
@@ -141,11 +165,20 @@ pin_function_t pins_function(const chip_t *chip, unsigned pin);
 bool pins_input(const chip_t *chip, pin_function_t function);
 
 void pins_reroute(chip_t *chip); /* a function select, a port's PER or SIM_IPS0 has changed */
-void sim_gate(chip_t *chip, uint32_t address, unsigned index, unsigned bit); /* refuse access behind a closed gate */
 
 static inline bool sim_gate_open(const chip_t *chip, unsigned index, unsigned bit)
 {
     return ((chip->sim.pce[index] >> bit) & 1u) != 0;
+}
+
+/* End the run: access behind a closed gate. */
+CHIP_NORETURN void sim_gate_closed(chip_t *chip, uint32_t address, unsigned index, unsigned bit);
+
+static inline void sim_gate(chip_t *chip, uint32_t address, unsigned index, unsigned bit)
+{
+    if (!sim_gate_open(chip, index, bit)) {
+        sim_gate_closed(chip, address, index, bit);
+    }
 }
 
 /* Something starts that needs the full bus clock. */

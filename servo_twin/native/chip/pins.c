@@ -175,6 +175,15 @@ void pins_reroute(chip_t *chip)
         const unsigned pin = choices[i].pin;
         put(chip, pins_function(chip, pin), level_of(chip, pin));
     }
+    for (unsigned i = 0; i < GPIO_PORTS; i++) {
+        chip->pins.gates[i] = 0;
+    }
+    for (unsigned i = 0; i < 12u; i++) {
+        const unsigned pin = chip->config.wiring.gate[i / 6u][i % 6u / 2u][i % 2u];
+        if (pin < CHIP_PINS) {
+            chip->pins.gates[pin >> 4] = (uint16_t)(chip->pins.gates[pin >> 4] | (1u << (pin & 15u)));
+        }
+    }
     pwm_pins_changed(chip);
 }
 
@@ -246,14 +255,18 @@ uint16_t gpio_read(chip_t *chip, uint32_t address)
 void gpio_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     gpio_port_t *port = port_of(chip, address);
+    unsigned changed;
     switch (address & 0xFu) {
     case PUR:
         port->pull = value;
         break;
     case DR:
+        changed = port->data ^ value;
         port->data = value;
         port->written_in_handler = true;
-        pwm_pins_changed(chip);
+        if ((changed & chip->pins.gates[(address - BASE) >> 4]) != 0) {
+            pwm_pins_changed(chip);
+        }
         break;
     case DDR:
         port->direction = value;

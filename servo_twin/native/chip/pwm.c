@@ -79,6 +79,7 @@ static void find_distances(pwm_submodule_t *s)
         s->distance[k] = distance_of(s, s->active.val[k]);
     }
     s->cycle = s->distance[1] + 1u;
+    s->stale = true;
 }
 
 /* Flags of the compares up to the distance `to`. */
@@ -123,30 +124,70 @@ static void watch(pwm_t *pwm, unsigned n)
     if (((s->ctrl & CTRL_HALF) != 0 && own_reload) || (s->blocked & resume_at_half) != 0) {
         watched |= 1u;
     }
+    s->stale = s->stale || watched != s->watched;
     s->watched = watched;
+}
+
+/* Put the events of a cycle in order. */
+static void sort_events(pwm_submodule_t *s)
+{
+    unsigned count = 0;
+    s->event[count].distance = NO_DISTANCE;
+    s->event[count++].what = PWM_WRAP;
+    for (unsigned k = 0; k <= PWM_VALS; k++) {
+        const bool end = k == PWM_VALS;
+        if (!end && ((s->watched >> k) & 1u) == 0) {
+            continue;
+        }
+        const uint32_t d = end ? s->cycle : s->distance[k];
+        const unsigned what = end ? PWM_CYCLE : 1u << k;
+        unsigned at = count;
+        while (at > 0 && s->event[at - 1u].distance > d) {
+            at--;
+        }
+        if (at > 0 && s->event[at - 1u].distance == d) {
+            s->event[at - 1u].what |= what;
+            continue;
+        }
+        for (unsigned i = count; i > at; i--) {
+            s->event[i] = s->event[i - 1u];
+        }
+        s->event[at].distance = d;
+        s->event[at].what = what;
+        count++;
+    }
+    s->stale = false;
+}
+
+/* When the counter's next event is. */
+static void find_next(pwm_submodule_t *s)
+{
+    if (!s->running || s->stuck) {
+        s->next_clock = CHIP_NEVER;
+        return;
+    }
+    if (s->stale) {
+        sort_events(s);
+        s->next = 0;
+        while ((int64_t)s->event[s->next].distance <= s->done) {
+            s->next++;
+        }
+    }
+    s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
+}
+
+static void show_next(chip_t *chip, unsigned m, unsigned n)
+{
+    const pwm_submodule_t *s = sub_of(chip, m, n);
+    uint64_t next = (s->dead_clock < s->next_clock) ? s->dead_clock : s->next_clock;
+    next = (s->sync_clock < next) ? s->sync_clock : next;
+    chip_schedule(chip, SOURCE_PWM + m * PWM_SUBMODULES + n, next);
 }
 
 static void schedule(chip_t *chip, unsigned m, unsigned n)
 {
-    const pwm_submodule_t *s = sub_of(chip, m, n);
-    uint64_t next = s->dead_clock;
-    if (s->running && !s->stuck) {
-        uint32_t best = NO_DISTANCE; /* the counter wraps */
-        if ((int64_t)s->cycle > s->done) {
-            best = s->cycle;
-        }
-        const unsigned watched = s->watched;
-        for (unsigned k = 0; k < PWM_VALS; k++) {
-            const uint32_t d = s->distance[k];
-            if (d < best && (int64_t)d > s->done && ((watched >> k) & 1u) != 0) {
-                best = d;
-            }
-        }
-        const uint64_t match = s->origin + ((uint64_t)best << s->active.prescaler);
-        next = (match < next) ? match : next;
-        next = (s->sync_clock < next) ? s->sync_clock : next;
-    }
-    chip->next[SOURCE_PWM + m * PWM_SUBMODULES + n] = next;
+    find_next(sub_of(chip, m, n));
+    show_next(chip, m, n);
 }
 
 /* ---- interrupts ---------------------------------------------------------------------------------------------------- */
@@ -212,6 +253,8 @@ static void show(chip_t *chip, unsigned m, unsigned n)
     if (levels != s->levels) {
         s->levels = levels;
         chip_note(chip, TRACE_GATES, m * PWM_SUBMODULES + n, levels);
+        chip_meet_world(chip);
+        chip->touched = true;
         chip->world.gates(chip->world.context, m, n, levels);
     }
 }
@@ -339,27 +382,29 @@ static void find_faults(chip_t *chip, unsigned m)
     request_fault(chip, m);
 }
 
-static void schedule_fault(chip_t *chip, unsigned m)
+static void schedule_fault(chip_t *chip)
 {
     uint64_t next = CHIP_NEVER;
-    for (unsigned i = 0; i < PWM_FAULTS; i++) {
-        const uint64_t clock = chip->pwm[m].fault_clock[i];
+    for (unsigned i = 0; i < PWM_MODULES * PWM_FAULTS; i++) {
+        const uint64_t clock = chip->pwm[i / PWM_FAULTS].fault_clock[i % PWM_FAULTS];
         next = (clock < next) ? clock : next;
     }
-    chip->next[SOURCE_PWM_FAULT + m] = next;
+    chip_schedule(chip, SOURCE_FAULT, next);
 }
 
-void pwm_fault_event(chip_t *chip, unsigned m)
+void pwm_fault_event(chip_t *chip)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    for (unsigned i = 0; i < PWM_FAULTS; i++) {
-        if (pwm->fault_clock[i] <= chip->now) {
-            pwm->fault_clock[i] = CHIP_NEVER;
-            pwm->fault_filtered ^= 1u << i;
+    for (unsigned m = 0; m < PWM_MODULES; m++) {
+        pwm_t *pwm = &chip->pwm[m];
+        for (unsigned i = 0; i < PWM_FAULTS; i++) {
+            if (pwm->fault_clock[i] <= chip->now) {
+                pwm->fault_clock[i] = CHIP_NEVER;
+                pwm->fault_filtered ^= 1u << i;
+            }
         }
+        find_faults(chip, m);
     }
-    find_faults(chip, m);
-    schedule_fault(chip, m);
+    schedule_fault(chip);
 }
 
 void pwm_fault_input(chip_t *chip, unsigned m, unsigned input, bool level)
@@ -373,9 +418,9 @@ void pwm_fault_input(chip_t *chip, unsigned m, unsigned input, bool level)
     const uint64_t delay = (uint64_t)(pwm->ffilt & 0xFFu) * (((unsigned)pwm->ffilt >> 8 & 7u) + 3u);
     const bool same = ((pwm->fault_filtered & bit) != 0) == level;
     pwm->fault_clock[input] = same ? CHIP_NEVER : chip->now + delay;
-    schedule_fault(chip, m);
+    schedule_fault(chip);
     if (!same && delay == 0) {
-        pwm_fault_event(chip, m);
+        pwm_fault_event(chip);
     }
 }
 
@@ -445,10 +490,13 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
 static void begin_cycle(chip_t *chip, unsigned m, unsigned n)
 {
     pwm_submodule_t *s = sub_of(chip, m, n);
-    s->base = s->active.init;
     s->origin = chip->now;
     s->done = s->settled = -1;
-    find_distances(s);
+    s->next = 0;
+    if (s->base != s->active.init) {
+        s->base = s->active.init;
+        find_distances(s);
+    }
     s->stuck = never_counts(s);
     chip_note(chip, TRACE_CYCLE, m * PWM_SUBMODULES + n, s->base);
     resume(chip, m, n, chip->pwm[m].fsts_full);
@@ -498,17 +546,10 @@ static void trigger(chip_t *chip, unsigned m, unsigned n, unsigned odd)
 }
 
 /* Watched compares at the distance d, in the present clock. */
-static void matches(chip_t *chip, unsigned m, unsigned n, uint32_t d)
+static void matches(chip_t *chip, unsigned m, unsigned n, uint32_t d, unsigned hit)
 {
     pwm_submodule_t *s = sub_of(chip, m, n);
     s->done = d;
-    unsigned hit = 0;
-    for (unsigned k = 0; k < PWM_VALS; k++) {
-        if (s->distance[k] == d) {
-            hit |= 1u << k;
-        }
-    }
-    hit &= s->watched;
     if ((hit & 0x3Cu) != 0) { /* equal edges: off */
         s->generated[0] = (hit & 0x08u) == 0 && (s->generated[0] || (hit & 0x04u) != 0);
         s->generated[1] = (hit & 0x20u) == 0 && (s->generated[1] || (hit & 0x10u) != 0);
@@ -540,10 +581,34 @@ static void matches(chip_t *chip, unsigned m, unsigned n, uint32_t d)
     }
 }
 
+/* The counter's next event. */
+static void handle(chip_t *chip, unsigned m, unsigned n)
+{
+    pwm_submodule_t *s = sub_of(chip, m, n);
+    const uint32_t d = s->event[s->next].distance;
+    const unsigned what = s->event[s->next].what;
+    s->next++;
+    if ((what & PWM_CYCLE) != 0) {
+        local_sync(chip, m, n);
+        if (s->done != (int64_t)d) {
+            return; /* a new cycle */
+        }
+    }
+    if ((what & PWM_WRAP) != 0) {
+        settle_to(s, (int64_t)NO_DISTANCE - 1);
+        s->origin += (uint64_t)NO_DISTANCE << s->active.prescaler;
+        s->done = s->settled = -1;
+        s->next = 0;
+    } else if ((what & STS_CMPF) != 0) {
+        matches(chip, m, n, d, what & STS_CMPF); /* unless it ends a cycle VAL1 + 1 is a count like any other */
+    }
+}
+
 void pwm_event(chip_t *chip, unsigned m, unsigned n)
 {
     pwm_submodule_t *s = sub_of(chip, m, n);
-    if (s->running && s->sync_clock <= chip->now) {
+    const bool synchronised = s->running && s->sync_clock <= chip->now;
+    if (synchronised) {
         s->sync_clock = CHIP_NEVER;
         if (CTRL2_INIT_SEL(s->ctrl2) == INIT_EXT_SYNC) {
             const int64_t before = position(s, chip->now) - 1;
@@ -554,47 +619,17 @@ void pwm_event(chip_t *chip, unsigned m, unsigned n)
             begin_cycle(chip, m, n);
         }
     }
-    while (s->running && !s->stuck) {
-        const int64_t here = position(s, chip->now);
-        const bool full_range = s->cycle == NO_DISTANCE && s->done < (int64_t)NO_DISTANCE;
-        if (here >= (int64_t)NO_DISTANCE && !full_range) { /* nothing has ended the cycle: the counter wraps */
-            settle_to(s, (int64_t)NO_DISTANCE - 1);
-            s->origin += (uint64_t)NO_DISTANCE << s->active.prescaler;
-            s->done = s->settled = -1;
-            continue;
-        }
-        uint32_t best = NO_DISTANCE;
-        if ((int64_t)s->cycle > s->done) {
-            best = s->cycle;
-        }
-        for (unsigned k = 0; k < PWM_VALS; k++) {
-            const uint32_t d = s->distance[k];
-            if (d < best && (int64_t)d > s->done && ((s->watched >> k) & 1u) != 0) {
-                best = d;
-            }
-        }
-        if ((int64_t)best > here) {
-            break;
-        }
-        if (best == s->cycle) {
-            local_sync(chip, m, n);
-            /* Without a reinitialisation the count goes on: what VALs there are beyond VAL1 match there. */
-            if (s->done == (int64_t)s->cycle) {
-                for (unsigned k = 0; k < PWM_VALS; k++) {
-                    if (s->distance[k] == s->cycle) {
-                        matches(chip, m, n, s->cycle);
-                        break;
-                    }
-                }
-            }
-        } else {
-            matches(chip, m, n, best);
+    if (s->next_clock <= chip->now || synchronised) {
+        find_next(s);
+        while (s->next_clock <= chip->now) {
+            handle(chip, m, n);
+            find_next(s);
         }
     }
     if (s->dead_clock <= chip->now) {
         end_dead_time(chip, m, n);
     }
-    schedule(chip, m, n);
+    show_next(chip, m, n);
 }
 
 void pwm_ext_sync(chip_t *chip, unsigned m, unsigned n)

@@ -20,6 +20,8 @@
 #define PWM_MODULES 2
 #define PWM_SUBMODULES 4
 #define PWM_VALS 6
+#define PWM_CYCLE 0x40u /* one past VAL1 */
+#define PWM_WRAP 0x80u  /* nothing has ended the cycle: the counter wraps */
 #define PWM_FAULTS 4 /* inputs 0-3; 4-7 are not modelled */
 
 typedef struct {
@@ -44,8 +46,15 @@ typedef struct {
     uint32_t distance[PWM_VALS];
     uint32_t cycle;        /* distance of the end: that of VAL1, and one */
     int64_t done;          /* events up to this distance have been handled */
+    struct {
+        uint32_t distance;
+        unsigned what;     /* bits 0-5: the VALs that match there and are watched; PWM_CYCLE, PWM_WRAP */
+    } event[PWM_VALS + 2]; /* of a cycle, in order of distance */
+    unsigned next;         /* index of the first that is still to come */
+    bool stale;            /* the list does not fit the distances any more */
     int64_t settled;       /* flags up to this distance have been found */
     unsigned watched;      /* bit k: VALk is an event */
+    uint64_t next_clock;   /* of the counter's next event */
     uint64_t sync_clock;   /* EXT_SYNC on its way */
     /* outputs */
     bool generated[2];     /* PWM23, PWM45 */

@@ -209,16 +209,16 @@ static void schedule(chip_t *chip, unsigned m)
     for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
         next = (timer->change_clock[i] < next) ? timer->change_clock[i] : next;
     }
-    for (unsigned n = 0; timer->on_bus >> n != 0; n++) {
+    for (unsigned n = 0; timer->heard >> n != 0; n++) {
         qtmr_channel_t *c = &timer->channel[n];
-        if (runs_on_bus(timer, n) && (has_events(c) || timer->follows[n] != 0 || timer->cascade != 0)) {
+        if (((timer->heard >> n) & 1u) != 0 && runs_on_bus(timer, n)) {
             settle(chip, m, n);
             const unsigned shift = prescaler(c);
             const uint64_t clock = ((chip->now >> shift) + counts_to_event(c)) << shift;
             next = (clock < next) ? clock : next;
         }
     }
-    chip->next[SOURCE_TIMER + m] = next;
+    chip_schedule(chip, SOURCE_TIMER + m, next);
 }
 
 /* ---- inputs ---------------------------------------------------------------------------------------------------------- */
@@ -230,6 +230,7 @@ static void schedule(chip_t *chip, unsigned m)
 
 static void capture(chip_t *chip, unsigned m, unsigned n, bool rises)
 {
+    const qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &chip->timer[m].channel[n];
     const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
     const unsigned edge = (rises != inverted) ? 1u : 2u;
@@ -241,7 +242,9 @@ static void capture(chip_t *chip, unsigned m, unsigned n, bool rises)
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_IEF);
     if ((c->csctrl & CSCTRL_ROC) != 0) {
         c->cntr = c->load;
-        schedule(chip, m);
+        if (timer->heard != 0) {
+            schedule(chip, m);
+        }
     }
     chip_note(chip, TRACE_CAPTURE, m * QTMR_CHANNELS + n, c->capt);
     if ((c->sctrl & SCTRL_IEFIE) != 0) {
@@ -375,6 +378,13 @@ static void derive(chip_t *chip, unsigned m)
             timer->cleared_by[CTRL_SCS(c->ctrl)] |= bit;
         }
     }
+    timer->heard = 0;
+    for (unsigned n = 0; n < QTMR_CHANNELS; n++) {
+        if (runs_on_bus(timer, n) &&
+            (has_events(&timer->channel[n]) || timer->follows[n] != 0 || timer->cascade != 0)) {
+            timer->heard |= 1u << n;
+        }
+    }
     if (timer->on_bus != 0) {
         occs_need_bus_clock(chip, "a timer");
     }
@@ -485,7 +495,7 @@ static void write_csctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n,
     const unsigned flags = c->csctrl & value & (CSCTRL_TCF1 | CSCTRL_TCF2);
     const unsigned kept = c->csctrl & CSCTRL_UP;
     c->csctrl = (uint16_t)((value & ~(CSCTRL_TCF1 | CSCTRL_TCF2 | CSCTRL_UP)) | flags | kept);
-    schedule(chip, m);
+    derive(chip, m);
     request(chip, m, n);
 }
 

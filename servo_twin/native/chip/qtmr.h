@@ -27,6 +27,7 @@ typedef struct {
     uint64_t change_clock[QTMR_CHANNELS]; /* when the filter of an input will let its level through */
     /* what follows from the registers */
     unsigned on_bus;                     /* channels that count the bus clock */
+    unsigned heard;                      /* those of them whose compares and rollovers have a consequence */
     unsigned quadrature, cascade;        /* channels in these modes */
     unsigned counts_edges[QTMR_CHANNELS]; /* channels that count edges of an input */
     unsigned follows[QTMR_CHANNELS];     /* channels that count the output of a channel */

@@ -83,7 +83,7 @@ static bool sample_byte(uint8_t byte, double sent, double heard, uint8_t *result
 
 /* ---- to the host ----------------------------------------------------------------------------------------------------- */
 
-static void schedule(chip_t *chip, unsigned m) { chip->next[SOURCE_SCI + m] = chip->sci[m].shift_clock; }
+static void schedule(chip_t *chip) { chip_schedule(chip, SOURCE_SERIAL, chip_line_next(chip)); }
 
 static void send_next(chip_t *chip, unsigned m)
 {
@@ -97,10 +97,10 @@ static void send_next(chip_t *chip, unsigned m)
         }
         sci->shift_clock = chip->now + (uint64_t)byte_clocks(chip, m);
     }
-    schedule(chip, m);
+    schedule(chip);
 }
 
-void sci_event(chip_t *chip, unsigned m)
+static void sent(chip_t *chip, unsigned m)
 {
     sci_t *sci = &chip->sci[m];
     if (sci->shift_clock > chip->now) {
@@ -152,7 +152,7 @@ static void receive(chip_t *chip, unsigned m, uint8_t byte)
     request(chip, m);
 }
 
-void sci_line_event(chip_t *chip)
+static void arrived(chip_t *chip)
 {
     sci_line_t *line = &chip->line;
     if (line->in_clock > chip->now) {
@@ -162,12 +162,20 @@ void sci_line_event(chip_t *chip)
     line->in_head = (line->in_head + 1u) % SCI_LINE_IN;
     line->in_size--;
     line->in_clock = (line->in_size > 0) ? line->in_clock + (uint64_t)line->byte_clocks : CHIP_NEVER;
-    chip->next[SOURCE_LINE] = line->in_clock;
+    schedule(chip);
     for (unsigned m = 0; m < SCI_MODULES; m++) {
         if (pins_function(chip, chip->config.wiring.rxd) == (pin_function_t)(FUNCTION_RXD0 + m)) {
             receive(chip, m, byte);
         }
     }
+}
+
+void sci_event(chip_t *chip)
+{
+    for (unsigned m = 0; m < SCI_MODULES; m++) {
+        sent(chip, m);
+    }
+    arrived(chip);
 }
 
 size_t chip_line_write(chip_t *chip, const uint8_t *data, size_t size)
@@ -179,7 +187,7 @@ size_t chip_line_write(chip_t *chip, const uint8_t *data, size_t size)
     }
     if (taken > 0 && line->in_clock == CHIP_NEVER) {
         line->in_clock = chip->now + (uint64_t)line->byte_clocks;
-        chip->next[SOURCE_LINE] = line->in_clock;
+        schedule(chip);
     }
     return taken;
 }
@@ -278,5 +286,5 @@ void sci_reset(chip_t *chip)
     for (unsigned m = 0; m < SCI_MODULES; m++) {
         chip->sci[m] = (sci_t){.shift_clock = CHIP_NEVER};
     }
-    chip->next[SOURCE_LINE] = chip->line.in_clock;
+    schedule(chip);
 }

@@ -179,13 +179,11 @@ enum {
 
 #define SIM_CTRL_SWRST 0x0010u
 
-void sim_gate(chip_t *chip, uint32_t address, unsigned index, unsigned bit)
+void sim_gate_closed(chip_t *chip, uint32_t address, unsigned index, unsigned bit)
 {
-    if (!sim_gate_open(chip, index, bit)) {
-        char name[64];
-        chip_register_name(address, name, sizeof name);
-        chip_fail(chip, "%s is accessed while its clock is gated off (SIM_PCE%u bit %u)", name, index, bit);
-    }
+    char name[64];
+    chip_register_name(address, name, sizeof name);
+    chip_fail(chip, "%s is accessed while its clock is gated off (SIM_PCE%u bit %u)", name, index, bit);
 }
 
 uint16_t sim_read(chip_t *chip, uint32_t address)
@@ -319,9 +317,9 @@ static void cop_restart(chip_t *chip)
     cop_t *cop = &chip->cop;
     cop->start_clock = chip->now;
     cop->half_served = false;
-    chip->next[SOURCE_COP] = ((cop->ctrl & COP_CEN) != 0)
+    chip_schedule(chip, SOURCE_COP, ((cop->ctrl & COP_CEN) != 0)
                                  ? chip->now + ((uint64_t)cop->tout + 1u) * cop_count_clocks(chip)
-                                 : CHIP_NEVER;
+                                 : CHIP_NEVER);
 }
 
 void cop_event(chip_t *chip)

@@ -33,14 +33,14 @@ static unsigned b_select(const xbar_t *xbar, unsigned output)
 /* ---- AOI ------------------------------------------------------------------------------------------------------------- */
 
 /* OR of four products of the inputs A to D; code of an input: 0 force 0, 1 pass, 2 invert, 3 force 1. */
-static bool evaluate(const xbar_t *xbar, unsigned event, unsigned inputs)
+static bool sum_of_products(const uint16_t bfcrt[2], unsigned inputs)
 {
     for (unsigned term = 0; term < 4u; term++) {
-        const unsigned codes = xbar->bfcrt[2u * event + term / 2u] >> ((term % 2u == 0) ? 8u : 0u);
+        const unsigned codes = bfcrt[term / 2u] >> ((term % 2u == 0) ? 8u : 0u);
         bool product = true;
         for (unsigned i = 0; i < 4u; i++) {
             const unsigned code = (codes >> (6u - 2u * i)) & 3u;
-            const bool level = ((inputs >> (4u * event + i)) & 1u) != 0;
+            const bool level = ((inputs >> i) & 1u) != 0;
             product = product && ((code == 1u) ? level : (code == 2u) ? !level : code == 3u);
         }
         if (product) {
@@ -48,6 +48,11 @@ static bool evaluate(const xbar_t *xbar, unsigned event, unsigned inputs)
         }
     }
     return false;
+}
+
+static bool evaluate(const xbar_t *xbar, unsigned event, unsigned inputs)
+{
+    return ((xbar->truth[event] >> ((inputs >> (4u * event)) & 0xFu)) & 1u) != 0;
 }
 
 /* ---- signals ---------------------------------------------------------------------------------------------------------- */
@@ -100,7 +105,10 @@ static void follow(chip_t *chip, unsigned input, xbar_edge_t edge)
     }
     uint64_t outputs = xbar->reaches[input];
     for (unsigned output = 0; outputs != 0; output++, outputs >>= 1) {
-        if ((outputs & 1u) != 0) {
+        if ((outputs & 0xFFu) == 0) {
+            output += 7u;
+            outputs >>= 7;
+        } else if ((outputs & 1u) != 0) {
             lead(chip, output, edge);
         }
     }
@@ -206,6 +214,11 @@ static void aoi_write(chip_t *chip, uint32_t address, uint16_t value)
     const unsigned event = (address - AOI_BASE) / 2u;
     const bool before = evaluate(xbar, event, xbar->aoi_in);
     xbar->bfcrt[address - AOI_BASE] = value;
+    xbar->truth[event] = 0;
+    for (unsigned inputs = 0; inputs < 16u; inputs++) {
+        const unsigned result = sum_of_products(&xbar->bfcrt[2u * event], inputs) ? 1u : 0u;
+        xbar->truth[event] = (uint16_t)(xbar->truth[event] | (result << inputs));
+    }
     const bool after = evaluate(xbar, event, xbar->aoi_in);
     if (before != after) {
         follow(chip, FIRST_EVENT_INPUT + event, after ? XBAR_RISE : XBAR_FALL);

@@ -21,6 +21,7 @@ typedef struct {
     uint16_t b_select[8];  /* XBARB_SEL0-7 */
     uint16_t bfcrt[2 * AOI_EVENTS];
     /* what follows from them */
+    uint16_t truth[AOI_EVENTS];     /* bit i: result for the inputs i (bit 0 A .. bit 3 D) */
     uint64_t reaches[XBARA_INPUTS]; /* bit per output of crossbar A */
     unsigned feeds[XBARB_INPUTS];   /* bit per input of the AOI */
     unsigned aoi_in;                /* levels on the sixteen inputs of the AOI */
