@@ -34,7 +34,7 @@ typedef struct {
 } plant_axis_t;
 typedef struct { double u_source, r_source, capacitance, u_full_scale, u_noise, r_brake; } plant_bus_t;
 typedef struct {
-    plant_axis_t axis[2]; plant_bus_t bus; double pwm_frequency, ambient, baud; uint64_t seed;
+    plant_axis_t axis[2]; plant_bus_t bus; double pwm_frequency, ambient, baud; uint64_t seed; ...;
 } board_config_t;
 
 typedef struct {

@@ -120,7 +120,9 @@ class Machine:
                 sign = list(self.sign)
                 for k, value in zip(zero, trial, strict=True):
                     sign[k] = value
-                if sorted(sign) in ([-1, 0, 0], [0, 0, 1], [1, 1, 1], [-1, -1, -1]) or not self._consistent(u, sign, zero):
+                if sorted(sign) in ([-1, 0, 0], [0, 0, 1], [1, 1, 1], [-1, -1, -1]) or not self._consistent(
+                    u, sign, zero
+                ):
                     continue
                 self.sign = sign
                 break
@@ -136,7 +138,9 @@ class Machine:
     def _consistent(self, u: float, sign: Sequence[int], zero: Sequence[int]) -> bool:
         rates, v, _ = self.rates(self.x, u, sign)
         if all(s == 0 for s in sign):
-            span = [(low - e, high - e) for (low, high), e in zip((self.limits(k, u) for k in range(3)), v, strict=True)]
+            span = [
+                (low - e, high - e) for (low, high), e in zip((self.limits(k, u) for k in range(3)), v, strict=True)
+            ]
             return max(s[0] for s in span) <= min(s[1] for s in span)
         p = self.plant
         angle = p.pole_pairs * self.theta
@@ -184,14 +188,11 @@ class Machine:
         if self.moving and self.omega * self.moving < 1e-9:
             self.omega = 0.0
 
-    def release(self, u: float) -> None:
-        """Floating legs beyond their limits begin to conduct: the choice is made anew."""
-
 
 class Reference:
     """Two axes on one bus."""
 
-    def __init__(self, plant: PlantConfig, step: float = 2e-7) -> None:
+    def __init__(self, plant: PlantConfig, step: float = 5e-7) -> None:
         self.axes = [Machine(axis, theta=float(axis.theta_start)) for axis in plant.axes]
         self.bus: BusPlant = plant.bus
         self.u = plant.bus.u_source

@@ -10,7 +10,10 @@ from servo_twin.plant import PlantConfig
 from switching_reference import Edge
 
 SWITCHING_CDEF = """
-typedef struct { ...; } switching_t;
+typedef struct { double theta, omega; ...; } bridge_t;
+typedef struct { double u; ...; } supply_t;
+typedef struct { bridge_t bridge; ...; } switching_axis_t;
+typedef struct { switching_axis_t axis[2]; supply_t supply; ...; } switching_t;
 typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;
 void switching_init(switching_t *plant, const board_config_t *config);
 void switching_edge(switching_t *plant, int axis, int phase, int leg);
@@ -49,10 +52,21 @@ class Switching:
         self.events: list[tuple[int, int, int, int, bool]] = []
         self.clock = 0
 
+    def spin(self, axis: int, omega: float) -> None:
+        """Give the shaft a speed; before anything has happened."""
+        self.c.axis[axis].bridge.omega = omega
+
+    def charge(self, volts: float) -> None:
+        """Give the bus a voltage; before anything has happened."""
+        self.c.supply.u = volts
+
     def advance(self, clock: int) -> None:
         event = self.ffi.new("switching_event_t *")
-        self.lib.switching_advance(self.c, clock)
-        self.clock = clock
+        while self.clock < clock:
+            self.clock = min(clock, self.clock + 6250)
+            self.lib.switching_advance(self.c, self.clock)
+            while self.lib.switching_take(self.c, event):
+                self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
         while self.lib.switching_take(self.c, event):
             self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
 

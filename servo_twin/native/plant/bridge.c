@@ -9,6 +9,8 @@
 #define STANDING 1e-9 /* slower is at rest [rad/s] */
 #define THRESHOLD 1e-9 /* a torque this close to the friction, relatively, may break loose if it grows */
 #define INSTANT 1e-14 /* shorter is no time at all [s] */
+#define NEAR 3e-7 /* so far a moment is moved by slopes alone [s] */
+#define NEVER 1e9 /* [s] */
 #define SPLITS 24 /* parts of one segment; the rest of it is taken in one piece */
 #define FRESH_TRIG 64u /* steps between two evaluations of sine and cosine; in between they are turned on */
 #define THIRD (1.0 / 3.0)
@@ -155,22 +157,45 @@ static inline void set_sign(bridge_t *b, int k, int sign)
 
 /* ---- which way the currents go ------------------------------------------------------------------------------------ */
 
-/* Slope of a phase current per volt on its own leg. */
-static double admittance(const bridge_t *b, int k)
+/* A leg without current leaves one winding current: x along the direction across the leg's axis. What the flux along
+ * the leg's own axis is then, and how it changes, needs the rotor's direction as seen from there. */
+typedef struct {
+    plant_vector_t along, across;
+    double x;
+} single_t;
+
+static inline single_t single_of(const bridge_t *b, int k)
 {
-    return (2.0 / 3.0) * dot(phase_axis[k], per_inductance(b, phase_axis[k]));
+    const plant_vector_t n = phase_axis[k];
+    const plant_vector_t m = {-n.beta, n.alpha};
+    return (single_t){n, m, dot(m, b->i)};
 }
 
-/* Voltage of leg k that keeps its current at zero while the other two legs have theirs. */
-static double holding_voltage(const bridge_t *b, int k, double u)
+/* Inductance across, and flux of the leg's axis, for the rotor at cosine and sine. */
+static inline double inductance_across(const bridge_t *b, plant_vector_t m, double c, double s, double *d, double *q)
 {
-    double leg[3] = {0.0, 0.0, 0.0};
-    for (int n = 0; n < 3; n++) {
-        leg[n] = (n == k) ? 0.0 : leg_voltage(b, n, b->sign[n], u);
-    }
-    const plant_vector_t v = plant_clarke(leg);
-    const plant_vector_t dpsi = {v.alpha - b->r * b->i.alpha, v.beta - b->r * b->i.beta};
-    return -dot(phase_axis[k], slope_of(b, dpsi)) / admittance(b, k);
+    *d = m.alpha * c + m.beta * s;
+    *q = m.beta * c - m.alpha * s;
+    return b->l_d * *d * *d + b->l_q * *q * *q;
+}
+
+/* Voltage of leg k that keeps its current at zero while the other two legs have theirs; slope of the other current. */
+static double holding_voltage(const bridge_t *b, int k, double u, double *slope)
+{
+    const single_t single = single_of(b, k);
+    const double x = single.x;
+    const double w = b->pole_pairs * b->omega;
+    const double next = leg_voltage(b, (k + 1) % 3, b->sign[(k + 1) % 3], u);
+    const double last = leg_voltage(b, (k + 2) % 3, b->sign[(k + 2) % 3], u);
+    double d;
+    double q;
+    const double l = inductance_across(b, single.across, b->cosine, b->sine, &d, &q);
+    const double difference = b->l_d - b->l_q;
+    /* across k the voltage is (next - last) / sqrt(3), along it 2/3 (v_k - their mean) */
+    *slope = ((next - last) * (1.0 / PLANT_SQRT3) - b->r * x - w * q * (2.0 * difference * d * x + b->psi_m)) / l;
+    /* the flux along k is q ((l_d - l_q) d x + psi_m), with d' = w q and q' = -w d */
+    const double change = difference * (d * q * *slope + w * (q * q - d * d) * x) - w * d * b->psi_m;
+    return 1.5 * change + 0.5 * (next + last);
 }
 
 static int pulled(double hold, double low, double high) { return (hold < low) ? 1 : (hold > high) ? -1 : 0; }
@@ -225,7 +250,7 @@ static void decide(bridge_t *b, double u)
         set_sign(b, back, -1);
         k = 3 - out - back;
     }
-    b->hold = holding_voltage(b, k, u);
+    b->hold = holding_voltage(b, k, u, &b->single_slope);
     set_sign(b, k, pulled(b->hold, lowest(b, k, u), highest(b, k, u)));
     b->floating = (b->sign[k] == 0) ? k : -1;
 }
@@ -269,7 +294,11 @@ void bridge_begin(bridge_t *b, double u)
         }
         const plant_vector_t dpsi = {u * b->a.alpha + b->b.alpha - b->r * b->i.alpha,
                                      u * b->a.beta + b->b.beta - b->r * b->i.beta};
-        const plant_vector_t di = slope_of(b, dpsi);
+        plant_vector_t di = slope_of(b, dpsi);
+        if (b->floating >= 0) {
+            const plant_vector_t n = phase_axis[b->floating];
+            di = (plant_vector_t){-n.beta * b->single_slope, n.alpha * b->single_slope};
+        }
         b->di = di;
         b->dtorque = b->k_torque * (cross(dpsi, b->i) + cross(b->psi, di));
     }
@@ -305,6 +334,15 @@ PLANT_INLINE void turn(const bridge_t *b, double h, end_t *e)
     e->sine = b->sine * c + b->cosine * s;
 }
 
+/* Speed at the end, once the currents are known there. */
+PLANT_INLINE void turned_by_torque(const bridge_t *b, double h, end_t *e)
+{
+    e->torque = b->k_torque * cross(e->psi, e->i);
+    const double impulse = (THIRD * h) * (2.0 * b->torque + (0.5 * h) * b->dtorque + e->torque);
+    const double drag = h * (b->load + b->direction * b->friction) + b->viscous * (e->theta - b->theta);
+    e->omega = (b->direction != 0.0) ? b->omega + (impulse - drag) * b->inv_inertia : 0.0;
+}
+
 /* A step with the integral `drive` of the legs' voltage. */
 PLANT_INLINE void travel(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
 {
@@ -323,11 +361,10 @@ PLANT_INLINE void travel(const bridge_t *b, double h, plant_vector_t drive, end_
     e->psi.beta = free.beta - r * e->charge.beta;
     e->i = current_of(b, e->psi, e->cosine, e->sine);
     phases_of(e->i, e->phase);
-    e->torque = b->k_torque * cross(e->psi, e->i);
-    const double impulse = third * (2.0 * b->torque + half * b->dtorque + e->torque);
-    const double drag = h * (b->load + b->direction * b->friction) + b->viscous * (e->theta - b->theta);
-    e->omega = (b->direction != 0.0) ? b->omega + (impulse - drag) * b->inv_inertia : 0.0;
+    turned_by_torque(b, h, e);
 }
+
+static void travel_out(const bridge_t *b, double h, plant_vector_t drive, end_t *e) { travel(b, h, drive, e); }
 
 /* A step without any current. */
 static void coast(const bridge_t *b, double h, end_t *e)
@@ -339,6 +376,49 @@ static void coast(const bridge_t *b, double h, end_t *e)
     e->i = e->charge = (plant_vector_t){0.0, 0.0};
     e->phase[0] = e->phase[1] = e->phase[2] = 0.0;
     e->torque = 0.0;
+}
+
+/* The same with leg k floating: the only current is x across its axis, and no voltage of the leg acts there. Returns the
+ * mean of the leg's voltage as an offset from what `drive` holds for it [V]. */
+static double travel_floating(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
+{
+    const single_t single = single_of(b, b->floating);
+    const double r = b->r;
+    const double third = THIRD * h;
+    const double bent = 0.5 * h * b->single_slope;
+    double d;
+    double q;
+    turn(b, h, e);
+    const double per_l = 1.0 / inductance_across(b, single.across, e->cosine, e->sine, &d, &q);
+    const double free = dot(single.across, b->psi) + dot(single.across, drive);
+    const double guess = (free - r * h * (single.x + bent) - b->psi_m * d) * per_l;
+    const double charge = third * (2.0 * single.x + bent + guess);
+    const double psi_across = free - r * charge;
+    const double x = (psi_across - b->psi_m * d) * per_l;
+    const double psi_along = q * ((b->l_d - b->l_q) * d * x + b->psi_m);
+    const plant_vector_t n = single.along;
+    const plant_vector_t m = single.across;
+    e->psi = (plant_vector_t){psi_across * m.alpha + psi_along * n.alpha, psi_across * m.beta + psi_along * n.beta};
+    e->i = (plant_vector_t){x * m.alpha, x * m.beta};
+    e->charge = (plant_vector_t){charge * m.alpha, charge * m.beta};
+    e->phase[b->floating] = 0.0;
+    e->phase[(b->floating + 1) % 3] = HALF_SQRT3 * x;
+    e->phase[(b->floating + 2) % 3] = -HALF_SQRT3 * x;
+    turned_by_torque(b, h, e);
+    return 1.5 * (psi_along - dot(n, b->psi) - dot(n, drive)) / h;
+}
+
+/* A whole step, the floating leg's voltage at its end, if there is one, in `hold`. */
+static void step(const bridge_t *b, double h, double u, end_t *e, double *hold)
+{
+    const plant_vector_t drive = {h * (u * b->a.alpha + b->b.alpha), h * (u * b->a.beta + b->b.beta)};
+    if (b->dead) {
+        coast(b, h, e);
+    } else if (b->floating >= 0) { /* close to a straight line: the end is off by twice the mean's difference */
+        *hold = b->hold + 2.0 * travel_floating(b, h, drive, e);
+    } else {
+        travel_out(b, h, drive, e);
+    }
 }
 
 /* ---- where a step has to end early -------------------------------------------------------------------------------- */
@@ -363,73 +443,116 @@ static void sooner(cut_t *cut, double after, reason_t reason, int phase, int sig
     }
 }
 
-static inline bool ends_early(const bridge_t *b, const end_t *e)
+static inline bool crossed(const bridge_t *b, const end_t *e)
 {
-    const double p[3] = {e->phase[0] * b->way[0], e->phase[1] * b->way[1], e->phase[2] * b->way[2]};
-    if (p[0] < 0.0 || p[1] < 0.0 || p[2] < 0.0 || e->omega * b->direction < 0.0) {
-        return true;
-    }
-    return b->direction == 0.0 && !b->locked && fabs(e->torque - b->load) > b->friction;
+    return e->phase[0] * b->way[0] < 0.0 || e->phase[1] * b->way[1] < 0.0 || e->phase[2] * b->way[2] < 0.0;
 }
 
-static void find_cut(const bridge_t *b, double h, const end_t *e, cut_t *cut)
+/* The shaft stops, or breaks loose. */
+static inline bool jerked(const bridge_t *b, const end_t *e)
+{
+    return e->omega * b->direction < 0.0 ||
+           (b->direction == 0.0 && !b->locked && fabs(e->torque - b->load) > b->friction);
+}
+
+/* Straight on, when is the first current down to zero? */
+static inline double first_zero(const bridge_t *b, double h)
 {
     double slope[3];
     phases_of(b->di, slope);
+    double first = h;
     for (int k = 0; k < 3; k++) {
-        const double sign = b->way[k];
-        if (e->phase[k] * sign < 0.0) {
-            sooner(cut, root_of(b->phase[k] * sign, slope[k] * sign, e->phase[k] * sign, h), CURRENT_ZERO, k, 0);
+        const double falls = -slope[k] * b->way[k];
+        const double size = b->phase[k] * b->way[k];
+        if (falls > 0.0 && size < falls * first) {
+            first = size / falls;
         }
     }
+    return (first > 0.0) ? first : 0.0;
+}
+
+static inline bool may_cross(const bridge_t *b, double h)
+{
+    double slope[3];
+    phases_of(b->di, slope);
+    return (b->phase[0] + h * slope[0]) * b->way[0] < 0.0 || (b->phase[1] + h * slope[1]) * b->way[1] < 0.0 ||
+           (b->phase[2] + h * slope[2]) * b->way[2] < 0.0;
+}
+
+/* Seconds from the end of a step to the nearest zero of a current (before or after it), by the slope there. */
+static double to_zero(const bridge_t *b, const end_t *e, double h, int *phase)
+{
+    double slope[3];
+    const plant_vector_t late = {2.0 * (e->i.alpha - b->i.alpha) / h - b->di.alpha,
+                                 2.0 * (e->i.beta - b->i.beta) / h - b->di.beta};
+    double nearest = NEVER;
+    phases_of(late, slope);
+    for (int k = 0; k < 3; k++) {
+        const double falls = -slope[k] * b->way[k];
+        const double t = e->phase[k] * b->way[k] / falls;
+        if (falls > 0.0 && t < nearest) {
+            nearest = t;
+            *phase = k;
+        }
+    }
+    return nearest;
+}
+
+/* The end of a step of length h a very short time later (or earlier). */
+static void shift(const bridge_t *b, double h, double t, end_t *e)
+{
+    const double u_alpha = (e->psi.alpha - b->psi.alpha + b->r * e->charge.alpha) / h; /* mean voltage */
+    const double u_beta = (e->psi.beta - b->psi.beta + b->r * e->charge.beta) / h;
+    const double x = b->pole_pairs * b->omega * t;
+    const double cosine = e->cosine;
+    e->theta += b->omega * t;
+    e->cosine -= e->sine * x;
+    e->sine += cosine * x;
+    e->charge.alpha += e->i.alpha * t;
+    e->charge.beta += e->i.beta * t;
+    e->psi.alpha += (u_alpha - b->r * e->i.alpha) * t;
+    e->psi.beta += (u_beta - b->r * e->i.beta) * t;
+    e->i = current_of(b, e->psi, e->cosine, e->sine);
+    phases_of(e->i, e->phase);
+    e->torque = b->k_torque * cross(e->psi, e->i);
+    e->omega += b->accel * t;
+}
+
+/* Moment at which the shaft stops or breaks loose. */
+static void find_jerk(const bridge_t *b, double h, const end_t *e, cut_t *cut)
+{
     if (e->omega * b->direction < 0.0) {
         const double way = b->direction;
         sooner(cut, root_of(b->omega * way, b->accel * way, e->omega * way, h), STOPPED, 0, 0);
-    }
-    if (b->direction == 0.0 && !b->locked && !b->held) {
+    } else if (!b->held) {
         const double way = (e->torque > b->load) ? 1.0 : -1.0;
         const double rest = b->friction - (e->torque - b->load) * way;
-        if (rest < 0.0) {
-            const double before = b->friction - (b->torque - b->load) * way;
-            sooner(cut, root_of(before, -b->dtorque * way, rest, h), BROKE_LOOSE, 0, 0);
-        }
+        const double before = b->friction - (b->torque - b->load) * way;
+        sooner(cut, root_of(before, -b->dtorque * way, rest, h), BROKE_LOOSE, 0, 0);
     }
 }
 
-static void travel_out(const bridge_t *b, double h, plant_vector_t drive, end_t *e) { travel(b, h, drive, e); }
-
-/* Floating leg: the mean voltage that brings its current back to zero at the end. Its voltage is a straight line to good
- * approximation, so at the end it is off by twice the mean's difference. */
-static void travel_floating(const bridge_t *b, double h, double u, plant_vector_t drive, end_t *e, cut_t *cut)
+/* A floating leg's voltage, `hold` at the end, has left its interval. */
+static void find_clamp(const bridge_t *b, double h, double u, double hold, cut_t *cut)
 {
     const int k = b->floating;
-    double volts = 0.0;
-    for (int pass = 0; pass < 2; pass++) {
-        volts -= e->phase[k] / (admittance(b, k) * h);
-        const double more = (2.0 / 3.0) * volts * h;
-        const plant_vector_t corrected = {drive.alpha + more * phase_axis[k].alpha,
-                                          drive.beta + more * phase_axis[k].beta};
-        travel_out(b, h, corrected, e);
-    }
-    const double hold = b->hold;
-    const double end = hold + 2.0 * volts;
     const double low = lowest(b, k, u);
     const double high = highest(b, k, u);
-    if (end < low) {
-        sooner(cut, h * ((hold > low) ? (hold - low) / (hold - end) : 0.0), CLAMPED, k, 1);
-    } else if (end > high) {
-        sooner(cut, h * ((hold < high) ? (high - hold) / (end - hold) : 0.0), CLAMPED, k, -1);
+    if (hold < low) {
+        sooner(cut, h * ((b->hold > low) ? (b->hold - low) / (b->hold - hold) : 0.0), CLAMPED, k, 1);
+    } else if (hold > high) {
+        sooner(cut, h * ((b->hold < high) ? (high - b->hold) / (hold - b->hold) : 0.0), CLAMPED, k, -1);
     }
 }
 
 /* Without current: until the back-EMF gets through the diodes. */
 static void find_conduction(const bridge_t *b, double h, double u, const end_t *e, cut_t *cut)
 {
+    int out = 0;
+    int back = 0;
     if (b->unplugged) {
         return;
     }
-    int out = 0;
-    int back = 0;
     const double late = excess(b, u, e->psi, e->omega, &out, &back);
     if (late > 0.0) {
         const double early = excess(b, u, b->psi, b->omega, &out, &back);
@@ -437,22 +560,60 @@ static void find_conduction(const bridge_t *b, double h, double u, const end_t *
     }
 }
 
-/* All of it that is not the plain case. */
-static void attempt(const bridge_t *b, double h, double u, end_t *e, cut_t *cut)
+/* A step of at most h, ended where something changes. */
+static cut_t step_to_change(const bridge_t *b, double h, double u, end_t *e)
 {
-    const plant_vector_t drive = {h * (u * b->a.alpha + b->b.alpha), h * (u * b->a.beta + b->b.beta)};
+    double hold = 0.0;
+    double t = b->dead ? h : first_zero(b, h);
+    if (t < INSTANT && t < h) { /* a current at zero that would leave it the wrong way */
+        int phase = 0;
+        *e = (end_t){.psi = b->psi};
+        for (int k = 1; k < 3; k++) {
+            phase = (b->phase[k] * b->way[k] <= 0.0 && b->way[k] != 0.0) ? k : phase;
+        }
+        return (cut_t){0.0, CURRENT_ZERO, phase, 0};
+    }
+    cut_t cut = {t, WHOLE, 0, 0};
+    step(b, t, u, e, &hold);
     if (b->dead) {
-        coast(b, h, e);
-        find_conduction(b, h, u, e, cut);
-    } else {
-        travel_out(b, h, drive, e);
-        if (b->floating >= 0) {
-            travel_floating(b, h, u, drive, e, cut);
+        find_conduction(b, t, u, e, &cut);
+    } else if (t < h || crossed(b, e)) {
+        int phase = 0;
+        double more = to_zero(b, e, t, &phase);
+        const double near = (b->floating >= 0) ? INSTANT : NEAR; /* its shift would need the leg's voltage */
+        for (int n = 0; n < 3 && fabs(more) > near && t + more < h && t + more > 0.0; n++) {
+            t += more;
+            step(b, t, u, e, &hold);
+            more = to_zero(b, e, t, &phase);
+        }
+        if (t + more >= h) { /* curvature has saved it */
+            t = h;
+            step(b, t, u, e, &hold);
+            cut.after = t;
+        } else {
+            more = (t + more > 0.0) ? more : 0.0;
+            if (b->floating < 0) {
+                shift(b, t, more, e);
+                t += more;
+            }
+            cut = (cut_t){t, CURRENT_ZERO, phase, 0};
         }
     }
-    if (ends_early(b, e)) {
-        find_cut(b, h, e, cut);
+    cut_t first = {t, cut.reason, cut.phase, cut.sign};
+    first.after = (cut.reason == CLAMPED) ? cut.after : t;
+    if (b->floating >= 0) {
+        find_clamp(b, t, u, hold, &first);
     }
+    if (jerked(b, e)) {
+        find_jerk(b, t, e, &first);
+    }
+    if (first.after < t) {
+        first.after = (first.after < INSTANT) ? 0.0 : first.after;
+        if (first.after > 0.0) {
+            step(b, first.after, u, e, &hold);
+        }
+    }
+    return first;
 }
 
 /* ---- moving on ---------------------------------------------------------------------------------------------------- */
@@ -460,7 +621,8 @@ static void attempt(const bridge_t *b, double h, double u, end_t *e, cut_t *cut)
 static inline double decay(const bridge_t *b, double h)
 {
     const unsigned n = (unsigned)(h * BRIDGE_CLOCK_HZ + 0.5);
-    return (n < BRIDGE_DECAY * BRIDGE_DECAY) ? b->decay_coarse[n / BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY] : 0.0;
+    return (n < BRIDGE_DECAY * BRIDGE_DECAY) ? b->decay_coarse[n / BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY]
+                                             : 0.0;
 }
 
 /* First-order lag behind a straight line, exact. */
@@ -565,26 +727,19 @@ static double split_advance(bridge_t *b, double h, double u)
     double charge = 0.0;
     double rest = h;
     for (int n = 0; rest > INSTANT; n++) {
+        end_t e;
+        double hold;
+        cut_t cut = {rest, WHOLE, 0, 0};
         if (!b->begun) {
             bridge_begin(b, u);
         }
-        end_t e;
-        cut_t cut = {rest, WHOLE, 0, 0};
-        attempt(b, rest, u, &e, &cut);
-        if (n >= SPLITS) {
-            cut = (cut_t){rest, WHOLE, 0, 0};
-        } else if (cut.after < INSTANT) {
-            cut.after = 0.0;
-        }
-        if (cut.reason != WHOLE && cut.after > 0.0) {
-            cut_t again = cut;
-            attempt(b, cut.after, u, &e, &again);
+        if (n < SPLITS) {
+            cut = step_to_change(b, rest, u, &e);
+        } else {
+            step(b, rest, u, &e, &hold);
         }
         if (cut.after > 0.0) {
             charge += accept_out(b, cut.after, u * cut.after, &e);
-            if (b->floating >= 0) {
-                remove_phase(b, b->floating);
-            }
         }
         b->begun = false;
         apply(b, &cut);
@@ -597,11 +752,11 @@ static double split_advance(bridge_t *b, double h, double u)
 double bridge_advance(bridge_t *b, double h, double u_h)
 {
     double charge;
-    if (b->floating < 0 && !b->dead) {
+    if (b->floating < 0 && !b->dead && !may_cross(b, h)) {
         end_t e;
         const plant_vector_t drive = {u_h * b->a.alpha + h * b->b.alpha, u_h * b->a.beta + h * b->b.beta};
         travel(b, h, drive, &e);
-        charge = ends_early(b, &e) ? split_advance(b, h, u_h / h) : accept(b, h, u_h, &e);
+        charge = (crossed(b, &e) || jerked(b, &e)) ? split_advance(b, h, u_h / h) : accept(b, h, u_h, &e);
     } else {
         charge = split_advance(b, h, u_h / h);
     }

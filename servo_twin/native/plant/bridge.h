@@ -81,6 +81,7 @@ typedef struct {
     bool held;                           /* the shaft has just stopped and stays so to the end of the segment */
     int floating;                        /* index of the only leg without current, -1 if there is none */
     double hold;                         /* its voltage at the beginning [V] */
+    double single_slope;                 /* of the only current left, across its axis [A/s] */
     bool dead;                           /* no current at all, and none will flow */
     unsigned paths;                      /* through the legs, see bridge.c */
     plant_vector_t a, b;                 /* v = u a + b */

@@ -69,7 +69,8 @@ quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omeg
         aim(q);
     }
     const double per_omega = (omega != 0.0) ? 1.0 / omega : 0.0;
-    const quadrature_course_t course = {theta, omega, accel, per_omega, accel * per_omega, (1.0 / 6.0) * jerk * per_omega};
+    const quadrature_course_t course = {
+        theta, omega, accel, per_omega, accel * per_omega, (1.0 / 6.0) * jerk * per_omega};
     return course;
 }
 

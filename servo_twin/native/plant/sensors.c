@@ -22,14 +22,12 @@ void plant_random_init(plant_random_t *random, uint64_t seed, uint64_t stream)
 
 double plant_random_gauss(plant_random_t *random)
 {
-    uint32_t sum = 0;
-    for (int i = 0; i < 3; i++) {
-        const uint64_t bits = plant_random_bits(random);
-        sum += (uint32_t)(bits & 0xFFFFu) + (uint32_t)((bits >> 16) & 0xFFFFu) + (uint32_t)((bits >> 32) & 0xFFFFu) +
-               (uint32_t)(bits >> 48);
-    }
-    /* each uniform has the mean 32767.5 and the variance (2^32 - 1) / 12 */
-    return ((double)sum - 12.0 * 32767.5) * (1.0 / 65536.0);
+    const uint64_t bytes = plant_random_bits(random);
+    const uint64_t even = UINT64_C(0x00FF00FF00FF00FF);
+    const uint64_t pairs = (bytes & even) + ((bytes >> 8) & even);
+    const int32_t sum = (int32_t)((pairs * UINT64_C(0x0001000100010001)) >> 48);
+    /* each byte has the mean 127.5 and the variance (2^16 - 1) / 12 */
+    return (double)(sum - 1020) * (1.0 / 209.02152999054544);
 }
 
 static uint16_t saturate(double code)

@@ -13,7 +13,7 @@ void plant_random_init(plant_random_t *random, uint64_t seed, uint64_t stream);
 
 uint64_t plant_random_bits(plant_random_t *random);
 
-/* Nearly Gaussian, mean 0, standard deviation 1: the sum of twelve 16-bit uniforms, so it never leaves +-6. */
+/* Nearly Gaussian, mean 0, standard deviation 1: the sum of eight bytes, in steps of 1/209, never beyond +-4.88. */
 double plant_random_gauss(plant_random_t *random);
 
 /* Code of a bipolar signal: -full_scale .. +full_scale around mid-scale 2048, saturated at 0 and 4095. */

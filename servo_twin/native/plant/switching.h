@@ -30,7 +30,7 @@
 
 #define SWITCHING_CLOCK_HZ BRIDGE_CLOCK_HZ
 #define SWITCHING_HORIZON 3200u /* longest step without a look around [clocks] */
-#define SWITCHING_EVENTS 128u   /* a power of two */
+#define SWITCHING_EVENTS 128u /* a power of two */
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
 typedef enum {
@@ -41,7 +41,7 @@ typedef enum {
 } switching_leg_t;
 
 typedef enum {
-    SWITCHING_ENCODER,      /* a line has changed: `line` 0: A, 1: B; `level` is the new one */
+    SWITCHING_ENCODER, /* a line has changed: `line` 0: A, 1: B; `level` is the new one */
     SWITCHING_OVER_CURRENT, /* output of an axis' over-current comparator: `level` 1 tripped, 0 released */
 } switching_kind_t;
 
@@ -60,26 +60,26 @@ typedef struct {
     thermal_t winding, sink;
     plant_random_t noise;
     uint64_t clock;
-    double booked;          /* charge that the bus has given meanwhile, at the extrapolated current [A s] */
-    double u_h;             /* integral of the bus voltage meanwhile [V s] */
-    uint64_t edge_clock;    /* when the encoder changes next, if nothing else does */
+    double booked; /* charge that the bus has given meanwhile, at the extrapolated current [A s] */
+    double u_h; /* integral of the bus voltage meanwhile [V s] */
+    uint64_t edge_clock; /* when the encoder changes next, if nothing else does */
     quadrature_course_t course; /* of the shaft since `clock` */
-    double i_bus, di_bus;   /* current out of the bus at `clock`, and its slope [A], [A/s] */
-    uint64_t look_clock;    /* when a current may pass the comparator's threshold */
-    uint64_t next_clock;    /* the earlier of the two, or the horizon */
-    uint64_t off_clock[3];  /* when the switch of the leg that was on last no longer conducts, and which one it was */
+    double i_bus, di_bus; /* current out of the bus at `clock`, and its slope [A], [A/s] */
+    uint64_t look_clock; /* when a current may pass the comparator's threshold */
+    uint64_t next_clock; /* the earlier of the two, or the horizon */
+    uint64_t off_clock[3]; /* when the switch of the leg that was on last no longer conducts, and which one it was */
     switching_leg_t last_on[3];
     switching_leg_t leg[3];
-    uint64_t short_clock;   /* end of a short through a leg */
-    bool tripped;           /* output of the comparator */
-    uint64_t turn_off;      /* a switch still conducts so long after its gate has gone off [clocks] */
-    double i_break;         /* threshold [A] */
+    uint64_t short_clock; /* end of a short through a leg */
+    bool tripped; /* output of the comparator */
+    uint64_t turn_off; /* a switch still conducts so long after its gate has gone off [clocks] */
+    double i_break; /* threshold [A] */
     double square_break, square_far; /* of a current vector below which no phase is beyond the threshold, or can get
                                         there within the horizon [A^2] */
     double i_full_scale, i_offset[3], i_noise;
-    double r_s;             /* at the reference temperature [ohm] */
+    double r_s; /* at the reference temperature [ohm] */
     double e_copper, e_switch; /* that the temperatures have seen already [J] */
-    uint64_t mean_clock;    /* beginning of the voltages' mean, and the integrals there */
+    uint64_t mean_clock; /* beginning of the voltages' mean, and the integrals there */
     plant_vector_t mean_psi, mean_charge;
     double mean_volts_0;
 } switching_axis_t;
@@ -90,11 +90,11 @@ typedef struct {
     plant_bus_t bus;
     plant_random_t noise;
     uint64_t now;
-    uint64_t next;          /* clock of the next event, unless `stale` */
+    uint64_t next; /* clock of the next event, unless `stale` */
     bool stale;
-    uint64_t supply_clock;  /* the bus stands here */
+    uint64_t supply_clock; /* the bus stands here */
     uint64_t thermal_clock; /* next step of the temperatures */
-    uint64_t rare_clock;    /* that, or the end of a short */
+    uint64_t rare_clock; /* that, or the end of a short */
     switching_event_t event[SWITCHING_EVENTS];
     unsigned first, waiting;
 } switching_t;
@@ -148,15 +148,15 @@ bool switching_line(const switching_t *plant, int axis, int line); /* level of e
 /* ---- truth ---------------------------------------------------------------------------------------------------------- */
 
 typedef struct {
-    double theta, omega;       /* shaft, mechanical, not wrapped [rad], [rad/s] */
-    double i_d, i_q;           /* [A] */
-    double phase[3];           /* [A] into the motor */
-    double shunt[3];           /* what the shunts carry [A], sign of the phase current */
-    double amplifier[3];       /* what the amplifiers show of it [A] */
-    double torque;             /* air gap [N m] */
-    double voltage[3];         /* mean terminal voltage above the negative rail since the last switching_mean [V] */
-    double t_winding, t_sink;  /* [deg C] */
-    double e_bus;              /* taken out of the bus since clock 0 [J] */
+    double theta, omega; /* shaft, mechanical, not wrapped [rad], [rad/s] */
+    double i_d, i_q; /* [A] */
+    double phase[3]; /* [A] into the motor */
+    double shunt[3]; /* what the shunts carry [A], sign of the phase current */
+    double amplifier[3]; /* what the amplifiers show of it [A] */
+    double torque; /* air gap [N m] */
+    double voltage[3]; /* mean terminal voltage above the negative rail since the last switching_mean [V] */
+    double t_winding, t_sink; /* [deg C] */
+    double e_bus; /* taken out of the bus since clock 0 [J] */
     double e_copper, e_switch; /* burnt in the windings, in switches and diodes [J] */
     bool over_current;
 } switching_truth_t;
@@ -167,9 +167,9 @@ void switching_truth(const switching_t *plant, int axis, switching_truth_t *trut
 /* The voltages' mean begins anew. */
 void switching_mean(switching_t *plant, int axis);
 typedef struct {
-    double u_dc;     /* [V] */
+    double u_dc; /* [V] */
     double e_source; /* delivered by the supply into the bus since clock 0 [J] */
-    double e_brake;  /* burnt in the brake resistor [J] */
+    double e_brake; /* burnt in the brake resistor [J] */
 } switching_bus_t;
 
 void switching_bus(const switching_t *plant, switching_bus_t *bus);
@@ -179,9 +179,9 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus);
 void switching_set_load(switching_t *plant, int axis, double torque);
 void switching_set_supply(switching_t *plant, double volts);
 void switching_lock(switching_t *plant, int axis, bool locked);
-void switching_plug(switching_t *plant, int axis, bool plugged);  /* motor cable */
+void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
 void switching_cut(switching_t *plant, int axis, int line, bool cut); /* encoder line stuck low */
-void switching_brake(switching_t *plant, bool on);                /* brake resistor across the bus */
+void switching_brake(switching_t *plant, bool on); /* brake resistor across the bus */
 void switching_set_temperature(switching_t *plant, int axis, double winding, double sink);
 
 #endif

@@ -184,11 +184,29 @@ static double run_averaged(const board_config_t *config, unsigned groups, case_t
 static plant_axis_t motor(void)
 {
     return (plant_axis_t){
-        .r_s = 0.55, .l_d = 0.403e-3, .l_q = 0.512e-3, .psi_m = 0.0154, .pole_pairs = 2, .inertia = 0.8e-5,
-        .friction = 2e-3, .viscous = 1e-5, .encoder_lines = 1000, .i_full_scale = 8.25, .i_noise = 0.008,
-        .i_break = 14.0, .dead_time = 1e-6, .v_drop = 0.7, .r_on = 0.03, .turn_off = 0.25e-6, .i_settle = 0.2e-6,
-        .encoder_jitter = 0.02, .encoder_duty_error = 0.02, .winding_capacity = 25, .winding_resistance = 4,
-        .sink_capacity = 60, .sink_resistance = 5,
+        .r_s = 0.55,
+        .l_d = 0.403e-3,
+        .l_q = 0.512e-3,
+        .psi_m = 0.0154,
+        .pole_pairs = 2,
+        .inertia = 0.8e-5,
+        .friction = 2e-3,
+        .viscous = 1e-5,
+        .encoder_lines = 1000,
+        .i_full_scale = 8.25,
+        .i_noise = 0.008,
+        .i_break = 14.0,
+        .dead_time = 1e-6,
+        .v_drop = 0.7,
+        .r_on = 0.03,
+        .turn_off = 0.25e-6,
+        .i_settle = 0.2e-6,
+        .encoder_jitter = 0.02,
+        .encoder_duty_error = 0.02,
+        .winding_capacity = 25,
+        .winding_resistance = 4,
+        .sink_capacity = 60,
+        .sink_resistance = 5,
     };
 }
 

@@ -1,0 +1,388 @@
+"""The plant at switching level by itself: energy, means, shunts, comparator, encoder lines, supply, temperatures."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from native_library import Native, c_config, plain
+from servo_twin.plant import PlantConfig
+from switching_reference import HIGH, LOW, OPEN, Edge, centred_edges
+from switching_rig import Switching
+
+PERIOD = 6250
+DEAD = 100
+CLOCK = 1e-8
+ENCODER, OVER_CURRENT = 0, 1
+
+
+def cycles(axes: Sequence[int], duty: Sequence[float], start: int, periods: int, dead: int = DEAD) -> list[Edge]:
+    edges = [
+        edge
+        for axis in axes
+        for n in range(periods)
+        for edge in centred_edges(start + n * PERIOD, PERIOD, duty, dead, axis)
+    ]
+    return sorted(edges, key=lambda edge: edge[0])
+
+
+def vector(axis: int, clock: int, gates: Sequence[int]) -> list[Edge]:
+    return [(clock, axis, phase, gate) for phase, gate in enumerate(gates)]
+
+
+class TestEnergy:
+    def test_nothing_is_lost(self, switching_c: Native) -> None:
+        """What the source gives is in the capacitor, in the coils, in the masses, or has become heat or work."""
+        plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=2.0)
+        switching = Switching(switching_c, plant)
+        switching.spin(1, 250.0)  # this axis brakes
+        switching.lib.switching_set_load(switching.c, 0, -0.02)
+        rows = []
+        for n in range(240):
+            edges = cycles([0], (0.7, 0.45, 0.4), n * PERIOD, 1) + cycles([1], (0.5, 0.5, 0.5), n * PERIOD, 1)
+            for clock in range(n * PERIOD, (n + 1) * PERIOD, PERIOD // 10):
+                now = [edge for edge in edges if clock <= edge[0] < clock + PERIOD // 10]
+                switching.run(sorted(now), clock + PERIOD // 10)
+                rows.append([(t.theta, t.omega) for t in (switching.truth(0), switching.truth(1))])
+        course = np.array(rows)
+        drawn = 0.0
+        for index, axis in enumerate(plant.axes):
+            truth = switching.truth(index)
+            theta, omega = course[:, index, 0], course[:, index, 1]
+            start = float(axis.theta_start)
+            steps = np.diff(np.concatenate(([start], theta)))
+            speeds = np.concatenate(([250.0 * index], omega))
+            viscous = axis.viscous * np.sum((speeds[:-1] ** 2 + speeds[1:] ** 2) / 2) * PERIOD / 10 * CLOCK
+            friction = axis.friction * np.sum(np.abs(steps))
+            load = -0.02 * (theta[-1] - start) if index == 0 else 0.0
+            kinetic = 0.5 * axis.inertia * (omega[-1] ** 2 - speeds[0] ** 2)
+            magnetic = 0.75 * (axis.l_d * truth.i_d**2 + axis.l_q * truth.i_q**2)
+            spent = truth.e_copper + truth.e_switch + viscous + friction + load + kinetic + magnetic
+            scale = abs(kinetic) + truth.e_copper + truth.e_switch + abs(truth.e_bus)
+            assert truth.e_bus == pytest.approx(spent, abs=3e-4 * scale)  # mean voltage times charge, per segment
+            drawn += truth.e_bus
+        assert switching.truth(1).e_bus < 0.0 < switching.truth(0).e_bus
+        stored = 0.5 * plant.bus.capacitance * (switching.bus.u_dc**2 - plant.bus.u_source**2)
+        assert switching.bus.e_source == pytest.approx(drawn + stored, rel=3e-4)
+
+    def test_the_source_takes_nothing_back(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain())
+        for axis in range(2):
+            switching.spin(axis, 366.0)
+        before = 0.0
+        for n in range(100):  # short-circuited by the lower switches, then pumped up by opening them
+            low = [*vector(0, n * 2000, [LOW] * 3), *vector(1, n * 2000, [LOW] * 3)]
+            gone = [*vector(0, n * 2000 + 800, [OPEN] * 3), *vector(1, n * 2000 + 800, [OPEN] * 3)]
+            switching.run([*low, *gone], (n + 1) * 2000)
+            assert switching.bus.e_source >= before
+            before = switching.bus.e_source
+        assert switching.bus.u_dc > 24.5
+
+    def test_brake_resistor(self, switching_c: Native) -> None:
+        plant = PlantConfig.load().with_bus(r_brake=4.7)
+        switching = Switching(switching_c, plant)
+        switching.charge(30.0)
+        switching.lib.switching_brake(switching.c, True)
+        switching.advance(100_000)
+        tau = 4.7 * plant.bus.capacitance
+        assert switching.bus.u_dc == pytest.approx(30.0 * math.exp(-1e-3 / tau), rel=1e-9)
+        burnt = 0.5 * plant.bus.capacitance * (30.0**2 - switching.bus.u_dc**2)
+        assert switching.bus.e_brake == pytest.approx(burnt, rel=1e-6)
+        switching.lib.switching_brake(switching.c, False)
+        before = switching.bus.u_dc
+        switching.advance(200_000)
+        assert switching.bus.u_dc == before
+
+
+class TestMeans:
+    @pytest.mark.parametrize("swing", [0.12, -0.12])
+    def test_dead_time_and_drops_by_arithmetic(self, switching_c: Native, swing: float) -> None:
+        """Mean of a held axis: duty, less t_d f u and the drop, against the current."""
+        plant = plain(dead_time=1e-6, v_drop=0.7, r_on=0.03, turn_off=0.0)
+        switching = Switching(switching_c, plant)
+        switching.lib.switching_lock(switching.c, 0, True)
+        duty = (0.5 + swing, 0.5 - swing / 2, 0.5 - swing / 2)
+        periods = 120
+        switching.run(cycles([0], duty, 0, periods), periods * PERIOD)
+        truth = switching.truth(0)  # at a low-side centre, where the ripple is zero
+        bus = switching.bus.u_dc
+        sign = math.copysign(1.0, swing)
+        i_a = truth.i_d
+        volts = swing * bus - sign * 4 / 3 * (100 / PERIOD * bus + 0.7)
+        assert i_a == pytest.approx(volts / (plant.axes[0].r_s + 0.03), rel=4e-3)
+
+    def test_agrees_with_the_averaged_plant(self, switching_c: Native) -> None:
+        """Two accelerating axes: half a hundred periods of both plants with the same duties."""
+        plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=0.2)
+        ffi, lib = switching_c
+        averaged = ffi.new("plant_t *")
+        lib.plant_init(averaged, c_config(switching_c, plant))
+        switching = Switching(switching_c, plant)
+        duties = [(0.36, 0.60, 0.54), (0.62, 0.38, 0.50)]
+        clock = 0
+        worst = np.zeros(2)
+        for index in range(2):
+            averaged.axis[index].inverter.on = True
+        for n in range(60):
+            edges = [e for axis in range(2) for e in centred_edges(n * PERIOD, PERIOD, duties[axis], DEAD, axis)]
+            for index in range(2):
+                lib.plant_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u_dc)
+            for _ in range(4):
+                lib.plant_step(averaged, clock)
+                clock += averaged.step_ns
+            switching.run(sorted(edges), (n + 1) * PERIOD)
+            if n < 3:
+                continue  # the currents have to leave zero
+            for index in range(2):
+                truth = switching.truth(index)  # low-side centre: ripple is zero there
+                motor = averaged.axis[index].motor
+                worst[index] = max(worst[index], *(abs(truth.phase[k] - motor.phase[k]) for k in range(3)))
+        assert max(worst) < 0.15
+        for index in range(2):
+            truth, motor = switching.truth(index), averaged.axis[index].motor
+            assert abs(truth.omega) > 20.0
+            assert truth.omega == pytest.approx(motor.omega, rel=0.01)
+            assert truth.theta == pytest.approx(motor.theta, abs=2e-3)
+        assert switching.bus.u_dc == pytest.approx(averaged.bus.u_dc, abs=0.01)
+
+    def test_mean_voltages(self, switching_c: Native) -> None:
+        """Of a held axis with constant duties, over whole periods."""
+        switching = Switching(switching_c, plain(turn_off=0.0))
+        switching.lib.switching_lock(switching.c, 0, True)
+        switching.run(cycles([0], (0.6, 0.5, 0.4), 0, 20, dead=0), 20 * PERIOD)
+        switching.lib.switching_mean(switching.c, 0)
+        switching.run(cycles([0], (0.6, 0.5, 0.4), 20 * PERIOD, 20, dead=0), 40 * PERIOD)
+        bus = switching.bus.u_dc
+        assert list(switching.truth(0).voltage) == pytest.approx([0.6 * bus, 0.5 * bus, 0.4 * bus], rel=4e-3)
+
+
+class TestShunts:
+    @pytest.mark.parametrize(
+        ("gates", "current", "seen"),
+        [(HIGH, 1, False), (HIGH, -1, False), (LOW, 1, True), (LOW, -1, True), (OPEN, 1, True), (OPEN, -1, False)],
+    )
+    def test_current_only_through_the_lower_half(
+        self, switching_c: Native, gates: int, current: int, seen: bool
+    ) -> None:
+        switching = Switching(switching_c, plain(theta_start=0.0))
+        drive = [HIGH, LOW, LOW] if current > 0 else [LOW, HIGH, HIGH]
+        switching.run(vector(0, 0, drive), 2000)
+        switching.run([(2000, 0, 0, OPEN), (2010, 0, 0, gates)], 2050)
+        truth = switching.truth(0)
+        assert truth.phase[0] * current > 0.1
+        assert truth.shunt[0] == (truth.phase[0] if seen else 0.0)
+
+    def test_the_amplifier_settles(self, switching_c: Native) -> None:
+        plant = plain(theta_start=0.0, i_settle=0.3e-6)
+        switching = Switching(switching_c, plant)
+        switching.run(vector(0, 0, [HIGH, LOW, LOW]), 3000)
+        switching.run([(3000, 0, 0, OPEN)], 3000)
+        values = []
+        for clock in range(3000, 3200, 5):
+            switching.advance(clock)
+            truth = switching.truth(0)
+            values.append((truth.amplifier[0], truth.shunt[0]))
+        shown, real = np.array(values).T
+        time = np.arange(0, 200, 5) * CLOCK
+        slope = (real[-1] - real[1]) / (time[-1] - time[1])
+        lag = slope * 0.3e-6
+        model = real[1] + slope * (time - time[1]) - lag + (lag - real[1]) * np.exp(-time / 0.3e-6)
+        assert shown == pytest.approx(model, abs=5e-3)
+        assert shown[0] == pytest.approx(0.0, abs=1e-9)
+
+    def test_codes(self, switching_c: Native) -> None:
+        plant = plain(theta_start=0.0, i_offset=(0.5, 0.0, -0.5))
+        switching = Switching(switching_c, plant)
+        switching.run(vector(0, 0, [LOW, LOW, LOW]), 2000)
+        codes = [switching.lib.switching_current_code(switching.c, 0, phase) for phase in range(3)]
+        assert codes == [2048 + round(0.5 / 8.25 * 2048), 2048, 2048 - round(0.5 / 8.25 * 2048)]
+        assert switching.lib.switching_bus_code(switching.c) == 2708
+
+    def test_a_sample_between_edges_does_not_depend_on_who_looked_before(self, switching_c: Native) -> None:
+        """Shortly after an edge the sample comes from the slope, later from a step of the plant."""
+        codes = []
+        for glance in (False, True):
+            switching = Switching(switching_c, plain(theta_start=0.0))
+            switching.run(vector(0, 0, [HIGH, LOW, LOW]), 1000)
+            switching.run(vector(0, 1000, [LOW, LOW, LOW]), 1020)
+            if glance:
+                switching.truth(0)
+            switching.advance(1045)
+            codes.append([switching.lib.switching_current_code(switching.c, 0, 1)])
+            switching.advance(1100)
+            codes[-1].append(switching.lib.switching_current_code(switching.c, 0, 1))
+            codes[-1].append(switching.truth(0).theta)
+        assert codes[0] == codes[1]
+
+
+class TestComparator:
+    def test_trips_at_the_threshold(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain(theta_start=0.0, i_break=3.0))
+        switching.lib.switching_lock(switching.c, 0, True)
+        switching.run(vector(0, 0, [HIGH, LOW, LOW]), 20_000)
+        trips = [event for event in switching.events if event[1] == OVER_CURRENT]
+        assert [(event[2], event[4]) for event in trips] == [(0, True)]
+        axis = plain().axes[0]
+        expected = -axis.l_d / axis.r_s * math.log(1 - 3.0 * axis.r_s / 16.0) / CLOCK
+        assert trips[0][0] == pytest.approx(expected, abs=20)
+        assert switching.lib.switching_over_current(switching.c, 0)
+        switching.run(vector(0, 20_000, [OPEN, OPEN, OPEN]), 40_000)
+        assert not switching.lib.switching_over_current(switching.c, 0)
+        assert len([event for event in switching.events if event[1] == OVER_CURRENT]) == 2
+
+    @pytest.mark.parametrize(("dead", "trips"), [(30, False), (20, True), (0, True)])
+    def test_too_little_dead_time_is_a_short(self, switching_c: Native, dead: int, trips: bool) -> None:
+        """A switch still conducts 0.25 us after its gate has gone off."""
+        switching = Switching(switching_c, plain(turn_off=0.25e-6))
+        switching.run([(0, 0, 0, HIGH), (500, 0, 0, OPEN), (500 + dead, 0, 0, LOW)], 1000)
+        events = [(event[0], event[4]) for event in switching.events if event[1] == OVER_CURRENT]
+        assert events == ([(500 + dead, True), (525, False)] if trips else [])
+
+    def test_both_gates_on(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain(turn_off=0.0))
+        switching.run([(100, 1, 2, 3)], 200)
+        assert switching.lib.switching_over_current(switching.c, 1)
+        switching.run([(300, 1, 2, OPEN)], 400)
+        assert not switching.lib.switching_over_current(switching.c, 1)
+
+    def test_the_same_switch_again_is_no_short(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain(turn_off=0.25e-6))
+        switching.run([(0, 0, 0, HIGH), (500, 0, 0, OPEN), (505, 0, 0, HIGH)], 1000)
+        assert not switching.events
+
+
+class TestEncoder:
+    def turn(self, switching_c: Native, omega: float, clocks: int, **axis: Any) -> Switching:
+        switching = Switching(
+            switching_c, plain(**{"encoder_jitter": 0.0, "encoder_duty_error": 0.0, "theta_start": 0.001, **axis})
+        )
+        switching.spin(0, omega)
+        switching.advance(clocks)
+        return switching
+
+    @pytest.mark.parametrize("omega", [366.0, -366.0, 20.0, -3.0])
+    def test_edges_come_when_the_shaft_is_there(self, switching_c: Native, omega: float) -> None:
+        switching = self.turn(switching_c, omega, 1_000_000 if abs(omega) > 10 else 10_000_000)
+        pitch = 2 * math.pi / 4000
+        first = math.floor(0.001 / pitch)
+        times = [event[0] for event in switching.events]
+        angles = [pitch * (first + 1 + n if omega > 0 else first - n) for n in range(len(times))]
+        expected = [(angle - 0.001) / omega / CLOCK for angle in angles]
+        assert len(times) > 10
+        assert all(0.0 <= time - exact <= 1.001 for time, exact in zip(times, expected, strict=True))
+
+    def test_lines_are_in_quadrature(self, switching_c: Native) -> None:
+        switching = self.turn(switching_c, 100.0, 1_000_000)
+        assert [event[3] for event in switching.events[:4]] in ([0, 1, 0, 1], [1, 0, 1, 0])
+        levels = {0: False, 1: False}
+        order = []
+        for _, _, _, line, level in switching.events:
+            levels[line] = level
+            order.append((levels[0], levels[1]))
+        upwards = [(True, False), (True, True), (False, True), (False, False)]
+        places = [upwards.index(state) for state in order[4:]]
+        assert all((late - early) % 4 == 1 for early, late in itertools.pairwise(places))
+
+    def test_duty_error_and_jitter(self, switching_c: Native) -> None:
+        switching = self.turn(switching_c, 200.0, 20_000_000, encoder_duty_error=0.05)
+        for line in range(2):
+            edges = [event for event in switching.events if event[3] == line]
+            high = [b[0] - a[0] for a, b in itertools.pairwise(edges) if a[4]]
+            low = [b[0] - a[0] for a, b in itertools.pairwise(edges) if not a[4]]
+            assert np.mean(high) / (np.mean(high) + np.mean(low)) == pytest.approx(0.55, abs=1e-3)
+        noisy = self.turn(switching_c, 200.0, 20_000_000, encoder_jitter=0.03)
+        pitch_clocks = 2 * math.pi / 4000 / 200.0 / CLOCK
+        gaps = np.diff([event[0] for event in noisy.events])
+        assert np.std(gaps) == pytest.approx(0.03 * math.sqrt(2) * pitch_clocks, rel=0.05)
+        assert np.mean(gaps) == pytest.approx(pitch_clocks, rel=1e-3)
+
+    def test_a_shaft_that_turns_back_gives_every_edge_back(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain(encoder_jitter=0.05, theta_start=0.001))
+        switching.spin(0, 60.0)
+        switching.lib.switching_set_load(switching.c, 0, 0.02)  # back at the start after 48 ms
+        before = [switching.lib.switching_line(switching.c, 0, line) for line in range(2)]
+        switching.advance(4_800_000)
+        assert switching.truth(0).omega == pytest.approx(-60.0, rel=1e-6)
+        up = sum(1 for event in switching.events if event[0] < 2_400_000)
+        assert up > 400
+        assert abs(len(switching.events) - 2 * up) <= 1
+        after = [switching.lib.switching_line(switching.c, 0, line) for line in range(2)]
+        assert before == after or abs(len(switching.events) - 2 * up) == 1
+
+    def test_cut_lines_stay_low(self, switching_c: Native) -> None:
+        switching = self.turn(switching_c, 100.0, 100_000)
+        switching.lib.switching_cut(switching.c, 0, 1, True)
+        switching.events.clear()
+        switching.advance(1_000_000)
+        lines = {event[3] for event in switching.events if event[0] > 100_000}
+        assert lines == {0}
+        assert not switching.lib.switching_line(switching.c, 0, 1)
+
+    def test_same_seed_same_edges(self, switching_c: Native) -> None:
+        runs = []
+        for seed in (3, 3, 4):
+            switching = Switching(switching_c, PlantConfig.load(), seed)
+            switching.spin(0, 100.0)
+            switching.advance(200_000)
+            runs.append([event for event in switching.events if event[2] == 0][5:])
+        assert runs[0] == runs[1] != runs[2]
+
+
+class TestOther:
+    def test_to_look_changes_nothing(self, switching_c: Native) -> None:
+        results = []
+        for looks in (0, 7):
+            switching = Switching(switching_c, PlantConfig.load().with_axis(0, theta_start=1.0))
+            edges = cycles([0, 1], (0.6, 0.5, 0.4), 0, 4)
+            for edge in edges:
+                switching.run([edge], edge[0])
+                for n in range(looks):
+                    switching.truth(n % 2)
+                    _ = switching.bus
+            truth = switching.truth(0)
+            results.append((truth.theta, truth.omega, list(truth.phase), switching.bus.u_dc))
+        assert results[0] == results[1]
+
+    def test_events_one_by_one_or_all_at_once(self, switching_c: Native) -> None:
+        """Advancing past an event, or exactly to it, gives the same edges."""
+        stepwise = Switching(switching_c, plain(encoder_jitter=0.02))
+        at_once = Switching(switching_c, plain(encoder_jitter=0.02))
+        for switching in (stepwise, at_once):
+            switching.spin(0, 300.0)
+        while stepwise.clock < 50_000:
+            stepwise.advance(int(stepwise.lib.switching_next(stepwise.c)))
+        at_once.advance(stepwise.clock)
+        assert stepwise.events == at_once.events
+        assert len(at_once.events) > 50
+
+    def test_temperatures(self, switching_c: Native) -> None:
+        plant = plain(theta_start=0.0, winding_capacity=0.01, winding_resistance=10.0, v_drop=0.7)
+        switching = Switching(switching_c, plant)
+        switching.lib.switching_lock(switching.c, 0, True)
+        switching.run(cycles([0], (0.7, 0.5, 0.5), 0, 320), 320 * PERIOD)
+        truth = switching.truth(0)
+        assert truth.t_winding == pytest.approx(25.0 + truth.e_copper / 0.01, rel=0.15)
+        assert truth.t_winding > 26.0
+        assert 25.0 < truth.t_sink < 25.1
+        cold = Switching(switching_c, plain(theta_start=0.0, v_drop=0.7))
+        cold.lib.switching_lock(cold.c, 0, True)
+        cold.run(cycles([0], (0.7, 0.5, 0.5), 0, 320), 320 * PERIOD)
+        assert truth.i_d < 0.998 * cold.truth(0).i_d  # copper that is warmer
+
+    def test_unplugged_motor_coasts(self, switching_c: Native) -> None:
+        axis = PlantConfig.load().axes[0]
+        switching = Switching(switching_c, PlantConfig.load())
+        switching.spin(0, 100.0)
+        switching.run(cycles([0], (0.7, 0.5, 0.4), 0, 2), 2 * PERIOD)
+        switching.lib.switching_plug(switching.c, 0, False)
+        before = switching.truth(0)
+        assert list(before.phase) == [0.0, 0.0, 0.0]
+        switching.run(cycles([0], (0.7, 0.5, 0.4), 2 * PERIOD, 20), 22 * PERIOD)
+        after = switching.truth(0)
+        assert list(after.phase) == [0.0, 0.0, 0.0]
+        drag = (axis.friction + axis.viscous * before.omega) / axis.inertia
+        assert after.omega == pytest.approx(before.omega - drag * 20 * PERIOD * CLOCK, rel=1e-4)

@@ -1,0 +1,119 @@
+"""The plant at switching level against an independent integration of the same edges of the gates."""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Callable, Sequence
+
+import pytest
+from native_library import Native
+from servo_twin.plant import PlantConfig
+from switching_reference import HIGH, LOW, OPEN, Edge, Reference, centred_edges
+from switching_rig import Switching
+
+PERIOD = 6250
+DEAD = 100
+
+AMPERES = 3e-5
+"""Bound on each phase current: less than a hundredth of a converter's step (4 mA)."""
+
+
+def plant() -> PlantConfig:
+    return PlantConfig.load().with_axis(0, theta_start=0.3).with_axis(1, theta_start=-1.0)
+
+
+def compare(switching: Switching, reference: Reference, edges: Sequence[Edge], until: int, step: int = 1000) -> float:
+    """Run both through the edges and look at everything on the way. Returns the largest current seen."""
+    largest = 0.0
+    left = sorted(edges, key=lambda edge: edge[0])
+    for clock in range(step, until + 1, step):
+        now = list(itertools.takewhile(lambda edge: edge[0] <= clock, left))
+        left = left[len(now) :]
+        switching.run(now, clock)
+        reference.run(now, clock)
+        for index, machine in enumerate(reference.axes):
+            truth = switching.truth(index)
+            where = f"axis {index}, clock {clock}"
+            assert list(truth.phase) == pytest.approx(machine.phases(), abs=AMPERES), where
+            assert truth.omega == pytest.approx(machine.omega, abs=1e-3), where
+            assert truth.theta == pytest.approx(machine.theta, abs=1e-6), where
+            assert truth.torque == pytest.approx(machine.torque(), abs=1e-6), where
+            largest = max(largest, *map(abs, machine.phases()))
+        assert switching.bus.u_dc == pytest.approx(reference.u, abs=2e-5)
+    return largest
+
+
+def modulated(duty: Callable[[int, int], Sequence[float]], periods: int, dead: int = DEAD) -> list[Edge]:
+    """Edges of some periods; axis 2 half a period behind."""
+    edges: list[Edge] = []
+    for period in range(periods):
+        for axis in range(2):
+            start = period * PERIOD + axis * PERIOD // 2
+            edges += centred_edges(start, PERIOD, duty(period, axis), dead, axis)
+    return edges
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_duties(switching_c: Native, seed: int) -> None:
+    rnd = random.Random(seed)
+    edges = modulated(lambda period, axis: [rnd.uniform(0.25, 0.75) for _ in range(3)], 10)
+    reference = Reference(plant())
+    assert compare(Switching(switching_c, plant()), reference, edges, 11 * PERIOD) > 0.1
+
+
+@pytest.mark.parametrize("omega", [300.0, -150.0, 5.0])
+def test_turning_shafts_with_small_currents(switching_c: Native, omega: float) -> None:
+    """Currents that reach zero in dead times and in zero vectors, and stay there or pass."""
+    switching, reference = Switching(switching_c, plant()), Reference(plant())
+    for axis in range(2):
+        switching.spin(axis, omega)
+        reference.axes[axis].omega = omega
+    rnd = random.Random(4)
+    edges = modulated(lambda period, axis: [rnd.uniform(0.44, 0.56) for _ in range(3)], 8)
+    compare(switching, reference, edges, 9 * PERIOD, step=500)
+
+
+def test_braking_lifts_the_bus(switching_c: Native) -> None:
+    """Six open switches at a speed whose back-EMF is above the bus, and windings shorted for a while."""
+    switching, reference = Switching(switching_c, plant()), Reference(plant())
+    for axis in range(2):
+        switching.spin(axis, 600.0)
+        reference.axes[axis].omega = 600.0
+    short = [(clock, 0, phase, gates) for clock, gates in ((100, LOW), (3000, OPEN)) for phase in range(3)]
+    pumped = [(clock, 1, 0, gates) for n in range(5) for clock, gates in ((n * 1800, LOW), (n * 1800 + 900, OPEN))]
+    assert compare(switching, reference, [*short, *pumped], 12_000, step=400) > 1.0
+    assert switching.bus.u_dc > 24.0
+
+
+def test_a_shaft_that_stops_and_turns_back(switching_c: Native) -> None:
+    switching, reference = Switching(switching_c, plant()), Reference(plant())
+    for index, (axis, omega) in enumerate(zip(reference.axes, (0.04, -0.04), strict=True)):
+        switching.spin(index, omega)
+        axis.omega = omega
+    edges = modulated(lambda period, axis: (0.35, 0.6, 0.55) if axis == 0 else (0.6, 0.4, 0.5), 6)
+    compare(switching, reference, edges, 6 * PERIOD, step=500)
+    assert reference.axes[1].omega > 0.1
+
+
+def test_the_reference_sees_a_wrong_dead_time(switching_c: Native) -> None:
+    """The comparison can fail: twenty nanoseconds more of dead time are seen."""
+    switching, reference = Switching(switching_c, plant()), Reference(plant())
+    duty = (0.65, 0.45, 0.4)
+    switching.run(sorted(modulated(lambda *_: duty, 3), key=lambda edge: edge[0]), 3 * PERIOD)
+    reference.run(sorted(modulated(lambda *_: duty, 3, DEAD + 2), key=lambda edge: edge[0]), 3 * PERIOD)
+    assert abs(switching.truth(0).phase[0] - reference.axes[0].phases()[0]) > 100 * AMPERES
+
+
+def test_every_gate_pattern(switching_c: Native) -> None:
+    """All 27 states of the legs, one after another, from currents that the ones before have left."""
+    switching, reference = Switching(switching_c, plant()), Reference(plant())
+    states = list(itertools.product((OPEN, HIGH, LOW), repeat=3))
+    random.Random(7).shuffle(states)
+    edges = [
+        (137 + 251 * n, axis, phase, gates)
+        for n, state in enumerate(states)
+        for axis in range(2)
+        for phase, gates in enumerate(state)
+    ]
+    assert compare(switching, reference, edges, 137 + 251 * 28, step=251) > 0.05
