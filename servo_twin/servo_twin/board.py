@@ -275,7 +275,9 @@ class Board:
         dtype = self.snapshot_dtype
         room = max(until_ns - self.time_ns, 0) // (PERIOD_NS * SLOW_PERIODS) + 2
         log = np.zeros(room, dtype)
-        rows = self._lib.board_record(self._board, until_ns, self._ffi.from_buffer("uint8_t[]", log, require_writable=True), room)
+        rows = self._lib.board_record(
+            self._board, until_ns, self._ffi.from_buffer("uint8_t[]", log, require_writable=True), room
+        )
         self._check()
         return log[:rows]
 

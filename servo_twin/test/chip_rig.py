@@ -54,29 +54,52 @@ int try_write(chip_t *chip, uint32_t address, uint16_t value);
 
 PREAMBLE = """
 #include <setjmp.h>
+#include <string.h>
 #include "chip/parts.h"
 
-/* The tests act as software from outside of chip_run: errors come back to here. */
+/* The tests act as software from outside of chip_run, and from handlers: errors come back to here. */
 static int try_read(chip_t *chip, uint32_t address)
 {
-    if (setjmp(chip->escape) != 0) {
-        return -1;
+    jmp_buf outer;
+    volatile int value = -1;
+    memcpy(&outer, &chip->escape, sizeof outer);
+    if (setjmp(chip->escape) == 0) {
+        value = chip_read(chip, address);
     }
-    return chip_read(chip, address);
+    memcpy(&chip->escape, &outer, sizeof outer);
+    return value;
 }
 
 static int try_write(chip_t *chip, uint32_t address, uint16_t value)
 {
-    if (setjmp(chip->escape) != 0) {
-        return -1;
+    jmp_buf outer;
+    memcpy(&outer, &chip->escape, sizeof outer);
+    const int reason = setjmp(chip->escape);
+    if (reason == 0) {
+        chip_write(chip, address, value);
+        if (chip->core.depth == 0 && !chip->core.deferring) {
+            core_step(chip);
+        }
     }
-    chip_write(chip, address, value);
-    core_step(chip);
-    return 0;
+    memcpy(&chip->escape, &outer, sizeof outer);
+    return (reason == 1) ? -1 : 0;
 }
 """
 
-KINDS = ("cycle", "match", "load", "gates", "trigger", "sync", "sample", "scan_end", "enter", "leave", "write", "capture")
+KINDS = (
+    "cycle",
+    "match",
+    "load",
+    "gates",
+    "trigger",
+    "sync",
+    "sample",
+    "scan_end",
+    "enter",
+    "leave",
+    "write",
+    "capture",
+)
 
 
 class Native(NamedTuple):
@@ -322,9 +345,7 @@ class ChipRig:
 
     def clocks(self, kind: str, a: int | None = None, b: int | None = None) -> list[int]:
         """Clocks of the recorded events of a kind."""
-        return [
-            e.clock for e in self.events(kind) if (a is None or e.a == a) and (b is None or e.b == b)
-        ]
+        return [e.clock for e in self.events(kind) if (a is None or e.a == a) and (b is None or e.b == b)]
 
     def host_write(self, data: bytes) -> None:
         assert self.lib.chip_line_write(self.chip, data, len(data)) == len(data)
@@ -366,5 +387,3 @@ def start_pwm(rig: ChipRig, letter: str, *, outputs: bool = True) -> None:
     rig.write(f"PWM{letter}_MCTRL", 0x0700)
     if outputs:
         rig.write(f"PWM{letter}_OUTEN", 0x0770)
-
-

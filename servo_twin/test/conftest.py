@@ -12,6 +12,7 @@ TEST = str(Path(__file__).resolve().parent)
 if TEST not in sys.path:
     sys.path.insert(0, TEST)
 
+import chip_rig  # noqa: E402
 from native_library import CHIP_CDEF, NATIVE, PLANT_CDEF, Native, build  # noqa: E402
 from switching_rig import SWITCHING_CDEF  # noqa: E402
 
@@ -49,3 +50,15 @@ def switching_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
         [NATIVE],
         [],
     )
+
+
+@pytest.fixture(scope="session")
+def registers_c(tmp_path_factory: pytest.TempPathFactory) -> chip_rig.Native:
+    """The chip at register level, alone (``ffi``, ``lib``)."""
+    return chip_rig.build(tmp_path_factory.mktemp("registers"))
+
+
+@pytest.fixture
+def rig(registers_c: chip_rig.Native) -> chip_rig.ChipRig:
+    """A chip with its clocks up, in a world that the test makes."""
+    return chip_rig.ChipRig(registers_c)

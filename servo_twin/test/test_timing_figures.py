@@ -66,7 +66,9 @@ def test_right_timing_agrees() -> None:
     assert wrong(rows) == set()
     by_name = {row.name: row.measured for row in rows}
     assert by_name["motor 2 behind motor 1, most"] == pytest.approx(180.0)
-    assert by_name["motor 1: currents after the centre, most"] == pytest.approx((60 + FIRST - DEAD / 2) * 0.01, abs=0.01)
+    assert by_name["motor 1: currents after the centre, most"] == pytest.approx(
+        (60 + FIRST - DEAD / 2) * 0.01, abs=0.01
+    )
     assert by_name["M1, longest"] == pytest.approx(12.0)
     assert by_name["M1 done before its duties load, least"] == pytest.approx((HALF - 260 - 1200) * 0.01)
 

@@ -187,7 +187,6 @@ static void boot(chip_t *chip)
     chip->core.booting = true;
     chip->world.boot(chip->world.context);
     chip->core.booting = false;
-    core_step(chip);
 }
 
 bool chip_run(chip_t *chip, uint64_t until)
@@ -202,8 +201,11 @@ bool chip_run(chip_t *chip, uint64_t until)
     if (chip->must_boot) {
         boot(chip);
     }
+    core_step(chip);
     while (!chip->stop && step(chip, until)) {
-        core_step(chip);
+        if (chip->next[chip->first[1]] > chip->now) { /* all that happens in one clock comes first */
+            core_step(chip);
+        }
     }
     chip_meet_world(chip);
     chip->touched = true; /* who called may do things to it */

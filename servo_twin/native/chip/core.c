@@ -129,7 +129,7 @@ static void start(chip_t *chip, unsigned vector, int level)
     schedule(chip);
 }
 
-void core_step(chip_t *chip)
+static void start_handlers(chip_t *chip)
 {
     core_t *core = &chip->core;
     while (core->changed) {
@@ -144,9 +144,16 @@ void core_step(chip_t *chip)
             start(chip, vector, its_level);
         }
     }
+}
+
+void core_step(chip_t *chip)
+{
+    core_t *core = &chip->core;
+    start_handlers(chip);
     if (core->background_due && core->depth == 0 && !core->booting) {
         core->background_due = false;
         chip->world.background(chip->world.context);
+        start_handlers(chip);
     }
 }
 

@@ -23,6 +23,8 @@ static const char *const gpio[] = {"PUR", "DR", "DDR", "PER", "IAR", "IENR", "IP
                                    "IESR", "PPMODE", "RAWDATA", "DRIVE", "PUS", "SRE"};
 static const char *const occs[] = {"CTRL", "DIVBY", "STAT", "03h", "OSCTL1", "OSCTL2", "CLKCHKR", "CLKCHKT", "PROT"};
 static const char *const cop[] = {"CTRL", "TOUT", "CNTR", "INTVAL"};
+static const char *const intc[] = {"VBA", "FIM0", "FIVAL0", "FIVAH0", "FIM1", "FIVAL1", "FIVAH1"};
+static const char *const intc_ctrl[] = {"CTRL"};
 static const char *const adc_low[] = {"CTRL1", "CTRL2", "ZXCTRL1", "ZXCTRL2", "CLIST1", "CLIST2", "CLIST3", "CLIST4",
                                       "SDIS", "STAT", "RDY", "LOLIMSTAT", "HILIMSTAT", "ZXSTAT"};
 static const char *const adc_high[] = {"PWR", "CAL", "GC1", "GC2", "SCTRL", "PWR2", "CTRL3", "SCHLTEN"};
@@ -36,6 +38,8 @@ static const named_t named[] = {
     {0xE090, 0xE096, "QSCI1", sci},
     {0xE0A0, 0xE0A6, "QSCI2", sci},
     {0xE2B0, 0xE2B9, "OCCS", occs},
+    {0xE30D, 0xE314, "INTC", intc},
+    {0xE31B, 0xE31C, "INTC", intc_ctrl},
     {0xE320, 0xE324, "COP", cop},
     {0xE400, 0xE429, "SIM", sim},
     {0xE500, 0xE50E, "ADC", adc_low},

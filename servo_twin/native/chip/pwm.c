@@ -658,10 +658,10 @@ static void follow_run(chip_t *chip, unsigned m)
         }
         if (run) {
             occs_need_bus_clock(chip, "a PWM");
-            s->running = true;
             if (((pwm->ldok >> n) & 1u) != 0) {
                 load(chip, m, n);
             }
+            s->running = true;
             begin_cycle(chip, m, n);
         } else {
             settle(chip, s);
@@ -895,11 +895,13 @@ static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
         pwm->ipol = ipol;
     }
     pwm->run = (value >> 8) & 0xFu;
+    const bool first_stuck = pwm->sub[0].running && pwm->sub[0].stuck;
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
         pwm_submodule_t *s = &pwm->sub[n];
-        /* A counter without a cycle meets its reload point in every clock. */
-        if (((pwm->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || (s->running && s->stuck))) {
-            const bool stuck = s->running && s->stuck;
+        /* A counter without a cycle meets its reload point, and that of its followers, in every clock. */
+        const bool led = first_stuck && n > 0 && (s->ctrl2 & CTRL2_RELOAD_SEL) != 0;
+        const bool stuck = s->running && (s->stuck || led);
+        if (((pwm->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || stuck)) {
             load(chip, m, n);
             if (stuck) {
                 begin_cycle(chip, m, n);

@@ -1,0 +1,379 @@
+"""Clocks, gates, pins, watchdog, interrupts, serial interface; and that registers have the names of the part."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from chip_rig import ADDRESS, HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
+
+SERIAL = {"GPIOC_PER": 0x0180, "SIM_GPSCL": 1 << 14, "SIM_GPSCH": 1, "SCI0_RATE": 434, "SCI0_CTRL1": 0x000C,
+          "SCI0_CTRL2": 0x0020}  # fmt: skip
+BYTE = 8680
+"""Bus clocks of ten bits at 115200 baud."""
+
+
+class TestClocks:
+    def test_pll_locks_and_switches(self, registers_c: Any) -> None:
+        rig = ChipRig(registers_c, start=False)
+        assert rig.read("OCCS_STAT") == 0x0010
+        rig.write("OCCS_CTRL", 0x0080)
+        assert rig.read("OCCS_STAT") == 0
+        rig.step(5000)
+        assert rig.read("OCCS_STAT") == 0x0060
+        rig.write("OCCS_CTRL", 0x0081)
+        assert rig.read("OCCS_STAT") & 3 == 2  # switching
+        rig.step(100)
+        assert rig.read("OCCS_STAT") == 0x0061
+
+    def test_switch_before_lock(self, registers_c: Any) -> None:
+        rig = ChipRig(registers_c, start=False)
+        rig.write("OCCS_CTRL", 0x0080)
+        with pytest.raises(ChipError, match="OCCS CTRL = 0081h: the PLL is chosen before it has locked"):
+            rig.write("OCCS_CTRL", 0x0081)
+
+    def test_crystal_needs_time(self, registers_c: Any) -> None:
+        rig = ChipRig(registers_c, start=False)
+        with pytest.raises(ChipError, match="external clock is chosen while there is none"):
+            rig.write("OCCS_CTRL", 0x0094)
+        rig = ChipRig(registers_c, start=False)
+        rig.write("OCCS_OSCTL2", 0)
+        rig.step(100_000)
+        assert rig.read("OCCS_STAT") & 0x80
+        rig.write("OCCS_CTRL", 0x0094)
+
+    @pytest.mark.parametrize(("divby", "mhz"), [(0x2030, "98.000"), (0x2131, "50.000")])
+    def test_wrong_divider(self, registers_c: Any, divby: int, mhz: str) -> None:
+        rig = ChipRig(registers_c, start=False)
+        rig.write("SIM_PCE0", 0xFFFF)
+        rig.write("OCCS_DIVBY", divby)
+        rig.write("OCCS_CTRL", 0x0080)
+        rig.step(10_000)
+        rig.write("OCCS_CTRL", 0x0081)
+        rig.step(1000)
+        with pytest.raises(ChipError, match=f"a timer starts while the bus clock is {mhz} MHz"):
+            rig.write("TMRA1_CTRL", 0x3E80)
+
+    def test_software_that_waits_for_what_cannot_change(self, rig: ChipRig) -> None:
+        with pytest.raises(ChipError, match="the software waits for OCCS STAT"):
+            for _ in range(30_000):
+                rig.read("OCCS_STAT")
+
+
+class TestAccess:
+    @pytest.mark.parametrize("address", [0xE400 + 6, 0xDE00, 0xC000, 0xE1E0, 0xE6AA, 0xE6CF, 0xE556, 0x0100])
+    def test_no_such_register(self, rig: ChipRig, address: int) -> None:
+        assert rig.lib.try_read(rig.chip, address) == -1
+        text = rig.ffi.string(rig.chip.error).decode()
+        assert f"({address:04X}h) is not modelled (at " in text
+
+    def test_after_an_error_the_chip_stands_still(self, rig: ChipRig) -> None:
+        with pytest.raises(ChipError):
+            rig.write("ADC_GC1", 1)
+        now = rig.now
+        with pytest.raises(ChipError, match="ADC GC1"):
+            rig.step(1000)
+        assert rig.now == now
+
+    @pytest.mark.parametrize("name", sorted(ADDRESS))
+    def test_names(self, rig: ChipRig, name: str) -> None:
+        block, register = name.split("_", 1)
+        spoken = rig.name(ADDRESS[name])
+        if block in ("XBARA", "XBARB", "INTC", "AOI") or register[:4] in ("RSLT", "OFFS"):
+            assert spoken.startswith(block)
+        elif block[:3] == "PWM" and len(block) == 5:
+            assert spoken == f"{block[:4]} SM{block[4]} {register}"
+        else:
+            assert spoken.replace("Q", "") == f"{block} {register}"
+
+
+class TestInterrupts:
+    """Levels: 77 PWM fault, 85 M1, 28 an encoder edge; the fields of their priorities."""
+
+    FIELD = {77: ("INTC_IPR8", 8), 85: ("INTC_IPR9", 8), 87: ("INTC_IPR9", 12), 28: ("INTC_IPR2", 6)}
+
+    def enable(self, rig: ChipRig, **levels: int) -> None:
+        values: dict[str, int] = {}
+        for name, level in levels.items():
+            register, shift = self.FIELD[int(name[1:])]
+            values[register] = values.get(register, 0) | (level + 1) << shift
+        rig.write_all(values)
+
+    def start(self, rig: ChipRig) -> int:
+        rig.write_all(PWM_PINS | pwm_module("A", PWMA1_INTEN=0x20, PWMA_FCTRL0=0xF0F1))
+        start_pwm(rig, "A")
+        rig.interrupts()
+        rig.clear()
+        return rig.now
+
+    def m1(self, rig: ChipRig, clocks: int) -> None:
+        def handler() -> int:
+            rig.write("PWMA1_STS", 0x20)
+            return clocks
+
+        rig.handlers[85] = handler
+
+    def fault(self, rig: ChipRig, clocks: int) -> None:
+        def handler() -> int:
+            rig.write("PWMA_FCTRL0", 0xF0F0)
+            return clocks
+
+        rig.handlers[77] = handler
+
+    def test_a_higher_level_interrupts_a_lower_one(self, rig: ChipRig) -> None:
+        self.m1(rig, 2000)
+        self.fault(rig, 300)
+        self.enable(rig, v85=1, v77=2)
+        start = self.start(rig)
+        rig.edges = [(start + 900, "E8", True)]
+        rig.run(start + 4000)
+        seen = [(e.clock - start, e.kind, e.a) for e in rig.events("enter", "leave")]
+        assert seen == [(400, "enter", 85), (900, "enter", 77), (1200, "leave", 77), (2700, "leave", 85)]
+
+    def test_an_equal_level_waits(self, rig: ChipRig) -> None:
+        self.m1(rig, 2000)
+        self.fault(rig, 300)
+        self.enable(rig, v85=1, v77=1)
+        start = self.start(rig)
+        rig.edges = [(start + 900, "E8", True)]
+        rig.run(start + 4000)
+        seen = [(e.clock - start, e.kind, e.a) for e in rig.events("enter", "leave")]
+        assert seen == [(400, "enter", 85), (2400, "leave", 85), (2400, "enter", 77), (2700, "leave", 77)]
+
+    def test_a_lower_level_waits(self, rig: ChipRig) -> None:
+        self.m1(rig, 2000)
+        self.fault(rig, 300)
+        self.enable(rig, v85=1, v77=0)
+        start = self.start(rig)
+        rig.edges = [(start + 900, "E8", True)]
+        rig.run(start + 4000)
+        assert rig.clocks("enter", a=77) == [start + 2400]
+
+    def test_the_lower_vector_of_two_comes_first(self, rig: ChipRig) -> None:
+        self.m1(rig, 100)
+        rig.handlers[87] = lambda: rig.write("PWMA0_STS", 0x20)
+        self.enable(rig, v85=1, v87=1)
+        start = self.start(rig)
+        rig.write("PWMA0_INTEN", 0x20)
+        rig.run(start + 1000)
+        assert [e.a for e in rig.events("enter")] == [85, 87]
+
+    def test_level_off_and_masks(self, rig: ChipRig) -> None:
+        self.m1(rig, 100)
+        start = self.start(rig)
+        rig.run(start + 1000)
+        assert rig.events("enter") == []  # priority 0: off
+        rig.write("INTC_CTRL", 0x0020)
+        self.enable(rig, v85=1)
+        rig.step(10)
+        assert rig.events("enter") == []  # all off
+        rig.write("INTC_CTRL", 0)
+        assert rig.clocks("enter", a=85) == [rig.now]
+
+    def test_buffered_writes_of_a_handler_act_at_its_end(self, rig: ChipRig) -> None:
+        read = []
+
+        def handler() -> int:
+            rig.write("PWMA1_STS", 0x20)
+            rig.write("PWMA0_VAL3", 600)
+            rig.write("PWMA_MCTRL", 0x0701)
+            read.extend([rig.read("PWMA0_VAL3"), rig.read("PWMA_MCTRL")])
+            return length
+
+        rig.handlers[85] = handler
+        self.enable(rig, v85=1)
+        for length, loaded in ((HALF - 500, 0), (HALF - 300, 1)):
+            start = self.start(rig)
+            rig.run(start + PERIOD + HALF - 1)
+            assert read[:2] == [600, 0x0701]
+            # VAL5 is at 400: the shorter handler ends before the reload point, the longer one after it
+            assert (start + HALF in rig.clocks("load", a=0)) == (loaded == 0)
+            rig.write("PWMA_MCTRL", 0)
+            rig.step(PERIOD)
+
+
+class TestWatchdog:
+    def start(self, rig: ChipRig) -> None:
+        rig.write("COP_CTRL", 0)
+        rig.write("COP_TOUT", 390)
+        rig.write("COP_CTRL", 0x0302)  # 8 MHz / 1024: 50 ms
+
+    def test_bites(self, rig: ChipRig) -> None:
+        self.start(rig)
+        rig.write("GPIOC_PER", 0x1234)
+        begin = rig.now
+        rig.run(begin + 391 * 12800 - 1)
+        assert rig.boots == 1
+        rig.step(1)
+        assert rig.boots == 2
+        assert rig.read("SIM_RSTAT") == 0x0020
+        assert rig.read("GPIOC_PER") == 0
+
+    def test_served(self, rig: ChipRig) -> None:
+        self.start(rig)
+        for _ in range(5):
+            rig.step(390 * 12800)
+            rig.write("COP_CNTR", 0x5555)
+            rig.write("COP_CNTR", 0xAAAA)
+        assert rig.boots == 1
+        assert rig.chip.cop.services == 5
+
+    @pytest.mark.parametrize("words", [(0xAAAA, 0x5555), (0x5555, 0x5555), (0xAAAA,), (0x5555, 0x1234, 0xAAAA)])
+    def test_wrong_words_do_not_count(self, rig: ChipRig, words: tuple[int, ...]) -> None:
+        self.start(rig)
+        rig.step(390 * 12800)
+        for word in words:
+            rig.write("COP_CNTR", word)
+        rig.step(20_000)
+        assert rig.boots == 2
+
+    def test_locked(self, rig: ChipRig) -> None:
+        self.start(rig)
+        rig.write("COP_CTRL", 0x0303)
+        rig.write("COP_CTRL", 0)
+        rig.step(400 * 12800)
+        assert rig.boots == 2
+
+    def test_on_after_reset(self, registers_c: Any) -> None:
+        rig = ChipRig(registers_c, start=False)
+        rig.step(65536 * 12800 + 10)
+        assert rig.boots == 2
+
+    def test_software_reset(self, rig: ChipRig) -> None:
+        rig.write_all(PWM_PINS | pwm_module("A"))
+        start_pwm(rig, "A")
+        rig.step(HALF)
+        assert rig.gates[-1][3] != 0
+        rig.write("SIM_CTRL", 0x0010)
+        assert all(levels == 0 for _, levels in {n: x for _, _, n, x in rig.gates}.items())
+        rig.step(1000)
+        assert rig.boots == 2
+        assert rig.read("SIM_RSTAT") == 0x0040
+
+
+class TestSerial:
+    @pytest.fixture
+    def serial(self, rig: ChipRig) -> ChipRig:
+        rig.write_all(SERIAL)
+        return rig
+
+    def test_sends_at_its_baud_rate(self, serial: ChipRig) -> None:
+        begin = serial.now
+        for byte in b"abcd":
+            serial.write("SCI0_DATA", byte)
+        serial.run(begin + BYTE - 1)
+        assert serial.host_read() == b""
+        serial.run(begin + BYTE)
+        assert serial.host_read() == b"a"
+        serial.run(begin + 4 * BYTE)
+        assert serial.host_read() == b"bcd"
+        assert serial.read("SCI0_STAT") & 0xC000 == 0xC000  # TDRE, TIDLE
+
+    def test_transmitter_full(self, serial: ChipRig) -> None:
+        for k in range(5):  # one on the wire, four wait
+            serial.write("SCI0_DATA", k)
+        assert not serial.read("SCI0_STAT") & 0x8000
+        assert serial.read("SCI0_CTRL2") >> 13 == 4
+        with pytest.raises(ChipError, match="written while the transmitter is full"):
+            serial.write("SCI0_DATA", 5)
+
+    def test_receives_into_the_fifo(self, serial: ChipRig) -> None:
+        serial.host_write(b"xyz")
+        serial.step(BYTE)
+        assert serial.read("SCI0_STAT") & 0x2000
+        serial.step(2 * BYTE)
+        assert serial.read("SCI0_CTRL2") >> 8 & 7 == 3
+        assert bytes(serial.read("SCI0_DATA") for _ in range(3)) == b"xyz"
+        assert not serial.read("SCI0_STAT") & 0x2000
+
+    def test_watermark(self, serial: ChipRig) -> None:
+        serial.write("SCI0_CTRL2", 0x0020 | 1 << 6)
+        serial.host_write(b"xy")
+        serial.step(BYTE)
+        assert not serial.read("SCI0_STAT") & 0x2000
+        serial.step(BYTE)
+        assert serial.read("SCI0_STAT") & 0x2000
+
+    def test_without_fifo_status_comes_first(self, serial: ChipRig) -> None:
+        serial.write("SCI0_CTRL2", 0)
+        serial.host_write(b"x")
+        serial.step(BYTE)
+        serial.read("SCI0_DATA")
+        assert serial.read("SCI0_STAT") & 0x2000  # not cleared: STAT had not been read
+        serial.read("SCI0_DATA")
+        assert not serial.read("SCI0_STAT") & 0x2000
+
+    def test_overrun_blocks_until_cleared(self, serial: ChipRig) -> None:
+        serial.host_write(b"abcdefgh")
+        serial.step(5 * BYTE)
+        assert serial.read("SCI0_STAT") & 0x0800
+        assert bytes(serial.read("SCI0_DATA") for _ in range(4)) == b"abcd"
+        serial.step(BYTE)
+        assert serial.read("SCI0_CTRL2") >> 8 & 7 == 0  # OR is still set
+        serial.write("SCI0_STAT", 0)
+        serial.step(2 * BYTE)
+        assert bytes(serial.read("SCI0_DATA") for _ in range(2)) == b"gh"
+        assert serial.chip.line.overruns == 2
+
+    def test_interrupts_by_received_bytes(self, serial: ChipRig) -> None:
+        got = []
+
+        def handler() -> None:
+            got.append((serial.now, serial.read("SCI0_DATA")))
+
+        serial.handlers[52] = handler
+        serial.write("INTC_IPR5", 1 << 6)
+        serial.write("SCI0_CTRL1", 0x002C)
+        serial.interrupts()
+        begin = serial.now
+        serial.host_write(b"ok")
+        serial.step(3 * BYTE)
+        assert [byte for _, byte in got] == [ord("o"), ord("k")]
+        assert got[0][0] - begin == pytest.approx(BYTE, abs=1)
+
+    @pytest.mark.parametrize(("rate", "good"), [(434, True), (446, True), (420, True), (480, False), (217, False)])
+    def test_wrong_baud_rate(self, serial: ChipRig, rate: int, good: bool) -> None:
+        serial.write("SCI0_RATE", rate)
+        serial.host_write(bytes([0x55, 0x0F]))
+        serial.write("SCI0_DATA", 0x55)
+        serial.step(3 * BYTE)
+        received = serial.read("SCI0_DATA")
+        assert (received == 0x55 and not serial.read("SCI0_STAT") & 0x0200) == good
+        assert (serial.host_read() == b"\x55") == good
+
+    def test_twice_the_clock(self, serial: ChipRig) -> None:
+        serial.write("SIM_PCR", 1 << 13)
+        serial.write("SCI0_RATE", 868)
+        begin = serial.now
+        serial.write("SCI0_DATA", 1)
+        serial.run(begin + BYTE)
+        assert serial.host_read() == b"\x01"
+
+    @pytest.mark.parametrize(
+        "broken", [{"SIM_GPSCL": 0, "SIM_GPSCH": 0}, {"GPIOC_PER": 0}, {"SCI0_CTRL1": 0}, {"SCI0_RATE": 0}]
+    )
+    def test_not_connected(self, rig: ChipRig, broken: dict[str, int]) -> None:
+        rig.write_all(SERIAL | broken)
+        rig.host_write(b"x")
+        rig.write("SCI0_DATA", ord("y"))
+        rig.step(5 * BYTE)
+        assert rig.host_read() == b""
+        assert not rig.read("SCI0_STAT") & 0x2000
+
+    def test_another_interface_on_other_pins(self, rig: ChipRig) -> None:
+        rig.write_all(SERIAL)
+        rig.write_all({"SCI1_RATE": 434, "SCI1_CTRL1": 0x000C})
+        rig.write("SCI1_DATA", 1)
+        rig.step(3 * BYTE)
+        assert rig.host_read() == b""
+
+
+def test_gpio(rig: ChipRig) -> None:
+    rig.write("GPIOF_DDR", 0x0040)
+    rig.write("GPIOF_DR", 0x00C0)
+    rig.pin("F7", False)
+    assert rig.read("GPIOF_RAWDATA") & 0x00C0 == 0x0040
+    rig.pin("F7", True)
+    assert rig.read("GPIOF_RAWDATA") & 0x00C0 == 0x00C0
+    with pytest.raises(ChipError, match="GPIOF IENR = 0001h: interrupts of pins"):
+        rig.write("GPIOF_IENR", 1)

@@ -1,0 +1,305 @@
+"""Quad timers in the four roles of the reference design (DRM 2.4): position, time stamp, index, age of the last edge."""
+
+from __future__ import annotations
+
+import pytest
+from chip_rig import ChipError, ChipRig
+
+TICK = 128
+"""Bus clocks per count of the time stamps."""
+
+LINES = {"GPIOC_PER": 0x001C, "SIM_GPSCL": 1 << 4, "GPIOF_PER": 0x0100, "SIM_GPSFH": 1}
+"""A and B of encoder 1 on C3 (TA0) and C4 (TA1), of encoder 2 on C2 (TB0) and F8 (TB1)."""
+
+
+def timer(letter: str, **changes: int) -> dict[str, int]:
+    """The four channels of one encoder."""
+    values = {
+        "0_COMP1": 3999, "0_COMP2": -3999, "0_LOAD": 0, "0_CNTR": 0, "0_CTRL": 0x80A5, "0_SCTRL": 0x00C0,
+        "1_CTRL": 0x3E80, "1_SCTRL": 0x00C0, "2_CTRL": 0x2800,
+        "3_CTRL": 0x3E80, "3_SCTRL": 0x00C0, "3_CSCTRL": 0x0800, "3_LOAD": 0,
+    } | changes  # fmt: skip
+    return {f"TMR{letter}{name}": value for name, value in values.items()}
+
+
+class Encoder:
+    """Lines of an encoder: A leads B upwards. One count per step."""
+
+    def __init__(self, rig: ChipRig, a: str = "C3", b: str = "C4") -> None:
+        self.rig, self.pins, self.position = rig, (a, b), 0
+
+    def turn(self, counts: int, clocks: int = 1000) -> None:
+        for _ in range(abs(counts)):
+            self.rig.step(clocks)
+            self.position += 1 if counts > 0 else -1
+            phase = self.position % 4
+            for name, level in zip(self.pins, (phase in (1, 2), phase in (2, 3)), strict=True):
+                self.rig.pin(name, level)
+
+
+@pytest.fixture
+def encoder(rig: ChipRig) -> Encoder:
+    rig.write_all(LINES | timer("A") | timer("B"))
+    rig.clear()
+    return Encoder(rig)
+
+
+def signed(value: int) -> int:
+    return value - 0x10000 if value & 0x8000 else value
+
+
+def count(rig: ChipRig) -> int:
+    return signed(rig.read("TMRA0_CNTR"))
+
+
+class TestPosition:
+    def test_four_counts_per_line_in_both_directions(self, rig: ChipRig, encoder: Encoder) -> None:
+        encoder.turn(10)
+        assert count(rig) == 10
+        assert rig.read("TMRA0_CSCTRL") & 0x0200
+        encoder.turn(-25)
+        assert count(rig) == -15
+        assert not rig.read("TMRA0_CSCTRL") & 0x0200
+
+    def test_wraps_to_zero_in_both_directions(self, rig: ChipRig, encoder: Encoder) -> None:
+        """DRM F12: 0 .. 3999 upwards, 0 .. -3999 downwards."""
+        seen = []
+        encoder.turn(3998, 10)
+        for _ in range(3):
+            encoder.turn(1)
+            seen.append(count(rig))
+        rig.write("TMRA0_CNTR", 0)
+        encoder.turn(-3998, 10)
+        for _ in range(3):
+            encoder.turn(-1)
+            seen.append(count(rig))
+        assert seen == [3999, 0, 1, -3999, 0, -1]
+
+    def test_compare_value_wrong(self, rig: ChipRig, encoder: Encoder) -> None:
+        """COMP2 = 0, the mirror of LOAD: downwards the count is reloaded at every edge from there on, and stays 0."""
+        rig.write("TMRA0_COMP2", 0)
+        encoder.turn(5)
+        encoder.turn(-20)
+        assert count(rig) == 0
+
+    def test_comp2_of_the_wrong_sign(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA0_COMP2", 3999)
+        encoder.turn(-4500, 10)
+        assert count(rig) == -4500  # no wrap downwards
+
+    def test_without_length_it_counts_on(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA0_CTRL", 0x8085)
+        encoder.turn(4100, 10)
+        assert count(rig) == 4100
+
+    def test_lines_swapped(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA0_CTRL", 0x80A5 & ~0x1E80 | 1 << 9)  # primary input 1, secondary input 0
+        encoder.turn(7)
+        assert count(rig) == -7
+
+    def test_pin_function_wrong(self, rig: ChipRig, encoder: Encoder) -> None:
+        """B is not led to the timer: A alone counts up and down."""
+        rig.write("SIM_GPSCL", 1 << 4 | 1 << 8)
+        encoder.turn(40)
+        assert count(rig) in (0, 1)
+
+    def test_inputs_from_the_crossbar(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("SIM_IPS0", 0x0300)
+        encoder.turn(8)
+        assert count(rig) == 0  # nothing leads there
+        rig.write("GPIOE_PER", 0x0030)
+        rig.write("SIM_GPSEL", 0x0500)  # E4, E5: XB_IN2, XB_IN3
+        rig.write("XBARA_SEL24", 2 << 8)  # TA0_IN
+        rig.write("XBARA_SEL25", 3)  # TA1_IN
+        Encoder(rig, "E4", "E5").turn(8)
+        assert count(rig) == 8
+
+    def test_stopped(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA0_ENBL", 0x000E)
+        encoder.turn(5)
+        assert count(rig) == 0
+
+    def test_both_encoders(self, rig: ChipRig, encoder: Encoder) -> None:
+        other = Encoder(rig, "C2", "F8")
+        encoder.turn(5)
+        other.turn(-6)
+        assert (count(rig), signed(rig.read("TMRB0_CNTR"))) == (5, -6)
+
+    def test_filter_swallows_what_is_shorter(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA0_FILT", 0x0105)  # 4 samples, 5 clocks apart, on input 0
+        rig.write("TMRA1_FILT", 0x0105)
+        rig.pin("C3", True)
+        rig.step(19)
+        rig.pin("C3", False)
+        rig.step(100)
+        assert count(rig) == 0
+        encoder.turn(6)
+        rig.step(20)
+        assert count(rig) == 6
+        encoder.turn(40, 7)  # a quarter period shorter than the filter: edges are lost
+        rig.step(20)
+        assert count(rig) != 46
+
+
+class TestIndex:
+    def test_one_pulse_per_turn(self, rig: ChipRig, encoder: Encoder) -> None:
+        """DRM F13: OFLAG, set on compare, cleared on the next B edge, clocks TMRA2, which only ever counts up."""
+        encoder.turn(3999 + 2 * 4000, 5)
+        assert rig.read("TMRA2_CNTR") == 3
+        encoder.turn(-3 * 4000 - 3997, 5)
+        assert rig.read("TMRA2_CNTR") == 5
+        encoder.turn(-1, 5)
+        assert rig.read("TMRA2_CNTR") == 6
+
+    def test_a_touch_makes_a_pulse_without_a_turn(self, rig: ChipRig, encoder: Encoder) -> None:
+        encoder.turn(3999, 5)
+        encoder.turn(-10, 5)
+        assert rig.read("TMRA2_CNTR") == 1
+        assert count(rig) == 3989
+        encoder.turn(10, 5)
+        assert rig.read("TMRA2_CNTR") == 2
+
+    def test_set_and_never_cleared(self, rig: ChipRig, encoder: Encoder) -> None:
+        """OUTMODE 2 instead of 5: after the first turn OFLAG stays set, no further turn is seen."""
+        rig.write("TMRA0_CTRL", 0x80A2)
+        encoder.turn(3999 + 2 * 4000, 5)
+        assert rig.read("TMRA2_CNTR") == 1
+
+    def test_toggle_mode_halves_the_index(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA0_CTRL", 0x80A3)
+        encoder.turn(3999 + 3 * 4000, 5)
+        assert rig.read("TMRA2_CNTR") == 2
+
+    def test_cascade_counts_signed_turns(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA2_CTRL", 0xE800)
+        encoder.turn(3999 + 4000, 5)
+        assert signed(rig.read("TMRA2_CNTR")) == 2
+        encoder.turn(-3 * 4000 - 3998 - 1, 5)
+        assert signed(rig.read("TMRA2_CNTR")) == -1
+
+    def test_wrong_source(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA2_CTRL", 0x2A00)  # output of counter 1
+        encoder.turn(3999 + 4000, 5)
+        assert rig.read("TMRA2_CNTR") == 0
+        with pytest.raises(ChipError, match="TMRA2 CTRL = 2C00h: a channel cannot count its own output"):
+            rig.write("TMRA2_CTRL", 0x2C00)
+
+
+class TestTime:
+    def test_bus_over_128(self, rig: ChipRig, encoder: Encoder) -> None:
+        begin, clock = rig.read("TMRA1_CNTR"), rig.now
+        rig.step(1_000_000)
+        assert rig.read("TMRA1_CNTR") - begin == rig.now // TICK - clock // TICK
+
+    def test_capture_on_both_edges_of_b(self, rig: ChipRig, encoder: Encoder) -> None:
+        encoder.turn(2)  # B rises
+        assert rig.read("TMRA0_SCTRL") & 0x0900 == 0x0900  # IEF, INPUT
+        assert rig.read("TMRA0_CAPT") == 2  # the count includes the edge
+        assert rig.read("TMRA1_CAPT") == rig.read("TMRA1_CNTR")
+        for n in (0, 1, 3):
+            rig.write(f"TMRA{n}_SCTRL", 0x00C0)
+        encoder.turn(2)  # B falls
+        assert rig.read("TMRA0_CAPT") == 4
+
+    def test_captures_are_frozen_while_ief_is_set(self, rig: ChipRig, encoder: Encoder) -> None:
+        encoder.turn(2)
+        stamp = rig.read("TMRA1_CAPT")
+        encoder.turn(20)
+        assert (rig.read("TMRA0_CAPT"), rig.read("TMRA1_CAPT")) == (2, stamp)
+        rig.write("TMRA0_SCTRL", 0x08C0)  # writing 1 does not clear
+        encoder.turn(4)
+        assert rig.read("TMRA0_CAPT") == 2
+        rig.write("TMRA0_SCTRL", 0x00C0)
+        assert not rig.read("TMRA0_SCTRL") & 0x0800
+        encoder.turn(4)
+        assert rig.read("TMRA0_CAPT") == 28
+
+    def test_one_edge_only(self, rig: ChipRig, encoder: Encoder) -> None:
+        for mode, expected in ((0x0040, 2), (0x0080, 4), (0x0000, 0)):
+            rig.write("TMRA0_CNTR", 0)
+            rig.write("TMRA0_CAPT", 0)
+            rig.write("TMRA0_SCTRL", mode)
+            encoder.turn(4)
+            assert rig.read("TMRA0_CAPT") == expected
+
+    def test_reload_on_capture(self, rig: ChipRig, encoder: Encoder) -> None:
+        """TMRA3 is the age of the last captured edge, its capture the time between two."""
+        encoder.turn(2)
+        rig.write("TMRA3_SCTRL", 0x00C0)
+        assert rig.read("TMRA3_CNTR") == 0
+        encoder.turn(2, 50 * TICK)
+        assert rig.read("TMRA3_CAPT") == 100
+        assert rig.read("TMRA3_CNTR") == 0
+        encoder.turn(2, 50 * TICK)  # IEF blocks the capture, and the reload with it
+        assert rig.read("TMRA3_CNTR") == 100
+
+    def test_without_roc_the_age_is_none(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.write("TMRA3_CSCTRL", 0)
+        rig.step(30 * TICK)
+        encoder.turn(2)
+        assert rig.read("TMRA3_CNTR") >= 30
+
+    def test_overflow_is_the_age_of_a_shaft_that_stands(self, rig: ChipRig, encoder: Encoder) -> None:
+        encoder.turn(2)
+        rig.write("TMRA3_SCTRL", 0x00C0)
+        rig.step(65535 * TICK - 1000)
+        assert not rig.read("TMRA3_SCTRL") & 0x2000
+        rig.step(2000)
+        assert rig.read("TMRA3_SCTRL") & 0x2000
+        rig.write("TMRA3_SCTRL", 0x00C0)
+        assert not rig.read("TMRA3_SCTRL") & 0x2000
+
+    def test_hold_is_a_snapshot(self, rig: ChipRig, encoder: Encoder) -> None:
+        encoder.turn(5)
+        rig.read("TMRA0_CNTR")
+        stamp = rig.read("TMRA1_HOLD")
+        rig.step(100 * TICK)
+        encoder.turn(5)
+        assert (rig.read("TMRA1_HOLD"), rig.read("TMRA0_HOLD")) == (stamp, 5)
+        rig.read("TMRA3_CNTR")
+        assert rig.read("TMRA1_HOLD") >= stamp + 100
+        assert rig.read("TMRA0_HOLD") == 10
+
+    def test_edge_interrupt(self, rig: ChipRig, encoder: Encoder) -> None:
+        calls = []
+
+        def handler() -> None:
+            calls.append((rig.now, rig.read("TMRA0_CAPT")))
+            rig.write("TMRA0_SCTRL", 0x00C0)  # IEF and IEFIE off
+
+        rig.handlers[28] = handler
+        rig.write("INTC_IPR2", 1 << 6)
+        rig.write("TMRA0_SCTRL", 0x04C0)
+        rig.interrupts()
+        begin = rig.now
+        rig.edges = [(begin + 500, "C3", True), (begin + 777, "C4", True), (begin + 1500, "C3", False)]
+        rig.step(3000)
+        assert calls == [(begin + 777, 2)]
+
+    def test_compare_interrupt_of_a_bus_channel(self, rig: ChipRig) -> None:
+        calls = []
+
+        def handler() -> None:
+            calls.append(rig.now)
+            rig.write("TMRB1_SCTRL", 0x4000)
+
+        rig.handlers[23] = handler
+        rig.write("INTC_IPR1", 1 << 12)
+        rig.write_all({"TMRB1_COMP1": 99, "TMRB1_SCTRL": 0x4000, "TMRB1_CTRL": 0x3020})  # bus clock, LENGTH
+        rig.interrupts()
+        begin = rig.now
+        rig.step(350)
+        assert calls == [begin + 99, begin + 199, begin + 299]
+
+
+@pytest.mark.parametrize("mode", [3, 5, 6])
+def test_count_modes_that_are_not_modelled(rig: ChipRig, mode: int) -> None:
+    with pytest.raises(ChipError, match=r"TMRA1 CTRL = [0-9A-F]{4}h: this count mode is not modelled"):
+        rig.write("TMRA1_CTRL", mode << 13 | 0x1E80)
+
+
+def test_gated_off(rig: ChipRig) -> None:
+    rig.write_all(LINES | timer("A"))
+    rig.write("SIM_PCE0", 0x7F7F)  # TA0
+    with pytest.raises(ChipError, match="TMRA0 CNTR is accessed while its clock is gated off"):
+        rig.read("TMRA0_CNTR")
