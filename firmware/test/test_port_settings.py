@@ -23,8 +23,8 @@ REFERENCE = {
     "SET_PWM_INIT": 0xF3CB,
     "SET_PWM_VAL1": 0x0C34,
     "SET_PWM_VAL0": 0x0000,
-    "SET_PWM_VAL4": 0xF42F,  # 1 us behind the low-side centre
-    "SET_PWMA_SM1_VAL5": 0xF4AA,  # 100 + 20 + 102.5 clocks behind it
+    "SET_PWM_VAL4": 0xF402,  # 0.5 + 0.2 - 0.15 us behind the low-side centre
+    "SET_PWMA_SM1_VAL5": 0xF47D,  # 55 + 20 + 102.5 clocks behind it
     "SET_PWM_CTRL": 0x0800,
     "SET_PWMA_SM0_CTRL2": 0x0000,
     "SET_PWMA_SM12_CTRL2": 0x0204,
@@ -152,6 +152,7 @@ SCAN = {"START_COUNT", "M1_COUNT", *EVENTS}
         ("PWM_FREQUENCY_HZ=20000UL", CARRIER | EVENTS),
         ("DEAD_TIME_NS=1500UL", SAMPLE | {"SET_PWM_DTCNT"}),
         ("AMPLIFIER_DELAY_NS=800UL", SAMPLE),
+        ("ADC_HOLD_NS=200UL", SAMPLE),
         ("ADC_CLOCK_HZ=10000000UL", SCAN | {"SET_ADC_CTRL2", "SET_ADC_CTRL2_STOPPED", "SET_ADC_PWR2"}),
         ("ADC_PAIRS=2U", SCAN | {"SET_ADC_SDIS", "SET_ADC_SCTRL"}),
         ("SERIAL_BAUD=921600UL", {"SET_QSCI_RATE"}),
@@ -175,7 +176,7 @@ def test_slower_bus_moves_everything_that_counts_clocks(values: Any) -> None:
     after = values("BUS_CLOCK_HZ=80000000UL")
     assert after["PWM_PERIOD"] == 5000
     assert after["SET_PWM_DTCNT"] == 80
-    assert after["SET_PWM_VAL4"] == (-2500 + 80) & 0xFFFF
+    assert after["SET_PWM_VAL4"] == (-2500 + 44) & 0xFFFF
     assert after["SET_ADC_CTRL2"] & 0x3F == 3
     assert after["SET_OCCS_DIVBY"] == 0x2027  # 320 MHz
     assert after["SET_QSCI_RATE"] == 347
@@ -234,6 +235,7 @@ def compile_errors(tmp_path: Path, defines: Sequence[str]) -> str:
         ("ADC_CLOCK_HZ=15000000UL", "adc_clock_divides_the_bus_clock"),
         ("ADC_CLOCK_HZ=1000000UL", "adc_divider_fits"),
         ("ADC_PAIRS=4U", "adc_pause_is_where_the_documents_agree"),
+        ("ADC_HOLD_NS=900UL", "sample_lies_behind_the_centre"),
         ("AMPLIFIER_DELAY_NS=30000UL", "sample_lies_in_the_first_half"),
         ("AMPLIFIER_DELAY_NS=28000UL", "start_interrupt_has_time"),
         ("ENCODER_LINES=9000", "encoder_counts_fit_the_timer"),

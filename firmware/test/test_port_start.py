@@ -31,7 +31,7 @@ PWM_SM = {
     0x03: (0x0800, 0x0800, 0x0800),
     0x05: (0, 0, 0),
     0x07: (0x0C34, 0x0C34, 0x0C34),
-    0x0D: (0xF42F, 0xF42F, 0xF42F),
+    0x0D: (0xF402, 0xF402, 0xF402),
     0x10: (0, 0, 0),
     0x11: (0, 0, 0),
     0x16: (0xFF11, 0xFF11, 0xFF11),
@@ -48,7 +48,7 @@ def test_pwm_submodules(board: FakeBoard, axis: int, ctrl2: tuple[int, int, int]
         found = {offset: board[base + offset] for offset in PWM_SM}
         assert found == {offset: values[sm] for offset, values in PWM_SM.items()}
         assert board[base + 0x02] & ~0x40 == ctrl2[sm]
-        assert board[base + 0x0F] == {(0, 0): 1674, (0, 1): 0xF4AA}.get((axis, sm), 0)
+        assert board[base + 0x0F] == {(0, 0): 1651, (0, 1): 0xF47D}.get((axis, sm), 0)
         low, high = board[base + 0x09], board[base + 0x0B]
         assert (low + high) & 0xFFFF == 0  # symmetrical about zero
         assert high == 3125 // 2

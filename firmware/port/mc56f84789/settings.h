@@ -45,7 +45,10 @@
 /* Currents and bus. The low sides conduct symmetrically about the carrier's end, delayed by half the dead time: an edge
  * of the leg voltage comes with the dead time or without it, as the current flows. */
 #ifndef AMPLIFIER_DELAY_NS
-#define AMPLIFIER_DELAY_NS 500UL /* shunt amplifier and its filter */
+#define AMPLIFIER_DELAY_NS 200UL /* shunt amplifier and its filter */
+#endif
+#ifndef ADC_HOLD_NS
+#define ADC_HOLD_NS 150UL /* from the compare to the instant that the converter holds: measure it */
 #endif
 #ifndef ADC_CLOCK_HZ
 #define ADC_CLOCK_HZ 20000000UL
@@ -178,7 +181,7 @@ SETTINGS_CHECK(fault_filter_can_be_set, FAULT_FILTER_PERIOD >= 1UL && FAULT_FILT
 #define ADC_HALF_SCAN_CLOCKS ((ADC_HALF_SCAN_HALF_CLOCKS * ADC_DIVIDER + 1UL) / 2UL)
 #define ADC_START_CLOCKS (ADC_START_ADC_CLOCKS * ADC_DIVIDER)
 
-#define SAMPLE_DELAY_CLOCKS CLOCKS_OF_NS(DEAD_TIME_NS / 2UL + AMPLIFIER_DELAY_NS)
+#define SAMPLE_DELAY_CLOCKS CLOCKS_OF_NS(DEAD_TIME_NS / 2UL + AMPLIFIER_DELAY_NS - ADC_HOLD_NS)
 #define SAMPLE_COUNT (-PWM_HALF_PERIOD + (int32_t)SAMPLE_DELAY_CLOCKS) /* t0, t2 */
 #define M1_COUNT (SAMPLE_COUNT + (int32_t)(ADC_START_CLOCKS + ADC_HALF_SCAN_CLOCKS)) /* t1 */
 #define M2_SCAN_COUNT (M1_COUNT + PWM_HALF_PERIOD) /* t3 in counts of PWMA */
@@ -200,6 +203,7 @@ SETTINGS_CHECK(adc_clock_within_the_chips_limit, ADC_CLOCK_HZ <= 20000000UL);
 SETTINGS_CHECK(adc_clock_divides_the_bus_clock, BUS_CLOCK_HZ % ADC_CLOCK_HZ == 0UL);
 SETTINGS_CHECK(adc_divider_fits, ADC_DIVIDER >= 2UL && ADC_DIVIDER <= 64UL);
 SETTINGS_CHECK(adc_pause_is_where_the_documents_agree, ADC_PAIRS >= 1U && ADC_PAIRS <= 3U);
+SETTINGS_CHECK(sample_lies_behind_the_centre, DEAD_TIME_NS / 2UL + AMPLIFIER_DELAY_NS >= ADC_HOLD_NS);
 SETTINGS_CHECK(sample_lies_in_the_first_half, M1_COUNT < 0L);
 SETTINGS_CHECK(start_interrupt_has_time, PWM_HALF_PERIOD - START_COUNT >= (int32_t)CLOCKS_OF_NS(5000UL));
 
