@@ -66,8 +66,9 @@ static inline double quadrature_time(const quadrature_t *encoder, const quadratu
     const double way = encoder->target - course->theta;
     const double tau = way * course->per_omega;
     const double x = course->bend * tau;
-    if (x < 0.01 && x > -0.01 && course->per_omega != 0.0) {
-        return tau * (1.0 - x * (0.5 - x * (0.5 - 0.625 * x)) - course->twist * tau * tau);
+    const double y = course->twist * tau * tau; /* a slow shaft: the jerk of a ripple does not last so long */
+    if (x < 0.01 && x > -0.01 && y < 0.01 && y > -0.01 && course->per_omega != 0.0) {
+        return tau * (1.0 - x * (0.5 - x * (0.5 - 0.625 * x)) - y);
     }
     return quadrature_slow_time(course, way);
 }
