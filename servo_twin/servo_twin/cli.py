@@ -16,6 +16,7 @@ from servo_twin.board import Board
 from servo_twin.experiments import command as experiment
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
+from servo_twin.timing import command as timing
 
 __all__ = ["main", "parser"]
 
@@ -44,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
     bench.set_defaults(run=_bench)
 
     experiment.add_parser(verbs, common)
+    timing.add_parser(verbs, common)
     return result
 
 

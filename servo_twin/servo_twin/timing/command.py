@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,13 +28,24 @@ Timing of both motors on one chip, as it emerges from the register values on the
 and the start of the sequence (4.3.3)."""
 
 PERIODS: Final = 400  # of the circle: 50 slow loops
-START_PERIODS: Final = 40
+START_TIME: Final = 3e-3  # from power-on [s]
 SPEED: Final = 100.0  # of both shafts [rad/s]
 SETTLE: Final = 0.3  # [s]
 
 
-def measure(plant: PlantConfig, seed: int) -> tuple[Outcome, Trace, Trace]:
+def measure(
+    plant: PlantConfig, seed: int, spoil: Callable[[Board], None] = lambda board: None
+) -> tuple[Outcome, Trace, Trace]:
     """Record the start, and the circle with both shafts turning.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+        What is really there.
+    seed : int
+        Of every random number.
+    spoil : callable
+        Done to the board before the circle is recorded.
 
     Returns
     -------
@@ -43,12 +55,13 @@ def measure(plant: PlantConfig, seed: int) -> tuple[Outcome, Trace, Trace]:
         The circle, and the start.
     """
     with Board(plant, seed=seed, level="registers") as board:
-        boot = Trace(board.trace(START_PERIODS * PERIOD_NS))
+        boot = Trace.of_events(board.trace(START_TIME))
         enable(board)
         board.write("cmd.mode", [1] * AXES)
         board.write("cmd.speed", [SPEED] * AXES)
         board.run(SETTLE)
-        turning = Trace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
+        spoil(board)
+        turning = Trace.of_events(board.trace(PERIODS * PERIOD_NS * 1e-9))
     rows = (*circle(turning), *start(boot))
     notes = (f"circle: {PERIODS} PWM periods, both shafts at {SPEED:g} rad/s",)
     return Outcome("timing", rows, (), notes), turning, boot

@@ -25,6 +25,8 @@ PHASE_MOST: Final = 0.3
 """Off 180 degrees: a few clocks through the crossbar [degrees]."""
 CENTRE_MOST: Final = 1.0e-6
 """From the centre of a window to the sample in it: the delays of amplifier and converter [s]."""
+SKEW_MOST: Final = 0.5e-6
+"""High sides rise with the last duty and fall with the new one, which has been loaded in their middle [s]."""
 CONVERSION: Final = 0.3e-6
 """Each pair after the first takes 6 clocks of the converter at 20 MHz [s]."""
 
@@ -74,11 +76,14 @@ def _samples(trace: Trace) -> list[Row]:
     rows: list[Row] = []
     for number, (motor, phases) in enumerate(zip(MOTORS, PHASES, strict=True)):
         own, foreign = number * PAIRS, (1 - number) * PAIRS + 1
-        for what, sample, switch, side in (("currents", own, 1, "low"), ("offsets", foreign, 0, "high")):
+        for what, sample, switch, side, most in (
+            ("currents", own, 1, "low", CENTRE_MOST),
+            ("offsets", foreign, 0, "high", CENTRE_MOST + CONVERSION + SKEW_MOST),
+        ):
             instants = trace.clocks(Kind.SAMPLE, sample)
             offsets = [_from_centre(trace.intervals(phase, switch), instants) for phase in phases]
             both = np.concatenate(offsets) * CLOCK if offsets else np.empty(0)
-            within = Bound(0.0, CENTRE_MOST * 1e6)
+            within = Bound(-SKEW_MOST * 1e6 if side == "high" else 0.0, most * 1e6)
             text = f"F34: {side}-side centre"
             rows.append(Row(f"{motor}: {what} after the centre, least", text, _scaled(_least(both)), "us", within))
             rows.append(Row(f"{motor}: {what} after the centre, most", text, _scaled(_most(both)), "us", within))

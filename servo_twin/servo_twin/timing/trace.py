@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import IntEnum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from servo_twin.board import TraceEvent
 
 __all__ = ["CLOCK", "ENTRY", "Kind", "Trace"]
 
@@ -45,6 +48,12 @@ class Trace:
 
     def __init__(self, entries: NDArray[np.void]) -> None:
         self.entries = entries
+
+    @classmethod
+    def of_events(cls, events: Iterable[TraceEvent]) -> Trace:
+        """What `servo_twin.board.Board.trace` gives."""
+        rows = [(event.clock, int(Kind[event.kind.upper()]), event.a, event.b) for event in events]
+        return cls(np.array(rows, dtype=ENTRY))
 
     def of(self, kind: Kind, a: int | None = None, b: int | None = None) -> NDArray[np.void]:
         """Entries of one kind, with these marks if they are given."""
