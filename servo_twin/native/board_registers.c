@@ -59,7 +59,8 @@ static void advance(void *context, uint64_t clock)
 static uint64_t next(void *context)
 {
     board_t *board = (board_t *)context;
-    return switching_next(&board->plant);
+    const switching_t *plant = &board->plant;
+    return (plant->waiting > 0) ? plant->now : switching_next(&board->plant); /* an edge may have shorted the bus */
 }
 
 static void events(void *context)
