@@ -78,7 +78,8 @@ typedef struct {
     double omega_m;        /* mechanical speed [rad/s] */
     double i_d, i_q;       /* [A] */
     double torque_e;       /* air-gap torque [N m] */
-    double u_a, u_b, u_c;  /* mean phase-to-midpoint voltages [V]: of the last half cycle on the ideal level, since the last
+    double u_a, u_b,
+        u_c;  /* mean phase-to-midpoint voltages [V]: of the last half cycle on the ideal level, since the last
                             * call that moved time began at register level */
     double u_dc;           /* [V] */
 } board_truth_t;

@@ -19,19 +19,25 @@ struct board {
     uint64_t time_ns;
     uint32_t breaks;
     bool tripped[BOARD_AXES];
+    bool up;        /* the port has started: there is a servo to run */
     bool recording; /* stop after each slow tick */
 };
 
 /* ---- what is soldered where ----------------------------------------------------------------------------------------- */
 
 static const chip_wiring_t wiring = {
-    .gate = {{{CHIP_PIN('E', 1), CHIP_PIN('E', 0)}, {CHIP_PIN('E', 3), CHIP_PIN('E', 2)}, {CHIP_PIN('E', 5), CHIP_PIN('E', 4)}},
-             {{CHIP_PIN('G', 3), CHIP_PIN('G', 2)}, {CHIP_PIN('G', 1), CHIP_PIN('G', 0)}, {CHIP_PIN('E', 7), CHIP_PIN('E', 6)}}},
+    .gate = {{{CHIP_PIN('E', 1), CHIP_PIN('E', 0)},
+              {CHIP_PIN('E', 3), CHIP_PIN('E', 2)},
+              {CHIP_PIN('E', 5), CHIP_PIN('E', 4)}},
+             {{CHIP_PIN('G', 3), CHIP_PIN('G', 2)},
+              {CHIP_PIN('G', 1), CHIP_PIN('G', 0)},
+              {CHIP_PIN('E', 7), CHIP_PIN('E', 6)}}},
     .txd = CHIP_PIN('C', 7),
     .rxd = CHIP_PIN('C', 8),
 };
 
-static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN('C', 4)}, {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
+static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN('C', 4)},
+                                                    {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
 static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
 
 /* Analogue pins ANA0-7, ANB0-7. Phase b is on both converters, so that any two phases can be sampled together. */
@@ -41,7 +47,7 @@ static const struct {
     analog_kind_t kind;
     int axis, phase;
 } analog[16] = {
-    [0] = {CURRENT, 0, 0}, [1] = {CURRENT, 0, 1}, [8] = {CURRENT, 0, 1}, [9] = {CURRENT, 0, 2},
+    [0] = {CURRENT, 0, 0}, [1] = {CURRENT, 0, 1}, [8] = {CURRENT, 0, 1},  [9] = {CURRENT, 0, 2},
     [4] = {CURRENT, 1, 0}, [5] = {CURRENT, 1, 1}, [12] = {CURRENT, 1, 1}, [13] = {CURRENT, 1, 2},
     [6] = {BUS, 0, 0},     [14] = {SINK, 0, 0},   [15] = {SINK, 1, 0},
 };
@@ -105,7 +111,7 @@ static void boot(void *context)
     memset(&board->servo, 0, sizeof board->servo);
     memset(&board->hal, 0, sizeof board->hal);
     board->hal.chip = &board->chip;
-    (void)port_init(&board->hal, &board->servo);
+    board->up = port_init(&board->hal, &board->servo);
 }
 
 static uint32_t interrupt(void *context, unsigned vector)
@@ -137,7 +143,9 @@ static uint32_t interrupt(void *context, unsigned vector)
 static void background(void *context)
 {
     board_t *board = (board_t *)context;
-    servo_background(&board->servo);
+    if (board->up) {
+        servo_background(&board->servo);
+    }
 }
 
 /* ---- board.h -------------------------------------------------------------------------------------------------------- */
@@ -158,20 +166,32 @@ board_t *board_new(const board_config_t *config)
             chip_pin(&board->chip, encoder_pin[axis][line], switching_line(&board->plant, axis, line));
         }
     }
-    (void)chip_run(&board->chip, 0);
-    board->time_ns = board->chip.now * CLOCK_NS;
     return board;
+}
+
+/* The software boots with the first look at the board, so that a trace can begin at power-on. */
+static void boot_once(board_t *board)
+{
+    if (board->chip.must_boot && !board->chip.failed) {
+        (void)chip_run(&board->chip, 0);
+        board->time_ns = board->chip.now * CLOCK_NS;
+    }
 }
 
 void board_free(board_t *board) { free(board); }
 
-servo_t *board_servo(board_t *board) { return &board->servo; }
+servo_t *board_servo(board_t *board)
+{
+    boot_once(board);
+    return &board->servo;
+}
 
 const char *board_error(const board_t *board) { return board->chip.failed ? board->chip.error : NULL; }
 
 /* Returns true if it has stopped before `until_ns`, for a slow tick. */
 static bool run(board_t *board, uint64_t until_ns)
 {
+    boot_once(board);
     board->chip.stop = false;
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         switching_mean(&board->plant, axis);
@@ -213,9 +233,17 @@ size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t
     return size;
 }
 
-int32_t board_peek(board_t *board, uint32_t address) { return chip_peek(&board->chip, address); }
+int32_t board_peek(board_t *board, uint32_t address)
+{
+    boot_once(board);
+    return chip_peek(&board->chip, address);
+}
 
-int board_poke(board_t *board, uint32_t address, uint16_t value) { return chip_poke(&board->chip, address, value); }
+int board_poke(board_t *board, uint32_t address, uint16_t value)
+{
+    boot_once(board);
+    return chip_poke(&board->chip, address, value);
+}
 
 size_t board_serial_in(board_t *board, const uint8_t *data, size_t size)
 {

@@ -25,14 +25,15 @@ from servo_twin.core_load import CoreLoad
 from servo_twin.plant import PlantConfig
 
 try:
-    from servo_twin import _native, _registers
+    import servo_twin._native as _ideal_module
+    import servo_twin._registers as _registers_module
 except ImportError as error:
     raise ImportError(
         f"the compiled part of servo_twin is missing or does not fit this Python ({error}); "
         "build it with `make build`, or `python setup.py build_ext --inplace` in the folder servo_twin"
     ) from error
 
-__all__ = ["Board", "BoardError", "BoardStats", "ChipError", "Level", "TraceEvent", "Truth"]
+__all__ = ["Board", "BoardError", "BoardStats", "ChipError", "Level", "SimulationError", "Truth"]
 
 Level = Literal["registers", "ideal"]
 """How closely the board is modelled."""
@@ -40,14 +41,10 @@ Level = Literal["registers", "ideal"]
 LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
 """Environment variable that names the level of boards for which nobody does."""
 
-_MODULES: Final[Mapping[str, Any]] = {"registers": _registers, "ideal": _native}
+_MODULES: Final[Mapping[str, Any]] = {"registers": _registers_module, "ideal": _ideal_module}
 
 _ENTRY_SIZE: Final = 16
 _IDLE: Final = (1 << 64) - 1
-
-_TRACE_KINDS: Final = (
-    "cycle", "match", "load", "gates", "trigger", "sync", "sample", "scan_end", "enter", "leave", "write", "capture",
-)  # fmt: skip
 
 _STATUS_TEXT: Final[Mapping[int, str]] = {
     0x84: "more bytes than the server moves at once",
@@ -71,31 +68,23 @@ class BoardError(RuntimeError):
         self.status = status
 
 
-class ChipError(BoardError):
+class SimulationError(RuntimeError):
+    """The board did not do what the run needs; the text says what it did."""
+
+
+class ChipError(BoardError, SimulationError):
     """Software did to the chip what is not modelled, or what silicon would not survive; the board stands still."""
 
 
-@dataclass(frozen=True)
-class TraceEvent:
-    """What a logic analyser on the chip shows at one clock.
-
-    Attributes
-    ----------
-    clock : int
-        In clocks of the bus (10 ns) since power-on.
-    kind : str
-        ``cycle``, ``match``, ``load``, ``gates``: a PWM counter starts from INIT, a watched compare matches, buffered
-        registers become active, a pair of gate signals changes (`a` is 4 module + submodule). ``trigger``: a pulse into
-        crossbar A. ``sync``, ``sample``, ``scan_end``: of the ADC. ``enter``, ``leave``: a handler. ``write``: a register.
-        ``capture``: of a timer (`a` is 4 module + channel).
-    a, b : int
-        Which and what, as in ``chip/trace.h``.
-    """
-
-    clock: int
-    kind: str
-    a: int
-    b: int
+TRACE_ENTRY: Final = np.dtype(
+    {
+        "names": ["clock", "kind", "a", "b"],
+        "formats": ["<u8", "<u4", "<u4", "<u4"],
+        "offsets": [0, 8, 12, 16],
+        "itemsize": 24,
+    }
+)
+"""Layout of an entry of a trace (``trace_entry_t`` in chip/trace.h, which says what kinds there are)."""
 
 
 @dataclass(frozen=True)
@@ -181,15 +170,10 @@ class Board:
     catalogue : Catalogue, optional
         Table of variables; the packaged one by default.
     level : {"registers", "ideal"}, optional
-        How closely chip and plant are modelled; by default what the environment variable SERVO_TWIN_LEVEL names, or else
-        ``ideal``.
+        How closely chip and plant are modelled; by default what the environment variable SERVO_TWIN_LEVEL names, or
+        else ``ideal``.
     core : CoreLoad, optional
         How long the handlers take at register level; the packaged ``core.toml`` by default.
-
-    Raises
-    ------
-    ChipError
-        If the firmware cannot start on this chip.
     """
 
     def __init__(
@@ -218,7 +202,6 @@ class Board:
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._addresses: dict[str, int] | None = None
         self._dtype: np.dtype[np.void] | None = None
-        self._check()
 
     # ---- life -----------------------------------------------------------------------------------------------------
 
@@ -281,17 +264,23 @@ class Board:
         self._check()
         return log[:rows]
 
-    def trace(self, seconds: float, room: int = 100_000) -> list[TraceEvent]:
-        """Run as `run` does, and write down what happens on the chip; the first `room` events are kept.
+    def trace(self, until_ns: int, room: int = 1_000_000) -> NDArray[np.void]:
+        """Run as `advance` does, and write down what a logic analyser on the chip would show.
 
-        A board at the level ``ideal`` has no chip to look at: its list is empty.
+        The first call after the board was made, before any other, includes the boot from power-on.
+
+        Returns
+        -------
+        ndarray, shape (events,), dtype `TRACE_ENTRY`
+            The first `room` events; none at the level ``ideal``, where there is no chip to look at.
         """
-        log = self._ffi.new("trace_entry_t[]", room)
-        until_ns = self.time_ns + round(seconds * 1e9)
-        size = self._lib.board_trace(self._board, until_ns, log, room)
+        log = np.zeros(room, TRACE_ENTRY)
+        size = self._lib.board_trace(
+            self._board, until_ns, self._ffi.from_buffer("trace_entry_t[]", log, require_writable=True), room
+        )
         self._check()
-        names = _TRACE_KINDS
-        return [TraceEvent(int(e.clock), names[e.kind], int(e.a), int(e.b)) for e in log[0:size]]
+        seen: NDArray[np.void] = log[:size].copy()
+        return seen
 
     # ---- registers --------------------------------------------------------------------------------------------------
 

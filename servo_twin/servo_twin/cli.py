@@ -28,6 +28,9 @@ def parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--seed", type=int, default=1, help="seed of every random number (default: %(default)s)")
     common.add_argument("--plant", type=Path, help="plant file (default: the packaged one)")
+    common.add_argument(
+        "--level", choices=("registers", "ideal"), help="how closely the board is modelled (default: ideal)"
+    )
     common.add_argument("--json", action="store_true", help="figures as JSON on standard output")
 
     info = verbs.add_parser("info", parents=[common], help="what is really there: motors, inverter, bus")
@@ -50,7 +53,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _board(args: argparse.Namespace) -> Board:
-    return Board(PlantConfig.load(args.plant) if args.plant else None, seed=args.seed)
+    return Board(PlantConfig.load(args.plant) if args.plant else None, seed=args.seed, level=args.level)
 
 
 def _info(args: argparse.Namespace) -> int:

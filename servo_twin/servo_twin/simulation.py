@@ -9,17 +9,13 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
-from servo_twin.board import Board
+from servo_twin.board import Board, SimulationError
 
 __all__ = ["MoveResult", "SimulationError", "enable", "move", "record", "time_axis"]
 
 _BOOT = 0.03  # reset to STOP [s]
 _SEARCH_MOST = 6.0  # rotor search of both axes [s]
 _STEP = 0.01  # between two looks at the state [s]
-
-
-class SimulationError(RuntimeError):
-    """The board did not do what the run needs; the text says what it did."""
 
 
 @dataclass(frozen=True)

@@ -146,7 +146,7 @@ WIRING = {
     "rxd": pin("C8"),
 }
 
-# ---- addresses, from the register definitions of the part --------------------------------------------------------------
+# ---- addresses, from the register definitions of the part ----------------------------------------------------------
 
 _SUB = {
     "CNT": 0x00, "INIT": 0x01, "CTRL2": 0x02, "CTRL": 0x03, "VAL0": 0x05, "FRACVAL1": 0x06, "VAL1": 0x07, "VAL2": 0x09,
@@ -158,8 +158,8 @@ _MODULE = {
     "FFILT0": 0xC8, "FTST0": 0xC9,
 }  # fmt: skip
 _TIMER = {
-    "COMP1": 0, "COMP2": 1, "CAPT": 2, "LOAD": 3, "HOLD": 4, "CNTR": 5, "CTRL": 6, "SCTRL": 7, "CMPLD1": 8, "CSCTRL": 10,
-    "FILT": 11, "ENBL": 15,
+    "COMP1": 0, "COMP2": 1, "CAPT": 2, "LOAD": 3, "HOLD": 4, "CNTR": 5, "CTRL": 6, "SCTRL": 7, "CMPLD1": 8,
+    "CSCTRL": 10, "FILT": 11, "ENBL": 15,
 }  # fmt: skip
 
 
@@ -203,7 +203,7 @@ def _addresses() -> Iterator[tuple[str, int]]:
     for n in range(4):
         yield f"SIM_PCE{n}", 0xE40C + n
     yield from {"SIM_CTRL": 0xE400, "SIM_RSTAT": 0xE401, "SIM_PCR": 0xE40B, "SIM_IPS0": 0xE422}.items()
-    for offset, name in enumerate("AL BH CL CH DL EL EH FL FH GL GH".split()):
+    for offset, name in enumerate(["AL", "BH", "CL", "CH", "DL", "EL", "EH", "FL", "FH", "GL", "GH"]):
         yield f"SIM_GPS{name}", 0xE417 + offset
     for n, letter in enumerate("ABCDEFG"):
         for name, offset in {"DR": 1, "DDR": 2, "PER": 3, "IENR": 5, "RAWDATA": 10}.items():
@@ -262,7 +262,7 @@ class ChipRig:
         self.run(0)
         self.clear()
 
-    # ---- the world ------------------------------------------------------------------------------------------------------
+    # ---- the world -------------------------------------------------------------------------------------------------
 
     def _events(self, _: Any) -> None:
         while self.edges and self.edges[0][0] <= self.chip.now:
@@ -298,7 +298,7 @@ class ChipRig:
         while read(self.chip, ADDRESS["OCCS_STAT"]) & 3 != 1:
             pass
 
-    # ---- the test -------------------------------------------------------------------------------------------------------
+    # ---- the test --------------------------------------------------------------------------------------------------
 
     @property
     def now(self) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from chip_rig import HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
 
@@ -217,7 +219,7 @@ class TestScanEnd:
         rig.clear()
         rig.step(3 * PERIOD)
         assert calls[0] in rig.clocks("scan_end")
-        assert [b - a for a, b in zip(calls, calls[1:], strict=False)] == [PERIOD] * (len(calls) - 1)
+        assert [b - a for a, b in pairwise(calls)] == [PERIOD] * (len(calls) - 1)
 
     def test_a_flag_that_is_not_cleared_starves_everything_below(self, rig: ChipRig) -> None:
         rig.handlers[30] = lambda: 500

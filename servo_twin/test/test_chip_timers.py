@@ -1,4 +1,4 @@
-"""Quad timers in the four roles of the reference design (DRM 2.4): position, time stamp, index, age of the last edge."""
+"""Quad timers in the roles of the reference design (DRM 2.4): position, time stamp, index, age of the last edge."""
 
 from __future__ import annotations
 

@@ -11,10 +11,7 @@
 
 #define LEVEL_BACKGROUND (-1)
 
-void core_reset(chip_t *chip)
-{
-    chip->core = (core_t){.masked = true, .changed = true, .access_clocks = 4};
-}
+void core_reset(chip_t *chip) { chip->core = (core_t){.masked = true, .changed = true, .access_clocks = 4}; }
 
 /* ---- interrupt controller ----------------------------------------------------------------------------------------- */
 

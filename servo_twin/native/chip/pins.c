@@ -4,9 +4,7 @@
 
 #define BASE 0xE200u
 
-enum {
-    PUR, DR, DDR, PER, IAR, IENR, IPOLR, IPR, IESR, PPMODE, RAWDATA, DRIVE, PUS, SRE
-};
+enum { PUR, DR, DDR, PER, IAR, IENR, IPOLR, IPR, IESR, PPMODE, RAWDATA, DRIVE, PUS, SRE };
 
 /* ---- functions ------------------------------------------------------------------------------------------------------- */
 

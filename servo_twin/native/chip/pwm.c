@@ -9,15 +9,41 @@
 
 /* Registers of a submodule. */
 enum {
-    CNT = 0x00, INIT = 0x01, CTRL2 = 0x02, CTRL = 0x03, VAL0 = 0x05, FRACVAL1 = 0x06, VAL5 = 0x0F, FRCTRL = 0x10,
-    OCTRL = 0x11, STS = 0x12, INTEN = 0x13, DMAEN = 0x14, TCTRL = 0x15, DISMAP0 = 0x16, DISMAP1 = 0x17,
-    DTCNT0 = 0x18, DTCNT1 = 0x19
+    CNT = 0x00,
+    INIT = 0x01,
+    CTRL2 = 0x02,
+    CTRL = 0x03,
+    VAL0 = 0x05,
+    FRACVAL1 = 0x06,
+    VAL5 = 0x0F,
+    FRCTRL = 0x10,
+    OCTRL = 0x11,
+    STS = 0x12,
+    INTEN = 0x13,
+    DMAEN = 0x14,
+    TCTRL = 0x15,
+    DISMAP0 = 0x16,
+    DISMAP1 = 0x17,
+    DTCNT0 = 0x18,
+    DTCNT1 = 0x19
 };
 
 /* Registers of a module. */
 enum {
-    OUTEN = 0xC0, MASK = 0xC1, SWCOUT = 0xC2, DTSRCSEL = 0xC3, MCTRL = 0xC4, MCTRL2 = 0xC5, FCTRL0 = 0xC6,
-    FSTS0 = 0xC7, FFILT0 = 0xC8, FTST0 = 0xC9, FCTRL1 = 0xCA, FSTS1 = 0xCB, FFILT1 = 0xCC, FTST1 = 0xCD
+    OUTEN = 0xC0,
+    MASK = 0xC1,
+    SWCOUT = 0xC2,
+    DTSRCSEL = 0xC3,
+    MCTRL = 0xC4,
+    MCTRL2 = 0xC5,
+    FCTRL0 = 0xC6,
+    FSTS0 = 0xC7,
+    FFILT0 = 0xC8,
+    FTST0 = 0xC9,
+    FCTRL1 = 0xCA,
+    FSTS1 = 0xCB,
+    FFILT1 = 0xCC,
+    FTST1 = 0xCD
 };
 
 #define CTRL2_CLK_SEL(x) ((x) & 3u)
@@ -650,8 +676,8 @@ static void follow_run(chip_t *chip, unsigned m)
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
         pwm_submodule_t *s = &pwm->sub[n];
         const bool shared = n > 0 && CTRL2_CLK_SEL(s->ctrl2) == 2u;
-        const bool clocked = sim_gate_open(chip, 3, ((m == 0) ? 7u : 3u) - n) &&
-                             (!shared || sim_gate_open(chip, 3, (m == 0) ? 7u : 3u));
+        const bool clocked =
+            sim_gate_open(chip, 3, ((m == 0) ? 7u : 3u) - n) && (!shared || sim_gate_open(chip, 3, (m == 0) ? 7u : 3u));
         const bool run = clocked && ((pwm->run >> n) & (shared ? pwm->run : 1u) & 1u) != 0;
         if (run == s->running) {
             continue;

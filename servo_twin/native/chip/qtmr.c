@@ -5,9 +5,7 @@
 #define BASE 0xE140u
 #define MODULE_SIZE 0x40u
 
-enum {
-    COMP1, COMP2, CAPT, LOAD, HOLD, CNTR, CTRL, SCTRL, CMPLD1, CMPLD2, CSCTRL, FILT, DMA, ENBL = 0x0F
-};
+enum { COMP1, COMP2, CAPT, LOAD, HOLD, CNTR, CTRL, SCTRL, CMPLD1, CMPLD2, CSCTRL, FILT, DMA, ENBL = 0x0F };
 
 #define CTRL_OUTMODE(x) ((x) & 7u)
 #define CTRL_COINIT 0x0008u
@@ -224,8 +222,8 @@ static void schedule(chip_t *chip, unsigned m)
 /* ---- inputs ---------------------------------------------------------------------------------------------------------- */
 
 /* Each channel that a mask names. */
-#define FOR_EACH(n, mask) \
-    for (unsigned n = 0; (mask) >> n != 0; n++) \
+#define FOR_EACH(n, mask)                                                                                              \
+    for (unsigned n = 0; (mask) >> n != 0; n++)                                                                        \
         if ((((mask) >> n) & 1u) != 0)
 
 static void capture(chip_t *chip, unsigned m, unsigned n, bool rises)
@@ -274,14 +272,8 @@ static void edge(chip_t *chip, unsigned m, unsigned input)
     qtmr_t *timer = &chip->timer[m];
     timer->in ^= 1u << input;
     const bool rises = ((timer->in >> input) & 1u) != 0;
-    FOR_EACH(n, timer->cleared_by[input])
-    {
-        set_oflag(chip, m, n, false);
-    }
-    FOR_EACH(n, timer->quadrature)
-    {
-        decode(chip, m, n, input);
-    }
+    FOR_EACH(n, timer->cleared_by[input]) { set_oflag(chip, m, n, false); }
+    FOR_EACH(n, timer->quadrature) { decode(chip, m, n, input); }
     FOR_EACH(n, timer->counts_edges[input])
     {
         const qtmr_channel_t *c = &timer->channel[n];
@@ -290,10 +282,7 @@ static void edge(chip_t *chip, unsigned m, unsigned input)
             count(chip, m, n, !counts_down(c));
         }
     }
-    FOR_EACH(n, timer->captures[input])
-    {
-        capture(chip, m, n, rises);
-    }
+    FOR_EACH(n, timer->captures[input]) { capture(chip, m, n, rises); }
 }
 
 void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)

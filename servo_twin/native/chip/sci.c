@@ -37,10 +37,7 @@ static double byte_clocks(const chip_t *chip, unsigned m)
     return (((chip->sim.pcr >> (13u - m)) & 1u) != 0) ? 0.5 * clocks : clocks;
 }
 
-static bool alive(const chip_t *chip, unsigned m)
-{
-    return chip->sci[m].rate != 0 && sim_gate_open(chip, 1, 12u - m);
-}
+static bool alive(const chip_t *chip, unsigned m) { return chip->sci[m].rate != 0 && sim_gate_open(chip, 1, 12u - m); }
 
 static uint16_t status(const sci_t *sci)
 {

@@ -173,8 +173,25 @@ void occs_write(chip_t *chip, uint32_t address, uint16_t value)
 #define SIM_BASE 0xE400u
 
 enum {
-    SIM_CTRL, RSTAT, SCR0, SCR3 = 5, SIM_PCR = 0x0B, PCE0, PCE3 = 0x0F, SD0, SD3 = 0x13, SIM_PROT = 0x16, GPSAL, GPSGH = 0x21,
-    IPS0, MISC0, PSWR0, PSWR3 = 0x27, PWRMODE, NVMOPT2H = 0x2C, NVMOPT2L
+    SIM_CTRL,
+    RSTAT,
+    SCR0,
+    SCR3 = 5,
+    SIM_PCR = 0x0B,
+    PCE0,
+    PCE3 = 0x0F,
+    SD0,
+    SD3 = 0x13,
+    SIM_PROT = 0x16,
+    GPSAL,
+    GPSGH = 0x21,
+    IPS0,
+    MISC0,
+    PSWR0,
+    PSWR3 = 0x27,
+    PWRMODE,
+    NVMOPT2H = 0x2C,
+    NVMOPT2L
 };
 
 #define SIM_CTRL_SWRST 0x0010u
@@ -317,9 +334,9 @@ static void cop_restart(chip_t *chip)
     cop_t *cop = &chip->cop;
     cop->start_clock = chip->now;
     cop->half_served = false;
-    chip_schedule(chip, SOURCE_COP, ((cop->ctrl & COP_CEN) != 0)
-                                 ? chip->now + ((uint64_t)cop->tout + 1u) * cop_count_clocks(chip)
-                                 : CHIP_NEVER);
+    chip_schedule(chip, SOURCE_COP,
+                  ((cop->ctrl & COP_CEN) != 0) ? chip->now + ((uint64_t)cop->tout + 1u) * cop_count_clocks(chip)
+                                               : CHIP_NEVER);
 }
 
 void cop_event(chip_t *chip)

@@ -10,7 +10,7 @@ typedef enum { RESET_POWER_ON = 1u << 2, RESET_COP = 1u << 5, RESET_SOFTWARE = 1
 
 typedef struct {
     uint16_t ctrl, divby, osctl1, osctl2, prot;
-    uint64_t lock_clock;   /* PLL locked */
+    uint64_t lock_clock; /* PLL locked */
     uint64_t switch_clock; /* ZSRCS follows ZSRC */
     uint64_t crystal_clock; /* OSC_OK */
 } occs_t;
@@ -22,7 +22,7 @@ typedef struct {
 typedef struct {
     uint16_t ctrl, tout, intval;
     uint64_t start_clock; /* count is TOUT here */
-    bool half_served;     /* 5555 has been written */
+    bool half_served; /* 5555 has been written */
     uint32_t services;
 } cop_t;
 

@@ -11,14 +11,18 @@
 
 /* What the outputs of crossbar A lead to. */
 enum {
-    OUT_XB4 = 4, OUT_XB11 = 11, OUT_ADCA = 12, OUT_ADCB = 13, OUT_PWMA_SYNC = 24, OUT_FAULT0 = 29, OUT_TB0 = 34,
-    OUT_TA0 = 49, OUT_PWMB_SYNC = 53
+    OUT_XB4 = 4,
+    OUT_XB11 = 11,
+    OUT_ADCA = 12,
+    OUT_ADCB = 13,
+    OUT_PWMA_SYNC = 24,
+    OUT_FAULT0 = 29,
+    OUT_TB0 = 34,
+    OUT_TA0 = 49,
+    OUT_PWMB_SYNC = 53
 };
 
-void xbar_reset(chip_t *chip)
-{
-    chip->xbar = (xbar_t){.level = 2}; /* input 1 is the supply */
-}
+void xbar_reset(chip_t *chip) { chip->xbar = (xbar_t){.level = 2}; /* input 1 is the supply */ }
 
 static unsigned a_select(const xbar_t *xbar, unsigned output)
 {
