@@ -66,9 +66,19 @@ static bool decoded_upwards(const plant_encoder_t *encoder, plant_line_t line, i
     return rises == (line == PLANT_LINE_A);
 }
 
-void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns)
+static void latch(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns, int64_t number)
 {
-    const int64_t target = edges_at(encoder, movement->theta_1);
+    const double t = movement->start_ns + time_to(movement, (double)number / encoder->edges_per_rad);
+    encoder->captured_ns = reference_ns + (uint64_t)t;
+    encoder->captured_count = encoder->count;
+    encoder->armed = false;
+    encoder->latched = true;
+}
+
+/* One edge after another. */
+static void move_slowly(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns,
+                        int64_t target)
+{
     while (encoder->edge != target) {
         const bool upwards = target > encoder->edge;
         /* edge number n lies between the positions n - 1 and n */
@@ -84,12 +94,46 @@ void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *moveme
         }
         count_one(encoder, decoded_upwards(encoder, line, number, upwards));
         if (b_edge && encoder->armed) {
-            const double t = movement->start_ns + time_to(movement, (double)number / encoder->edges_per_rad);
-            encoder->captured_ns = reference_ns + (uint64_t)t;
-            encoder->captured_count = encoder->count;
-            encoder->armed = false;
-            encoder->latched = true;
+            latch(encoder, movement, reference_ns, number);
         }
+    }
+}
+
+/* All edges at once: both lines alive, and no compare value among the counts. */
+static void move_quickly(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns,
+                         int64_t target)
+{
+    const bool upwards = target > encoder->edge;
+    const int64_t step = upwards ? 1 : -1;
+    const int64_t first = upwards ? encoder->edge + 1 : encoder->edge; /* numbers of the edges */
+    const int64_t last = upwards ? target : target + 1;
+    const int64_t first_b = ((first & 1) == 0) ? first : first + step;
+    const uint16_t end = (uint16_t)(encoder->count + (uint16_t)(target - encoder->edge));
+    if ((last - first_b) * step >= 0) {
+        encoder->oflag = false;
+        if (encoder->armed) {
+            encoder->count = (uint16_t)(encoder->count + (uint16_t)(first_b - first + step));
+            latch(encoder, movement, reference_ns, first_b);
+        }
+    }
+    encoder->count = end;
+    encoder->edge = target;
+}
+
+void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns)
+{
+    const int64_t target = edges_at(encoder, movement->theta_1);
+    const int64_t edges = target - encoder->edge;
+    if (edges == 0) {
+        return;
+    }
+    const int count = (int16_t)encoder->count;
+    const bool far = (edges > 0) ? count + edges < (int16_t)COMPARE_UP && count != (int16_t)COMPARE_UP
+                                 : count + edges > (int16_t)COMPARE_DOWN && count != (int16_t)COMPARE_DOWN;
+    if (far && encoder->alive[PLANT_LINE_A] && encoder->alive[PLANT_LINE_B]) {
+        move_quickly(encoder, movement, reference_ns, target);
+    } else {
+        move_slowly(encoder, movement, reference_ns, target);
     }
 }
 

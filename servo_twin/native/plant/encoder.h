@@ -45,6 +45,13 @@ typedef struct {
 
 void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config);
 
+/* True if the shaft at `theta` is past an edge that has not been counted yet. */
+static inline bool plant_encoder_leaves(const plant_encoder_t *encoder, double theta)
+{
+    const double x = theta * encoder->edges_per_rad - (double)encoder->edge;
+    return x < 0.0 || x >= 1.0;
+}
+
 /* Follow the shaft; `reference_ns` is the simulated time that start_ns refers to. */
 void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns);
 

@@ -9,12 +9,10 @@
 #define SWEEPS 40
 #define SETTLED 1e-9 /* [V] */
 
-/* Two selections in a row, which compilers turn into minimum and maximum instructions. */
-static inline double limit(double x, double low, double high)
-{
-    const double y = (x < low) ? low : x;
-    return (y > high) ? high : y;
-}
+#define NUM double
+#define KERNEL(name) single_##name
+#define LIMIT(x, low, high) plant_limit(x, low, high)
+#include "plant/averaged_kernel.h"
 
 static inline double larger(double x, double y) { return (x > y) ? x : y; }
 
@@ -53,11 +51,8 @@ void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], doubl
 static void drive_legs(plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc)
 {
     for (int k = 0; k < 3; k++) {
-        const double x = limit(motor->phase[k] * inverter->inv_i_w, -1.0, 1.0);
-        const double s = x * (1.5 - 0.5 * x * x);
-        const double share = limit(inverter->duty[k] - inverter->dead_leg[k] * s, 0.0, 1.0);
-        inverter->share[k] = share;
-        inverter->leg[k] = share * u_dc - inverter->v_drop * s;
+        inverter->share[k] = single_drive_leg(motor->phase[k], inverter->inv_i_w, inverter->duty[k],
+                                              inverter->dead_leg[k], inverter->v_drop, u_dc, &inverter->leg[k]);
     }
 }
 
@@ -95,7 +90,7 @@ static void solve_diodes(double a[3][3], const double i[3], const double base[3]
         double moved = 0.0;
         for (int k = 0; k < 3; k++) {
             const double current = i[k] + change_of(a[k], v, base);
-            const double next = limit(v[k] - current / a[k][k], low, high);
+            const double next = plant_limit(v[k] - current / a[k][k], low, high);
             moved += fabs(next - v[k]);
             v[k] = next;
         }
@@ -158,7 +153,7 @@ static double open_step(plant_inverter_t *inverter, plant_motor_t *motor, double
     for (int k = 0; k < 3; k++) {
         before[k] = motor->phase[k];
         base[k] = emf[k]; /* at this voltage the currents only decay, slowly against the step */
-        v[k] = (before[k] > 0.0) ? low : (before[k] < 0.0) ? high : limit(0.5 * u_dc + emf[k], low, high);
+        v[k] = (before[k] > 0.0) ? low : (before[k] < 0.0) ? high : plant_limit(0.5 * u_dc + emf[k], low, high);
     }
     solve_diodes(a, before, base, low, high, v);
     memcpy(base, v, sizeof base);

@@ -2,30 +2,20 @@
 
 #include "plant/trig.h"
 
-/* Slower is standing: otherwise a stop could come after no time at all [rad/s]. */
-#define STANDING 1e-9
 
-typedef struct {
-    double i_d, i_q, omega;
-} state_t;
+#define NUM double
+#define KERNEL(name) single_##name
+#define LIMIT(x, low, high) plant_limit(x, low, high)
+#include "plant/averaged_kernel.h"
 
-/* What stays the same over one step. */
-typedef struct {
-    plant_vector_t u;  /* stator voltage seen from the rotor at the beginning: d and q [V] */
-    double drag;       /* load and friction, which keep their signs over the step [N m] */
-    double torque_psi; /* 3/2 p psi_m */
-    double torque_l;   /* 3/2 p (L_d - L_q) */
-} step_t;
-
-/* Angle, sine, cosine and phase currents of the present state. */
+/* Phase currents of the present state, and now and then sine and cosine of the angle. */
 static void refresh(plant_motor_t *motor)
 {
-    plant_sincos(motor->pole_pairs * motor->theta, &motor->sine, &motor->cosine);
-    const double alpha = motor->i_d * motor->cosine - motor->i_q * motor->sine;
-    const double beta = motor->i_d * motor->sine + motor->i_q * motor->cosine;
-    motor->phase[0] = alpha;
-    motor->phase[1] = -0.5 * alpha + 0.5 * PLANT_SQRT3 * beta;
-    motor->phase[2] = -0.5 * alpha - 0.5 * PLANT_SQRT3 * beta;
+    if (++motor->steps > PLANT_FRESH_TRIG) {
+        motor->steps = 0;
+        plant_sincos(motor->pole_pairs * motor->theta, &motor->sine, &motor->cosine);
+    }
+    single_phases(motor->i_d, motor->i_q, motor->sine, motor->cosine, motor->phase);
 }
 
 void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
@@ -41,73 +31,47 @@ void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
         .inv_inertia = 1.0 / config->inertia,
         .friction = config->friction,
         .viscous = config->viscous,
+        .torque_psi = 1.5 * config->pole_pairs * config->psi_m,
+        .torque_l = 1.5 * config->pole_pairs * (config->l_d - config->l_q),
         .theta = config->theta_start,
     };
+    plant_sincos(motor->pole_pairs * motor->theta, &motor->sine, &motor->cosine);
     refresh(motor);
 }
 
-/* A voltage that stands still in the stator frame turns backwards in the rotor frame: `u` when the rotor has turned by
- * `delta` (electrical), a few hundredths at most, so that short series do. */
-static inline plant_vector_t turned(plant_vector_t u, double delta)
+/* Stator voltage seen from the rotor. */
+static single_vector_t seen_from_rotor(const plant_motor_t *m, plant_vector_t u)
 {
-    const double d2 = delta * delta;
-    const double c = 1.0 - d2 * (0.5 - d2 * (1.0 / 24.0));
-    const double s = delta * (1.0 - d2 * ((1.0 / 6.0) - d2 * (1.0 / 120.0)));
-    const plant_vector_t v = {u.alpha * c + u.beta * s, u.beta * c - u.alpha * s};
+    const single_vector_t v = {u.alpha * m->cosine + u.beta * m->sine, u.beta * m->cosine - u.alpha * m->sine};
     return v;
 }
 
-static inline state_t derivative(const plant_motor_t *m, const step_t *step, plant_vector_t u, state_t x)
-{
-    const double omega_e = m->pole_pairs * x.omega;
-    const double torque = x.i_q * (step->torque_psi + step->torque_l * x.i_d);
-    const state_t rate = {
-        (u.alpha - m->r * x.i_d + omega_e * m->l_q * x.i_q) * m->inv_l_d,
-        (u.beta - m->r * x.i_q - omega_e * (m->l_d * x.i_d + m->psi_m)) * m->inv_l_q,
-        (torque - step->drag - m->viscous * x.omega) * m->inv_inertia,
-    };
-    return rate;
-}
-
-static inline state_t ahead(state_t x, state_t rate, double h)
-{
-    const state_t y = {x.i_d + h * rate.i_d, x.i_q + h * rate.i_q, x.omega + h * rate.omega};
-    return y;
-}
-
-static step_t begin(const plant_motor_t *m, plant_vector_t u, double direction)
-{
-    const double k = 1.5 * m->pole_pairs;
-    const step_t step = {
-        .u = {u.alpha * m->cosine + u.beta * m->sine, u.beta * m->cosine - u.alpha * m->sine},
-        .drag = m->load + direction * m->friction,
-        .torque_psi = k * m->psi_m,
-        .torque_l = k * (m->l_d - m->l_q),
-    };
-    return step;
-}
-
-/* Runge-Kutta 4 of the turning motor, friction against `direction`. Both stages in the middle see the voltage at one
- * angle, the mean of theirs. */
+/* The turning motor, friction against `direction`. */
 static void turn(plant_motor_t *m, plant_vector_t u, double h, double direction)
 {
-    const step_t step = begin(m, u, direction);
-    const double p_h = m->pole_pairs * h;
-    const state_t x1 = {m->i_d, m->i_q, m->omega};
-    const state_t k1 = derivative(m, &step, step.u, x1);
-    const plant_vector_t u_middle = turned(step.u, p_h * (0.5 * x1.omega + 0.125 * h * k1.omega));
-    const state_t x2 = ahead(x1, k1, 0.5 * h);
-    const state_t k2 = derivative(m, &step, u_middle, x2);
-    const plant_vector_t u_end = turned(step.u, p_h * (x1.omega + 0.5 * h * k2.omega));
-    const state_t x3 = ahead(x1, k2, 0.5 * h);
-    const state_t k3 = derivative(m, &step, u_middle, x3);
-    const state_t x4 = ahead(x1, k3, h);
-    const state_t k4 = derivative(m, &step, u_end, x4);
-    const double sixth = h * (1.0 / 6.0);
-    m->i_d = x1.i_d + sixth * (k1.i_d + 2.0 * (k2.i_d + k3.i_d) + k4.i_d);
-    m->i_q = x1.i_q + sixth * (k1.i_q + 2.0 * (k2.i_q + k3.i_q) + k4.i_q);
-    m->omega = x1.omega + sixth * (k1.omega + 2.0 * (k2.omega + k3.omega) + k4.omega);
-    m->theta += sixth * (x1.omega + 2.0 * (x2.omega + x3.omega) + x4.omega);
+    const single_step_t step = {
+        .pole_pairs = m->pole_pairs,
+        .inv_l_d = m->inv_l_d,
+        .inv_l_q = m->inv_l_q,
+        .r_d = m->r * m->inv_l_d,
+        .r_q = m->r * m->inv_l_q,
+        .cross_d = m->pole_pairs * m->l_q * m->inv_l_d,
+        .cross_q = m->pole_pairs * m->l_d * m->inv_l_q,
+        .emf = m->pole_pairs * m->psi_m * m->inv_l_q,
+        .torque_psi = m->torque_psi * m->inv_inertia,
+        .torque_l = m->torque_l * m->inv_inertia,
+        .viscous = m->viscous * m->inv_inertia,
+        .drag = (m->load + direction * m->friction) * m->inv_inertia,
+    };
+    single_state_t x = {m->i_d, m->i_q, m->omega};
+    single_vector_t e;
+    m->theta += single_runge_kutta(&step, seen_from_rotor(m, u), h, &x, &e);
+    m->i_d = x.i_d;
+    m->i_q = x.i_q;
+    m->omega = x.omega;
+    const double cosine = m->cosine;
+    m->cosine = cosine * e.alpha - m->sine * e.beta;
+    m->sine = m->sine * e.alpha + cosine * e.beta;
 }
 
 /* The shaft stands: two separate R-L circuits, whose Runge-Kutta 4 step is a polynomial in h R / L. */
@@ -118,9 +82,9 @@ static double relax(double i, double i_end, double x)
 
 static void stand(plant_motor_t *m, plant_vector_t u, double h)
 {
-    const step_t step = begin(m, u, 0.0);
-    m->i_d = relax(m->i_d, step.u.alpha / m->r, h * m->r * m->inv_l_d);
-    m->i_q = relax(m->i_q, step.u.beta / m->r, h * m->r * m->inv_l_q);
+    const single_vector_t v = seen_from_rotor(m, u);
+    m->i_d = relax(m->i_d, v.alpha / m->r, h * m->r * m->inv_l_d);
+    m->i_q = relax(m->i_q, v.beta / m->r, h * m->r * m->inv_l_q);
 }
 
 /* Open windings: the shaft alone, exact to second order in h B / J. */
@@ -138,10 +102,10 @@ static double direction_of(plant_motor_t *m, double torque)
     if (m->locked) {
         return 0.0;
     }
-    if (m->omega > STANDING) {
+    if (m->omega > PLANT_STANDING) {
         return 1.0;
     }
-    if (m->omega < -STANDING) {
+    if (m->omega < -PLANT_STANDING) {
         return -1.0;
     }
     m->omega = 0.0;
@@ -149,21 +113,18 @@ static double direction_of(plant_motor_t *m, double torque)
     return (drive > m->friction) ? 1.0 : (drive < -m->friction) ? -1.0 : 0.0;
 }
 
-/* The shaft stopped within `dt`, having begun with `before`: go to that moment, found by false position. */
-static double turn_until_stop(plant_motor_t *m, plant_vector_t u, double dt, double direction, state_t before,
-                              double theta)
+/* The shaft stopped within `dt`, having begun as in `before`: go to that moment, found by false position. */
+static double turn_until_stop(plant_motor_t *m, plant_vector_t u, double dt, double direction,
+                              const plant_motor_t *before)
 {
     double early = 0.0;
     double late = dt;
-    double omega_early = before.omega;
+    double omega_early = before->omega;
     double omega_late = m->omega;
     double used = dt;
     for (int i = 0; i < 3; i++) {
         used = early + (late - early) * (omega_early / (omega_early - omega_late));
-        m->i_d = before.i_d;
-        m->i_q = before.i_q;
-        m->omega = before.omega;
-        m->theta = theta;
+        *m = *before;
         turn(m, u, used, direction);
         if (m->omega * direction < 0.0) {
             late = used;
@@ -180,23 +141,21 @@ static double turn_until_stop(plant_motor_t *m, plant_vector_t u, double dt, dou
 double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt)
 {
     const double direction = direction_of(motor, plant_motor_torque(motor));
-    double used = dt;
-    if (direction == 0.0) {
+    if (direction == 0.0) { /* the angle stays, and so do its sine and cosine */
         stand(motor, u, dt);
-    } else {
-        const state_t before = {motor->i_d, motor->i_q, motor->omega};
-        const double theta = motor->theta;
-        turn(motor, u, dt, direction);
-        if (motor->omega * direction < 0.0) {
-            if (before.omega != 0.0) {
-                used = turn_until_stop(motor, u, dt, direction, before, theta);
-            } else { /* the torque that broke it loose is gone within the step: it never left */
-                motor->i_d = before.i_d;
-                motor->i_q = before.i_q;
-                motor->omega = 0.0;
-                motor->theta = theta;
-                stand(motor, u, dt);
-            }
+        single_phases(motor->i_d, motor->i_q, motor->sine, motor->cosine, motor->phase);
+        return dt;
+    }
+    const plant_motor_t before = *motor;
+    double used = dt;
+    turn(motor, u, dt, direction);
+    if (motor->omega * direction < 0.0) {
+        if (before.omega != 0.0) {
+            used = turn_until_stop(motor, u, dt, direction, &before);
+        } else { /* the torque that broke it loose is gone within the step: it never left */
+            *motor = before;
+            motor->omega = 0.0;
+            stand(motor, u, dt);
         }
     }
     refresh(motor);
@@ -218,6 +177,7 @@ double plant_motor_coast(plant_motor_t *motor, double dt)
         motor->omega = 0.0;
         motor->theta = theta + 0.5 * used * omega;
     }
+    motor->steps = PLANT_FRESH_TRIG; /* the angle has moved without them */
     refresh(motor);
     return used;
 }

@@ -14,6 +14,12 @@
 
 #include "board.h"
 
+/* Slower is standing: otherwise a stop could come after no time at all [rad/s]. */
+#define PLANT_STANDING 1e-9
+
+/* Steps between two evaluations of sine and cosine from the angle; in between they are turned on. */
+#define PLANT_FRESH_TRIG 64u
+
 typedef struct {
     /* parameters */
     double r;            /* stator and the switch in series with it [ohm] */
@@ -24,6 +30,8 @@ typedef struct {
     double inv_inertia;  /* [1 / (kg m^2)] */
     double friction;     /* [N m] */
     double viscous;      /* [N m s] */
+    double torque_psi;   /* 3/2 p psi_m */
+    double torque_l;     /* 3/2 p (L_d - L_q) */
     /* inputs */
     double load;         /* external torque against positive motion [N m] */
     bool locked;         /* shaft held fast */
@@ -33,6 +41,7 @@ typedef struct {
     double theta;        /* mechanical, not wrapped [rad] */
     /* what follows from the state */
     double sine, cosine; /* of the electrical angle */
+    unsigned steps;      /* since these two were evaluated */
     double phase[3];     /* phase currents into the motor [A] */
 } plant_motor_t;
 
@@ -59,6 +68,13 @@ double plant_motor_torque(const plant_motor_t *motor);
 
 /* Phase voltages induced by the rotor, open windings [V]. */
 void plant_motor_back_emf(const plant_motor_t *motor, double emf[3]);
+
+/* Two selections in a row, which compilers turn into minimum and maximum instructions. */
+static inline double plant_limit(double x, double low, double high)
+{
+    const double y = (x < low) ? low : x;
+    return (y > high) ? high : y;
+}
 
 /* Clarke transform of three phases (DRM E2-E7). */
 static inline plant_vector_t plant_clarke(const double abc[3])

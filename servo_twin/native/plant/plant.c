@@ -15,7 +15,11 @@ void plant_init(plant_t *plant, const board_config_t *config)
         plant_motor_init(&axis->motor, &config->axis[i]);
         plant_encoder_init(&axis->encoder, &config->axis[i]);
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
+        axis->codes_per_ampere = 2048.0 / config->axis[i].i_full_scale;
     }
+    plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
+    plant_pair_init(&plant->pair, &plant->axis[0].inverter, &plant->axis[1].inverter, &plant->axis[0].motor,
+                    &plant->axis[1].motor, step);
 }
 
 /* Returns the charge drawn from the bus [A s]. */
@@ -42,11 +46,44 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
     return charge;
 }
 
-void plant_step(plant_t *plant, uint64_t now_ns)
+/* A step that the pair has taken for both axes at once, as far as each lane is sound. */
+static double take_lanes(plant_t *plant, const plant_pair_step_t *step, uint64_t now_ns)
 {
     double charge = 0.0;
     for (int i = 0; i < BOARD_AXES; i++) {
-        charge += axis_step(&plant->axis[i], plant->bus.u_dc, now_ns, plant->step_ns);
+        plant_drive_t *axis = &plant->axis[i];
+        if (!step->sound[i]) {
+            charge += axis_step(axis, plant->bus.u_dc, now_ns, plant->step_ns);
+            continue;
+        }
+        const double theta = axis->motor.theta;
+        const double omega = axis->motor.omega;
+        plant_pair_take(step, i, &axis->inverter, &axis->motor);
+        if (plant_encoder_leaves(&axis->encoder, axis->motor.theta)) {
+            const plant_movement_t movement = {theta, axis->motor.theta, omega, axis->motor.omega, 0.0,
+                                               (double)plant->step_ns};
+            plant_encoder_move(&axis->encoder, &movement, now_ns);
+        }
+        for (int k = 0; k < 3; k++) {
+            axis->voltage_sum[k] += step->voltage[k][i];
+        }
+        charge += step->charge[i];
+    }
+    return charge;
+}
+
+void plant_step(plant_t *plant, uint64_t now_ns)
+{
+    plant_drive_t *axis = plant->axis;
+    plant_pair_step_t step;
+    double charge = 0.0;
+    if (plant_pair_step(&plant->pair, &axis[0].inverter, &axis[1].inverter, &axis[0].motor, &axis[1].motor,
+                        plant->bus.u_dc, &step)) {
+        charge = take_lanes(plant, &step, now_ns);
+    } else {
+        for (int i = 0; i < BOARD_AXES; i++) {
+            charge += axis_step(&axis[i], plant->bus.u_dc, now_ns, plant->step_ns);
+        }
     }
     plant_bus_step(&plant->bus, charge * plant->steps_per_second);
 }
@@ -76,11 +113,11 @@ uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_c
     const double current = plant_inverter_shunt(&drive->inverter, &drive->motor, phase, low_side_centre);
     const double shown =
         current + drive->config.i_offset[phase] + drive->config.i_noise * plant_random_gauss(&drive->noise);
-    return plant_code_bipolar(shown, drive->config.i_full_scale);
+    return plant_code(2048.0 + shown * drive->codes_per_ampere);
 }
 
 uint16_t plant_bus_code(plant_t *plant)
 {
     const double shown = plant->bus.u_dc + plant->bus_config.u_noise * plant_random_gauss(&plant->bus_noise);
-    return plant_code_unipolar(shown, plant->bus_config.u_full_scale);
+    return plant_code(shown * plant->codes_per_volt);
 }

@@ -10,6 +10,7 @@
 #include "plant/encoder.h"
 #include "plant/inverter.h"
 #include "plant/motor.h"
+#include "plant/pair.h"
 #include "plant/sensors.h"
 
 #define PLANT_STEPS_PER_HALF 2 /* steps per half cycle of the PWM */
@@ -21,6 +22,7 @@ typedef struct {
     plant_encoder_t encoder;
     plant_random_t noise;
     double voltage_sum[3]; /* phase voltages of the steps since the last half cycle began [V] */
+    double codes_per_ampere;
     double voltage[3];     /* their mean over the last complete half cycle [V] */
 } plant_drive_t;
 
@@ -29,6 +31,8 @@ typedef struct {
     plant_bus_t bus_config;
     plant_dc_bus_t bus;
     plant_random_t bus_noise;
+    plant_pair_t pair;
+    double codes_per_volt;
     uint64_t step_ns;
     double steps_per_second;
 } plant_t;

@@ -1,7 +1,5 @@
 #include "plant/sensors.h"
 
-#define CODE_MAX 4095
-
 static uint64_t scramble(uint64_t z)
 {
     z = (z ^ (z >> 30)) * UINT64_C(0xBF58476D1CE4E5B9);
@@ -30,14 +28,9 @@ double plant_random_gauss(plant_random_t *random)
     return (double)(sum - 1020) * (1.0 / 209.02152999054544);
 }
 
-static uint16_t saturate(double code)
+uint16_t plant_code_bipolar(double value, double full_scale)
 {
-    if (code <= 0.0) {
-        return 0;
-    }
-    return (code >= (double)CODE_MAX) ? (uint16_t)CODE_MAX : (uint16_t)(code + 0.5);
+    return plant_code(2048.0 + value / full_scale * 2048.0);
 }
 
-uint16_t plant_code_bipolar(double value, double full_scale) { return saturate(2048.0 + value / full_scale * 2048.0); }
-
-uint16_t plant_code_unipolar(double value, double full_scale) { return saturate(value / full_scale * 4096.0); }
+uint16_t plant_code_unipolar(double value, double full_scale) { return plant_code(value / full_scale * 4096.0); }

@@ -16,6 +16,17 @@ uint64_t plant_random_bits(plant_random_t *random);
 /* Nearly Gaussian, mean 0, standard deviation 1: the sum of eight bytes, in steps of 1/209, never beyond +-4.88. */
 double plant_random_gauss(plant_random_t *random);
 
+#define PLANT_CODE_MAX 4095
+
+/* Nearest code of a 12-bit converter, saturated at 0 and 4095. */
+static inline uint16_t plant_code(double code)
+{
+    if (code <= 0.0) {
+        return 0;
+    }
+    return (code >= (double)PLANT_CODE_MAX) ? (uint16_t)PLANT_CODE_MAX : (uint16_t)(code + 0.5);
+}
+
 /* Code of a bipolar signal: -full_scale .. +full_scale around mid-scale 2048, saturated at 0 and 4095. */
 uint16_t plant_code_bipolar(double value, double full_scale);
 
