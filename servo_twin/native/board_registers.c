@@ -16,7 +16,9 @@ struct board {
     chip_t chip;
     switching_t plant;
     board_core_t core;
-    uint64_t time_ns;
+    uint64_t time_ns;  /* since `zero` */
+    uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
+    bool booted, starting;
     uint32_t breaks;
     bool tripped[BOARD_AXES];
     bool up;        /* the port has started: there is a servo to run */
@@ -128,6 +130,8 @@ static uint32_t interrupt(void *context, unsigned vector)
         board->chip.stop = board->recording && board->servo.snapshot.tick != tick;
         return slow ? core->m2_slow : core->m2;
     case 87: /* PWMA_CMP0 */
+        board->chip.stop = board->chip.stop || board->starting;
+        board->starting = false;
         return core->start;
     case VECTOR_PWMA_FAULT:
     case VECTOR_PWMB_FAULT:
@@ -169,13 +173,27 @@ board_t *board_new(const board_config_t *config)
     return board;
 }
 
-/* The software boots with the first look at the board, so that a trace can begin at power-on. */
+#define START_MOST 100000u /* clocks within which the sequence starts after the boot */
+
+/* The software boots with the first look at the board, so that a trace can begin at power-on. For everybody else time
+ * begins when both loops are at work, with the low-side centre of motor 1: as on the board with the ideal chip. */
 static void boot_once(board_t *board)
 {
-    if (board->chip.must_boot && !board->chip.failed) {
-        (void)chip_run(&board->chip, 0);
-        board->time_ns = board->chip.now * CLOCK_NS;
+    if (board->booted) {
+        return;
     }
+    board->booted = true;
+    (void)chip_run(&board->chip, 0);
+    board->starting = true;
+    (void)chip_run(&board->chip, board->chip.now + START_MOST);
+    board->zero = board->chip.now;
+    if (!board->starting) {
+        const pwm_submodule_t *master = &board->chip.pwm[0].sub[0];
+        board->zero = master->origin + master->cycle;
+        board->chip.stop = false;
+        (void)chip_run(&board->chip, board->zero - 1u);
+    }
+    board->starting = false;
 }
 
 void board_free(board_t *board) { free(board); }
@@ -196,8 +214,8 @@ static bool run(board_t *board, uint64_t until_ns)
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         switching_mean(&board->plant, axis);
     }
-    (void)chip_run(&board->chip, until_ns / CLOCK_NS);
-    const uint64_t reached = board->chip.now * CLOCK_NS;
+    (void)chip_run(&board->chip, board->zero + until_ns / CLOCK_NS);
+    const uint64_t reached = (board->chip.now > board->zero) ? (board->chip.now - board->zero) * CLOCK_NS : 0u;
     if (board->chip.stop || board->chip.failed) {
         board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
         return board->chip.stop;
@@ -247,6 +265,7 @@ int board_poke(board_t *board, uint32_t address, uint16_t value)
 
 size_t board_serial_in(board_t *board, const uint8_t *data, size_t size)
 {
+    boot_once(board);
     return chip_line_write(&board->chip, data, size);
 }
 
@@ -255,7 +274,7 @@ size_t board_serial_out(board_t *board, uint8_t *data, size_t room) { return chi
 uint64_t board_serial_next_ns(const board_t *board)
 {
     const uint64_t clock = chip_line_next(&board->chip);
-    return (clock == CHIP_NEVER) ? UINT64_MAX : clock * CLOCK_NS;
+    return (clock == CHIP_NEVER) ? UINT64_MAX : (clock > board->zero) ? (clock - board->zero) * CLOCK_NS : 0u;
 }
 
 void board_truth(const board_t *board, int axis, board_truth_t *truth)
