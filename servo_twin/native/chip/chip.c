@@ -43,8 +43,10 @@ void chip_no_value(chip_t *chip, uint32_t address, uint16_t value, const char *w
 void chip_reset(chip_t *chip, reset_cause_t cause)
 {
     for (unsigned i = 0; i < CHIP_SOURCES; i++) {
-        chip_schedule(chip, i, CHIP_NEVER);
+        chip->next[i] = CHIP_NEVER;
     }
+    chip->quiet = SOURCE_FAULT;
+    chip->search = true;
     core_reset(chip);
     system_reset(chip, cause);
     pwm_reset(chip);
@@ -73,8 +75,7 @@ static const block_t blocks[] = {
     {0xE400, 0xE42E, sim_read, sim_write},   {0xE2B0, 0xE2B9, occs_read, occs_write},
 };
 
-/* The blocks that handlers use come first. */
-static const block_t *block_of(chip_t *chip, uint32_t address)
+static const block_t *search_block(chip_t *chip, uint32_t address)
 {
     for (size_t i = 0; i < sizeof blocks / sizeof blocks[0]; i++) {
         if (address >= blocks[i].begin && address < blocks[i].end) {
@@ -84,7 +85,14 @@ static const block_t *block_of(chip_t *chip, uint32_t address)
     chip_no_register(chip, address);
 }
 
-static bool step(chip_t *chip, uint64_t until);
+/* The blocks that handlers use come first. */
+static inline const block_t *block_of(chip_t *chip, uint32_t address)
+{
+    const unsigned page = (unsigned)(address >> 9);
+    return (page == 0xE600u >> 9) ? &blocks[0] : search_block(chip, address);
+}
+
+static inline bool step(chip_t *chip, uint64_t until);
 
 /* An access has taken its time. */
 static void pass(chip_t *chip)
@@ -135,8 +143,10 @@ void chip_interrupts(chip_t *chip, bool on)
 static void serve(chip_t *chip, unsigned source)
 {
     if (source < SOURCE_FAULT) {
-        pwm_event(chip, source / PWM_SUBMODULES, source % PWM_SUBMODULES);
-    } else if (source == SOURCE_FAULT) {
+        pwm_event(chip, source - SOURCE_PWM);
+        return;
+    }
+    if (source == SOURCE_FAULT) {
         pwm_fault_event(chip);
     } else if (source < SOURCE_ADC) {
         qtmr_event(chip, source - SOURCE_TIMER);
@@ -152,9 +162,9 @@ static void serve(chip_t *chip, unsigned source)
 }
 
 /* The next event up to `until`, or else that clock itself; false then. */
-static bool step(chip_t *chip, uint64_t until)
+static inline bool step(chip_t *chip, uint64_t until)
 {
-    const unsigned source = chip->first[1];
+    const unsigned source = chip_soonest(chip);
     const uint64_t clock = chip->next[source];
     if (chip->touched) {
         chip->touched = false;
@@ -203,8 +213,8 @@ bool chip_run(chip_t *chip, uint64_t until)
     }
     core_step(chip);
     while (!chip->stop && step(chip, until)) {
-        if (chip->next[chip->first[1]] > chip->now) { /* all that happens in one clock comes first */
-            core_step(chip);
+        if ((chip->core.changed || chip->core.background_due) && chip->next[chip_soonest(chip)] > chip->now) {
+            core_step(chip); /* all that happens in one clock comes first */
         }
     }
     chip_meet_world(chip);

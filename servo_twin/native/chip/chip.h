@@ -33,14 +33,14 @@
 
 /* Sources of events; at one clock they are served in this order. */
 typedef enum {
-    SOURCE_PWM,                                               /* one per submodule */
-    SOURCE_FAULT = SOURCE_PWM + PWM_MODULES * PWM_SUBMODULES, /* filters of the fault inputs */
-    SOURCE_TIMER,                                             /* one per module */
-    SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES,                 /* one per converter */
+    SOURCE_PWM,                               /* one per module */
+    SOURCE_FAULT = SOURCE_PWM + PWM_MODULES,  /* filters of the fault inputs */
+    SOURCE_TIMER,                             /* one per module */
+    SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES, /* one per converter */
     SOURCE_SERIAL = SOURCE_ADC + ADC_CONVERTERS,
     SOURCE_CORE,
     SOURCE_COP,
-    CHIP_SOURCES /* a power of two */
+    CHIP_SOURCES
 } chip_source_t;
 
 typedef struct {
@@ -52,8 +52,8 @@ typedef struct {
 typedef struct chip {
     uint64_t now;
     uint64_t next[CHIP_SOURCES]; /* clock of the next event of each source */
-    uint8_t first[CHIP_SOURCES]; /* tournament of the sources: [1] is the one whose event is next of all, [2] and [3]
-                                  * those of the two halves, and so on */
+    unsigned quiet;              /* the next of the sources behind the PWMs */
+    bool search;                 /* its event is later now, so that another one's may be next */
     uint64_t outside;        /* clock of the world's next event */
     bool touched;            /* since then something has been done to the world */
     uint64_t world_clock;    /* the world stands here */

@@ -41,20 +41,35 @@ static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32
     }
 }
 
-/* When the next event of a source is: play its matches of the tournament again. */
+/* When the next event of a source is. Of the sources behind the PWMs, which have most of the events, the first one is
+ * searched for only when that may have become another one. */
 static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)
 {
     chip->next[source] = clock;
-    unsigned winner = source & ~1u;
-    winner += (chip->next[winner + 1u] < chip->next[winner]) ? 1u : 0u;
-    unsigned node = (CHIP_SOURCES + source) / 2u;
-    chip->first[node] = (uint8_t)winner;
-    while (node > 1u) {
-        const unsigned left = chip->first[node & ~1u];
-        const unsigned right = chip->first[node | 1u];
-        node /= 2u;
-        chip->first[node] = (uint8_t)((chip->next[right] < chip->next[left]) ? right : left);
+    if (source < SOURCE_FAULT) {
+        return;
     }
+    const uint64_t first = chip->next[chip->quiet];
+    if (source == chip->quiet) {
+        chip->search = true;
+    } else if (clock < first || (clock == first && source < chip->quiet)) {
+        chip->quiet = source;
+    }
+}
+
+/* The source whose event is next of all. */
+static inline unsigned chip_soonest(chip_t *chip)
+{
+    if (chip->search) {
+        unsigned source = SOURCE_FAULT;
+        for (unsigned i = SOURCE_FAULT + 1u; i < CHIP_SOURCES; i++) {
+            source = (chip->next[i] < chip->next[source]) ? i : source;
+        }
+        chip->quiet = source;
+        chip->search = false;
+    }
+    const unsigned pwm = (chip->next[SOURCE_PWM + 1] < chip->next[SOURCE_PWM]) ? SOURCE_PWM + 1u : SOURCE_PWM;
+    return (chip->next[chip->quiet] < chip->next[pwm]) ? chip->quiet : pwm;
 }
 
 /* Bring the world along to the present clock, before something acts on it or looks at it. */
@@ -101,7 +116,7 @@ void system_reset(chip_t *chip, reset_cause_t cause);
 
 /* ---- events at the present clock -------------------------------------------------------------------------------------- */
 
-void pwm_event(chip_t *chip, unsigned module, unsigned submodule);
+void pwm_event(chip_t *chip, unsigned module);
 void pwm_fault_event(chip_t *chip);
 void adc_event(chip_t *chip, unsigned converter);
 void qtmr_event(chip_t *chip, unsigned module);

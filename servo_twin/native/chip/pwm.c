@@ -105,13 +105,17 @@ static void find_distances(pwm_submodule_t *s)
         s->distance[k] = distance_of(s, s->active.val[k]);
     }
     s->cycle = s->distance[1] + 1u;
-    s->stale = true;
+    s->moved = true;
 }
 
 /* Flags of the compares up to the distance `to`. */
 static void settle_to(pwm_submodule_t *s, int64_t to)
 {
     if (to <= s->settled) {
+        return;
+    }
+    if ((s->flags & STS_CMPF) == STS_CMPF) { /* nothing to add */
+        s->settled = to;
         return;
     }
     for (unsigned k = 0; k < PWM_VALS; k++) {
@@ -152,13 +156,17 @@ static void watch(pwm_t *pwm, unsigned n)
     }
     s->stale = s->stale || watched != s->watched;
     s->watched = watched;
+    const bool simple = (s->ctrl2 & CTRL2_INDEP) == 0 && ((pwm->ipol >> n) & 1u) == 0;
+    s->plain = simple ? 0x0Cu & ~(unsigned)(s->tctrl | s->inten) : 0u;
 }
 
 /* Put the events of a cycle in order. */
 static void sort_events(pwm_submodule_t *s)
 {
     unsigned count = 0;
+    s->merged = false;
     s->event[count].distance = NO_DISTANCE;
+    s->event[count].first = PWM_VALS + 1u;
     s->event[count++].what = PWM_WRAP;
     for (unsigned k = 0; k <= PWM_VALS; k++) {
         const bool end = k == PWM_VALS;
@@ -166,23 +174,45 @@ static void sort_events(pwm_submodule_t *s)
             continue;
         }
         const uint32_t d = end ? s->cycle : s->distance[k];
-        const unsigned what = end ? PWM_CYCLE : 1u << k;
+        const uint8_t what = (uint8_t)(end ? PWM_CYCLE : 1u << k);
         unsigned at = count;
         while (at > 0 && s->event[at - 1u].distance > d) {
             at--;
         }
         if (at > 0 && s->event[at - 1u].distance == d) {
-            s->event[at - 1u].what |= what;
+            s->event[at - 1u].what = (uint8_t)(s->event[at - 1u].what | what);
+            s->merged = true;
             continue;
         }
         for (unsigned i = count; i > at; i--) {
             s->event[i] = s->event[i - 1u];
         }
         s->event[at].distance = d;
+        s->event[at].first = (uint8_t)k;
         s->event[at].what = what;
         count++;
     }
-    s->stale = false;
+    s->stale = s->moved = false;
+}
+
+/* The same events at other distances: usually their order has stayed. */
+static void move_events(pwm_submodule_t *s)
+{
+    uint32_t before = 0;
+    for (unsigned i = 0; !s->merged && s->event[i].what != PWM_WRAP; i++) {
+        const unsigned k = s->event[i].first;
+        const uint32_t d = (k < PWM_VALS) ? s->distance[k] : s->cycle;
+        if (d < before) {
+            sort_events(s);
+            return;
+        }
+        s->event[i].distance = d;
+        before = d + 1u;
+    }
+    if (s->merged || before > NO_DISTANCE) {
+        sort_events(s);
+    }
+    s->moved = false;
 }
 
 /* When the counter's next event is. */
@@ -192,8 +222,12 @@ static void find_next(pwm_submodule_t *s)
         s->next_clock = CHIP_NEVER;
         return;
     }
-    if (s->stale) {
-        sort_events(s);
+    if (s->stale || s->moved) {
+        if (s->stale) {
+            sort_events(s);
+        } else {
+            move_events(s);
+        }
         s->next = 0;
         while ((int64_t)s->event[s->next].distance <= s->done) {
             s->next++;
@@ -202,19 +236,39 @@ static void find_next(pwm_submodule_t *s)
     s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
 }
 
-static void show_next(chip_t *chip, unsigned m, unsigned n)
+/* The event after the one that has just been handled. */
+static inline void take_next(pwm_submodule_t *s)
 {
-    const pwm_submodule_t *s = sub_of(chip, m, n);
-    uint64_t next = (s->dead_clock < s->next_clock) ? s->dead_clock : s->next_clock;
-    next = (s->sync_clock < next) ? s->sync_clock : next;
-    chip_schedule(chip, SOURCE_PWM + m * PWM_SUBMODULES + n, next);
+    if (s->stale || s->moved || s->stuck || !s->running) {
+        find_next(s);
+    } else {
+        s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
+    }
+}
+
+static inline void find_due(pwm_submodule_t *s)
+{
+    const uint64_t due = (s->dead_clock < s->next_clock) ? s->dead_clock : s->next_clock;
+    s->due = (s->sync_clock < due) ? s->sync_clock : due;
+}
+
+static inline void schedule_module(chip_t *chip, unsigned m)
+{
+    const pwm_submodule_t *s = chip->pwm[m].sub;
+    const uint64_t a = (s[1].due < s[0].due) ? s[1].due : s[0].due;
+    const uint64_t b = (s[3].due < s[2].due) ? s[3].due : s[2].due;
+    chip_schedule(chip, SOURCE_PWM + m, (b < a) ? b : a);
 }
 
 static void schedule(chip_t *chip, unsigned m, unsigned n)
 {
-    find_next(sub_of(chip, m, n));
-    show_next(chip, m, n);
+    pwm_submodule_t *s = sub_of(chip, m, n);
+    find_next(s);
+    find_due(s);
+    schedule_module(chip, m);
 }
+
+static void run(chip_t *chip, unsigned m, unsigned n);
 
 /* ---- interrupts ---------------------------------------------------------------------------------------------------- */
 
@@ -494,7 +548,7 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
         other->flags = (uint16_t)(other->flags | STS_RF);
         if (((pwm->ldok >> k) & 1u) != 0) {
             if (k != n && !at_end) {
-                pwm_event(chip, m, k); /* its matches of this clock see the old values */
+                run(chip, m, k); /* its matches of this clock see the old values */
             }
             load(chip, m, k);
         } else if (other->updated) {
@@ -507,7 +561,8 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
             request(chip, m, k);
         }
         if (k != n) {
-            schedule(chip, m, k);
+            find_next(other);
+            find_due(other);
         }
     }
 }
@@ -559,7 +614,7 @@ static void local_sync(chip_t *chip, unsigned m, unsigned n)
         if (CTRL2_FORCE_SEL(other->ctrl2) == FORCE_MASTER_SYNC) {
             force_out(chip, m, k);
         }
-        pwm_event(chip, m, k);
+        run(chip, m, k);
     }
 }
 
@@ -630,7 +685,8 @@ static void handle(chip_t *chip, unsigned m, unsigned n)
     }
 }
 
-void pwm_event(chip_t *chip, unsigned m, unsigned n)
+/* All events of a submodule up to the present clock. */
+static void run(chip_t *chip, unsigned m, unsigned n)
 {
     pwm_submodule_t *s = sub_of(chip, m, n);
     const bool synchronised = s->running && s->sync_clock <= chip->now;
@@ -649,13 +705,50 @@ void pwm_event(chip_t *chip, unsigned m, unsigned n)
         find_next(s);
         while (s->next_clock <= chip->now) {
             handle(chip, m, n);
-            find_next(s);
+            take_next(s);
         }
     }
     if (s->dead_clock <= chip->now) {
         end_dead_time(chip, m, n);
     }
-    show_next(chip, m, n);
+    find_due(s);
+}
+
+/* Most events are an edge of PWM23 or the end of a dead time, and nothing else: these go the short way. */
+static inline void edge_or_run(chip_t *chip, unsigned m, unsigned n)
+{
+    pwm_submodule_t *s = sub_of(chip, m, n);
+    const uint64_t now = chip->now;
+    if (s->sync_clock <= now) {
+        run(chip, m, n);
+        return;
+    }
+    if (s->next_clock <= now) {
+        const unsigned what = s->event[s->next].what;
+        if ((what & ~s->plain) != 0 || s->stale || s->moved || s->dead_clock <= now) {
+            run(chip, m, n);
+            return;
+        }
+        s->done = s->event[s->next++].distance;
+        s->generated[0] = what == 0x04u; /* VAL2 alone; with VAL3 it is off */
+        s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
+        drive(chip, m, n);
+    } else {
+        end_dead_time(chip, m, n);
+    }
+    find_due(s);
+}
+
+void pwm_event(chip_t *chip, unsigned m)
+{
+    const pwm_t *pwm = &chip->pwm[m];
+    const uint64_t now = chip->now;
+    for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
+        if (pwm->sub[n].due <= now) {
+            edge_or_run(chip, m, n);
+        }
+    }
+    schedule_module(chip, m);
 }
 
 void pwm_ext_sync(chip_t *chip, unsigned m, unsigned n)
@@ -724,6 +817,8 @@ void pwm_reset(chip_t *chip)
                 .dtcnt = {0x7FF, 0x7FF},
                 .sync_clock = CHIP_NEVER,
                 .dead_clock = CHIP_NEVER,
+                .next_clock = CHIP_NEVER,
+                .due = CHIP_NEVER,
                 .out = {false, true},
                 .done = -1,
                 .settled = -1,
@@ -919,6 +1014,9 @@ static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
     const uint16_t ipol = (uint16_t)(value >> 12);
     if (ipol != pwm->ipol) {
         pwm->ipol = ipol;
+        for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
+            watch(pwm, n);
+        }
     }
     pwm->run = (value >> 8) & 0xFu;
     const bool first_stuck = pwm->sub[0].running && pwm->sub[0].stuck;

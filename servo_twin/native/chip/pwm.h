@@ -48,13 +48,17 @@ typedef struct {
     int64_t done;          /* events up to this distance have been handled */
     struct {
         uint32_t distance;
-        unsigned what;     /* bits 0-5: the VALs that match there and are watched; PWM_CYCLE, PWM_WRAP */
+        uint8_t first;     /* the lowest of them: 0-5 a VAL, then the cycle's end */
+        uint8_t what;      /* bits 0-5: the VALs that match there and are watched; PWM_CYCLE, PWM_WRAP */
     } event[PWM_VALS + 2]; /* of a cycle, in order of distance */
     unsigned next;         /* index of the first that is still to come */
-    bool stale;            /* the list does not fit the distances any more */
+    bool merged;           /* two events share a distance */
+    bool stale, moved;     /* the list does not fit any more: other events, or only other distances */
     int64_t settled;       /* flags up to this distance have been found */
+    unsigned plain;        /* VALs that do nothing but switch the pair */
     unsigned watched;      /* bit k: VALk is an event */
     uint64_t next_clock;   /* of the counter's next event */
+    uint64_t due;          /* of the next of all: counter, dead time, sync */
     uint64_t sync_clock;   /* EXT_SYNC on its way */
     /* outputs */
     bool generated[2];     /* PWM23, PWM45 */
