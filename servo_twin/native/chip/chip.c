@@ -124,7 +124,7 @@ void chip_write(chip_t *chip, uint32_t address, uint16_t value)
     if (chip->core.booting) {
         pass(chip);
     }
-    if (core_defers(chip, address)) {
+    if (chip->core.deferring && core_defers(chip, address)) {
         core_defer(chip, address, value);
         return;
     }

@@ -180,13 +180,8 @@ void core_event(chip_t *chip)
 
 bool core_defers(const chip_t *chip, uint32_t address)
 {
-    if (!chip->core.deferring) {
-        return false;
-    }
     if (address >= 0xE600u && address < 0xE800u) {
-        const uint32_t offset = address & 0xFFu;
-        const uint32_t within = offset % 0x30u;
-        return (offset < 0xC0u) ? (within == 1u || (within >= 5u && within <= 0xFu)) : offset == 0xC4u;
+        return pwm_buffers(address);
     }
     if (address >= 0xE200u && address < 0xE270u && (address & 0xFu) == 1u) {
         return chip->pins.port[(address - 0xE200u) >> 4].written_in_handler;

@@ -84,6 +84,7 @@ static inline void chip_meet_world(chip_t *chip)
 /* ---- registers ------------------------------------------------------------------------------------------------------ */
 
 uint16_t pwm_read(chip_t *chip, uint32_t address);
+bool pwm_buffers(uint32_t address); /* INIT, a VAL or MCTRL: what a handler writes last */
 void pwm_write(chip_t *chip, uint32_t address, uint16_t value);
 uint16_t adc_read(chip_t *chip, uint32_t address);
 void adc_write(chip_t *chip, uint32_t address, uint16_t value);

@@ -836,6 +836,17 @@ void pwm_reset(chip_t *chip)
 
 /* ---- registers ------------------------------------------------------------------------------------------------------- */
 
+/* Buffered registers by their offset in the module: 10h + 8 submodule + (0 INIT, 1-6 VAL0-5); 1 is MCTRL. */
+#define BUFFERED(n)                                                                                                    \
+    [(n) * SUB_SIZE + INIT] = 0x10 + 8 * (n), [(n) * SUB_SIZE + VAL0] = 0x11 + 8 * (n),                                \
+                      [(n) * SUB_SIZE + VAL0 + 2] = 0x12 + 8 * (n), [(n) * SUB_SIZE + VAL0 + 4] = 0x13 + 8 * (n),      \
+                      [(n) * SUB_SIZE + VAL0 + 6] = 0x14 + 8 * (n), [(n) * SUB_SIZE + VAL0 + 8] = 0x15 + 8 * (n),      \
+                      [(n) * SUB_SIZE + VAL5] = 0x16 + 8 * (n)
+
+static const uint8_t buffered[MODULE_SIZE] = {BUFFERED(0), BUFFERED(1), BUFFERED(2), BUFFERED(3), [MCTRL] = 1};
+
+bool pwm_buffers(uint32_t address) { return buffered[address & (MODULE_SIZE - 1u)] != 0; }
+
 static bool is_value(uint32_t r) { return r == INIT || (r >= VAL0 && r <= VAL5 && (r & 1u) != 0); }
 
 static bool is_fraction(uint32_t r) { return r >= FRACVAL1 && r < VAL5 && (r & 1u) == 0; }
@@ -929,19 +940,6 @@ static void write_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, ui
 {
     pwm_t *pwm = &chip->pwm[m];
     pwm_submodule_t *s = &pwm->sub[n];
-    if (is_value(r)) {
-        if (((pwm->ldok >> n) & 1u) != 0) {
-            pwm->locked_writes++;
-            return;
-        }
-        if (r == INIT) {
-            s->buffer.init = value;
-        } else {
-            s->buffer.val[(r - VAL0) / 2u] = value;
-        }
-        s->updated = true;
-        return;
-    }
     if (is_fraction(r)) {
         chip_only(chip, address, value, 0, "the fractional unit is not modelled");
         return;
@@ -1011,6 +1009,7 @@ static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
 {
     pwm_t *pwm = &chip->pwm[m];
     pwm->ldok = (uint16_t)((pwm->ldok | (value & 0xFu)) & ~((unsigned)value >> 4 & 0xFu));
+    const bool same_run = pwm->run == ((value >> 8) & 0xFu);
     const uint16_t ipol = (uint16_t)(value >> 12);
     if (ipol != pwm->ipol) {
         pwm->ipol = ipol;
@@ -1033,7 +1032,9 @@ static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
             schedule(chip, m, n);
         }
     }
-    follow_run(chip, m);
+    if (!same_run) {
+        follow_run(chip, m);
+    }
 }
 
 static uint16_t fault_status(const pwm_t *pwm)
@@ -1167,10 +1168,32 @@ uint16_t pwm_read(chip_t *chip, uint32_t address)
     return read_module(chip, address, m, offset);
 }
 
+static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned what, uint16_t value)
+{
+    const unsigned n = (what >> 3) - 2u;
+    pwm_t *pwm = &chip->pwm[m];
+    sim_gate(chip, address, 3, ((m == 0) ? 7u : 3u) - n);
+    if (((pwm->ldok >> n) & 1u) != 0) {
+        pwm->locked_writes++;
+        return;
+    }
+    pwm_submodule_t *s = &pwm->sub[n];
+    if ((what & 7u) == 0) {
+        s->buffer.init = value;
+    } else {
+        s->buffer.val[(what & 7u) - 1u] = value;
+    }
+    s->updated = true;
+}
+
 void pwm_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     const unsigned m = (address - BASE) / MODULE_SIZE;
     const uint32_t offset = (address - BASE) % MODULE_SIZE;
+    if (buffered[offset] > 1u) {
+        write_buffer(chip, address, m, buffered[offset], value);
+        return;
+    }
     check_gate(chip, address, m, offset);
     if (offset < SUB_REGISTERS) {
         write_sub(chip, address, m, offset / SUB_SIZE, offset % SUB_SIZE, value);

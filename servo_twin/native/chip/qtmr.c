@@ -164,16 +164,13 @@ static uint32_t counts_to_event(const qtmr_channel_t *c)
     return (to_limit != 0 && to_limit < to_wrap) ? to_limit : to_wrap;
 }
 
-static void settle(chip_t *chip, unsigned m, unsigned n)
+static void settle_to(chip_t *chip, unsigned m, unsigned n, uint64_t clock)
 {
     qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
-    if (!runs_on_bus(timer, n)) {
-        return;
-    }
     const unsigned shift = prescaler(c);
-    uint64_t counts = (chip->now >> shift) - (c->since >> shift);
-    c->since = chip->now;
+    uint64_t counts = (clock >> shift) - (c->since >> shift);
+    c->since = clock;
     while (counts > 0 && runs_on_bus(timer, n)) {
         const uint32_t next = counts_to_event(c);
         if (counts < next) {
@@ -184,6 +181,20 @@ static void settle(chip_t *chip, unsigned m, unsigned n)
         count(chip, m, n, !counts_down(c));
         counts -= next;
     }
+}
+
+static void settle(chip_t *chip, unsigned m, unsigned n)
+{
+    qtmr_t *timer = &chip->timer[m];
+    if (!runs_on_bus(timer, n)) {
+        return;
+    }
+    if (((timer->holds >> n) & 1u) != 0) {
+        timer->holds &= ~(1u << n);
+        settle_to(chip, m, n, timer->hold_clock);
+        timer->channel[n].hold = timer->channel[n].cntr;
+    }
+    settle_to(chip, m, n, chip->now);
 }
 
 static void settle_all(chip_t *chip, unsigned m)
@@ -426,12 +437,15 @@ static uint16_t read_channel(chip_t *chip, uint32_t address, unsigned m, unsigne
     case LOAD:
         return c->load;
     case HOLD:
+        settle(chip, m, n);
         return c->hold;
     case CNTR:
-        settle_all(chip, m);
-        for (unsigned k = 0; k < QTMR_CHANNELS; k++) {
+        settle(chip, m, n);
+        for (unsigned k = 0; k < QTMR_CHANNELS; k++) { /* of those on the bus clock it is enough to know when */
             timer->channel[k].hold = timer->channel[k].cntr;
         }
+        timer->holds = timer->on_bus & ~(1u << n);
+        timer->hold_clock = chip->now;
         return c->cntr;
     case CTRL:
         settle(chip, m, n);
@@ -467,12 +481,15 @@ static void write_sctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, 
     qtmr_channel_t *c = &chip->timer[m].channel[n];
     chip_only(chip, address, value, 0xFFCF, "master and external OFLAG modes are not modelled");
     settle(chip, m, n);
-    const unsigned flags = c->sctrl & value & SCTRL_FLAGS; /* a flag is cleared by writing 0, never set */
+    const unsigned before = c->sctrl;
+    const unsigned flags = before & value & SCTRL_FLAGS; /* a flag is cleared by writing 0, never set */
     c->sctrl = (uint16_t)((value & ~(SCTRL_FLAGS | SCTRL_INPUT | SCTRL_FORCE)) | flags);
     if ((value & SCTRL_FORCE) != 0) {
         set_oflag(chip, m, n, (value & SCTRL_VAL) != 0);
     }
-    derive(chip, m);
+    if (((before ^ c->sctrl) & ~(SCTRL_FLAGS | SCTRL_IEFIE)) != 0) {
+        derive(chip, m);
+    }
     request(chip, m, n);
 }
 

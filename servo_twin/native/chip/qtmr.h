@@ -22,6 +22,8 @@ typedef struct {
 typedef struct {
     qtmr_channel_t channel[QTMR_CHANNELS];
     uint16_t enable;
+    unsigned holds;                      /* channels on the bus clock whose HOLD is still to be taken, ... */
+    uint64_t hold_clock;                 /* ... as of this clock */
     unsigned raw;                        /* levels on the inputs, bit per input */
     unsigned in;                         /* behind the filters */
     uint64_t change_clock[QTMR_CHANNELS]; /* when the filter of an input will let its level through */
