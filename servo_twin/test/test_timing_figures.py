@@ -7,10 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_twin.board import TRACE_ENTRY as ENTRY
 from servo_twin.experiments.outcome import Row
 from servo_twin.timing.chip_map import START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
 from servo_twin.timing.figures import circle, start
-from servo_twin.timing.trace import ENTRY, Kind, Trace
+from servo_twin.timing.trace import Kind, Trace
 
 PERIOD = 6250
 HALF = PERIOD // 2

@@ -55,13 +55,13 @@ def measure(
         The circle, and the start.
     """
     with Board(plant, seed=seed, level="registers") as board:
-        boot = Trace.of_events(board.trace(START_TIME))
+        boot = Trace(board.trace(round(START_TIME * 1e9)))
         enable(board)
         board.write("cmd.mode", [1] * AXES)
         board.write("cmd.speed", [SPEED] * AXES)
         board.run(SETTLE)
         spoil(board)
-        turning = Trace.of_events(board.trace(PERIODS * PERIOD_NS * 1e-9))
+        turning = Trace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
     rows = (*circle(turning), *start(boot))
     notes = (f"circle: {PERIODS} PWM periods, both shafts at {SPEED:g} rad/s",)
     return Outcome("timing", rows, (), notes), turning, boot

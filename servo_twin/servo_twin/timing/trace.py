@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from enum import IntEnum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_twin.board import TraceEvent
-
-__all__ = ["CLOCK", "ENTRY", "Kind", "Trace"]
+__all__ = ["CLOCK", "Kind", "Trace"]
 
 CLOCK: Final = 10e-9
 """Clock of the bus [s]."""
-
-ENTRY: Final = np.dtype([("clock", "<u8"), ("kind", "<u4"), ("a", "<u4"), ("b", "<u4")])
-"""Layout of ``trace_entry_t``."""
 
 
 class Kind(IntEnum):
@@ -42,18 +36,12 @@ class Trace:
 
     Parameters
     ----------
-    entries : ndarray, shape (n,), dtype `ENTRY`
+    entries : ndarray, shape (n,), dtype `servo_twin.board.TRACE_ENTRY`
         In order of time.
     """
 
     def __init__(self, entries: NDArray[np.void]) -> None:
         self.entries = entries
-
-    @classmethod
-    def of_events(cls, events: Iterable[TraceEvent]) -> Trace:
-        """What `servo_twin.board.Board.trace` gives."""
-        rows = [(event.clock, int(Kind[event.kind.upper()]), event.a, event.b) for event in events]
-        return cls(np.array(rows, dtype=ENTRY))
 
     def of(self, kind: Kind, a: int | None = None, b: int | None = None) -> NDArray[np.void]:
         """Entries of one kind, with these marks if they are given."""
