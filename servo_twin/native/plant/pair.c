@@ -19,8 +19,6 @@ static inline pair_t pair_of(const double lanes[2])
     return x;
 }
 
-static inline void store(double lanes[2], pair_t x) { memcpy(lanes, &x, sizeof x); }
-
 static inline pair_t both(double x) { return (pair_t){x, x}; }
 
 static inline pair_t limit_pair(pair_t x, double low, double high)
@@ -37,38 +35,58 @@ static inline pair_t limit_pair(pair_t x, double low, double high)
 #define LIMIT(x, low, high) limit_pair(x, low, high)
 #include "plant/averaged_kernel.h"
 
-static bool plain_case(const plant_inverter_t *inverter, const plant_motor_t *motor)
+static bool plain_case(const plant_lane_t *lane)
 {
-    return inverter->on && !inverter->unplugged && !motor->locked &&
+    const plant_motor_t *motor = lane->motor;
+    return lane->inverter->on && !lane->inverter->unplugged && !motor->locked &&
            (motor->omega > PLANT_STANDING || motor->omega < -PLANT_STANDING) && motor->steps < PLANT_FRESH_TRIG;
 }
 
-#define LANES(member) ((pair_t){a->member, b->member})
+/* The ends of a step, not yet taken by the axes. */
+typedef struct {
+    pair_state_t x;
+    pair_t theta, sine, cosine;
+    pair_t phase[3], share[3], leg[3], voltage[3], charge;
+} ends_t;
 
-bool plant_pair_step(const plant_pair_t *pair, const plant_inverter_t *inverter_1, const plant_inverter_t *inverter_2,
-                     const plant_motor_t *motor_1, const plant_motor_t *motor_2, double u_dc, plant_pair_step_t *step)
+static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
 {
-    step->sound[0] = plain_case(inverter_1, motor_1);
-    step->sound[1] = plain_case(inverter_2, motor_2);
-    if (!step->sound[0] && !step->sound[1]) {
-        return false;
+    plant_motor_t *motor = lane->motor;
+    motor->i_d = ends->x.i_d[n];
+    motor->i_q = ends->x.i_q[n];
+    motor->omega = ends->x.omega[n];
+    motor->theta = ends->theta[n];
+    motor->sine = ends->sine[n];
+    motor->cosine = ends->cosine[n];
+    motor->steps++;
+    for (int k = 0; k < 3; k++) {
+        motor->phase[k] = ends->phase[k][n];
+        lane->inverter->share[k] = ends->share[k][n];
+        lane->inverter->leg[k] = ends->leg[k][n];
+        lane->voltage_sum[k] += ends->voltage[k][n];
     }
-    pair_t share[3];
-    pair_t leg[3];
-    pair_t before[3];
+}
+
+#define MOTOR(member) ((pair_t){lane[0].motor->member, lane[1].motor->member})
+#define INVERTER(member) ((pair_t){lane[0].inverter->member, lane[1].inverter->member})
+
+unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], double u_dc, double *charge)
+{
+    const bool plain[2] = {plain_case(&lane[0]), plain_case(&lane[1])};
+    *charge = 0.0;
+    if (!plain[0] && !plain[1]) {
+        return 0;
+    }
+    ends_t ends;
+    const pair_t before[3] = {MOTOR(phase[0]), MOTOR(phase[1]), MOTOR(phase[2])};
     const pair_t v_drop = pair_of(pair->v_drop);
-    {
-        const plant_inverter_t *a = inverter_1;
-        const plant_inverter_t *b = inverter_2;
-        for (int k = 0; k < 3; k++) {
-            before[k] = (pair_t){motor_1->phase[k], motor_2->phase[k]};
-            share[k] = pair_drive_leg(before[k], LANES(inv_i_w), LANES(duty[k]), LANES(dead_leg[k]), v_drop, u_dc,
-                                      &leg[k]);
-        }
+    const pair_t inv_i_w = INVERTER(inv_i_w);
+    for (int k = 0; k < 3; k++) {
+        ends.share[k] =
+            pair_drive_leg(before[k], inv_i_w, INVERTER(duty[k]), INVERTER(dead_leg[k]), v_drop, u_dc, &ends.leg[k]);
     }
-    const plant_motor_t *a = motor_1;
-    const plant_motor_t *b = motor_2;
-    const pair_t direction = {(a->omega > 0.0) ? 1.0 : -1.0, (b->omega > 0.0) ? 1.0 : -1.0};
+    const pair_t omega = MOTOR(omega);
+    const pair_t direction = {(omega[0] > 0.0) ? 1.0 : -1.0, (omega[1] > 0.0) ? 1.0 : -1.0};
     const pair_step_t m = {
         .pole_pairs = pair_of(pair->pole_pairs),
         .inv_l_d = pair_of(pair->inv_l_d),
@@ -81,65 +99,57 @@ bool plant_pair_step(const plant_pair_t *pair, const plant_inverter_t *inverter_
         .torque_psi = pair_of(pair->torque_psi),
         .torque_l = pair_of(pair->torque_l),
         .viscous = pair_of(pair->viscous),
-        .drag = (LANES(load) + direction * LANES(friction)) * pair_of(pair->inv_inertia),
+        .drag = (MOTOR(load) + direction * MOTOR(friction)) * pair_of(pair->inv_inertia),
     };
-    const pair_t sine = LANES(sine);
-    const pair_t cosine = LANES(cosine);
-    const pair_t alpha = (2.0 * leg[0] - leg[1] - leg[2]) * (1.0 / 3.0);
-    const pair_t beta = (leg[1] - leg[2]) * 0.57735026918962576451;
+    const pair_t sine = MOTOR(sine);
+    const pair_t cosine = MOTOR(cosine);
+    const pair_t alpha = (2.0 * ends.leg[0] - ends.leg[1] - ends.leg[2]) * (1.0 / 3.0);
+    const pair_t beta = (ends.leg[1] - ends.leg[2]) * 0.57735026918962576451;
     const pair_vector_t u = {alpha * cosine + beta * sine, beta * cosine - alpha * sine};
-    pair_state_t x = {LANES(i_d), LANES(i_q), LANES(omega)};
     pair_vector_t e;
-    const pair_t theta = LANES(theta) + pair_runge_kutta(&m, u, pair->step, &x, &e);
-    const pair_t cosine_after = cosine * e.alpha - sine * e.beta;
-    const pair_t sine_after = sine * e.alpha + cosine * e.beta;
-    pair_t after[3];
-    pair_phases(x.i_d, x.i_q, sine_after, cosine_after, after);
+    ends.x = (pair_state_t){MOTOR(i_d), MOTOR(i_q), omega};
+    ends.theta = MOTOR(theta) + pair_runge_kutta(&m, u, pair->step, &ends.x, &e);
+    ends.cosine = cosine * e.alpha - sine * e.beta;
+    ends.sine = sine * e.alpha + cosine * e.beta;
+    pair_phases(ends.x.i_d, ends.x.i_q, ends.sine, ends.cosine, ends.phase);
     const pair_t r_on = pair_of(pair->r_on);
-    pair_t charge = both(0.0);
+    ends.charge = both(0.0);
     for (int k = 0; k < 3; k++) {
-        charge += share[k] * 0.5 * (before[k] + after[k]) * pair->step;
-        store(step->phase[k], after[k]);
-        store(step->share[k], share[k]);
-        store(step->leg[k], leg[k]);
-        store(step->voltage[k], leg[k] - r_on * after[k] - 0.5 * u_dc);
+        ends.charge += ends.share[k] * 0.5 * (before[k] + ends.phase[k]) * pair->step;
+        ends.voltage[k] = ends.leg[k] - r_on * ends.phase[k] - 0.5 * u_dc;
     }
-    store(step->charge, charge);
-    store(step->i_d, x.i_d);
-    store(step->i_q, x.i_q);
-    store(step->omega, x.omega);
-    store(step->theta, theta);
-    store(step->sine, sine_after);
-    store(step->cosine, cosine_after);
-    step->sound[0] = step->sound[0] && step->omega[0] * direction[0] >= 0.0;
-    step->sound[1] = step->sound[1] && step->omega[1] * direction[1] >= 0.0;
-    return true;
+    const pair_t onwards = ends.x.omega * direction;
+    unsigned taken = 0;
+    if (plain[0] && onwards[0] >= 0.0) {
+        take(&ends, &lane[0], 0);
+        *charge += ends.charge[0];
+        taken |= 1u;
+    }
+    if (plain[1] && onwards[1] >= 0.0) {
+        take(&ends, &lane[1], 1);
+        *charge += ends.charge[1];
+        taken |= 2u;
+    }
+    return taken;
 }
 
 #else
 
-bool plant_pair_step(const plant_pair_t *pair, const plant_inverter_t *inverter_1, const plant_inverter_t *inverter_2,
-                     const plant_motor_t *motor_1, const plant_motor_t *motor_2, double u_dc, plant_pair_step_t *step)
+unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], double u_dc, double *charge)
 {
     (void)pair;
-    (void)inverter_1;
-    (void)inverter_2;
-    (void)motor_1;
-    (void)motor_2;
+    (void)lane;
     (void)u_dc;
-    (void)step;
-    return false;
+    *charge = 0.0;
+    return 0;
 }
 
 #endif
 
-void plant_pair_init(plant_pair_t *pair, const plant_inverter_t *inverter_1, const plant_inverter_t *inverter_2,
-                     const plant_motor_t *motor_1, const plant_motor_t *motor_2, double step)
+void plant_pair_init(plant_pair_t *pair, const plant_lane_t lane[2], double step)
 {
-    const plant_inverter_t *inverter[2] = {inverter_1, inverter_2};
-    const plant_motor_t *motor[2] = {motor_1, motor_2};
     for (int i = 0; i < 2; i++) {
-        const plant_motor_t *m = motor[i];
+        const plant_motor_t *m = lane[i].motor;
         pair->pole_pairs[i] = m->pole_pairs;
         pair->inv_l_d[i] = m->inv_l_d;
         pair->inv_l_q[i] = m->inv_l_q;
@@ -152,8 +162,8 @@ void plant_pair_init(plant_pair_t *pair, const plant_inverter_t *inverter_1, con
         pair->torque_l[i] = m->torque_l * m->inv_inertia;
         pair->viscous[i] = m->viscous * m->inv_inertia;
         pair->inv_inertia[i] = m->inv_inertia;
-        pair->v_drop[i] = inverter[i]->v_drop;
-        pair->r_on[i] = inverter[i]->r_on;
+        pair->v_drop[i] = lane[i].inverter->v_drop;
+        pair->r_on[i] = lane[i].inverter->r_on;
     }
     pair->step = step;
 }

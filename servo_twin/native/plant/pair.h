@@ -19,38 +19,17 @@ typedef struct {
     double step; /* [s] */
 } plant_pair_t;
 
-/* Both axes after a step. */
+/* One axis as the pair sees it. */
 typedef struct {
-    bool sound[2]; /* the lane may be taken */
-    double i_d[2], i_q[2], omega[2], theta[2], sine[2], cosine[2];
-    double phase[3][2], share[3][2], leg[3][2];
-    double voltage[3][2]; /* of the phases against the midpoint of the bus [V] */
-    double charge[2];     /* drawn from the bus [A s] */
-} plant_pair_step_t;
+    plant_inverter_t *inverter;
+    plant_motor_t *motor;
+    double *voltage_sum; /* three sums that the phases' voltages against the midpoint of the bus are added to [V] */
+} plant_lane_t;
 
-void plant_pair_init(plant_pair_t *pair, const plant_inverter_t *inverter_1, const plant_inverter_t *inverter_2,
-                     const plant_motor_t *motor_1, const plant_motor_t *motor_2, double step);
+void plant_pair_init(plant_pair_t *pair, const plant_lane_t lane[2], double step);
 
-/* False if neither axis is the plain case, and always where the compiler has no vectors. */
-bool plant_pair_step(const plant_pair_t *pair, const plant_inverter_t *inverter_1, const plant_inverter_t *inverter_2,
-                     const plant_motor_t *motor_1, const plant_motor_t *motor_2, double u_dc, plant_pair_step_t *step);
-
-/* The state of one lane becomes that of its axis. */
-static inline void plant_pair_take(const plant_pair_step_t *step, int lane, plant_inverter_t *inverter,
-                                   plant_motor_t *motor)
-{
-    motor->i_d = step->i_d[lane];
-    motor->i_q = step->i_q[lane];
-    motor->omega = step->omega[lane];
-    motor->theta = step->theta[lane];
-    motor->sine = step->sine[lane];
-    motor->cosine = step->cosine[lane];
-    motor->steps++;
-    for (int k = 0; k < 3; k++) {
-        motor->phase[k] = step->phase[k][lane];
-        inverter->share[k] = step->share[k][lane];
-        inverter->leg[k] = step->leg[k][lane];
-    }
-}
+/* Which lanes have been taken: bit 0 the first, bit 1 the second; the others are as they were. 0 always where the compiler
+ * has no vectors. `charge` is what these have drawn from the bus [A s]. */
+unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], double u_dc, double *charge);
 
 #endif

@@ -1,5 +1,10 @@
 #include "plant/plant.h"
 
+static inline plant_lane_t lane_of(plant_drive_t *axis)
+{
+    return (plant_lane_t){&axis->inverter, &axis->motor, axis->voltage_sum};
+}
+
 void plant_init(plant_t *plant, const board_config_t *config)
 {
     *plant = (plant_t){.bus_config = config->bus};
@@ -18,8 +23,8 @@ void plant_init(plant_t *plant, const board_config_t *config)
         axis->codes_per_ampere = 2048.0 / config->axis[i].i_full_scale;
     }
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
-    plant_pair_init(&plant->pair, &plant->axis[0].inverter, &plant->axis[1].inverter, &plant->axis[0].motor,
-                    &plant->axis[1].motor, step);
+    const plant_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
+    plant_pair_init(&plant->pair, lane, step);
 }
 
 /* Returns the charge drawn from the bus [A s]. */
@@ -46,43 +51,23 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
     return charge;
 }
 
-/* A step that the pair has taken for both axes at once, as far as each lane is sound. */
-static double take_lanes(plant_t *plant, const plant_pair_step_t *step, uint64_t now_ns)
-{
-    double charge = 0.0;
-    for (int i = 0; i < BOARD_AXES; i++) {
-        plant_drive_t *axis = &plant->axis[i];
-        if (!step->sound[i]) {
-            charge += axis_step(axis, plant->bus.u_dc, now_ns, plant->step_ns);
-            continue;
-        }
-        const double theta = axis->motor.theta;
-        const double omega = axis->motor.omega;
-        plant_pair_take(step, i, &axis->inverter, &axis->motor);
-        if (plant_encoder_leaves(&axis->encoder, axis->motor.theta)) {
-            const plant_movement_t movement = {theta, axis->motor.theta, omega, axis->motor.omega, 0.0,
-                                               (double)plant->step_ns};
-            plant_encoder_move(&axis->encoder, &movement, now_ns);
-        }
-        for (int k = 0; k < 3; k++) {
-            axis->voltage_sum[k] += step->voltage[k][i];
-        }
-        charge += step->charge[i];
-    }
-    return charge;
-}
-
 void plant_step(plant_t *plant, uint64_t now_ns)
 {
-    plant_drive_t *axis = plant->axis;
-    plant_pair_step_t step;
-    double charge = 0.0;
-    if (plant_pair_step(&plant->pair, &axis[0].inverter, &axis[1].inverter, &axis[0].motor, &axis[1].motor,
-                        plant->bus.u_dc, &step)) {
-        charge = take_lanes(plant, &step, now_ns);
-    } else {
-        for (int i = 0; i < BOARD_AXES; i++) {
-            charge += axis_step(&axis[i], plant->bus.u_dc, now_ns, plant->step_ns);
+    plant_drive_t *drive = plant->axis;
+    const plant_lane_t lane[2] = {lane_of(&drive[0]), lane_of(&drive[1])};
+    const double theta[2] = {drive[0].motor.theta, drive[1].motor.theta};
+    const double omega[2] = {drive[0].motor.omega, drive[1].motor.omega};
+    double charge;
+    const unsigned taken = plant_pair_step(&plant->pair, lane, plant->bus.u_dc, &charge);
+    for (int i = 0; i < BOARD_AXES; i++) {
+        plant_drive_t *axis = &drive[i];
+        if ((taken & (1u << i)) == 0u) {
+            charge += axis_step(axis, plant->bus.u_dc, now_ns, plant->step_ns);
+        } else if (plant_encoder_leaves(&axis->encoder, axis->motor.theta)) {
+            const plant_movement_t movement = {
+                theta[i], axis->motor.theta, omega[i], axis->motor.omega, 0.0, (double)plant->step_ns,
+            };
+            plant_encoder_move(&axis->encoder, &movement, now_ns);
         }
     }
     plant_bus_step(&plant->bus, charge * plant->steps_per_second);
@@ -101,8 +86,12 @@ void plant_half_cycle(plant_t *plant)
 
 bool plant_over_current(const plant_t *plant, int axis)
 {
-    const double *phase = plant->axis[axis].motor.phase;
+    const plant_motor_t *motor = &plant->axis[axis].motor;
+    const double *phase = motor->phase;
     const double most = plant->axis[axis].config.i_break;
+    if (motor->i_d * motor->i_d + motor->i_q * motor->i_q < most * most) { /* no phase is larger than the vector */
+        return false;
+    }
     return phase[0] > most || phase[1] > most || phase[2] > most || phase[0] < -most || phase[1] < -most ||
            phase[2] < -most;
 }

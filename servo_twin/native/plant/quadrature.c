@@ -61,7 +61,8 @@ quadrature_edge_t quadrature_pass(quadrature_t *q)
     return edge;
 }
 
-quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omega, double accel, double jerk)
+quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omega, double accel, double jerk,
+                                      double time)
 {
     const double drive = (omega != 0.0) ? omega : accel;
     if (drive != 0.0 && (drive > 0.0) != q->upwards) {
@@ -70,7 +71,14 @@ quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omeg
     }
     const double per_omega = (omega != 0.0) ? 1.0 / omega : 0.0;
     const quadrature_course_t course = {
-        theta, omega, accel, per_omega, accel * per_omega, (1.0 / 6.0) * jerk * per_omega};
+        .theta = theta,
+        .omega = omega,
+        .accel = accel,
+        .per_omega = per_omega,
+        .bend = accel * per_omega,
+        .twist = (1.0 / 6.0) * jerk * per_omega,
+        .range = time * (fabs(omega) + time * (fabs(accel) + time * fabs(jerk))),
+    };
     return course;
 }
 

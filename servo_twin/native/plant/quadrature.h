@@ -52,9 +52,11 @@ typedef struct {
     double theta, omega, accel;
     double per_omega;    /* 0 for a shaft that starts from rest */
     double bend, twist;  /* accel / omega, jerk / (6 omega) */
+    double range;        /* more than the way within the time of interest [rad] */
 } quadrature_course_t;
 
-quadrature_course_t quadrature_course(quadrature_t *encoder, double theta, double omega, double accel, double jerk);
+quadrature_course_t quadrature_course(quadrature_t *encoder, double theta, double omega, double accel, double jerk,
+                                      double time);
 
 double quadrature_slow_time(const quadrature_course_t *course, double way);
 

@@ -18,7 +18,8 @@ void switching_init(switching_t *plant, const board_config_t *config)
     memset(plant, 0, sizeof *plant);
     plant->stale = true;
     supply_init(&plant->supply, &config->bus);
-    plant->bus = config->bus;
+    plant->u_noise = config->bus.u_noise;
+    plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
     plant_random_init(&plant->noise, config->seed, 0);
     plant->thermal_clock = THERMAL_STEP;
     plant->rare_clock = THERMAL_STEP;
@@ -36,7 +37,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
         axis->square_break = c->i_break * c->i_break;
         const double far = c->i_break - 2.0 * config->bus.u_source / l * SWITCHING_HORIZON * CLOCK;
         axis->square_far = (far > 0.0) ? far * far : 0.0;
-        axis->i_full_scale = c->i_full_scale;
+        axis->codes_per_ampere = 2048.0 / c->i_full_scale;
         axis->i_noise = c->i_noise;
         memcpy(axis->i_offset, c->i_offset, sizeof axis->i_offset);
         axis->r_s = c->r_s;
@@ -94,8 +95,11 @@ static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axi
 
 static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
 {
-    const double t = quadrature_time(&axis->encoder, &axis->course);
     axis->edge_clock = NEVER;
+    if (fabs(axis->encoder.target - axis->course.theta) > axis->course.range) {
+        return;
+    }
+    const double t = quadrature_time(&axis->encoder, &axis->course);
     if (t < SWITCHING_HORIZON * CLOCK) {
         axis->edge_clock = clock_after(plant, axis, (t > 0.0) ? t : 0.0);
     }
@@ -131,7 +135,7 @@ void switching_look_around(switching_t *plant)
             bridge_begin(b, plant->supply.u);
             axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
             axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
-            axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk);
+            axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, SWITCHING_HORIZON * CLOCK);
             find_edge(plant, axis);
             const double square = b->i.alpha * b->i.alpha + b->i.beta * b->i.beta;
             axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
@@ -319,15 +323,15 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
     switching_look_around(plant);
     const double current = bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now));
     const double shown = current + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
-    return plant_code_bipolar(shown, axis->i_full_scale);
+    return plant_code(2048.0 + shown * axis->codes_per_ampere);
 }
 
 uint16_t switching_bus_code(switching_t *plant)
 {
     switching_look_around(plant);
     advance_supply(plant);
-    const double shown = plant->supply.u + plant->bus.u_noise * plant_random_gauss(&plant->noise);
-    return plant_code_unipolar(shown, plant->bus.u_full_scale);
+    const double shown = plant->supply.u + plant->u_noise * plant_random_gauss(&plant->noise);
+    return plant_code(shown * plant->codes_per_volt);
 }
 
 bool switching_over_current(const switching_t *plant, int axis) { return plant->axis[axis].tripped; }

@@ -76,7 +76,7 @@ typedef struct {
     double i_break; /* threshold [A] */
     double square_break, square_far; /* of a current vector below which no phase is beyond the threshold, or can get
                                         there within the horizon [A^2] */
-    double i_full_scale, i_offset[3], i_noise;
+    double codes_per_ampere, i_offset[3], i_noise;
     double r_s; /* at the reference temperature [ohm] */
     double e_copper, e_switch; /* that the temperatures have seen already [J] */
     uint64_t mean_clock; /* beginning of the voltages' mean, and the integrals there */
@@ -87,7 +87,7 @@ typedef struct {
 typedef struct {
     switching_axis_t axis[BOARD_AXES];
     supply_t supply;
-    plant_bus_t bus;
+    double u_noise, codes_per_volt;
     plant_random_t noise;
     uint64_t now;
     uint64_t next; /* clock of the next event, unless `stale` */
