@@ -107,10 +107,9 @@ static void state_init(hal_t *hal, servo_t *servo)
     hal->restarts = 0;
 }
 
-bool port_init(hal_t *hal, servo_t *servo)
+/* Everything but the watchdog; outputs off. */
+static bool peripherals_init(hal_t *hal)
 {
-    state_init(hal, servo);
-    cop_stop(hal);
     if (!clock_init(hal)) {
         return false;
     }
@@ -120,10 +119,18 @@ bool port_init(hal_t *hal, servo_t *servo)
     crossbar_init(hal);
     timers_init(hal);
     serial_init(hal);
-    if (!adc_init(hal)) {
+    interrupts_init(hal);
+    return adc_init(hal);
+}
+
+bool port_init(hal_t *hal, servo_t *servo)
+{
+    state_init(hal, servo);
+    cop_stop(hal);
+    if (!peripherals_init(hal)) {
+        cop_start(hal);
         return false;
     }
-    interrupts_init(hal);
     servo_init(servo, hal);
     pwm_run(hal);
     sequence_arm(hal);

@@ -42,7 +42,7 @@ struct hal {
     uint16_t overruns; /* received bytes lost in the interface or in the ring */
 };
 
-/* False if clock or converter do not come up: the outputs stay off, the watchdog is not running. */
+/* False if clock or converter do not come up: the outputs stay off, and the watchdog will try again. */
 bool port_init(hal_t *hal, servo_t *servo);
 
 /* Handlers, by what they are for. */
