@@ -142,10 +142,6 @@ void chip_interrupts(chip_t *chip, bool on)
 
 static void serve(chip_t *chip, unsigned source)
 {
-    if (source < SOURCE_FAULT) {
-        pwm_event(chip, source - SOURCE_PWM);
-        return;
-    }
     if (source == SOURCE_FAULT) {
         pwm_fault_event(chip);
     } else if (source < SOURCE_ADC) {
@@ -170,7 +166,8 @@ static inline bool step(chip_t *chip, uint64_t until)
         chip->touched = false;
         chip->outside = chip->world.next(chip->world.context);
     }
-    const uint64_t due = (chip->outside < clock) ? chip->outside : clock;
+    const uint64_t outside = chip->outside;
+    const uint64_t due = (outside < clock) ? outside : clock;
     if (due > until) {
         if (until > chip->now) {
             chip->now = until;
@@ -180,13 +177,17 @@ static inline bool step(chip_t *chip, uint64_t until)
     }
     chip->now = due;
     chip->core.polls = 0;
-    if (chip->outside <= due) {
+    if (outside <= due) {
         chip_meet_world(chip);
         chip->touched = true;
         chip->world.events(chip->world.context);
     }
     if (clock <= due) {
-        serve(chip, source);
+        if (source < SOURCE_FAULT) {
+            pwm_event(chip, source - SOURCE_PWM);
+        } else {
+            serve(chip, source);
+        }
     }
     return true;
 }

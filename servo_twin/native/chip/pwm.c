@@ -547,7 +547,7 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
         }
         other->flags = (uint16_t)(other->flags | STS_RF);
         if (((pwm->ldok >> k) & 1u) != 0) {
-            if (k != n && !at_end) {
+            if (k != n && !at_end && other->due <= chip->now) {
                 run(chip, m, k); /* its matches of this clock see the old values */
             }
             load(chip, m, k);
@@ -614,7 +614,11 @@ static void local_sync(chip_t *chip, unsigned m, unsigned n)
         if (CTRL2_FORCE_SEL(other->ctrl2) == FORCE_MASTER_SYNC) {
             force_out(chip, m, k);
         }
-        run(chip, m, k);
+        find_next(other);
+        find_due(other);
+        if (other->due <= chip->now) {
+            run(chip, m, k);
+        }
     }
 }
 
