@@ -1,8 +1,8 @@
 """An independent integration of the same PWM edges: what the plant at switching level is compared with.
 
-Everything is done another way than in the plant: one joint state of both axes and the bus, in the rotors' frames, advanced
-by Runge-Kutta steps of a fraction of a microsecond; the legs' conduction is found by trying every combination; a current
-that changes its sign, a floating leg that reaches its limit and a shaft that stops end a step by bisection.
+Everything is done another way than in the plant: one joint state of both axes and the bus, in the rotors' frames,
+advanced by Runge-Kutta steps of a fraction of a microsecond; the legs' conduction is found by trying every combination;
+a current that changes its sign, a floating leg that reaches its limit and a shaft that stops end a step by bisection.
 """
 
 from __future__ import annotations

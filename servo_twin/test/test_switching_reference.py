@@ -28,7 +28,7 @@ def compare(switching: Switching, reference: Reference, edges: Sequence[Edge], u
     largest = 0.0
     left = sorted(edges, key=lambda edge: edge[0])
     for clock in range(step, until + 1, step):
-        now = list(itertools.takewhile(lambda edge: edge[0] <= clock, left))
+        now = [edge for edge in left if edge[0] <= clock]
         left = left[len(now) :]
         switching.run(now, clock)
         reference.run(now, clock)

@@ -11,26 +11,34 @@ typedef struct {
 /* Coefficients of the motor's equations, each side divided by what stands before its derivative. */
 typedef struct {
     NUM pole_pairs;
-    NUM inv_l_d, inv_l_q;       /* [1/H] */
-    NUM r_d, r_q;               /* R / L_d, R / L_q [1/s] */
-    NUM cross_d, cross_q;       /* p L_q / L_d, p L_d / L_q */
-    NUM emf;                    /* p psi_m / L_q */
-    NUM torque_psi, torque_l;   /* 3/2 p psi_m / J, 3/2 p (L_d - L_q) / J */
-    NUM viscous;                /* B / J */
-    NUM drag;                   /* load and friction, which keep their signs over the step, over J [rad/s^2] */
+    NUM inv_l_d, inv_l_q; /* [1/H] */
+    NUM r_d, r_q; /* R / L_d, R / L_q [1/s] */
+    NUM cross_d, cross_q; /* p L_q / L_d, p L_d / L_q */
+    NUM emf; /* p psi_m / L_q */
+    NUM torque_psi, torque_l; /* 3/2 p psi_m / J, 3/2 p (L_d - L_q) / J */
+    NUM viscous; /* B / J */
+    NUM drag; /* load and friction, which keep their signs over the step, over J [rad/s^2] */
 } KERNEL(step_t);
 
 typedef struct {
     NUM alpha, beta;
 } KERNEL(vector_t);
 
-/* Cosine and sine of an angle of a tenth at most, by short series. */
+/* Cosine and sine of an angle of some hundredths, by short series. */
 static inline KERNEL(vector_t) KERNEL(small_angle)(NUM x)
 {
     const NUM x2 = x * x;
     const KERNEL(vector_t) e = {1.0 - x2 * (0.5 - x2 * ((1.0 / 24.0) - x2 * (1.0 / 720.0))),
-                                x * (1.0 - x2 * ((1.0 / 6.0) - x2 * ((1.0 / 120.0) - x2 * (1.0 / 5040.0))))};
+                                x * (1.0 - x2 * ((1.0 / 6.0) - x2 * (1.0 / 120.0)))};
     return e;
+}
+
+/* Twice the angle. */
+static inline KERNEL(vector_t) KERNEL(doubled)(KERNEL(vector_t) e)
+{
+    const NUM twice = e.beta + e.beta;
+    const KERNEL(vector_t) f = {1.0 - twice * e.beta, twice * e.alpha};
+    return f;
 }
 
 /* The same angle and a little more: x^3 is beyond double precision. */
@@ -75,10 +83,9 @@ static inline NUM KERNEL(runge_kutta)(const KERNEL(step_t) * m, KERNEL(vector_t)
     const KERNEL(state_t) x1 = *x;
     const NUM straight = p_h * x1.omega;
     const KERNEL(vector_t) e_middle = KERNEL(small_angle)(0.5 * straight);
-    const KERNEL(vector_t) e_end = KERNEL(small_angle)(straight);
+    const KERNEL(vector_t) e_end = KERNEL(doubled)(e_middle);
     const KERNEL(state_t) k1 = KERNEL(derivative)(m, u, x1);
-    const KERNEL(vector_t) u_middle =
-        KERNEL(turned_back)(u, KERNEL(nudged)(e_middle, p_h * (0.125 * h) * k1.omega));
+    const KERNEL(vector_t) u_middle = KERNEL(turned_back)(u, KERNEL(nudged)(e_middle, p_h * (0.125 * h) * k1.omega));
     const KERNEL(state_t) x2 = KERNEL(ahead)(x1, k1, 0.5 * h);
     const KERNEL(state_t) k2 = KERNEL(derivative)(m, u_middle, x2);
     const KERNEL(vector_t) u_end = KERNEL(turned_back)(u, KERNEL(nudged)(e_end, p_h * (0.5 * h) * k2.omega));

@@ -2,7 +2,6 @@
 
 #include "plant/trig.h"
 
-
 #define NUM double
 #define KERNEL(name) single_##name
 #define LIMIT(x, low, high) plant_limit(x, low, high)

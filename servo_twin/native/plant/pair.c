@@ -113,11 +113,12 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
     ends.sine = sine * e.alpha + cosine * e.beta;
     pair_phases(ends.x.i_d, ends.x.i_q, ends.sine, ends.cosine, ends.phase);
     const pair_t r_on = pair_of(pair->r_on);
-    ends.charge = both(0.0);
+    pair_t charge_twice = both(0.0);
     for (int k = 0; k < 3; k++) {
-        ends.charge += ends.share[k] * 0.5 * (before[k] + ends.phase[k]) * pair->step;
+        charge_twice += ends.share[k] * (before[k] + ends.phase[k]);
         ends.voltage[k] = ends.leg[k] - r_on * ends.phase[k] - 0.5 * u_dc;
     }
+    ends.charge = charge_twice * (0.5 * pair->step);
     const pair_t onwards = ends.x.omega * direction;
     unsigned taken = 0;
     if (plain[0] && onwards[0] >= 0.0) {

@@ -135,7 +135,8 @@ void switching_look_around(switching_t *plant)
             bridge_begin(b, plant->supply.u);
             axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
             axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
-            axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, SWITCHING_HORIZON * CLOCK);
+            axis->course =
+                quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, SWITCHING_HORIZON * CLOCK);
             find_edge(plant, axis);
             const double square = b->i.alpha * b->i.alpha + b->i.beta * b->i.beta;
             axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);

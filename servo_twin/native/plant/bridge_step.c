@@ -1,0 +1,235 @@
+/* bridge_step.c - steps with everything that may happen in them, and where they have to end early. */
+#include "plant/bridge_kernel.h"
+
+#define NEAR 3e-7 /* so far a moment is moved by slopes alone [s] */
+#define NEVER 1e9 /* [s] */
+
+static void travel_out(const bridge_t *b, double h, plant_vector_t drive, end_t *e) { travel(b, h, drive, e); }
+
+/* A step without any current. */
+static void coast(const bridge_t *b, double h, end_t *e)
+{
+    turn(b, h, e);
+    e->omega = b->omega + h * (b->accel + 0.5 * h * b->jerk);
+    e->psi.alpha = b->psi_m * e->cosine;
+    e->psi.beta = b->psi_m * e->sine;
+    e->i = e->charge = (plant_vector_t){0.0, 0.0};
+    e->phase[0] = e->phase[1] = e->phase[2] = 0.0;
+    e->torque = 0.0;
+}
+
+/* The same with leg k floating: the only current is x across its axis, and no voltage of the leg acts there. Returns the
+ * mean of the leg's voltage as an offset from what `drive` holds for it [V]. */
+static double travel_floating(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
+{
+    const single_t single = single_of(b, b->floating);
+    const double r = b->r;
+    const double third = THIRD * h;
+    const double bent = 0.5 * h * b->single_slope;
+    double d;
+    double q;
+    turn(b, h, e);
+    const double per_l = 1.0 / inductance_across(b, single.across, e->cosine, e->sine, &d, &q);
+    const double free = dot(single.across, b->psi) + dot(single.across, drive);
+    const double guess = (free - r * h * (single.x + bent) - b->psi_m * d) * per_l;
+    const double charge = third * (2.0 * single.x + bent + guess);
+    const double psi_across = free - r * charge;
+    const double x = (psi_across - b->psi_m * d) * per_l;
+    const double psi_along = q * ((b->l_d - b->l_q) * d * x + b->psi_m);
+    const plant_vector_t n = single.along;
+    const plant_vector_t m = single.across;
+    e->psi = (plant_vector_t){psi_across * m.alpha + psi_along * n.alpha, psi_across * m.beta + psi_along * n.beta};
+    e->i = (plant_vector_t){x * m.alpha, x * m.beta};
+    e->charge = (plant_vector_t){charge * m.alpha, charge * m.beta};
+    e->phase[b->floating] = 0.0;
+    e->phase[(b->floating + 1) % 3] = HALF_SQRT3 * x;
+    e->phase[(b->floating + 2) % 3] = -HALF_SQRT3 * x;
+    turned_by_torque(b, h, e);
+    return 1.5 * (psi_along - dot(n, b->psi) - dot(n, drive)) / h;
+}
+
+void bridge_step(const bridge_t *b, double h, double u, end_t *e, double *hold)
+{
+    const plant_vector_t drive = {h * (u * b->a.alpha + b->b.alpha), h * (u * b->a.beta + b->b.beta)};
+    if (b->dead) {
+        coast(b, h, e);
+    } else if (b->floating >= 0) { /* close to a straight line: the end is off by twice the mean's difference */
+        *hold = b->hold + 2.0 * travel_floating(b, h, drive, e);
+    } else {
+        travel_out(b, h, drive, e);
+    }
+}
+
+/* ---- where a step has to end early -------------------------------------------------------------------------------- */
+
+/* First root of the parabola with f(0) = f0 >= 0, f'(0) = d0 and f(h) = f1 < 0. */
+static double root_of(double f0, double d0, double f1, double h)
+{
+    const double c = (f1 - f0 - d0 * h) / (h * h);
+    if (f0 <= 0.0) {
+        return (d0 > 0.0 && c < 0.0) ? -d0 / c : 0.0;
+    }
+    const double square = d0 * d0 - 4.0 * c * f0;
+    const double sum = ((square > 0.0) ? sqrt(square) : 0.0) - d0;
+    const double t = (sum > 0.0) ? 2.0 * f0 / sum : h;
+    return (t < h) ? t : h;
+}
+
+static void sooner(cut_t *cut, double after, reason_t reason, int phase, int sign)
+{
+    if (after <= cut->after) {
+        *cut = (cut_t){after, reason, phase, sign};
+    }
+}
+
+/* Straight on, when is the first current down to zero? */
+static inline double first_zero(const bridge_t *b, double h)
+{
+    double slope[3];
+    phases_of(b->di, slope);
+    double first = h;
+    for (int k = 0; k < 3; k++) {
+        const double falls = -slope[k] * b->way[k];
+        const double size = b->phase[k] * b->way[k];
+        if (falls > 0.0 && size < falls * first) {
+            first = size / falls;
+        }
+    }
+    return (first > 0.0) ? first : 0.0;
+}
+
+/* Seconds from the end of a step to the nearest zero of a current (before or after it), by the slope there. */
+static double to_zero(const bridge_t *b, const end_t *e, double h, int *phase)
+{
+    double slope[3];
+    const plant_vector_t late = {2.0 * (e->i.alpha - b->i.alpha) / h - b->di.alpha,
+                                 2.0 * (e->i.beta - b->i.beta) / h - b->di.beta};
+    double nearest = NEVER;
+    phases_of(late, slope);
+    for (int k = 0; k < 3; k++) {
+        const double falls = -slope[k] * b->way[k];
+        const double t = e->phase[k] * b->way[k] / falls;
+        if (falls > 0.0 && t < nearest) {
+            nearest = t;
+            *phase = k;
+        }
+    }
+    return nearest;
+}
+
+/* The end of a step of length h a very short time later (or earlier). */
+static void shift(const bridge_t *b, double h, double t, end_t *e)
+{
+    const double u_alpha = (e->psi.alpha - b->psi.alpha + b->r * e->charge.alpha) / h; /* mean voltage */
+    const double u_beta = (e->psi.beta - b->psi.beta + b->r * e->charge.beta) / h;
+    const double x = b->pole_pairs * b->omega * t;
+    const double cosine = e->cosine;
+    e->theta += b->omega * t;
+    e->cosine -= e->sine * x;
+    e->sine += cosine * x;
+    e->charge.alpha += e->i.alpha * t;
+    e->charge.beta += e->i.beta * t;
+    e->psi.alpha += (u_alpha - b->r * e->i.alpha) * t;
+    e->psi.beta += (u_beta - b->r * e->i.beta) * t;
+    e->i = current_of(b, e->psi, e->cosine, e->sine);
+    phases_of(e->i, e->phase);
+    e->torque = b->k_torque * cross(e->psi, e->i);
+    e->omega += b->accel * t;
+}
+
+/* Moment at which the shaft stops or breaks loose. */
+static void find_jerk(const bridge_t *b, double h, const end_t *e, cut_t *cut)
+{
+    if (e->omega * b->direction < 0.0) {
+        const double way = b->direction;
+        sooner(cut, root_of(b->omega * way, b->accel * way, e->omega * way, h), STOPPED, 0, 0);
+    } else if (!b->held) {
+        const double way = (e->torque > b->load) ? 1.0 : -1.0;
+        const double rest = b->friction - (e->torque - b->load) * way;
+        const double before = b->friction - (b->torque - b->load) * way;
+        sooner(cut, root_of(before, -b->dtorque * way, rest, h), BROKE_LOOSE, 0, 0);
+    }
+}
+
+/* A floating leg's voltage, `hold` at the end, has left its interval. */
+static void find_clamp(const bridge_t *b, double h, double u, double hold, cut_t *cut)
+{
+    const int k = b->floating;
+    const double low = lowest(b, k, u);
+    const double high = highest(b, k, u);
+    if (hold < low) {
+        sooner(cut, h * ((b->hold > low) ? (b->hold - low) / (b->hold - hold) : 0.0), CLAMPED, k, 1);
+    } else if (hold > high) {
+        sooner(cut, h * ((b->hold < high) ? (high - b->hold) / (hold - b->hold) : 0.0), CLAMPED, k, -1);
+    }
+}
+
+/* Without current: until the back-EMF gets through the diodes. */
+static void find_conduction(const bridge_t *b, double h, double u, const end_t *e, cut_t *cut)
+{
+    int out = 0;
+    int back = 0;
+    if (b->unplugged) {
+        return;
+    }
+    const double late = bridge_excess(b, u, e->psi, e->omega, &out, &back);
+    if (late > 0.0) {
+        const double early = bridge_excess(b, u, b->psi, b->omega, &out, &back);
+        sooner(cut, h * ((early < 0.0) ? early / (early - late) : 0.0), CLAMPED, -1, 0);
+    }
+}
+
+cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
+{
+    double hold = 0.0;
+    double t = b->dead ? h : first_zero(b, h);
+    if (t < INSTANT && t < h) { /* a current at zero that would leave it the wrong way */
+        int phase = 0;
+        *e = (end_t){.psi = b->psi};
+        for (int k = 1; k < 3; k++) {
+            phase = (b->phase[k] * b->way[k] <= 0.0 && b->way[k] != 0.0) ? k : phase;
+        }
+        return (cut_t){0.0, CURRENT_ZERO, phase, 0};
+    }
+    cut_t cut = {t, WHOLE, 0, 0};
+    bridge_step(b, t, u, e, &hold);
+    if (b->dead) {
+        find_conduction(b, t, u, e, &cut);
+    } else if (t < h || crossed(b, e)) {
+        int phase = 0;
+        double more = to_zero(b, e, t, &phase);
+        const double near = (b->floating >= 0) ? INSTANT : NEAR; /* its shift would need the leg's voltage */
+        for (int n = 0; n < 3 && fabs(more) > near && t + more < h && t + more > 0.0; n++) {
+            t += more;
+            bridge_step(b, t, u, e, &hold);
+            more = to_zero(b, e, t, &phase);
+        }
+        if (t + more >= h) { /* curvature has saved it */
+            t = h;
+            bridge_step(b, t, u, e, &hold);
+            cut.after = t;
+        } else {
+            more = (t + more > 0.0) ? more : 0.0;
+            if (b->floating < 0) {
+                shift(b, t, more, e);
+                t += more;
+            }
+            cut = (cut_t){t, CURRENT_ZERO, phase, 0};
+        }
+    }
+    cut_t first = {t, cut.reason, cut.phase, cut.sign};
+    first.after = (cut.reason == CLAMPED) ? cut.after : t;
+    if (b->floating >= 0) {
+        find_clamp(b, t, u, hold, &first);
+    }
+    if (jerked(b, e)) {
+        find_jerk(b, t, e, &first);
+    }
+    if (first.after < t) {
+        first.after = (first.after < INSTANT) ? 0.0 : first.after;
+        if (first.after > 0.0) {
+            bridge_step(b, first.after, u, e, &hold);
+        }
+    }
+    return first;
+}
