@@ -2,6 +2,7 @@
 #include "plant/decay.h"
 
 #define SPLITS 24 /* parts of one segment; the rest of it is taken in one piece */
+#define CURVED 3e3 /* [1/s] */
 #define FRESH_TRIG 64u /* steps between two evaluations of sine and cosine; in between they are turned on */
 
 void bridge_init(bridge_t *bridge, const plant_axis_t *config)
@@ -212,15 +213,32 @@ static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
     return dead;
 }
 
+/* A floating leg loses its last gate: what it may do without is more than with one, so it floats on, provided that it has
+ * not left its old interval meanwhile. Its voltage follows the back-EMF, so it changes by 3/2 w^2 psi_m at most. */
+static bool floats_on(const bridge_t *b, int k, double h)
+{
+    const double w = b->pole_pairs * b->omega;
+    const double drift = 2.0 * h * w * w * b->psi_m;
+    return b->hold - drift > lowest(b, k, b->u) && b->hold + drift < highest(b, k, b->u);
+}
+
 bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
 {
-    if (b->begun && b->dead) {
-        return stays_dead(b, k, gates);
-    }
-    if (!b->begun || b->sign[k] == 0 || leg_paths[b->gates[k]][b->sign[k] + 1] != leg_paths[gates][b->sign[k] + 1]) {
+    if (!b->begun) {
         return false;
     }
-    return b->way[k] * (b->phase[k] + h * dot(b->di, phase_axis[k])) > 1e8 * h * h;
+    if (b->dead) {
+        return stays_dead(b, k, gates);
+    }
+    if (b->sign[k] == 0) {
+        return gates == BRIDGE_OPEN && floats_on(b, k, h);
+    }
+    if (leg_paths[b->gates[k]][b->sign[k] + 1] != leg_paths[gates][b->sign[k] + 1]) {
+        return false;
+    }
+    /* the current must not have been at zero yet: i'' is some R / L + w times i', and less than CURVED times that */
+    const double bent = h * h * CURVED * (fabs(b->di.alpha) + fabs(b->di.beta));
+    return b->way[k] * (b->phase[k] + h * dot(b->di, phase_axis[k])) > bent;
 }
 
 void bridge_set_winding(bridge_t *b, double r_s)
