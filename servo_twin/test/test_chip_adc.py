@@ -73,6 +73,16 @@ def test_three_pairs_each_half_period(rig: ChipRig) -> None:
     ]
 
 
+@pytest.mark.parametrize(("disabled", "pairs"), [(0xC0C0, 6), (0xE0C0, 5), (0xC0E0, 5), (0x0000, 8), (0x0202, 1)])
+def test_the_scan_ends_at_the_first_disabled_sample_of_either(rig: ChipRig, disabled: int, pairs: int) -> None:
+    configure(rig, arm=0x5005, ADC_SDIS=disabled, ADC_SCTRL=0)
+    rig.clear()
+    rig.write("ADC_CTRL1", 0x2001)
+    rig.step(1000)
+    assert len(rig.events("sample")) == 2 * pairs
+    assert len(rig.events("scan_end")) == 1
+
+
 def test_times_of_the_data_sheet(rig: ChipRig) -> None:
     """Eight results of four pairs take 26.5 ADC clocks, further ones 6 per pair."""
     configure(rig, arm=0x5005, ADC_SDIS=0xF0F0, ADC_SCTRL=0)
@@ -318,6 +328,12 @@ class TestConditions:
         assert {e.a for e in rig.events("sample")} == {8, 9, 10, 11}
         assert rig.clocks("scan_end", a=1) == [begin + 133]
         assert rig.read("ADC_STAT") & 0x1800 == 0x1000
+
+
+def test_a_scan_without_samples(rig: ChipRig) -> None:
+    configure(rig, arm=0x5005, ADC_SDIS=0x0100)
+    with pytest.raises(ChipError, match=r"a scan without samples \(SDIS = 0100h\)"):
+        rig.write("ADC_CTRL1", 0x2001)
 
 
 @pytest.mark.parametrize(

@@ -214,6 +214,33 @@ class TestLoading:
         assert rig.read("PWMA0_STS") & 0x7000 == 0x7000  # RF, REF: changed, and not loaded
         assert gates(rig, start)[2] == (HALF + 1000, OPEN)
 
+    @pytest.mark.parametrize("submodule", [0, 1])
+    def test_edges_may_change_places(self, rig: ChipRig, submodule: int) -> None:
+        """Pulses anywhere in the period: before VAL0, behind it, in it; back and forth; VAL3 before VAL2."""
+        start = prepare(rig, 1000)
+        pulses = [(500, 2000), (-2000, -500), (0, 800), (-700, 0), (1500, -1500), (-3000, 2900), (-1000, 1000)]
+        for k, (on, off) in enumerate(pulses):
+            rig.run(start + k * PERIOD + 10)
+            rig.write(f"PWMA{submodule}_VAL2", on)
+            rig.write(f"PWMA{submodule}_VAL3", off)
+            rig.write("PWMA_MCTRL", 0x0707)
+            rig.run(start + (k + 1) * PERIOD + HALF)
+            rig.clear()
+            # loaded at the end of the half before, so that the following whole period shows it
+            rig.write("PWMA_MCTRL", 0x0770)
+            rig.run(start + (k + 2) * PERIOD + HALF)
+            opened = [(c - start - HALF) % PERIOD for c, m, n, x in rig.gates if (m, n, x) == (0, submodule, OPEN)]
+            assert sorted(opened) == sorted({on % PERIOD, off % PERIOD}), (on, off)
+            start += 2 * PERIOD
+
+    def test_a_load_answers_the_update_flag(self, rig: ChipRig) -> None:
+        start = prepare(rig, 1000)
+        rig.run(start + 10)
+        rig.write("PWMA0_STS", 0x3000)
+        set_duty(rig, 500)
+        rig.run(start + PERIOD)
+        assert rig.read("PWMA0_STS") & 0x7000 == 0x1000  # RF alone: nothing has been left over
+
     def test_ldok_of_one_submodule(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
         rig.run(start + 10)
@@ -285,13 +312,17 @@ class TestForce:
         rig.run(start + PERIOD)
         assert gates(rig, start)[1:4:2] == [(110, HIGH), (HALF - 1000 + 100, LOW)]
 
-    def test_mask_waits_for_force(self, rig: ChipRig) -> None:
+    @pytest.mark.parametrize(("mask", "left"), [(0x0010, HIGH), (0x0100, LOW), (0x0110, OPEN)])
+    def test_mask_waits_for_force(self, rig: ChipRig, mask: int, left: int) -> None:
+        """B or A of submodule 0, or both."""
         start = prepare(rig, 1000)
         rig.run(start + 10)
-        rig.write("PWMA_MASK", 0x0010)  # B of submodule 0
+        rig.write("PWMA_MASK", mask)
         assert gates(rig, start) == []
         rig.write("PWMA0_CTRL2", 0x0040)
-        assert gates(rig, start) == [(10, OPEN)]
+        assert (gates(rig, start) == [(10, OPEN)]) == (left != LOW)
+        rig.run(start + 3 * PERIOD)
+        assert {levels for clock, levels in gates(rig, start) if clock > PERIOD} | {OPEN} == {left, OPEN}
 
     def test_force_can_begin_the_cycle(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)

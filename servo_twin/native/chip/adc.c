@@ -102,6 +102,14 @@ static void schedule(chip_t *chip, unsigned c)
     chip_schedule(chip, SOURCE_ADC + c, next);
 }
 
+/* A scan ends before the first pair of which a sample is disabled. */
+static bool disabled(const adc_t *adc, unsigned c, unsigned pair)
+{
+    const bool a = ((adc->sdis >> pair) & 1u) != 0;
+    const bool b = ((adc->sdis >> (pair + ADC_PAIRS)) & 1u) != 0;
+    return together(adc) ? a || b : (c == A) ? a : b;
+}
+
 /* The first pair of a row. */
 static void begin_row(chip_t *chip, unsigned c, uint64_t from)
 {
@@ -113,6 +121,9 @@ static void begin_row(chip_t *chip, unsigned c, uint64_t from)
     if (CHIP_BUS_HZ / 1000000u > most_mhz[speed] * div) {
         chip_fail(chip, "ADC: a clock of %lu MHz with SPEED%c = %u (up to %u MHz)",
                   (unsigned long)(CHIP_BUS_HZ / 1000000u / div), "AB"[c], speed, most_mhz[speed]);
+    }
+    if (disabled(adc, c, converter->pair)) {
+        chip_fail(chip, "ADC: a scan without samples (SDIS = %04Xh) is not modelled", (unsigned)adc->sdis);
     }
     const uint64_t edge = (from + div - 1u) / div * div;
     converter->scanning = true;
@@ -163,14 +174,6 @@ static void hold(chip_t *chip, unsigned c, unsigned n, uint64_t ready)
     adc->waiting[n] = (uint16_t)((unsigned)code * 8u - adc->offset[n]);
     adc->ready[n] = ready;
     adc->waits |= 1u << n;
-}
-
-/* Bit of the first sample of a pair for each converter that takes part. */
-static bool disabled(const adc_t *adc, unsigned c, unsigned pair)
-{
-    const bool a = ((adc->sdis >> pair) & 1u) != 0;
-    const bool b = ((adc->sdis >> (pair + ADC_PAIRS)) & 1u) != 0;
-    return together(adc) ? a || b : (c == A) ? a : b;
 }
 
 static void end_scan(chip_t *chip, unsigned c)
