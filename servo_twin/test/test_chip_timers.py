@@ -260,6 +260,29 @@ class TestTime:
         assert rig.read("TMRA1_HOLD") >= stamp + 100
         assert rig.read("TMRA0_HOLD") == 10
 
+    def test_hold_is_as_old_as_the_read_that_took_it(self, rig: ChipRig, encoder: Encoder) -> None:
+        before = rig.read("TMRA1_CNTR")
+        rig.step(100 * TICK)
+        rig.read("TMRA0_CNTR")
+        rig.step(7 * TICK)
+        assert rig.read("TMRA1_HOLD") == before + 100
+        encoder.turn(2)  # the capture of channel 3 reloads it
+        assert rig.read("TMRA1_HOLD") == before + 100
+
+    def test_hold_before_a_reload(self, rig: ChipRig, encoder: Encoder) -> None:
+        rig.step(100 * TICK)
+        rig.read("TMRA0_CNTR")
+        age = rig.read("TMRA3_HOLD")
+        rig.step(10 * TICK)
+        rig.read("TMRA0_CNTR")
+        encoder.turn(2)
+        assert rig.read("TMRA3_CNTR") == 0
+        rig.write("TMRA3_CNTR", 500)
+        encoder.turn(1)
+        rig.read("TMRA0_CNTR")
+        rig.write("TMRA3_CNTR", 1000)
+        assert (age >= 100, 500 <= rig.read("TMRA3_HOLD") < 520) == (True, True)
+
     def test_edge_interrupt(self, rig: ChipRig, encoder: Encoder) -> None:
         calls = []
 

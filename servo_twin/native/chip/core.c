@@ -76,6 +76,18 @@ void intc_write(chip_t *chip, uint32_t address, uint16_t value)
     }
 }
 
+static unsigned lowest_bit(uint64_t word)
+{
+    unsigned bit = 0;
+    for (unsigned half = 32; half > 0; half /= 2u) {
+        if ((word & ((UINT64_C(1) << half) - 1u)) == 0) {
+            word >>= half;
+            bit += half;
+        }
+    }
+    return bit;
+}
+
 /* Most urgent request above `level`; the lower vector of two at one level. */
 static bool most_urgent(const core_t *core, int level, unsigned *vector, int *its_level)
 {
@@ -83,11 +95,7 @@ static bool most_urgent(const core_t *core, int level, unsigned *vector, int *it
         for (unsigned word = 0; word < 2u; word++) {
             const uint64_t pending = core->request[word] & core->enabled[l][word];
             if (pending != 0) {
-                unsigned bit = 0;
-                while (((pending >> bit) & 1u) == 0) {
-                    bit++;
-                }
-                *vector = 64u * word + bit;
+                *vector = 64u * word + lowest_bit(pending);
                 *its_level = l;
                 return true;
             }
