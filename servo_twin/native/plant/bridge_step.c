@@ -82,8 +82,8 @@ static void sooner(cut_t *cut, double after, reason_t reason, int phase, int sig
     }
 }
 
-/* Straight on, when is the first current down to zero? */
-static inline double first_zero(const bridge_t *b, double h)
+/* Straight on, when is the first current down to zero, and which one? */
+static inline double first_zero(const bridge_t *b, double h, int *phase)
 {
     double slope[3];
     phases_of(b->di, slope);
@@ -93,24 +93,27 @@ static inline double first_zero(const bridge_t *b, double h)
         const double size = b->phase[k] * b->way[k];
         if (falls > 0.0 && size < falls * first) {
             first = size / falls;
+            *phase = k;
         }
     }
     return (first > 0.0) ? first : 0.0;
 }
 
-/* Seconds from the end of a step to the nearest zero of a current (before or after it), by the slope there. */
-static double to_zero(const bridge_t *b, const end_t *e, double h, int *phase)
+/* Seconds from the end of a step to the nearest zero of a current (before or after it), by the slope there: of the one
+ * that was expected to come first, and of those that are beyond it. */
+static double to_zero(const bridge_t *b, const end_t *e, double h, int expected, int *phase)
 {
     double slope[3];
-    const plant_vector_t late = {2.0 * (e->i.alpha - b->i.alpha) / h - b->di.alpha,
-                                 2.0 * (e->i.beta - b->i.beta) / h - b->di.beta};
+    const double twice_per_h = 2.0 / h;
+    const plant_vector_t late = {twice_per_h * (e->i.alpha - b->i.alpha) - b->di.alpha,
+                                 twice_per_h * (e->i.beta - b->i.beta) - b->di.beta};
     double nearest = NEVER;
     phases_of(late, slope);
     for (int k = 0; k < 3; k++) {
         const double falls = -slope[k] * b->way[k];
-        const double t = e->phase[k] * b->way[k] / falls;
-        if (falls > 0.0 && t < nearest) {
-            nearest = t;
+        const double size = e->phase[k] * b->way[k];
+        if (falls > 0.0 && (k == expected || size < 0.0) && size < falls * nearest) {
+            nearest = size / falls;
             *phase = k;
         }
     }
@@ -120,8 +123,9 @@ static double to_zero(const bridge_t *b, const end_t *e, double h, int *phase)
 /* The end of a step of length h a very short time later (or earlier). */
 static void shift(const bridge_t *b, double h, double t, end_t *e)
 {
-    const double u_alpha = (e->psi.alpha - b->psi.alpha + b->r * e->charge.alpha) / h; /* mean voltage */
-    const double u_beta = (e->psi.beta - b->psi.beta + b->r * e->charge.beta) / h;
+    const double per_h = 1.0 / h;
+    const double u_alpha = (e->psi.alpha - b->psi.alpha + b->r * e->charge.alpha) * per_h; /* mean voltage */
+    const double u_beta = (e->psi.beta - b->psi.beta + b->r * e->charge.beta) * per_h;
     const double x = b->pole_pairs * b->omega * t;
     const double cosine = e->cosine;
     e->theta += b->omega * t;
@@ -182,7 +186,8 @@ static void find_conduction(const bridge_t *b, double h, double u, const end_t *
 cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
 {
     double hold = 0.0;
-    double t = b->dead ? h : first_zero(b, h);
+    int expected = -1;
+    double t = b->dead ? h : first_zero(b, h, &expected);
     if (t < INSTANT && t < h) { /* a current at zero that would leave it the wrong way */
         int phase = 0;
         *e = (end_t){.psi = b->psi};
@@ -197,12 +202,12 @@ cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
         find_conduction(b, t, u, e, &cut);
     } else if (t < h || crossed(b, e)) {
         int phase = 0;
-        double more = to_zero(b, e, t, &phase);
+        double more = to_zero(b, e, t, expected, &phase);
         const double near = (b->floating >= 0) ? INSTANT : NEAR; /* its shift would need the leg's voltage */
         for (int n = 0; n < 3 && fabs(more) > near && t + more < h && t + more > 0.0; n++) {
             t += more;
             bridge_step(b, t, u, e, &hold);
-            more = to_zero(b, e, t, &phase);
+            more = to_zero(b, e, t, expected, &phase);
         }
         if (t + more >= h) { /* curvature has saved it */
             t = h;

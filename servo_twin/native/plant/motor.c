@@ -21,6 +21,7 @@ void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
 {
     *motor = (plant_motor_t){
         .r = config->r_s + config->r_on,
+        .inv_r = 1.0 / (config->r_s + config->r_on),
         .l_d = config->l_d,
         .l_q = config->l_q,
         .inv_l_d = 1.0 / config->l_d,
@@ -82,8 +83,8 @@ static double relax(double i, double i_end, double x)
 static void stand(plant_motor_t *m, plant_vector_t u, double h)
 {
     const single_vector_t v = seen_from_rotor(m, u);
-    m->i_d = relax(m->i_d, v.alpha / m->r, h * m->r * m->inv_l_d);
-    m->i_q = relax(m->i_q, v.beta / m->r, h * m->r * m->inv_l_q);
+    m->i_d = relax(m->i_d, v.alpha * m->inv_r, h * m->r * m->inv_l_d);
+    m->i_q = relax(m->i_q, v.beta * m->inv_r, h * m->r * m->inv_l_q);
 }
 
 /* Open windings: the shaft alone, exact to second order in h B / J. */

@@ -23,6 +23,7 @@
 typedef struct {
     /* parameters */
     double r;            /* stator and the switch in series with it [ohm] */
+    double inv_r;        /* [S] */
     double l_d, l_q;     /* [H] */
     double inv_l_d, inv_l_q;
     double psi_m;        /* [V s] */

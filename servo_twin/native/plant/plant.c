@@ -41,7 +41,9 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
         movement.duration_ns = used;
         movement.theta_1 = motor->theta;
         movement.omega_1 = motor->omega;
-        plant_encoder_move(&axis->encoder, &movement, now_ns);
+        if (plant_encoder_leaves(&axis->encoder, motor->theta)) {
+            plant_encoder_move(&axis->encoder, &movement, now_ns);
+        }
         /* less than a nanosecond left is only the rounding of the units */
         done = (rest - used < 0.5) ? step : done + used;
     }
