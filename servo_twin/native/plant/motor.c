@@ -141,9 +141,9 @@ static double turn_until_stop(plant_motor_t *m, plant_vector_t u, double dt, dou
 double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt)
 {
     const double direction = direction_of(motor, plant_motor_torque(motor));
-    if (direction == 0.0) { /* the angle stays, and so do its sine and cosine */
+    if (direction == 0.0) {
         stand(motor, u, dt);
-        single_phases(motor->i_d, motor->i_q, motor->sine, motor->cosine, motor->phase);
+        refresh(motor);
         return dt;
     }
     const plant_motor_t before = *motor;

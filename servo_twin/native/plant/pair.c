@@ -35,11 +35,28 @@ static inline pair_t limit_pair(pair_t x, double low, double high)
 #define LIMIT(x, low, high) limit_pair(x, low, high)
 #include "plant/averaged_kernel.h"
 
-static bool plain_case(const plant_lane_t *lane)
+/* True for a driven axis that turns or stands all along, as far as can be told beforehand; `direction` of motion, 0 for one
+ * that stands. */
+static bool plain_case(const plant_lane_t *lane, double *direction)
 {
-    const plant_motor_t *motor = lane->motor;
-    return lane->inverter->on && !lane->inverter->unplugged && !motor->locked &&
-           (motor->omega > PLANT_STANDING || motor->omega < -PLANT_STANDING) && motor->steps < PLANT_FRESH_TRIG;
+    plant_motor_t *motor = lane->motor;
+    *direction = 0.0;
+    if (!lane->inverter->on || lane->inverter->unplugged || motor->steps >= PLANT_FRESH_TRIG) {
+        return false;
+    }
+    if (motor->locked) {
+        return true;
+    }
+    if (motor->omega > PLANT_STANDING || motor->omega < -PLANT_STANDING) {
+        *direction = (motor->omega > 0.0) ? 1.0 : -1.0;
+        return true;
+    }
+    const double drive = plant_motor_torque(motor) - motor->load;
+    if (drive > motor->friction || drive < -motor->friction) {
+        return false;
+    }
+    motor->omega = 0.0;
+    return true;
 }
 
 /* The ends of a step, not yet taken by the axes. */
@@ -72,7 +89,8 @@ static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
 
 unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], double u_dc, double *charge)
 {
-    const bool plain[2] = {plain_case(&lane[0]), plain_case(&lane[1])};
+    double ways[2];
+    const bool plain[2] = {plain_case(&lane[0], &ways[0]), plain_case(&lane[1], &ways[1])};
     *charge = 0.0;
     if (!plain[0] && !plain[1]) {
         return 0;
@@ -86,7 +104,8 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
             pair_drive_leg(before[k], inv_i_w, INVERTER(duty[k]), INVERTER(dead_leg[k]), v_drop, u_dc, &ends.leg[k]);
     }
     const pair_t omega = MOTOR(omega);
-    const pair_t direction = {(omega[0] > 0.0) ? 1.0 : -1.0, (omega[1] > 0.0) ? 1.0 : -1.0};
+    const pair_t direction = pair_of(ways);
+    const pair_t moves = direction * direction; /* without motion there is no acceleration */
     const pair_step_t m = {
         .pole_pairs = pair_of(pair->pole_pairs),
         .inv_l_d = pair_of(pair->inv_l_d),
@@ -96,10 +115,10 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
         .cross_d = pair_of(pair->cross_d),
         .cross_q = pair_of(pair->cross_q),
         .emf = pair_of(pair->emf),
-        .torque_psi = pair_of(pair->torque_psi),
-        .torque_l = pair_of(pair->torque_l),
+        .torque_psi = moves * pair_of(pair->torque_psi),
+        .torque_l = moves * pair_of(pair->torque_l),
         .viscous = pair_of(pair->viscous),
-        .drag = (MOTOR(load) + direction * MOTOR(friction)) * pair_of(pair->inv_inertia),
+        .drag = (moves * MOTOR(load) + direction * MOTOR(friction)) * pair_of(pair->inv_inertia),
     };
     const pair_t sine = MOTOR(sine);
     const pair_t cosine = MOTOR(cosine);

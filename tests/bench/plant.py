@@ -1,0 +1,78 @@
+"""What one PWM period of both axes costs in the plant alone: switching level against averages, in one run.
+
+Compiles ``plant/bench_plant.c`` with the options of the extension module, prints its table and writes it as JSON. No
+firmware and no chip take part.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+NATIVE: Final = ROOT / "servo_twin" / "native"
+SOURCE: Final = Path(__file__).parent / "plant" / "bench_plant.c"
+OPTIONS: Final = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-tree-vectorize")
+
+PERIOD_NS: Final = 62_500
+
+_ROW: Final = re.compile(
+    r"\s*(?P<volts>\d+) V\s+(?P<load>\d+) mN m: switching\s+(?P<switching_ns>\d+) ns,"
+    r" averaged\s+(?P<averaged_ns>\d+) ns per period, ratio (?P<ratio>[\d.]+), (?P<encoder_edges>[\d.]+) encoder edges"
+)
+
+
+def run(periods: int) -> str:
+    """Table of the compiled bench.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If it does not compile or does not run.
+    """
+    compiler = shlex.split(os.environ.get("CC", "cc"))
+    with tempfile.TemporaryDirectory(prefix="bench-plant-") as folder:
+        program = str(Path(folder) / "bench_plant")
+        sources = [str(path) for path in [*sorted((NATIVE / "plant").glob("*.c")), SOURCE]]
+        subprocess.run([*compiler, *OPTIONS, f"-I{NATIVE}", *sources, "-o", program, "-lm"], check=True)
+        return subprocess.run([program, str(periods)], check=True, capture_output=True, text=True).stdout
+
+
+def rows(text: str) -> list[dict[str, float]]:
+    """Numbers of the table, one entry per line."""
+    matches = [_ROW.fullmatch(line) for line in text.splitlines()]
+    return [{name: float(value) for name, value in match.groupdict().items()} for match in matches if match]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Return 0 unless the bench could not be compiled or run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--periods", type=int, default=32_000)
+    parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench" / "plant.json", metavar="FILE")
+    options = parser.parse_args(arguments)
+    try:
+        text = run(options.periods)
+    except (OSError, subprocess.CalledProcessError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(text, end="")
+    table = rows(text)
+    switching = PERIOD_NS / max(row["switching_ns"] for row in table)
+    averaged = PERIOD_NS / max(row["averaged_ns"] for row in table)
+    print(f"plant alone, at least: {switching:.0f} (switching), {averaged:.0f} (averaged) times real time")
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    options.json.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
