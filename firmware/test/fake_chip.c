@@ -68,6 +68,8 @@ void fake_free(fake_chip_t *chip) { free(board_of(chip)); }
 
 hal_t *fake_hal(fake_chip_t *chip) { return &board_of(chip)->hal; }
 
+void fake_baud(fake_chip_t *chip, uint32_t baud) { board_of(chip)->hal.baud = baud; }
+
 servo_t *fake_servo(fake_chip_t *chip) { return &board_of(chip)->servo; }
 
 void fake_receive(fake_chip_t *chip, uint8_t byte) { chip->data[chip->data_in++ % 16] = byte; }

@@ -37,6 +37,7 @@ typedef struct chip {
 fake_chip_t *fake_new(void);
 void fake_free(fake_chip_t *chip);
 hal_t *fake_hal(fake_chip_t *chip);
+void fake_baud(fake_chip_t *chip, uint32_t baud);
 servo_t *fake_servo(fake_chip_t *chip);
 void fake_receive(fake_chip_t *chip, uint8_t byte);
 

@@ -29,6 +29,7 @@ typedef ... servo_t;
 fake_chip_t *fake_new(void);
 void fake_free(fake_chip_t *chip);
 hal_t *fake_hal(fake_chip_t *chip);
+void fake_baud(fake_chip_t *chip, uint32_t baud);
 servo_t *fake_servo(fake_chip_t *chip);
 void fake_receive(fake_chip_t *chip, uint8_t byte);
 bool port_init(hal_t *hal, servo_t *servo);

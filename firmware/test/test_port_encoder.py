@@ -181,3 +181,15 @@ def test_sends_while_the_fifo_has_room(board: FakeBoard, waiting: int) -> None:
     sent = board.lib.hal_serial_put(board.hal, 0x5A)
     assert sent == (waiting < 4)
     assert board.writes == ([(DATA, 0x5A)] if sent else [])
+
+
+@pytest.mark.parametrize(
+    ("baud", "rate"),
+    [(0, 434), (115200, 434), (921600, 54), (1_000_000, 50), (1200, 41667), (300, 0xFFFF), (9_000_000, 8)],
+)
+def test_another_rate(compile_c: CompileC, baud: int, rate: int) -> None:
+    """For whom the owner of the board sets it; out of range, the nearest that there is."""
+    board = FakeBoard(compile_c, initialised=False)
+    board.lib.fake_baud(board.chip, baud)
+    assert board.init()
+    assert board[0xE080] == rate

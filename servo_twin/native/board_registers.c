@@ -113,6 +113,7 @@ static void boot(void *context)
     memset(&board->servo, 0, sizeof board->servo);
     memset(&board->hal, 0, sizeof board->hal);
     board->hal.chip = &board->chip;
+    board->hal.baud = (uint32_t)(board->chip.config.baud + 0.5); /* both ends of the line are told the same */
     board->up = port_init(&board->hal, &board->servo);
 }
 

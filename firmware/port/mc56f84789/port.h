@@ -30,6 +30,7 @@ struct hal {
 #ifdef CHIP_ON_HOST
     struct chip *chip;
 #endif
+    uint32_t baud; /* of the host's line, chosen by whoever owns the board; 0: SERIAL_BAUD */
     servo_t *servo;
     port_axis_t axis[HAL_AXES];
     uint16_t bus;

@@ -5,10 +5,22 @@
 #define RING_MASK (PORT_RING - 1U)
 #define ERRORS (QSCI_STAT_OR | QSCI_STAT_NF | QSCI_STAT_FE | QSCI_STAT_PF)
 
+/* Divider in eighths of 1/16 bit. */
+static uint16_t rate(uint32_t baud)
+{
+    if (baud == 0U) {
+        return SET_QSCI_RATE;
+    }
+    const uint32_t eighths = (uint32_t)SERIAL_RATE_OF(baud);
+    return (eighths < SERIAL_RATE_LEAST)  ? (uint16_t)SERIAL_RATE_LEAST
+           : (eighths > SERIAL_RATE_MOST) ? (uint16_t)SERIAL_RATE_MOST
+                                          : (uint16_t)eighths;
+}
+
 void serial_init(hal_t *hal)
 {
     REG_WRITE(hal, REG(QSCI_CTRL1), 0U);
-    REG_WRITE(hal, REG(QSCI_RATE), SET_QSCI_RATE);
+    REG_WRITE(hal, REG(QSCI_RATE), rate(hal->baud));
     REG_WRITE(hal, REG(QSCI_CTRL3), 0U);
     REG_WRITE(hal, REG(QSCI_CTRL2), SET_QSCI_CTRL2);
     REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1);

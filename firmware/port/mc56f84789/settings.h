@@ -297,7 +297,10 @@ SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(T
 /* ---- serial line ------------------------------------------------------------------------------------------------ */
 
 #define SERIAL_CLOCK_HZ (SERIAL_CLOCK_DOUBLE ? 2UL * BUS_CLOCK_HZ : BUS_CLOCK_HZ)
-#define SERIAL_RATE ((SERIAL_CLOCK_HZ + SERIAL_BAUD) / (2UL * SERIAL_BAUD)) /* eighths of 1/16 bit */
+#define SERIAL_RATE_OF(baud) ((SERIAL_CLOCK_HZ + (baud)) / (2UL * (baud))) /* eighths of 1/16 bit */
+#define SERIAL_RATE_LEAST 8UL
+#define SERIAL_RATE_MOST 0xFFFFUL
+#define SERIAL_RATE SERIAL_RATE_OF(SERIAL_BAUD)
 #define SERIAL_EXACT (2UL * SERIAL_RATE * SERIAL_BAUD) /* the clock at which the rate is exact */
 #define SERIAL_DEVIATION                                                                                               \
     (SERIAL_EXACT > SERIAL_CLOCK_HZ ? SERIAL_EXACT - SERIAL_CLOCK_HZ : SERIAL_CLOCK_HZ - SERIAL_EXACT)
@@ -307,8 +310,8 @@ SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(T
 #define SET_QSCI_CTRL1 (QSCI_CTRL1_TE | QSCI_CTRL1_RE | QSCI_CTRL1_RFIE) /* 8 data bits, no parity, 1 stop bit */
 #define SET_QSCI_CTRL2 (QSCI_CTRL2_FIFO_EN | QSCI_CTRL2_RFWM(0U))
 
-SETTINGS_CHECK(baud_rate_is_not_too_low, SERIAL_RATE <= 0xFFFFUL);
-SETTINGS_CHECK(baud_rate_is_not_too_high, SERIAL_RATE >= 8UL);
+SETTINGS_CHECK(baud_rate_is_not_too_low, SERIAL_RATE <= SERIAL_RATE_MOST);
+SETTINGS_CHECK(baud_rate_is_not_too_high, SERIAL_RATE >= SERIAL_RATE_LEAST);
 SETTINGS_CHECK(baud_rate_deviates_less_than_1_6_percent, SERIAL_DEVIATION <= SERIAL_CLOCK_HZ / 64UL);
 
 /* ---- watchdog: on the internal oscillator, which outlives the crystal ------------------------------------------- */
