@@ -166,6 +166,40 @@ class TestInterrupts:
         rig.run(start + 1000)
         assert [e.a for e in rig.events("enter")] == [85, 87]
 
+    def test_requests_of_one_clock_are_seen_together(self, rig: ChipRig) -> None:
+        """Compares of both modules in the same clock: vector 76 (PWMB) comes before 87 (PWMA)."""
+        rig.write_all(pwm_module("A") | pwm_module("B", PWMB0_CTRL2=0))
+        for letter, vector in (("A", 87), ("B", 76)):
+            rig.write(f"PWM{letter}0_INTEN", 0x20)
+            rig.handlers[vector] = lambda letter=letter: rig.write(f"PWM{letter}0_STS", 0x20)
+        rig.write_all({"INTC_IPR9": 2 << 12, "INTC_IPR8": 2 << 6})
+        start_pwm(rig, "A", outputs=False)
+        start_pwm(rig, "B", outputs=False)
+        rig.interrupts()
+        rig.clear()
+        rig.step(1000)
+        assert [e.a for e in rig.events("enter")] == [76, 87]
+
+    def test_a_nested_handler_leaves_what_the_outer_one_has_written_last(self, rig: ChipRig) -> None:
+        def outer() -> int:
+            rig.write("PWMA1_STS", 0x20)
+            rig.write("PWMA0_VAL3", 600)
+            return 2000
+
+        def inner() -> int:
+            rig.write("PWMA_FCTRL0", 0xF0F0)
+            rig.write("PWMA0_VAL2", -600)
+            return 100
+
+        rig.handlers.update({85: outer, 77: inner})
+        self.enable(rig, v85=1, v77=2)
+        start = self.start(rig)
+        rig.edges = [(start + 900, "E8", True)]
+        rig.run(start + 4000)
+        written = {e.a: e.clock - start for e in rig.events("write")}
+        assert written[ADDRESS["PWMA0_VAL2"]] == 1000
+        assert written[ADDRESS["PWMA0_VAL3"]] == 400 + 2000 + 100
+
     def test_level_off_and_masks(self, rig: ChipRig) -> None:
         self.m1(rig, 100)
         start = self.start(rig)

@@ -103,6 +103,29 @@ class TestPosition:
         encoder.turn(40)
         assert count(rig) in (0, 1)
 
+    def test_an_input_that_loses_its_pin_goes_low(self, rig: ChipRig, encoder: Encoder) -> None:
+        encoder.turn(2)  # both lines are high
+        rig.write("TMRA0_SCTRL", 0)
+        assert rig.read("TMRA0_SCTRL") & 0x0100
+        rig.write("SIM_GPSCL", 1 << 4 | 1 << 8)
+        assert not rig.read("TMRA0_SCTRL") & 0x0100
+        rig.write("SIM_GPSCL", 1 << 4)
+        assert rig.read("TMRA0_SCTRL") & 0x0100
+
+    @pytest.mark.parametrize(
+        ("code", "expected"),
+        [(0x4000 | 0x3F00, [0, 1, 0]), (0x8000 | 0x3F00, [1, 0, 1]), (0xFF00, [1, 1, 1]), (0x3F00, [0, 0, 0])],
+    )
+    def test_and_or_invert(self, rig: ChipRig, code: int, expected: list[int]) -> None:
+        """XB_IN2 on E4 is input A of event 0, which is led to TA2: passed, inverted, forced to 1 and to 0."""
+        rig.write_all({"GPIOE_PER": 0x0010, "SIM_GPSEL": 0x0100, "SIM_IPS0": 0x0400, "XBARB_SEL0": 14})
+        rig.write_all({"AOI_BFCRT01_0": code, "XBARA_SEL25": 46 << 8, "TMRA2_CTRL": 0x0100})
+        seen = []
+        for level in (False, True, False):
+            rig.pin("E4", level)
+            seen.append(rig.read("TMRA2_SCTRL") >> 8 & 1)
+        assert seen == expected
+
     def test_inputs_from_the_crossbar(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("SIM_IPS0", 0x0300)
         encoder.turn(8)
