@@ -6,9 +6,6 @@ import pytest
 from native_library import Native, c_axis, c_config
 from servo_twin.plant import PlantConfig
 
-STEP = 15.625e-6
-STEP_NS = 15625
-
 
 @pytest.mark.parametrize("speeds", [(80.0, -40.0), (0.0, 60.0), (-3.0, 0.2)])
 def test_a_pair_does_what_two_single_axes_do(plant_c: Native, speeds: tuple[float, float]) -> None:
@@ -20,11 +17,12 @@ def test_a_pair_does_what_two_single_axes_do(plant_c: Native, speeds: tuple[floa
     duties = [(0.62, 0.48, 0.40), (0.45, 0.52, 0.53)]
     motors = [ffi.new("plant_motor_t *") for _ in range(2)]
     inverters = [ffi.new("plant_inverter_t *") for _ in range(2)]
+    step = both.step_ns * 1e-9
     charge = ffi.new("double *")
     for index in range(2):
         config = c_axis(plant_c, plant.axes[index])
         lib.plant_motor_init(motors[index], config)
-        lib.plant_inverter_init(inverters[index], config, 16000.0, STEP)
+        lib.plant_inverter_init(inverters[index], config, 16000.0, step)
         inverters[index].on = both.axis[index].inverter.on = True
         motors[index].omega = both.axis[index].motor.omega = speeds[index]
     for n in range(600):
@@ -33,9 +31,9 @@ def test_a_pair_does_what_two_single_axes_do(plant_c: Native, speeds: tuple[floa
             for index in range(2):
                 lib.plant_inverter_load(inverters[index], duties[index], bus)
                 lib.plant_inverter_load(ffi.addressof(both.axis[index].inverter), duties[index], bus)
-        lib.plant_step(both, n * STEP_NS)
+        lib.plant_step(both, n * both.step_ns)
         for index, motor in enumerate(motors):
-            left = STEP
+            left = step
             while left > 1e-15:
                 left -= lib.plant_inverter_step(inverters[index], motor, bus, left, charge)
             paired = both.axis[index].motor

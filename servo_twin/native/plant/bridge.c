@@ -23,6 +23,7 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .inv_inertia = 1.0 / config->inertia,
         .friction = config->friction,
         .viscous = config->viscous,
+        .longest = 0.1 * ((config->l_d < config->l_q) ? config->l_d : config->l_q) / (config->r_s + config->r_on),
         .tau = config->i_settle,
         .theta = config->theta_start,
     };
@@ -146,17 +147,19 @@ static double split_advance(bridge_t *b, double h, double u)
 {
     double charge = 0.0;
     double rest = h;
+    const int most = SPLITS * (1 + (int)(h / b->longest));
     for (int n = 0; rest > INSTANT; n++) {
         end_t e;
         double hold;
-        cut_t cut = {rest, WHOLE, 0, 0};
+        const double part = (rest < b->longest) ? rest : b->longest;
+        cut_t cut = {part, WHOLE, 0, 0};
         if (!b->begun) {
             bridge_begin(b, u);
         }
-        if (n < SPLITS) {
-            cut = bridge_step_to_change(b, rest, u, &e);
+        if (n < most) {
+            cut = bridge_step_to_change(b, part, u, &e);
         } else {
-            bridge_step(b, rest, u, &e, &hold);
+            bridge_step(b, part, u, &e, &hold);
         }
         if (cut.after > 0.0) {
             charge += accept_out(b, cut.after, u * cut.after, &e);
@@ -172,7 +175,7 @@ static double split_advance(bridge_t *b, double h, double u)
 double bridge_advance(bridge_t *b, double h, double u_h)
 {
     double charge;
-    if (b->floating < 0 && !b->dead && !may_cross(b, h)) {
+    if (b->floating < 0 && !b->dead && h <= b->longest && !may_cross(b, h)) {
         end_t e;
         const plant_vector_t drive = {u_h * b->a.alpha + h * b->b.alpha, u_h * b->a.beta + h * b->b.beta};
         travel(b, h, drive, &e);

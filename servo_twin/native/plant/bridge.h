@@ -57,6 +57,7 @@ typedef struct {
     double k_torque;                     /* 3/2 p */
     double inertia, inv_inertia;
     double friction, viscous;
+    double longest;                      /* step that the series are good for [s] */
     double tau;                          /* of the current amplifiers [s] */
     double decay_fine[BRIDGE_DECAY], decay_coarse[BRIDGE_DECAY];
     /* inputs */

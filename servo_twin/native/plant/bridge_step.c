@@ -189,12 +189,8 @@ cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
     int expected = -1;
     double t = b->dead ? h : first_zero(b, h, &expected);
     if (t < INSTANT && t < h) { /* a current at zero that would leave it the wrong way */
-        int phase = 0;
         *e = (end_t){.psi = b->psi};
-        for (int k = 1; k < 3; k++) {
-            phase = (b->phase[k] * b->way[k] <= 0.0 && b->way[k] != 0.0) ? k : phase;
-        }
-        return (cut_t){0.0, CURRENT_ZERO, phase, 0};
+        return (cut_t){0.0, CURRENT_ZERO, expected, 0};
     }
     cut_t cut = {t, WHOLE, 0, 0};
     bridge_step(b, t, u, e, &hold);
