@@ -190,3 +190,15 @@ def test_the_watchdog_starts_the_firmware_anew() -> None:
         assert board.peek(SIM_RSTAT) & 0x0020
         assert 0 < int(board.read("tick")) < ticks + 16 * 50  # type: ignore[arg-type]
         assert board.stats().watchdog_services > served
+
+
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_no_encoder_edge_is_lost(seed: int) -> None:
+    """A shaft that trembles about an edge while its rotor is searched, rests on it, and then leaves fast."""
+    with Board(level="registers", seed=seed) as board:
+        enable(board)
+        begin = [(board.truth(axis).theta_m, board.read_raw(f"axis{axis + 1}.position")[0]) for axis in (0, 1)]
+        move(board, {0: 3000, 1: -2000}, 0.5)
+        for axis, (angle, position) in enumerate(begin):
+            turned = (board.truth(axis).theta_m - angle) * 4000 / (2 * np.pi)
+            assert board.read_raw(f"axis{axis + 1}.position")[0] - position == pytest.approx(turned, abs=2.5)

@@ -96,7 +96,9 @@ static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axi
 static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
 {
     axis->edge_clock = NEVER;
-    if (fabs(axis->encoder.target - axis->course.theta) > axis->course.range) {
+    /* An edge drawn on the other side of the shaft is behind it, however far it has gone since: that is passed at once. */
+    const double way = axis->encoder.target - axis->course.theta;
+    if ((axis->encoder.upwards ? way : -way) > axis->course.range) {
         return;
     }
     const double t = quadrature_time(&axis->encoder, &axis->course);
