@@ -21,10 +21,12 @@
  *   Q = h (2 i_0 + i_1) / 3 + h^2 i_0' / 6,    error h^4 i''' / 72,
  * with i_1 from a first guess of third order; the torque is integrated the same way. In a segment of length h the current
  * is wrong by about (R/L) (h^4 i'''/72) + (R h/L)/3 (R/L) (h^3 i''/6): with 1/tau = max(R/L, omega_e) and i' = u/L this is
- * (u h/L) (h/tau)^3 / 12, some 1e-8 A for 10 us of the motors of the reference design and 1e-6 A for 30 us.
+ * (u h/L) (h/tau)^3 / 12, for the motors of the reference design some 1e-7 A in 10 us and 1e-5 A in 30 us. Whole runs
+ * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A).
  *
- * The ends of a segment are roots of parabolas (a current that reaches zero, a shaft that stops or breaks loose, a floating
- * leg that reaches an end of its interval), taken in closed form.
+ * Where a segment ends within itself is found in closed form: a current at zero by its slope, corrected once by the slope
+ * found there; a shaft that stops or breaks loose by the root of a parabola; a floating leg that reaches an end of its
+ * interval by a straight line.
  */
 #ifndef PLANT_BRIDGE_H
 #define PLANT_BRIDGE_H
