@@ -12,6 +12,7 @@ import json
 import math
 import signal
 import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -320,11 +321,14 @@ def main(args: Sequence[str] | None = None) -> int:
     argv = list(sys.argv if args is None else ["servo-demo", *args])
     arguments = _arguments(remove_ros_args(argv)[1:])
     rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    # A polite end from outside disables the axes just as Ctrl-C does.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # A polite end from outside disables the axes just as Ctrl-C does. An exception from within a signal handler would
+    # come out of the executor's C++ as something else, or not at all.
+    interrupted = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: interrupted.set())
     client: ServoClient | None = None
     try:
-        client = ServoClient(EventsExecutor(), arguments.servo, arguments.twin)
+        client = ServoClient(EventsExecutor(), arguments.servo, arguments.twin, interrupted)
         return _perform(client, arguments)
     except DemoError as error:
         print(f"servo-demo: {error}", file=sys.stderr)
