@@ -51,6 +51,7 @@ static void enter(axis_t *axis, motion_t motion, frac32_t speed)
     axis->motion.shaped_speed = speed;
     axis->motion.acceleration = 0;
     axis->motion.resting = false;
+    axis->motion.resistance = 0;
 }
 
 static void start_path(axis_t *axis, frac32_t speed)
@@ -306,25 +307,51 @@ static frac16_t speed_controller(axis_t *axis)
     return f16_from_f32(i_q);
 }
 
-/* Torque within the speed limits: near them the proportional part of the speed controller takes the current back. */
+static pi_sum_t between(pi_sum_t x, pi_sum_t least, pi_sum_t most)
+{
+    if (x > most) {
+        return most;
+    }
+    return (x < least) ? least : x;
+}
+
+/* Current against a load that drives the shaft past a limit of the speed: it grows while the shaft is past it, and is
+ * given back within it. At the upper limit it is negative. */
+static frac32_t resist(axis_t *axis, speed_range_t range)
+{
+    const gain_t ki = axis->config->speed.ki;
+    const frac32_t speed = axis->feedback.mean_speed;
+    const pi_sum_t most = pi_sum_of(f32_from_f16(axis->limits.i_q));
+    const pi_sum_t before = axis->motion.resistance;
+    const pi_sum_t over = pi_sum_add((before < 0) ? before : 0, f32_sub(range.most, speed), ki);
+    const pi_sum_t under = pi_sum_add((before > 0) ? before : 0, f32_sub(range.least, speed), ki);
+    axis->motion.resistance = between(over, -most, 0) + between(under, 0, most);
+    return (frac32_t)asr64(axis->motion.resistance, GAIN_BITS);
+}
+
+/* Torque within the speed limits: near them the speed controller's proportional part takes the current back, and its
+ * integral part holds against a load. */
 static frac16_t torque_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const gain_t kp = axis->config->speed.kp;
     const speed_range_t range = soft_limits_speed(axis);
-    const frac32_t most = f32_gain(f32_sub(range.most, axis->feedback.speed), kp);
-    const frac32_t least = f32_gain(f32_sub(range.least, axis->feedback.speed), kp);
+    const frac32_t held = resist(axis, range);
+    const frac32_t room_above = f32_gain(f32_sub(range.most, axis->feedback.speed), kp);
+    const frac32_t room_below = f32_gain(f32_sub(range.least, axis->feedback.speed), kp);
+    const frac32_t most = f32_add(room_above, (held < 0) ? held : 0);
+    const frac32_t least = f32_add(room_below, (held > 0) ? held : 0);
     const frac16_t wanted = f16_limit(m->i_q_target, axis->limits.i_q);
     if (wanted != m->i_q_target) {
         report(axis, LIMIT_CURRENT);
     }
-    int64_t i_q = f32_from_f16(wanted);
+    frac32_t i_q = f32_from_f16(wanted);
     if (i_q > most || i_q < least) {
         const bool soft = (i_q > most) ? range.most < axis->limits.speed : range.least > -axis->limits.speed;
         report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
         i_q = (i_q > most) ? most : least;
     }
-    const frac16_t result = f16_limit(f16_from_f32(sat32(i_q)), axis->limits.i_q);
+    const frac16_t result = f16_limit(f16_from_f32(i_q), axis->limits.i_q);
     m->speed_ref = axis->feedback.speed;
     m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
