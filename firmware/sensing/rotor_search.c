@@ -138,14 +138,14 @@ static void nothing_moved(rotor_search_t *search, const rotor_search_config_t *c
 /* The current is reversed in equal steps, which cancel out, as far each as the current controller follows. */
 static void brake(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    const int64_t reversal = 2 * (int64_t)search->current;
-    const int64_t steps = reversal / config->current_slew + 1;
+    const uint32_t reversal = 2U * (uint32_t)search->current; /* while it pulls it is not negative */
+    const uint32_t steps = reversal / (uint32_t)config->current_slew + 1U;
     search->phase = ROTOR_SEARCH_BRAKE;
     search->pace = distance(search->last, position);
     search->last = position;
     search->timer = 0;
     search->peak = -search->current;
-    search->swing = (frac32_t)((reversal + steps - 1) / steps);
+    search->swing = (frac32_t)(reversal / steps + ((reversal % steps != 0U) ? 1U : 0U));
     search->current -= search->swing;
 }
 

@@ -208,6 +208,18 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     # gains and scales that do not fit
     ("speed gain", {"axis1__motor__inertia": 4e-4}, "axis1: speed controller Kp = 2", "does not fit gain_t"),
     ("current gain", {"axis1__motor__l_q": 0.1}, "axis1: current controller q Kp = 214.", "does not fit gain_t"),
+    (
+        "gains of one sum",
+        {
+            "axis1__motor__l_d": 0.055,
+            "axis1__motor__l_q": 0.055,
+            "axis1__motor__pole_pairs": 20,
+            "axis1__motor__psi_m": 0.00154,
+            "axis1__rotor_search__interval": 4.0,
+        },
+        "axis1: gains that meet in u_d = 314.",
+        "one sum of a PI",
+    ),
     ("integral gain", {"axis1__motor__r_s": 1000.0}, "axis1: current controller d Kp Ki Ts = 133.", "gain_t"),
     ("vanishing gain", {"axis1__control__position_gain": 1e-5}, "axis1.control.position_gain = 1e-05", "vanish"),
     ("sign of the current", {"axis1__sensing__sign_current": 0.06}, "axis1: slope of sensing.sign_current", "raise"),
