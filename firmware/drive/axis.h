@@ -72,7 +72,7 @@ typedef struct {
     pi_state_t speed_pi;
     frac32_t speed_ref;
     bool saturated;       /* the speed controller pushes with all it has */
-    pi_sum_t resistance;  /* torque mode: what holds a load that drives the shaft past a limit */
+    frac32_t resistance;  /* torque mode: what holds a load that drives the shaft past a limit */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
 } motion_state_t;
 

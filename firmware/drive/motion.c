@@ -307,26 +307,21 @@ static frac16_t speed_controller(axis_t *axis)
     return f16_from_f32(i_q);
 }
 
-static pi_sum_t between(pi_sum_t x, pi_sum_t least, pi_sum_t most)
-{
-    if (x > most) {
-        return most;
-    }
-    return (x < least) ? least : x;
-}
-
 /* Current against a load that drives the shaft past a limit of the speed: it grows while the shaft is past it, and is
  * given back within it. At the upper limit it is negative. */
 static frac32_t resist(axis_t *axis, speed_range_t range)
 {
     const gain_t ki = axis->config->speed.ki;
+    const frac32_t limit = f32_from_f16(axis->limits.i_q);
     const frac32_t speed = axis->feedback.mean_speed;
-    const pi_sum_t most = pi_sum_of(f32_from_f16(axis->limits.i_q));
-    const pi_sum_t before = axis->motion.resistance;
-    const pi_sum_t over = pi_sum_add((before < 0) ? before : 0, f32_sub(range.most, speed), ki);
-    const pi_sum_t under = pi_sum_add((before > 0) ? before : 0, f32_sub(range.least, speed), ki);
-    axis->motion.resistance = between(over, -most, 0) + between(under, 0, most);
-    return (frac32_t)asr64(axis->motion.resistance, GAIN_BITS);
+    const frac32_t before = axis->motion.resistance;
+    if (before == 0 && speed <= range.most && speed >= range.least) {
+        return 0; /* almost always */
+    }
+    const frac32_t over = f32_add((before < 0) ? before : 0, f32_gain(f32_sub(range.most, speed), ki));
+    const frac32_t under = f32_add((before > 0) ? before : 0, f32_gain(f32_sub(range.least, speed), ki));
+    axis->motion.resistance = ((over < 0) ? f32_clip(over, limit) : 0) + ((under > 0) ? f32_clip(under, limit) : 0);
+    return axis->motion.resistance;
 }
 
 /* Torque within the speed limits: near them the speed controller's proportional part takes the current back, and its
