@@ -239,7 +239,8 @@ static void follow_model(axis_t *axis)
         m->model = path_counts(axis->feedback.position);
         return;
     }
-    const frac32_t speed = f32_clip(wanted_speed(axis, m->path.output - m->model), axis->limits.speed);
+    const path_position_t behind = path_beyond(m->path.output, path_whole(m->model)) - path_part(m->model);
+    const frac32_t speed = f32_clip(wanted_speed(axis, behind), axis->limits.speed);
     m->model += path_step_of(axis->config, speed);
 }
 
@@ -252,7 +253,7 @@ static frac32_t position_controller(axis_t *axis)
     if (rests(axis)) {
         return 0;
     }
-    return limited_speed(axis, wanted_speed(axis, m->path.output - path_counts(axis->feedback.position)));
+    return limited_speed(axis, wanted_speed(axis, path_beyond(m->path.output, axis->feedback.position)));
 }
 
 static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
@@ -415,5 +416,5 @@ int32_t motion_following_error(const axis_t *axis)
     if (axis->motion.motion != MOTION_POSITION) {
         return 0;
     }
-    return i32_sub_wrap((int32_t)asr64(axis->motion.model, PATH_BITS), axis->feedback.position);
+    return i32_sub_wrap(path_whole(axis->motion.model), axis->feedback.position);
 }

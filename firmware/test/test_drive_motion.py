@@ -10,12 +10,14 @@ from core_library import Core, load_core
 from firmware_compiler import CompileC
 from servo_bench import (
     ALIGN,
+    FOLLOWING_ERROR,
     LIMIT_CURRENT,
     LIMIT_SETPOINT,
     LIMIT_SPEED,
     LIMIT_VOLTAGE,
     POSITION,
     SPEED,
+    SPEED_FORWARD,
     SPIN,
     TORQUE,
     Bench,
@@ -382,3 +384,54 @@ def test_parameters_are_clipped(bench: Bench) -> None:
     assert limits[0].acceleration == pytest.approx(2051, abs=1)
     assert [x.i_q for x in limits] == [pytest.approx(amps(0.1), abs=1), pytest.approx(amps(4.0), abs=1)]
     assert all(bench.view(i).limits & LIMIT_SETPOINT for i in range(2))
+
+
+# ---- where the counts wrap ------------------------------------------------------------------------------------------
+
+
+def move_counters(bench: Bench, counts: int) -> None:
+    """Let axis 1, in speed mode, have come a long way."""
+    bench.write(0, mode=SPEED, speed=0)
+    bench.slow(2)
+    axis = bench.axis(0)
+    encoder = axis.encoder.position
+
+    def wrapped(x: int) -> int:
+        return (x + 2**31) % 2**32 - 2**31
+
+    encoder.count_init = wrapped(encoder.count_init - counts)
+    encoder.integral = wrapped(encoder.integral + counts)
+    encoder.position = wrapped(encoder.position + counts)
+    axis.feedback.position = encoder.position
+
+
+@pytest.mark.parametrize("features", [0, SPEED_FORWARD | FOLLOWING_ERROR])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_hold_at_the_wrap_is_a_hold(bench: Bench, features: int, direction: int) -> None:
+    bench.switch_on(0, features)
+    move_counters(bench, direction * (2**31 - 1) - bench.view(0).position)
+    bench.write(0, quick_stop=1)
+    bench.slow(5)
+    before = bench.view(0).position
+    bench.turn(0, direction * 5.0)
+    for _ in range(20):
+        bench.slow()
+        behind = rad_s(bench.view(0).speed_ref) * -direction
+        assert 0.0 <= behind <= 0.2 * 20.0, "as anywhere else"
+    assert bench.view(0).position * before < 0, "it has wrapped"
+    assert bench.view(0).faults == 0
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_position_mode_begins_smoothly_before_the_wrap(bench: Bench, direction: int) -> None:
+    """What the shaft trails its set-point by reaches over the wrap."""
+    move_counters(bench, direction * (2**31 - 2000) - bench.view(0).position)
+    bench.write(0, speed=speed(direction * 100.0))
+    bench.follow(80)
+    bench.write(0, mode=POSITION, position=0)
+    references = []
+    for _ in range(10):
+        bench.turn(0, rad_s(bench.view(0).speed_ref))
+        bench.slow()
+        references.append(direction * rad_s(bench.view(0).speed_ref))
+    assert min(references) > 60.0, references
