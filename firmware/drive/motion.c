@@ -157,25 +157,26 @@ static void take_commands(axis_t *axis)
 
 static void report(axis_t *axis, uint16_t limit) { axis->active_limits = (uint16_t)(axis->active_limits | limit); }
 
-static frac32_t limited_speed(axis_t *axis, frac32_t speed)
+static bool beyond_limit(axis_t *axis, frac32_t speed)
 {
-    const frac32_t limited = f32_clip(speed, axis->limits.speed);
-    if (limited != speed) {
+    const bool beyond = speed > axis->limits.speed || speed < -axis->limits.speed;
+    if (beyond) {
         report(axis, LIMIT_SPEED);
     }
-    return limited;
+    return beyond;
 }
 
-/* The same where the shaft might leave its soft limits: everywhere but on the way to a target, which lies inside. */
+/* Where the shaft might leave its soft limits: everywhere but on the way to a target, which lies inside. */
 static frac32_t confined_speed(axis_t *axis, frac32_t speed)
 {
-    const frac32_t limited = limited_speed(axis, speed);
     const speed_range_t range = soft_limits_speed(axis);
-    if (limited > range.most || limited < range.least) {
+    const bool over = speed > range.most && range.most < axis->limits.speed;
+    const bool under = speed < range.least && range.least > -axis->limits.speed;
+    if (over || under) {
         report(axis, LIMIT_POSITION);
-        return (limited > range.most) ? range.most : range.least;
+        return over ? range.most : range.least;
     }
-    return limited;
+    return speed;
 }
 
 static void confine_target(axis_t *axis)
@@ -230,6 +231,17 @@ static frac32_t wanted_speed(const axis_t *axis, path_position_t behind)
     return sat32(forward + asr64((int64_t)behind_q8 * axis->config->position_gain, 8));
 }
 
+/* Speed within the limit, or within the path's own speed while that still comes down to a lower limit. */
+static frac32_t followed_speed(axis_t *axis, path_position_t behind)
+{
+    const frac32_t speed = wanted_speed(axis, behind);
+    if (!beyond_limit(axis, speed)) {
+        return speed;
+    }
+    const frac32_t shaped = f32_abs(axis->motion.shaped_speed);
+    return f32_clip(speed, (shaped > axis->limits.speed) ? shaped : axis->limits.speed);
+}
+
 /* Where a shaft would be that does what the position controller asks: what the real one lacks is its following error.
  * The lag that belongs to a plain gain is none. */
 static void follow_model(axis_t *axis)
@@ -240,8 +252,7 @@ static void follow_model(axis_t *axis)
         return;
     }
     const path_position_t behind = path_beyond(m->path.output, path_whole(m->model)) - path_part(m->model);
-    const frac32_t speed = f32_clip(wanted_speed(axis, behind), axis->limits.speed);
-    m->model += path_step_of(axis->config, speed);
+    m->model += path_step_of(axis->config, followed_speed(axis, behind));
 }
 
 static frac32_t position_controller(axis_t *axis)
@@ -253,7 +264,7 @@ static frac32_t position_controller(axis_t *axis)
     if (rests(axis)) {
         return 0;
     }
-    return limited_speed(axis, wanted_speed(axis, path_beyond(m->path.output, axis->feedback.position)));
+    return followed_speed(axis, path_beyond(m->path.output, axis->feedback.position));
 }
 
 static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
@@ -269,6 +280,16 @@ static frac32_t stop_acceleration(const axis_t *axis)
 {
     const frac32_t least = axis->config->stop_acceleration;
     return (axis->limits.acceleration > least) ? axis->limits.acceleration : least;
+}
+
+/* Towards the set-point; and down to a limit that has been lowered, within a stated time as in a stop. */
+static frac32_t ramped_speed(axis_t *axis)
+{
+    const motion_state_t *m = &axis->motion;
+    const bool lowered = beyond_limit(axis, m->speed_ramp);
+    const bool clipped = beyond_limit(axis, m->speed_target);
+    const frac32_t target = clipped ? f32_clip(m->speed_target, axis->limits.speed) : m->speed_target;
+    return ramp(m->speed_ramp, target, lowered ? stop_acceleration(axis) : axis->limits.acceleration);
 }
 
 /* What is known to be needed, before there is an error: current against friction and for the acceleration. */
@@ -375,8 +396,7 @@ void motion_step(axis_t *axis)
         axis->current_ref.q = torque_controller(axis);
         return;
     case MOTION_SPEED:
-        m->speed_ramp = ramp(m->speed_ramp, limited_speed(axis, m->speed_target), axis->limits.acceleration);
-        m->speed_ramp = confined_speed(axis, m->speed_ramp);
+        m->speed_ramp = confined_speed(axis, ramped_speed(axis));
         shape(m, m->speed_ramp);
         m->speed_ref = m->speed_ramp;
         break;

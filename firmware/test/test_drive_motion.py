@@ -167,6 +167,47 @@ def test_moves_ask_for_half_of_the_current_limit(bench: Bench, amperes: float, l
     assert max(speeds) <= limit * 1.001
 
 
+@pytest.mark.parametrize("quick_stop", [0, 1])
+@pytest.mark.parametrize("acceleration", [4000.0, 100.0])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_lowered_speed_limit_is_ramped_down_to(bench: Bench, sign: int, acceleration: float, quick_stop: int) -> None:
+    """At the acceleration limit, and at the least of a stop (1000 rad/s^2) where the host wants it gentle."""
+    bench.write(0, mode=SPEED, speed=speed(sign * 300.0))
+    bench.follow(400)
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(sign * 300.0, rel=1e-3)
+    bench.set_parameter("acceleration_limit", acceleration)
+    bench.set_parameter("speed_limit", 10.0)
+    bench.write(0, quick_stop=quick_stop)
+    references = [300.0]
+    for _ in range(700):
+        bench.follow(1)
+        references.append(sign * rad_s(bench.view(0).speed_ref))
+    steps = [a - b for a, b in itertools.pairwise(references)]
+    most = max(acceleration, 1000.0) * TICK
+    assert max(steps) == pytest.approx(most, rel=1e-3)
+    assert min(steps) >= -1.0, "a stop begins at the speed that was measured"
+    assert references[-1] == pytest.approx(0.0 if quick_stop else 10.0, abs=0.2)
+    if not quick_stop:
+        assert bench.view(0).limits & LIMIT_SPEED
+
+
+@pytest.mark.parametrize("features", [0, SPEED_FORWARD | FOLLOWING_ERROR])
+def test_lowered_speed_limit_slows_a_move_as_gently_as_its_path(bench: Bench, features: int) -> None:
+    bench.switch_on(0, features)
+    bench.write(0, position=1_000_000)
+    bench.follow(400)
+    bench.set_parameter("speed_limit", 50.0)
+    references = [rad_s(bench.view(0).speed_ref)]
+    for _ in range(400):
+        bench.follow(1)
+        references.append(rad_s(bench.view(0).speed_ref))
+    steps = [a - b for a, b in itertools.pairwise(references)]
+    available = 0.0462 * 4.0 / 0.8e-5  # k_t i / J of axis 1
+    assert max(steps) <= 0.55 * available * TICK
+    assert references[-1] == pytest.approx(50.0, rel=1e-2)
+    assert bench.view(0).faults == 0
+
+
 def test_new_limits_under_way_do_not_jump(bench: Bench) -> None:
     """In the middle of a long move the shaped set-point goes on at its speed, whatever current the host allows."""
     bench.write(0, position=1_000_000)
