@@ -204,6 +204,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("coarse search", {"axis1__rotor_search__interval": 60.0}, "axis1.rotor_search.interval = 60", "torque"),
     ("search finer than a count", {"axis1__rotor_search__interval": 0.1}, "axis1.rotor_search.interval = 0.1", "0.18"),
     ("large twitch", {"axis1__rotor_search__move_counts": 250}, "axis1.rotor_search.move_counts = 250", "no twitch"),
+    ("dithering twitch", {"axis1__rotor_search__move_counts": 2}, "axis1.rotor_search.move_counts = 2", "dithers"),
     ("hasty search", {"axis1__rotor_search__time_most": 0.5}, "axis1.rotor_search.time_most = 0.5", "8 vectors"),
     # gains and scales that do not fit
     ("speed gain", {"axis1__motor__inertia": 4e-4}, "axis1: speed controller Kp = 2", "does not fit gain_t"),
@@ -228,7 +229,8 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("search ramp", {"axis1__rotor_search__ramp_time": 1e-4}, "axis1.rotor_search.ramp_time: current", "frac32_t"),
     ("friction slope", {"axis1__friction__smooth": 0.01}, "axis1.friction.smooth", "raise it"),
     # times
-    ("long time", {"axis1__timing__stall_most": 40.0}, "axis1.timing.stall_most = 40", "0.0005 .. 32.7675"),
+    ("longest time", {"axis1__timing__stall_most": 32.7675}, "axis1.timing.stall_most = 32.7675", "65534"),
+    ("long time", {"axis1__timing__stall_most": 40.0}, "axis1.timing.stall_most = 40", "0.0005 .. 32.767"),
     ("no time", {"axis1__timing__settle": 1e-4}, "axis1.timing.settle = 0.0001", "vanish"),
     ("host time-out", {"board__host_timeout": 60.0}, "board.host_timeout = 60", "0.05 .. 30 s"),
     # loops that sampling makes unstable

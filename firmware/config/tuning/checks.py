@@ -123,6 +123,9 @@ def _search(axis: Axis) -> None:
     if not count <= axis("rotor_search.interval") < 60.0:
         reason = f"a count is {count:.3g} degrees, and 60 would leave the torque to chance"
         raise axis.refused("rotor_search.interval", reason, "write some 1.5 degrees")
+    if axis("rotor_search.move_counts") < 3.0:
+        reason = "an edge that dithers moves by one count, and a shaft that is known to be free has to move by one less"
+        raise axis.refused("rotor_search.move_counts", reason, "write some 3 counts")
     if axis("rotor_search.move_counts") * count >= 45.0:
         reason = "a movement of 45 degrees electrical and more is no twitch"
         raise axis.refused("rotor_search.move_counts", reason, "write some 3 counts")

@@ -22,6 +22,8 @@ RECIPROCAL: Final = Format("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
 FLUX: Final = Format("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
 PI_SUM: Final = Format("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
 """pi_sum_t holds +-256: these gains, each times a fraction, and the integral part."""
+TICKS: Final = Format("uint16_t slow ticks", 0, 0, 2**16 - 2)
+"""A counter of 16 bits has to be able to go beyond it."""
 TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
 TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
 SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
@@ -77,7 +79,7 @@ class _Converter:
     def ticks(self, path: str) -> int:
         """A time in slow ticks."""
         tick = self.board.tick
-        return self.at(UINT16, path, 1.0 / tick, f"write seconds, {tick:g} .. {65535 * tick:g}")
+        return self.at(TICKS, path, 1.0 / tick, f"write seconds, {tick:g} .. {TICKS.high * tick:g}")
 
     def of(self, format_: Format, name: str, value: float, remedy: str) -> int:
         """Something that follows from several entries."""
