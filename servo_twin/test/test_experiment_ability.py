@@ -39,8 +39,25 @@ def test_belief_is_worth_more_on_a_stronger_motor(plant: PlantConfig) -> None:
     assert belief.inertia == pytest.approx(1.2 * plant.axes[0].inertia, rel=0.01)
 
 
+def test_belief_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the current limit hides the inertia; the friction shows in the large one."""
+    genuine, steps = ability._first_current, []
+
+    def first_current(plant: PlantConfig, seed: int, switch: str | None, speed: float) -> list[float]:
+        steps.append(speed)
+        if switch == "ACCELERATION_FORWARD" and speed > 0.6:
+            raise SimulationError("the current limit hides it")
+        return genuine(plant, seed, switch, speed)
+
+    monkeypatch.setattr(ability, "_first_current", first_current)
+    for entry, belief in zip(plant.axes, believed(plant, 3), strict=True):
+        assert belief.inertia == pytest.approx(entry.inertia, rel=0.02)
+    assert min(steps) == 0.5
+
+
 def test_belief_hidden_by_the_current_limit(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ability, "PROBE_SPEED", 20.0)
+    monkeypatch.setattr(ability, "PROBE_HALVINGS", 1)
     with pytest.raises(SimulationError, match="current limit"):
         believed(plant, 3)
 
@@ -85,7 +102,7 @@ def test_differences_are_named(plant: PlantConfig) -> None:
     assert differences(plant, 3) == ()
     notes = differences(plant.with_axis(1, inertia=5.0 * plant.axes[1].inertia), 3)
     assert len(notes) == 1
-    assert "axis2: the inertia is 5 times" in notes[0]
+    assert "axis2: a current accelerates the shaft 0.2 times as much" in notes[0]
 
 
 @pytest.mark.parametrize("may_fail", [False, True])

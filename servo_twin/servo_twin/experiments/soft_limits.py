@@ -11,7 +11,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import move_speeds
+from servo_twin.experiments.ability import NOMINAL_PATH_END, move_speeds, path_ends
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
@@ -48,7 +48,7 @@ LEAN_AWAY: Final = 0.25  # from the start to that limit [turns]
 LEAN_SPEED: Final = 20.0  # limit of the speed, low: braking the load feeds the bus [rad/s]
 LEAN_TIME: Final = 1.0  # [s]
 BEHIND: Final = 0.1  # the limit set behind the shaft [turns]
-SETTLE: Final = 0.3  # [s]
+SETTLE: Final = 0.3  # [s]; more where a heavy shaft makes the path filter slow
 FLAG_LAST: Final = 0.5  # the limit names itself all that time [s]
 
 BEYOND_MOST: Final = 2.0
@@ -196,19 +196,20 @@ class Behind:
 
 def set_behind(plant: PlantConfig, seed: int) -> list[Behind]:
     """Set the upper limit a little below where both shafts are."""
+    settle = max(SETTLE, SETTLE + max(path_ends(plant, seed)) - NOMINAL_PATH_END)
     with spinning(plant, seed) as board:
         here = [position_of(board, axis) for axis in range(AXES)]
         step = round(BEHIND * COUNTS_PER_TURN)
         for axis, position in enumerate(here):
             features(board, axis, POSITION_LIMITS=True)
             set_axis(board, "param.position_max", axis, (position - step) * COUNT)
-        alone = watch(board, range(AXES), SETTLE)
+        alone = watch(board, range(AXES), settle)
         for axis, position in enumerate(here):
             command_position(board, axis, position + step)
-        farther = watch(board, range(AXES), SETTLE)
+        farther = watch(board, range(AXES), settle)
         for axis, position in enumerate(here):
             command_position(board, axis, position - 2 * step)
-        nearer = watch(board, range(AXES), SETTLE)
+        nearer = watch(board, range(AXES), settle)
     return [
         Behind(
             moved=float(np.ptp(alone[axis].shaft)),
