@@ -141,12 +141,11 @@ def _panels(how: str, moves: list[Move]) -> tuple[Panel, Panel]:
     whole: list[Curve] = []
     error: list[Curve] = []
     for axis, move in enumerate(moves):
-        r = move.recording
+        r, colour = move.recording, f"C{axis}"
         turns = (r.position - r.position[0]) / COUNTS_PER_TURN
-        whole.append(Curve(axis_name(axis), r.time, turns))
-        whole.append(
-            Curve(f"{axis_name(axis)} set-point", r.time, (r.position_ref - r.position[0]) / COUNTS_PER_TURN, "--")
-        )
+        shaped = (r.position_ref - r.position[0]) / COUNTS_PER_TURN
+        whole.append(Curve(axis_name(axis), r.time, turns, colour))
+        whole.append(Curve(f"{axis_name(axis)} set-point", r.time, shaped, f"{colour}--"))
         error.append(Curve(axis_name(axis), r.time, r.position_ref - r.position))
     return (
         Panel(how, "time [s]", "position [turns]", tuple(whole)),
