@@ -310,6 +310,17 @@ def test_integral_part_sums_the_way_not_an_old_speed(bench: Bench, counts: int) 
     assert bench.view(0).i_q_ref == pytest.approx(-integral / 2**16, abs=1.0)
 
 
+@pytest.mark.parametrize("counts", [1, -1, 300, -300, 666, -666, 667, -667, 1900, -1900])
+def test_counted_speed_saturates(bench: Bench, counts: int) -> None:
+    """Counts of one slow tick over those at full speed, 666.67; more than that is full speed."""
+    bench.write(0, mode=TORQUE, i_q=0)
+    bench.slow()
+    bench.shaft[0].move(counts)
+    bench.slow()
+    wanted = max(min(speed(counts * COUNT / TICK), 2**31 - 1), -(2**31))
+    assert bench.axis(0).feedback.mean_speed == pytest.approx(wanted, abs=2**31 * 2e-6)
+
+
 # ---- torque ---------------------------------------------------------------------------------------------------------
 
 

@@ -40,8 +40,8 @@ __all__ = [
     "differences",
     "inertia_ratio",
     "move_speeds",
-    "path_ends",
     "path_demands",
+    "path_ends",
     "speed_limits",
     "top_speed",
 ]
@@ -68,7 +68,7 @@ PROBE_HALVINGS: Final = 6
 """How often that step may be halved, on a heavy shaft, to show the inertia within the current limit."""
 
 PATH_END: Final = 13.0
-"""Of the path filter's time constants: after so many not even a move of 100 turns has two counts left, (1 + t) exp(-t)."""
+"""Of the path filter's time constants: after so many, (1 + t) exp(-t) leaves no two counts of any move."""
 
 NOMINAL_PATH_END: Final = 0.13  # the same of the nominal plant [s]
 
