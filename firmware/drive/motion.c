@@ -84,6 +84,7 @@ static void enter_stop(axis_t *axis)
     if (axis->motion.motion != MOTION_STOP) {
         axis->motion.speed_ramp = axis->feedback.speed;
         axis->motion.stop_ticks = 0;
+        axis->motion.stopping = axis->feedback.speed;
         enter(axis, MOTION_STOP, axis->feedback.speed);
     }
 }
@@ -275,6 +276,12 @@ static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
 /* Slow enough to hold, or to coast. */
 static bool slow(const axis_t *axis) { return f32_abs(axis->feedback.speed) <= axis->config->stop_speed; }
 
+/* The shaft of a stop has come to rest, or has turned round between two looks at it. */
+static bool at_rest(const axis_t *axis)
+{
+    return slow(axis) || (axis->feedback.speed < 0) != (axis->motion.stopping < 0);
+}
+
 /* A stop ends within a stated time, even where the host wants gentle starts. */
 static frac32_t stop_acceleration(const axis_t *axis)
 {
@@ -407,7 +414,7 @@ void motion_step(axis_t *axis)
         if (m->speed_ramp == 0) {
             m->stop_ticks = (m->stop_ticks < UINT16_MAX) ? (uint16_t)(m->stop_ticks + 1U) : UINT16_MAX;
             /* With little current the shaft is behind the ramp: a point latched now would have to be run back to. */
-            if (axis->requested && slow(axis)) {
+            if (axis->requested && at_rest(axis)) {
                 hold(axis);
             }
         }

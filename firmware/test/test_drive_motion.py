@@ -438,6 +438,22 @@ def test_parameters_are_clipped(bench: Bench) -> None:
     assert all(bench.view(i).limits & LIMIT_SETPOINT for i in range(2))
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_stop_is_over_when_the_shaft_has_turned_round_between_two_ticks(bench: Bench, sign: int) -> None:
+    bench.write(0, mode=SPEED, speed=speed(sign * 60.0))
+    bench.follow(100)
+    bench.write(0, quick_stop=1)
+    bench.turn(0, sign * 8.0)
+    bench.slow(2)
+    bench.until(lambda: bench.axis(0).motion.speed_ramp == 0, 200)
+    assert bench.axis(0).motion.motion == bench.core.lib.MOTION_STOP
+    bench.turn(0, -sign * 8.0)
+    here = bench.view(0).position
+    bench.slow(2)
+    assert bench.axis(0).motion.motion == bench.core.lib.MOTION_POSITION
+    assert abs(bench.view(0).position_ref - here) <= 20, "it holds where it turned round"
+
+
 # ---- where the counts wrap ------------------------------------------------------------------------------------------
 
 
