@@ -112,6 +112,11 @@ void board_set_shaft(board_t *board, int axis, int locked)
     plant_motor_lock(&drive_of(board, axis)->motor, locked != 0);
 }
 
+void board_obstruct_shaft(board_t *board, int axis, double below, double above)
+{
+    plant_motor_obstruct(&drive_of(board, axis)->motor, below, above);
+}
+
 void board_set_encoder(board_t *board, int axis, int connected)
 {
     plant_drive_t *drive = drive_of(board, axis);
@@ -121,6 +126,12 @@ void board_set_encoder(board_t *board, int axis, int connected)
 void board_cut_encoder(board_t *board, int axis, int line)
 {
     plant_encoder_cut(&drive_of(board, axis)->encoder, (line == 0) ? PLANT_LINE_A : PLANT_LINE_B);
+}
+
+void board_reverse_encoder(board_t *board, int axis)
+{
+    plant_drive_t *drive = drive_of(board, axis);
+    plant_encoder_reverse(&drive->encoder, drive->motor.theta);
 }
 
 void board_set_motor(board_t *board, int axis, int connected)

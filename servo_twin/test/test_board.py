@@ -219,6 +219,29 @@ class TestPlant:
         board.run(0.5)
         assert board.truth(0).theta_m != start
 
+    def test_an_obstructed_shaft_turns_from_stop_to_stop(self, board: Board) -> None:
+        board.run(0.01)
+        start = board.truth(0).theta_m
+        board.obstruct_shaft(0, 0.01, 0.02)
+        for load, stop in ((-0.01, 0.02), (0.01, -0.01)):  # drives the idle shaft
+            board.set_load(0, load)
+            board.run(0.1)
+            truth = board.truth(0)
+            assert truth.theta_m - start == pytest.approx(stop, abs=1e-12)
+            assert truth.omega_m == 0.0
+        board.obstruct_shaft(0, math.inf, math.inf)
+        board.run(0.05)
+        assert board.truth(0).theta_m - start < -0.1
+
+    def test_a_reversed_encoder_counts_the_other_way(self, board: Board) -> None:
+        board.run(0.01)
+        before = board.read_raw("axis1.position")[0]
+        board.reverse_encoder(0)
+        board.set_load(0, -0.01)  # drives the idle shaft
+        board.run(0.05)
+        assert board.truth(0).omega_m > 5.0
+        assert board.read_raw("axis1.position")[0] < before - 10
+
     def test_an_unplugged_encoder_shows_no_movement(self, board: Board) -> None:
         board.run(0.01)
         board.connect_encoder(0, False)

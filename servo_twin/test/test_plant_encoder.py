@@ -329,6 +329,15 @@ def test_direction_of_the_edges_of_a_single_line(plant_c: Native) -> None:
         assert encoder.count == step
 
 
+def test_a_reversed_encoder_counts_the_other_way(plant_c: Native) -> None:
+    encoder = Encoder(plant_c, start=10.5)
+    plant_c.lib.plant_encoder_reverse(encoder.c, encoder.at * EDGE)
+    encoder.move_to(15.5)
+    assert encoder.count == -5
+    encoder.move_to(3.5)
+    assert encoder.count == 7
+
+
 def test_a_plugged_in_encoder_has_both_lines_again(plant_c: Native) -> None:
     encoder = Encoder(plant_c)
     plant_c.lib.plant_encoder_cut(encoder.c, 0)

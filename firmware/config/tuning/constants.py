@@ -24,6 +24,7 @@ PI_SUM: Final = Format("one sum of a PI controller and its decoupling", 24, 0, 2
 """pi_sum_t holds +-256: these gains, each times a fraction, and the integral part."""
 TICKS: Final = Format("uint16_t slow ticks", 0, 0, 2**16 - 2)
 """A counter of 16 bits has to be able to go beyond it."""
+SEARCH_TURN: Final = Format("an eighth of a turn", 0, 1, 2**13)
 TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
 TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
 SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
@@ -162,6 +163,13 @@ def _sensing(to: _Converter) -> dict[str, Field]:
         f"{search}.hold_ticks": to.ticks("rotor_search.hold_time"),
         f"{search}.rest_ticks": to.ticks("rotor_search.rest_time"),
         f"{search}.move_counts": to.at(UINT16, "rotor_search.move_counts", 1.0),
+        f"{search}.verify_angle": to.at(SEARCH_TURN, "rotor_search.verify_angle", 65536.0 / 360.0),
+        f"{search}.verify_step": to.of(
+            TURN_STEP,
+            "verifying turn of the vector per slow tick",
+            axis("rotor_search.verify_angle") / 360.0 * board.tick / axis("rotor_search.verify_time"),
+            "lower rotor_search.verify_time",
+        ),
         f"{search}.angle_per_count": to.of(INT32_Q16, "search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
         f"{search}.interval": to.at(SEARCH_ANGLE, "rotor_search.interval", 1.0 / 360.0),
         **_follow(to),

@@ -23,10 +23,12 @@ Initial rotor position without Hall sensors, by bisection with coordinate correc
 The reference design shows (F16): from 30 degrees electrical, eight searches, all within 1.2 s.
 Here also: every 5 degrees, both axes, three times the friction and the inertia, a heavy shaft that runs lightly, a
 rotor at 180 degrees from the first vector; how far the shaft moves; and which fault names a search that cannot succeed:
-shaft held, encoder unplugged or with a dead line, motor unplugged, from the start or under way."""
+shaft held, or with little play; encoder unplugged, with a dead line or counting backwards; motor unplugged."""
 
 START_F16: Final = 30.0  # [degrees electrical]
 SEARCHES_F16: Final = 8
+VERIFICATIONS: Final = 1
+"""Vectors after those: the last one, which the shaft has to follow, searches no more."""
 TIME_F16: Final = 1.2  # [s]
 TIME_HEAVY: Final = TIME_F16 * math.sqrt(10.0)
 """The same for a shaft with ten times the inertia, every movement of which takes so much longer [s]."""
@@ -41,11 +43,16 @@ TWITCH_COUNTS: Final = 2 * (3 + 1)
 """Most that one vector may move the shaft [counts]: three counts by which the twitch is seen and one that comes in the
 slow tick in which it is, and the same again for the brake, which is the pull played backwards."""
 
+TURN_COUNTS: Final = 12
+"""Most that the last vector, which turns, may move it besides [counts]: three counts to follow, as far as a heavy shaft
+swings beyond, and half an interval to lie on the vector."""
+
 VECTOR_LEAST: Final = 0.1  # current that is shown as a vector [A]
 BOOT_NS: Final = 60 * TICK_NS  # from reset until both axes are in STOP
 SEARCH_MOST: Final = 6.0  # [s]
 LOOK: Final = 0.02  # between two looks at the state [s]
-NAMED_MOST: Final = 1.2  # until a search that cannot succeed ends in its fault [s]
+NAMED_MOST: Final = 1.5  # until a search that cannot succeed ends in its fault [s]; under way it is verified first
+NAMED_LATE: Final = 4.0  # the same for one that has to be tried again, after the shaft has come to rest [s]
 REST_TICKS: Final = 5  # shortest pause between two vectors, in slow ticks; noise may give one or two zeros
 
 
@@ -61,11 +68,14 @@ class Harm:
         Name that the firmware has to give it.
     do : callable
         Does it to an axis of a board.
+    most : float
+        Time until the fault is named [s].
     """
 
     name: str
     fault: str
     do: Callable[[Board, int], None]
+    most: float = NAMED_MOST
 
 
 HELD: Final = Harm("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
@@ -76,7 +86,16 @@ HARMS: Final = (
     Harm("encoder line A dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "A")),
     Harm("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
     Harm("motor unplugged", "ROTOR_SEARCH", lambda board, axis: board.connect_motor(axis, False)),
+    Harm("encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), NAMED_LATE),
+    Harm(
+        "shaft with play of 2 counts",
+        "ROTOR_SEARCH",
+        lambda board, axis: board.obstruct_shaft(axis, 1.5 * COUNT, 0.5 * COUNT),
+        NAMED_LATE,
+    ),
 )
+PLAY: Final = (3.6, 0.5)
+"""An obstructed shaft that can twitch, by so many counts to both sides: held, or found where it is."""
 UNDER_WAY: Final = (0.08, 0.10, 0.12, 0.14, 0.16, 0.18)
 """Times after the enable at which a search is harmed under way [s]; the first vector begins to pull after 0.06 s."""
 
@@ -254,7 +273,7 @@ def error_bound(axis: AxisPlant, current: float) -> float:
 
 def movement_bound(searches: int) -> float:
     """Most that the shaft may move in a search of so many vectors [degrees mechanical]."""
-    return math.degrees(TWITCH_COUNTS * searches * COUNT)
+    return math.degrees((TWITCH_COUNTS * searches + TURN_COUNTS) * COUNT)
 
 
 def everywhere(plant: PlantConfig, seed: int) -> list[list[Search]]:
@@ -302,7 +321,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         panels,
         (
             "error: 0.7 degrees + asin(Tc / (Kt I)) + 2 counts, electrical",
-            f"movement: {TWITCH_COUNTS} counts for every vector",
+            f"movement: {TWITCH_COUNTS} counts for every vector, {TURN_COUNTS} more for the last one",
         ),
     )
 
@@ -320,7 +339,8 @@ def _rows_f16(plant: PlantConfig, searches: Sequence[Search]) -> list[Row]:
     rows: list[Row] = []
     for axis, search in enumerate(searches):
         what = f"{axis_name(axis)} from 30 degrees"
-        rows.append(Row(f"{what}, searches", "F16: 8", search.searches, "", Bound(1.0, SEARCHES_F16)))
+        halvings = search.searches - VERIFICATIONS
+        rows.append(Row(f"{what}, searches", "F16: 8", halvings, "", Bound(1.0, SEARCHES_F16)))
         rows.extend(_rows_of("from 30 degrees", plant, [[s] for s in searches])[axis * 3 : axis * 3 + 3])
     return rows
 
@@ -360,7 +380,21 @@ def _rows_fault(plant: PlantConfig, seed: int) -> list[Row]:
             for k, (d, after) in enumerate(itertools.product((-101.0, 64.0), UNDER_WAY))
         ]
         rows.extend(_rows_named(harm, " under way", [[both[axis] for both in found] for axis in range(AXES)]))
+    twitches = Harm("twitching from stop to stop", "ROTOR_SEARCH", _leave_play, NAMED_LATE)
+    found = [find(start_at(changed, d), seed + k, harm=twitches) for k, (changed, d) in enumerate(starts)]
+    for axis in range(AXES):
+        searches = [both[axis] for both in found]
+        bound = error_bound(plant.axes[axis], max(s.current for s in searches))
+        true = [s.faults == {twitches.fault} or (s.error is not None and abs(s.error) <= bound) for s in searches]
+        what = f"{axis_name(axis)} {twitches.name}"
+        rows.append(Row(f"{what}: held or found true", "not shown", sum(true) / len(true), "of all", Bound(1.0, 1.0)))
+        rows.append(Row(f"{what}: time", "not shown", max(s.time for s in searches), "s", Bound(most=twitches.most)))
     return rows
+
+
+def _leave_play(board: Board, axis: int) -> None:
+    below, above = PLAY
+    board.obstruct_shaft(axis, below * COUNT, above * COUNT)
 
 
 def _rows_named(harm: Harm, when: str, by_axis: Sequence[Sequence[Search]]) -> list[Row]:
@@ -370,7 +404,7 @@ def _rows_named(harm: Harm, when: str, by_axis: Sequence[Sequence[Search]]) -> l
         what = f"{axis_name(axis)} {harm.name}{when}"
         share = sum(s.faults == {harm.fault} and s.error is None for s in searches) / len(searches)
         rows.append(Row(f"{what}: {harm.fault}", "not shown", share, "of all", Bound(1.0, 1.0)))
-        rows.append(Row(f"{what}: named", "not shown", max(s.time for s in searches), "s", Bound(most=NAMED_MOST)))
+        rows.append(Row(f"{what}: named", "not shown", max(s.time for s in searches), "s", Bound(most=harm.most)))
     return rows
 
 
