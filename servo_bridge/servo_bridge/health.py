@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from servo_msgs_py.board_parameters import RawParameters, si
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import diagnostic_status, flag_texts
+from servo_msgs_py.value_text import value_text
 
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.telemetry import Frame
@@ -145,6 +147,14 @@ class Health:
                 "last rejection": figures.last_rejection or "none",
             },
         )
+
+    def parameters(self, values: RawParameters | None, trouble: str) -> DiagnosticStatus:
+        """Status of the parameters of the board: their values, and whether they are those that the user wants."""
+        if values is None:
+            return self._status("parameters", _WARN, trouble or "not read yet", {})
+        known = si(values, self._catalogue)
+        texts = {name: value_text(self._catalogue[name], value, self._catalogue) for name, value in known.items()}
+        return self._status("parameters", _WARN if trouble else _OK, trouble or "as wanted", dict(texts))
 
     def _status(self, part: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
         return diagnostic_status(f"{self._node}: {part}", level, message, self._hardware, values)
