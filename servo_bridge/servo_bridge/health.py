@@ -122,10 +122,10 @@ class Health:
         status = frame.axes[axis]
         faults = flag_texts(self._catalogue, "faults", frame.faults[axis])
         word = frame.values.get(f"{prefix}.limits")
-        limits = [] if word is None else [f.name for f in self._catalogue.active("limits", int(word))]
+        limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
         level = _ERROR if faults or status.faulted else _OK
-        at_limit = f", at limit: {', '.join(limits)}" if limits else ""
-        values: dict[str, object] = {"state": status.label, "limits": ", ".join(limits) or "none"}
+        at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
+        values: dict[str, object] = {"state": status.label, "limits": "; ".join(limits) or "none"}
         for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
             values[f"{column} [{unit}]"] = _number(frame.values[f"{prefix}.{column}"])
         return self._status(name, level, "; ".join(faults) or status.label + at_limit, values)

@@ -451,7 +451,10 @@ def test_wanted_parameters_are_written_at_the_connection_and_when_they_change() 
         (["param.features[0]=ANTI_WINDUP+FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
         (["param.i_q_limit[0]=1", "param.i_q_limit[1]=9"], "param.i_q_limit: 9 is outside 0.1 .. 4 A"),
         (["cmd.enable[0]=1"], "cmd.enable is no parameter"),
-        (["param.position_min[1]=2"], "param.position_min[1] 1.99962 rad would be above param.position_max[1] 1.0006 rad"),
+        (
+            ["param.position_min[1]=2"],
+            "param.position_min[1] 1.99962 rad would be above param.position_max[1] 1.0006 rad",
+        ),
         (["param.position_min=2,2", "param.position_max=1,3"], "would be above"),
     ],
 )

@@ -93,6 +93,61 @@ class TestExactness:
             assert abs(mean["axis2.i_q"]) < 0.2 * extra
 
 
+FEATURES = "SPEED_FORWARD+ACCELERATION_FORWARD+BUS_COMPENSATION+DEAD_TIME+ANTI_WINDUP+ENHANCED_MT"
+OTHER_LIMITS = ("param.speed_limit=60,90", "param.i_q_limit=2.0,2.5", "param.acceleration_limit=500,600")
+
+
+class TestParameters:
+    def test_the_twin_has_those_of_the_board(self, rig: TwinRig) -> None:
+        rig.set_parameters(f"param.features={FEATURES},{FEATURES}", *OTHER_LIMITS)
+        rig.up()
+        assert rig.twin.parameters_known
+        follows(rig, rig.move([5.0, -5.0]))
+        assert max(pair.real["axis1.speed"] for pair in rig.pairs) < 70.0
+
+    def test_what_nobody_tells_shows(self, rig: TwinRig) -> None:
+        rig.set_parameters(*OTHER_LIMITS, tell=False)
+        rig.up()
+        assert not rig.twin.parameters_known
+        assert worst_counts(rig.move([5.0, -5.0])) > 1000.0
+
+    def test_those_after_reset_change_nothing(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.set_parameters()
+        assert rig.twin.status == ""
+        follows(rig, rig.move([1.0, -1.0]))
+        assert rig.twin.synchronisations == 1
+
+    def test_a_change_begins_anew_once_the_shafts_rest(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.move([20.0, -20.0], 0.2)
+        rig.set_parameters("param.speed_limit[1]=50", f"param.features[0]={FEATURES}")
+        assert rig.twin.status == "the board has another param.speed_limit, param.features"
+        rig.run(3.0)
+        assert rig.twin.synchronisations == 2
+        rig.run(0.2)
+        follows(rig, rig.move([15.0, -18.0], 0.5))
+
+    def test_soft_limits_hold_both_at_the_same_place(self) -> None:
+        """The twin found its rotor elsewhere, so its positions count from elsewhere."""
+        with TwinRig(plant=PlantConfig.load().with_axis(0, theta_start=1.0)) as rig:
+            rig.up()
+            rig.move([2.0, 3.0], 0.8)
+            rig.twin.resync("to be in the middle")
+            rig.run(0.5)
+            both = "POSITION_LIMITS+ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME"
+            rig.set_parameters(
+                f"param.features={both},{both}", "param.position_max=18.9,20", "param.position_min=-3,-4"
+            )
+            rig.run(0.5)
+            follows(rig, rig.move([5.0, 5.0], 1.0))
+            ends = [rig.pairs[-1].real[f"axis{n}.position"] for n in (1, 2)]
+            assert ends == pytest.approx([18.9, 20.0], abs=3 * COUNT)
+            follows(rig, rig.move([-5.0, -5.0], 1.5))
+            ends = [rig.pairs[-1].real[f"axis{n}.position"] for n in (1, 2)]
+            assert ends == pytest.approx([-3.0, -4.0], abs=3 * COUNT)
+
+
 class TestRotorSearch:
     @pytest.mark.parametrize("start", [0.0, 1.0, 2.0, 3.0])
     def test_a_search_of_another_length_is_made_up_for(self, start: float) -> None:

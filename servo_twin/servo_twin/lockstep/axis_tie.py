@@ -38,7 +38,12 @@ class AxisTie:
         self._number = number
         self._name = axis_name(number)
         self._release()
-        self._offset = 0  # real minus twin [counts]
+        self._offset = 0
+
+    @property
+    def offset(self) -> int:
+        """Position of the real axis minus that of the twin's [counts]."""
+        return self._offset
 
     def _release(self) -> None:
         """The real axis is not under control."""
@@ -115,14 +120,21 @@ class AxisTie:
         """Whether the twin's axis is under control."""
         return activity(replica.label(self._number)) is Activity.ACTIVE
 
-    def align(self, replica: Replica) -> None:
-        """Choose the offset, once both axes have come under control and before either gets a set-point."""
-        if self._hold is not None and not self._aligned and self.controls(replica):
-            self._offset = self._hold - replica.raw[f"{self._name}.position_ref"]
-            self._aligned = True
-            self._restore(replica)
+    def align(self, replica: Replica) -> bool:
+        """Choose the offset, once both axes have come under control and before either gets a set-point.
 
-    def _restore(self, replica: Replica) -> None:
+        Returns
+        -------
+        bool
+            Whether this was the moment; then `restore` brings the axis to its commands.
+        """
+        if self._hold is None or self._aligned or not self.controls(replica):
+            return False
+        self._offset = self._hold - replica.raw[f"{self._name}.position_ref"]
+        self._aligned = True
+        return True
+
+    def restore(self, replica: Replica) -> None:
         """Bring a newly aligned axis to the commands that the real one has had."""
         mode = self.memory.get("cmd.mode", 0)
         variables = ["cmd.mode"] if mode else []

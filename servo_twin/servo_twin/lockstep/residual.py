@@ -109,6 +109,11 @@ class HealthMonitor:
         self._small_since: int | None = None
         self._large_since: int | None = None
 
+    @property
+    def differs(self) -> bool:
+        """Whether it is a residual that keeps it from being healthy."""
+        return not self.healthy and self._large_since is not None
+
     def interrupt(self, reason: str) -> None:
         """There is nothing to compare, for this reason."""
         self.healthy = False

@@ -9,6 +9,9 @@ The shift is chosen when the twin begins: 0 if everything since the reset of the
 shafts are at rest. A rotor search ends with luck, some ticks earlier on one board than on the other. When the real axis
 has found its rotor and the twin has not, the twin is run ahead until it has, which changes the shift; afterwards
 positions differ by whole counts, which are added to what the twin says and taken off what it is told.
+
+The parameters of the real board, which may have been changed while it ran, are written to the twin's board whenever it
+begins; when they change the twin begins anew.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_parameters import RawParameters, parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
@@ -32,6 +36,7 @@ from servo_twin.lockstep.samples import Activity, RestWatch, Sample, SampleReade
 __all__ = ["Pair", "Twin", "TwinSettings"]
 
 _OWN: Final = frozenset({"tick", "applied_tick", "applied_count"})  # columns that count on each board for itself
+_POSITIONS: Final = ("param.position_min", "param.position_max")  # parameters that are positions of a shaft
 _SETTLE: Final = 2.0  # longest time from reset to STOP [s]
 
 
@@ -106,6 +111,8 @@ class Twin:
         Why the twin does not follow; empty while it does.
     synchronisations : int
         How often it has begun.
+    parameters_known : bool
+        Whether the parameters of the real board have been told; until then the twin has those after reset.
     torque_constants : list of float
         What the firmware takes for the torque per current of every axis [N m/A]; empty before it has begun.
     """
@@ -130,8 +137,21 @@ class Twin:
         self._replica: Replica | None = None
         self._shift = 0
         self._axes = [AxisTie(axis) for axis in range(AXES)]
+        self._parameters: RawParameters | None = None
+        self._in_force: RawParameters = {}  # on the twin's board, as the real board has them
 
     # ---- in
+    @property
+    def parameters_known(self) -> bool:
+        return self._parameters is not None
+
+    def parameters(self, values: RawParameters) -> None:
+        """Take the parameters of the real board; begins anew when the twin's board has others."""
+        self._parameters = values
+        if self._replica is not None and values != self._in_force:
+            changed = ", ".join(name for name in values if values[name] != self._in_force.get(name))
+            self.resync(f"the board has another {changed}")
+
     def command(self, command: AppliedCommand) -> None:
         """Take a write that took effect on the real board; the order of arrival does not matter."""
         if not self._ledger.add(command):
@@ -272,6 +292,7 @@ class Twin:
             replica = self._switch_on()
             for axis in self._axes:
                 axis.begin()
+            self._set_parameters(replica)
             self._replay(replica, sample)
             return True
         for number, label in enumerate(sample.labels):
@@ -284,6 +305,7 @@ class Twin:
         replica = self._switch_on()
         replica.run_until(lambda: set(self.labels()) == {"STOP"}, _ticks(_SETTLE))
         active = sum(axis.begin(sample, replica) << number for number, axis in enumerate(self._axes))
+        self._set_parameters(replica)
         replica.write("cmd.enable", [1] * AXES, active)
         self._shift = replica.tick - sample.tick
         return True
@@ -292,10 +314,19 @@ class Twin:
         self._replica = replica = Replica(self._new_board())
         constants = (replica.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
         self.torque_constants = [float(value) for value in constants if isinstance(value, (int, float))]
+        self._in_force = self._parameters or {v.name: replica.read_raw(v.name) for v in parameters(self._catalogue)}
         self._shift = 0
         self.synchronisations += 1
         self.status = ""
         return replica
+
+    def _set_parameters(self, replica: Replica) -> None:
+        """Give the twin's board the parameters of the real one; its positions count from elsewhere."""
+        for name, raw in self._in_force.items():
+            if name in _POSITIONS:
+                low, high = self._catalogue[name].raw_type.low, self._catalogue[name].raw_type.high
+                raw = [min(max(x - axis.offset, low), high) for x, axis in zip(raw, self._axes, strict=True)]
+            replica.write_all(name, raw)
 
     def _drop(self, reason: str) -> None:
         if self._replica is not None:
@@ -323,7 +354,9 @@ class Twin:
             if axis.wants_to_catch_up(replica, sample) and self._others_rest(number, sample):
                 axis.catch_up(replica, _ticks(self.settings.search))
                 self._shift = replica.tick - sample.tick
-            axis.align(replica)
+            if axis.align(replica):
+                self._set_parameters(replica)
+                axis.restore(replica)
 
     def _others_rest(self, number: int, sample: Sample) -> bool:
         return all(
