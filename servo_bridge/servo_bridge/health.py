@@ -125,7 +125,8 @@ class Health:
         limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
         level = _ERROR if faults or status.faulted else _OK
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
-        values: dict[str, object] = {"state": status.label, "limits": "; ".join(limits) or "none"}
+        values: dict[str, object] = {"state": status.label}
+        values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
         for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
             values[f"{column} [{unit}]"] = _number(frame.values[f"{prefix}.{column}"])
         return self._status(name, level, "; ".join(faults) or status.label + at_limit, values)

@@ -21,6 +21,7 @@ __all__ = [
     "RawParameters",
     "applied",
     "contradiction",
+    "find",
     "merged",
     "parameters",
     "parse",
@@ -72,6 +73,27 @@ def parameters(catalogue: Catalogue) -> list[Variable]:
     return [v for v in catalogue.variables.values() if v.name.startswith(PREFIX)]
 
 
+def find(text: str, catalogue: Catalogue) -> tuple[Variable, int | None]:
+    """Parameter that ``param.features`` or ``param.features[0]`` names, and the element, None for all.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    match = _TARGET.fullmatch(text)
+    try:
+        variable = catalogue[match["name"] if match is not None else text]
+    except KeyError as error:
+        raise ValueError(str(error.args[0])) from None
+    if not variable.name.startswith(PREFIX):
+        raise ValueError(f"{variable.name} is no parameter; their names begin with {PREFIX}")
+    element = None if match is None or match["element"] is None else int(match["element"])
+    if element is not None and element >= variable.count:
+        raise ValueError(f"{variable.name} has elements 0 .. {variable.count - 1}, not {element}")
+    return variable, element
+
+
 def parse(text: str, catalogue: Catalogue) -> Assignment:
     """Read ``param.features[0]=ANTI_WINDUP+DEAD_TIME`` or ``param.i_q_limit=1.0,1.5``.
 
@@ -81,18 +103,9 @@ def parse(text: str, catalogue: Catalogue) -> Assignment:
         If there is no such parameter or the value does not fit it; the text says why.
     """
     target, separator, value = (part.strip() for part in text.partition("="))
-    match = _TARGET.fullmatch(target)
-    if not separator or match is None or not value:
+    if not (target and separator and value):
         raise ValueError(f"{text!r}: write NAME=VALUE, for example param.i_q_limit[0]=1.5")
-    try:
-        variable = catalogue[match["name"]]
-    except KeyError as error:
-        raise ValueError(str(error.args[0])) from None
-    if not variable.name.startswith(PREFIX):
-        raise ValueError(f"{variable.name} is no parameter; their names begin with {PREFIX}")
-    element = None if match["element"] is None else int(match["element"])
-    if element is not None and element >= variable.count:
-        raise ValueError(f"{variable.name} has elements 0 .. {variable.count - 1}, not {element}")
+    variable, element = find(target, catalogue)
     try:
         values = parse_values(variable, value, catalogue)
     except ValueError as error:
