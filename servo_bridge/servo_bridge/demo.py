@@ -137,6 +137,8 @@ class Demo:
 
         self._wait(lambda: all(self._rests(axis, hold_point(axis), tick) for axis in turns), title)
         self._judge(title, tick, start_ns, {axis: hold_point(axis) for axis in turns})
+        if self.twin:
+            self._say("  (the twin stops where its own ramp ends; then it takes over where the board holds)")
         for axis, value in turns.items():
             if abs(hold_point(axis) - self._base[axis]) > 0.95 * abs(value) * TURN:
                 raise DemoError(f"{title}: {self._client.joints[axis]} went on to its target; quick_stop had no effect")

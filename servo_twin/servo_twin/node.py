@@ -206,7 +206,7 @@ class ServoTwin(Node):
                 return None
             result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants)
             if not self._board_trouble:
-                self._monitor.update(result)
+                self._monitor.update(result, pair.stopping)
             self._worst = result if self._worst is None else _larger(self._worst, result)
             return result
 

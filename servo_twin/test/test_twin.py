@@ -489,6 +489,28 @@ def test_a_report_that_comes_too_late_to_be_replayed_is_still_known(rig: TwinRig
     assert abs(pairs[-1].twin["axis1.speed"]) < 1.0
 
 
+@pytest.mark.parametrize("variable", ["cmd.quick_stop", "cmd.enable"])
+def test_after_a_stop_the_twin_is_where_the_board_is(variable: str) -> None:
+    """Each ramps down from the speed that it measures; with these seeds the two measure differently."""
+    with TwinRig(real_seed=3, twin_seed=4) as rig:
+        rig.up()
+        rig.move([0.0, 0.0], 0.3)
+        rig.move([10.0, -10.0], 0.2)
+        rig.write(variable, [float(variable == "cmd.quick_stop")] * 2)
+        pairs = rig.run(0.15)
+        assert worst_counts(pairs) > 3 * CLOSE
+        assert all(pair.stopping == (True, True) for pair in pairs)
+        rig.run(0.25)
+        pairs = rig.run(0.2)
+        follows(rig, pairs)
+        assert pairs[-1].stopping == (False, False)
+        rig.write("cmd.enable", [1, 1])
+        rig.until("RUN/SPIN")
+        rig.run(0.1)
+        follows(rig, rig.move([0.0, 0.0], 1.0))
+        assert rig.twin.synchronisations == 1
+
+
 def test_enabling_forgets_a_quick_stop(rig: TwinRig) -> None:
     rig.up()
     rig.write("cmd.quick_stop", [1, 1])

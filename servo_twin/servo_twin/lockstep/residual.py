@@ -120,9 +120,17 @@ class HealthMonitor:
         self.reason = reason
         self._small_since = self._large_since = None
 
-    def update(self, residual: Residual) -> bool:
-        """Take a residual; returns `healthy`."""
-        problem = self._problem(residual)
+    def update(self, residual: Residual, stopping: Sequence[bool] = (False,) * AXES) -> bool:
+        """Take a residual; returns `healthy`.
+
+        Parameters
+        ----------
+        residual : Residual
+            Real minus twin.
+        stopping : sequence of bool
+            Axes that stop by themselves: their positions are not judged, their speeds are.
+        """
+        problem = self._problem(residual, stopping)
         if problem:
             self._small_since = None
             if self._large_since is None:
@@ -139,7 +147,7 @@ class HealthMonitor:
                 self.reason = "the residual has been small for a moment only"
         return self.healthy
 
-    def _problem(self, residual: Residual) -> str:
+    def _problem(self, residual: Residual, stopping: Sequence[bool]) -> str:
         limits = self.thresholds
         for name, unit, values, limit in (
             ("position", "rad", residual.position, limits.position),
@@ -147,7 +155,7 @@ class HealthMonitor:
             ("effort", "N m", residual.effort, limits.effort),
         ):
             for axis, value in enumerate(values):
-                if abs(value) > limit:
+                if abs(value) > limit and not (name == "position" and stopping[axis]):
                     return f"{axis_name(axis)}: {name} differs by {value:+.3g} {unit}, allowed are {limit:g}"
         return ""
 

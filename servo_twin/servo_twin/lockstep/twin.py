@@ -8,7 +8,8 @@ that differ in nothing give the same numbers, bit for bit.
 The shift is chosen when the twin begins: 0 if everything since the reset of the board is known, otherwise when the
 shafts are at rest. A rotor search ends with luck, some ticks earlier on one board than on the other. When the real axis
 has found its rotor and the twin has not, the twin is run ahead until it has, which changes the shift; afterwards
-positions differ by whole counts, which are added to what the twin says and taken off what it is told.
+positions differ by whole counts, which are added to what the twin says and taken off what it is told. They are chosen
+anew after a stop, which ends on each board where its own ramp does.
 
 The parameters of the real board, which may have been changed while it ran, are written to the twin's board whenever it
 begins; when they change the twin begins anew.
@@ -84,6 +85,8 @@ class Pair:
         The twin's values, SI, in the frame of the real board; every column of `real` that the twin has.
     difference : str
         Empty when the two can be compared; otherwise what keeps them apart, for people.
+    stopping : tuple of bool
+        Per axis, whether it stops by itself, so that the positions say nothing; see `AxisTie.stopping`.
     """
 
     tick: int
@@ -91,6 +94,7 @@ class Pair:
     real: Mapping[str, float]
     twin: Mapping[str, float]
     difference: str
+    stopping: tuple[bool, ...] = (False,) * AXES
 
 
 class Twin:
@@ -132,6 +136,7 @@ class Twin:
         self._reader = SampleReader(self._catalogue)
         self._ledger = CommandLedger()
         self._rest = RestWatch(_ticks(self.settings.rest))
+        self._own_rest = RestWatch(_ticks(self.settings.rest))
         self._queue: deque[Sample] = deque()
         self._last: Sample | None = None
         self._replica: Replica | None = None
@@ -258,7 +263,7 @@ class Twin:
     def _take(self, sample: Sample) -> Pair | None:
         if self._last is not None and sample.tick == self._last.tick:
             return None
-        self._rest.add(sample)
+        self._rest.add(sample.tick, sample.position)
         began = self._replica is None and self._begin(sample)
         replica = self._replica
         if replica is not None and not began:
@@ -268,10 +273,12 @@ class Twin:
         if replica is None:
             return None
         self._align(replica, sample)
+        self._take_over_rest(replica, sample)
         difference = self._difference(replica, sample)
         if self._replica is None:
             return None
-        return Pair(sample.tick, sample.stamp_ns, sample.values, self._values(replica, sample), difference)
+        stopping = tuple(axis.stopping for axis in self._axes)
+        return Pair(sample.tick, sample.stamp_ns, sample.values, self._values(replica, sample), difference, stopping)
 
     def _settle(self, sample: Sample) -> None:
         """Everything that took effect up to this sample is dealt with."""
@@ -333,6 +340,7 @@ class Twin:
             self._replica.close()
             self._replica = None
         self._rest.forget()
+        self._own_rest.forget()
         self.status = reason
 
     # ---- replaying
@@ -357,6 +365,18 @@ class Twin:
             if axis.align(replica):
                 self._set_parameters(replica)
                 axis.restore(replica)
+
+    def _take_over_rest(self, replica: Replica, sample: Sample) -> None:
+        """After a stop, let the twin's axes be where the real ones came to rest."""
+        own = tuple(replica.raw[f"{axis_name(number)}.position"] for number in range(AXES))
+        self._own_rest.add(sample.tick, own)
+        changed = [
+            axis.take_over_rest(replica, sample)
+            for number, axis in enumerate(self._axes)
+            if axis.stopping and self._rest.at_rest(number) and self._own_rest.at_rest(number)
+        ]
+        if any(changed):
+            self._set_parameters(replica)
 
     def _others_rest(self, number: int, sample: Sample) -> bool:
         return all(
