@@ -37,6 +37,7 @@ __all__ = ["Demo", "main"]
 TURN: Final = 2.0 * math.pi
 _HOLD: Final = 0.25  # how long an axis has to stay on its target before the next move [s]
 _APPLY_TIMEOUT: Final = 2.0  # from publishing a set-point to its effect [s]
+_REACHED: Final = 0.1 * TURN  # a stop this close to the target has not stopped the move [rad]
 _TWIN_TIMEOUT: Final = 3.0  # for the twin to catch up with a move [s]
 
 
@@ -140,7 +141,7 @@ class Demo:
         if self.twin:
             self._say("  (the twin stops where its own ramp ends; then it takes over where the board holds)")
         for axis, value in turns.items():
-            if abs(hold_point(axis) - self._base[axis]) > 0.95 * abs(value) * TURN:
+            if abs(hold_point(axis) - self._target(axis, value)) < _REACHED:
                 raise DemoError(f"{title}: {self._client.joints[axis]} went on to its target; quick_stop had no effect")
 
     def _announce(self, title: str, turns: Mapping[int, float]) -> None:
