@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.exceptions import NameValidationException
@@ -125,10 +125,13 @@ class Commander(Node):
         statuses = _statuses(reports)
         for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True):
             lines.append(f"  {name}: {position:.4f} rad, {velocity:.3f} rad/s")
-            values = statuses.get(f"{_BRIDGE}: {name}", {})
+            values = _values(statuses.get(f"{_BRIDGE}: {name}"))
             for key, heading in (("faults", "fault"), ("limits", "at limit")):
                 if values.get(key, "none") != "none":
                     lines.append(f"    {heading} {values[key]}")
+        board = statuses.get(f"{_BRIDGE}: parameters")
+        if board is not None and board.level != DiagnosticStatus.OK:
+            lines.append(f"  parameters: {board.message}")
         return "\n".join(lines)
 
     def _state(self) -> str:
@@ -244,9 +247,13 @@ class Commander(Node):
         self.destroy_node()
 
 
-def _statuses(reports: Sequence[DiagnosticArray]) -> dict[str, dict[str, str]]:
-    """Values of every status by its name, the newest."""
-    return {status.name: {v.key: v.value for v in status.values} for report in reports for status in report.status}
+def _statuses(reports: Sequence[DiagnosticArray]) -> dict[str, DiagnosticStatus]:
+    """Every status by its name, the newest."""
+    return {status.name: status for report in reports for status in report.status}
+
+
+def _values(status: DiagnosticStatus | None) -> dict[str, str]:
+    return {} if status is None else {pair.key: pair.value for pair in status.values}
 
 
 def _target(text: str) -> tuple[str, float]:

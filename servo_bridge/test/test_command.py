@@ -82,6 +82,17 @@ def test_state_names_faults_and_limits(rig: Rig) -> None:
     assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
 
 
+def test_state_names_parameters_that_the_board_does_not_take(rig: Rig) -> None:
+    rig.up(STOP, STOP)
+    rig.link.stubborn = "param.over_speed"
+    assert rig.set_parameter("board_parameters", ["param.over_speed[0]=300"])[0]
+    rig.until(lambda: any("param.over_speed is" in text for text in rig.logs()))
+    status, out, _ = command(rig, "state")
+    rig.link.stubborn = ""
+    assert status == 0
+    assert out.splitlines()[-1].startswith("  parameters: param.over_speed is 1.0")
+
+
 def test_without_a_board(rig: Rig) -> None:
     rig.up(STOP, STOP)
     rig.link.lose(LinkState.DISCONNECTED, "gone")

@@ -122,7 +122,10 @@ class TestParameters:
         rig.up()
         rig.move([20.0, -20.0], 0.2)
         rig.set_parameters("param.speed_limit[1]=50", f"param.features[0]={FEATURES}")
-        assert rig.twin.status == "the board has another param.speed_limit, param.features"
+        changed = "the board has another param.speed_limit, param.features"
+        assert rig.twin.status == changed
+        rig.run(0.05)
+        assert rig.twin.status == f"waiting: axis1 is not at rest; {changed}"
         rig.run(3.0)
         assert rig.twin.synchronisations == 2
         rig.run(0.2)

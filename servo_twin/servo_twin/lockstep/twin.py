@@ -143,6 +143,7 @@ class Twin:
         self._shift = 0
         self._axes = [AxisTie(axis) for axis in range(AXES)]
         self._parameters: RawParameters | None = None
+        self._cause = ""  # why the twin has to begin anew, while it waits for that
         self._in_force: RawParameters = {}  # on the twin's board, as the real board has them
 
     # ---- in
@@ -155,7 +156,8 @@ class Twin:
         self._parameters = values
         if self._replica is not None and values != self._in_force:
             changed = ", ".join(name for name in values if values[name] != self._in_force.get(name))
-            self.resync(f"the board has another {changed}")
+            self._cause = f"the board has another {changed}"
+            self.resync(self._cause)
 
     def command(self, command: AppliedCommand) -> None:
         """Take a write that took effect on the real board; the order of arrival does not matter."""
@@ -304,10 +306,10 @@ class Twin:
             return True
         for number, label in enumerate(sample.labels):
             if activity(label) is Activity.SEARCHING:
-                self.status = f"waiting: {axis_name(number)} is searching its rotor"
+                self._wait(f"{axis_name(number)} is searching its rotor")
                 return False
             if not self._rest.at_rest(number):
-                self.status = f"waiting: {axis_name(number)} is not at rest"
+                self._wait(f"{axis_name(number)} is not at rest")
                 return False
         replica = self._switch_on()
         replica.run_until(lambda: set(self.labels()) == {"STOP"}, _ticks(_SETTLE))
@@ -324,8 +326,11 @@ class Twin:
         self._in_force = self._parameters or {v.name: replica.read_raw(v.name) for v in parameters(self._catalogue)}
         self._shift = 0
         self.synchronisations += 1
-        self.status = ""
+        self.status = self._cause = ""
         return replica
+
+    def _wait(self, reason: str) -> None:
+        self.status = f"waiting: {reason}" + (f"; {self._cause}" if self._cause else "")
 
     def _set_parameters(self, replica: Replica) -> None:
         """Give the twin's board the parameters of the real one; its positions count from elsewhere."""
