@@ -9,6 +9,8 @@ PACKAGES := servo_msgs_py servo_bridge servo_twin
 # Serial port or pyserial URL of a real board, and its speed; without PORT there is a virtual board.
 PORT ?=
 BAUD ?=
+# Parameters of the board, each NAME=VALUE, separated by spaces.
+SET ?=
 # Tests publish commands: they keep away from the nodes of whoever runs them.
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 90 + 10 )))
 
@@ -29,7 +31,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
-	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200 (up); PYTHON=python3.12 (setup); PYTEST_ARGS=... (test); TARGETS_ARGS='--seed 2' (targets)"
+	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200, SET='NAME=VALUE ...' for parameters of the board (up); PYTHON=python3.12 (setup); PYTEST_ARGS=... (test); TARGETS_ARGS='--seed 2' (targets)"
 
 setup: $(VENV)/.native ## virtual environment with everything that runs
 	@echo "ready: $(BIN)"
@@ -37,13 +39,13 @@ setup: $(VENV)/.native ## virtual environment with everything that runs
 demo: $(VENV)/.native ## move both axes of a virtual board over ROS; table, out/demo.rrd, out/demo.png
 	@$(BIN)/servo-up --demo --out out
 
-up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board
-	@$(BIN)/servo-up $(if $(PORT),--port '$(PORT)') $(if $(BAUD),--baud '$(BAUD)')
+up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for a real board, SET=... for its parameters
+	@$(BIN)/servo-up $(if $(PORT),--port '$(PORT)') $(if $(BAUD),--baud '$(BAUD)') $(foreach set,$(SET),--set '$(set)')
 
 experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
 	@$(BIN)/servo-sim experiment all --out out/experiments
 
-bench: $(VENV)/.native ## telemetry and latency against the wire; real-time factor of a board
+bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; real-time factor of a board
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/telemetry.py
 	@$(BIN)/servo-sim bench
 

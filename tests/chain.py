@@ -24,8 +24,10 @@ import rclpy
 import serial
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import SetParameters
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot_table
 from servo_msgs_py.units import PERIOD_NS
@@ -189,11 +191,15 @@ class Chain:
 
     def look(self, *names: str) -> dict[str, Any]:
         """Values of variables, read by ``servo-tool`` past the bridge, which must not be running."""
-        command = [sys.executable, "-m", TOOL, "--port", str(self.port), "--baud", str(self.baud), "get", "--json"]
-        done = subprocess.run([*command, *names], capture_output=True, text=True, timeout=20.0, env=self._environment)
-        assert done.returncode == 0, done.stderr
-        values: dict[str, Any] = json.loads(done.stdout)
+        values: dict[str, Any] = json.loads(self.tool("get", "--json", *names))
         return values
+
+    def tool(self, *arguments: str) -> str:
+        """Run a command of ``servo-tool`` past the bridge, which must not be running."""
+        command = [sys.executable, "-m", TOOL, "--port", str(self.port), "--baud", str(self.baud), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, env=self._environment)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
 
     def end(self) -> None:
         """Stop whatever still runs, the last first."""
@@ -238,6 +244,7 @@ class User:
         self._enable = self.node.create_client(SetBool, "/servo/enable")
         self._quick_stop = self.node.create_client(Trigger, "/servo/quick_stop")
         self._clear = self.node.create_client(Trigger, "/servo/clear_faults")
+        self._set_parameters = self.node.create_client(SetParameters, "/servo/servo_bridge/set_parameters")
         self.executor.add_node(self.node)
 
     def close(self) -> None:
@@ -277,6 +284,14 @@ class User:
 
     def clear_faults(self) -> tuple[bool, str]:
         return self.call(self._clear, Trigger.Request())
+
+    def set_board_parameters(self, *texts: str) -> tuple[bool, str]:
+        """Set ``board_parameters`` of the bridge, as ``ros2 param set`` does."""
+        parameter = Parameter("board_parameters", value=list(texts)).to_parameter_msg()
+        future = self._set_parameters.call_async(SetParameters.Request(parameters=[parameter]))
+        self.until(future.done, 5.0, "the service does not answer")
+        result = future.result().results[0]
+        return bool(result.successful), str(result.reason)
 
     def spinning(self) -> None:
         """Enable, and wait until both axes obey."""

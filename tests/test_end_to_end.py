@@ -215,6 +215,45 @@ class TestNormalWork:
         assert me.position_of(0) == pytest.approx(where, abs=100 * COUNT)
 
 
+class TestParameters:
+    """A board that is not as after reset."""
+
+    def test_the_twin_learns_them_and_stays_beside_the_board(self, chain: Chain) -> None:
+        chain.board()
+        features = "ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME"
+        # Set past the bridge, before it comes.
+        chain.tool("set", "param.features[0]", f"{features}+SPEED_FORWARD+ACCELERATION_FORWARD")
+        chain.tool("set", "param.speed_limit", "150,90")
+        chain.bridge(board_parameters=f'["param.i_q_limit=2.0,2.5", "param.features[1]={features}+POSITION_LIMITS"]')
+        chain.twin()
+        with user() as me:
+            me.until(me.connected, 30.0)
+            me.until(lambda: me.last("/twin/healthy") is True, 30.0)
+            me.spinning()
+            me.until(lambda: me.last("/twin/healthy") is True, 30.0)
+            self.check(me, 5.0, -5.0)
+            # And while it runs, as `ros2 param set` does it.
+            healths = len(me.messages["/twin/healthy"])
+            done, reason = me.set_board_parameters("param.position_min[1]=-10", "param.position_max[1]=10")
+            assert done, reason
+            me.until(lambda: [m.data for m in me.messages["/twin/healthy"][healths:]] == [False, True], 10.0)
+            me.joint_commands.publish(JointState(name=BOTH, position=[0.0, 31.4]))
+            me.until(reached(me, 0.0, 10.0))
+            assert me.last("/twin/healthy") is True
+            me.until(lambda: "POSITION: a soft limit" in me.status("servo_bridge: axis2").message, 5.0)
+            done, reason = me.set_board_parameters("param.position_min[1]=11")
+            assert not done
+            assert "param.position_min[1] 11.0003 rad would be above param.position_max[1]" in reason
+
+    def check(self, me: User, *turns: float) -> None:
+        known = len(me.messages["/twin/residual"])
+        go(me, *(x * TURN for x in turns))
+        residuals = me.messages["/twin/residual"][known:]
+        assert len(residuals) > 50
+        assert np.max(np.abs([m.position for m in residuals])) < 0.05
+        assert me.last("/twin/healthy") is True
+
+
 class TestTrouble:
     def test_ctrl_c_leaves_the_outputs_off_and_no_process_behind(self, chain: Chain) -> None:
         board, bridge, twin = chain.board(), chain.bridge(), chain.twin()

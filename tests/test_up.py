@@ -144,7 +144,50 @@ def test_the_demonstration_never_moves_a_real_board(capsys: pytest.CaptureFixtur
     assert "virtual board only" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--port", ""], "it is empty"),
+        (["--domain-id", "999"], "'999' is no ROS domain; they are 0 .. 232"),
+        (["--set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
+        (["--set", "param.i_q_limit=9,9"], "outside 0.1 .. 4 A"),
+    ],
+)
+def test_wrong_command_lines(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    assert text in capsys.readouterr().err
+
+
+def test_parameters_reach_the_board(started: list[Up], tmp_path: Path) -> None:
+    up = Up(tmp_path, "--set", "param.features[0]=ANTI_WINDUP+FRICTION", "--set", "param.host_timeout=0.25")
+    started.append(up)
+    up.wait_for("Ctrl-C ramps down")
+    get = [str(executable("servo-command")), "get", "param.features[0]", "param.host_timeout"]
+    environment = {**os.environ, "ROS_DOMAIN_ID": domain(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    done = subprocess.run(get, env=environment, capture_output=True, text=True, timeout=30.0, check=True)
+    assert "param.features[0] = 17 (ANTI_WINDUP+FRICTION)" in done.stdout
+    assert "param.host_timeout = 0.25 s" in done.stdout
+
+
+@pytest.mark.parametrize("when", ["while it moves", "while it draws"])
+def test_ctrl_c_ends_the_demonstration(started: list[Up], tmp_path: Path, when: str) -> None:
+    up = Up(tmp_path, "--demo")
+    started.append(up)
+    if when == "while it moves":
+        up.wait_for("axis1 to +5 turns")
+    else:
+        up.wait_for("both axes got there")
+        time.sleep(1.0)  # the children end, the recording is checked, and the picture is drawn for seconds
+    up.process.send_signal(signal.SIGINT)
+    assert up.process.wait(30.0) == 130, up.text()
+    assert "Traceback" not in up.text()
+    assert "stop" in up.text()
+    assert left_behind(up.mark) == []
+
+
 def test_help_names_every_option() -> None:
     text = parser().format_help()
-    for option in ("--port", "--baud", "--seed", "--no-web", "--record", "--domain-id", "--demo", "--out"):
+    for option in ("--port", "--baud", "--seed", "--no-web", "--record", "--domain-id", "--set", "--demo", "--out"):
         assert option in text

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xD22C60C9)
+#define CATALOGUE_HASH UINT32_C(0x0D618A83)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -33,7 +33,7 @@ typedef enum {
 #define FAULT_UNDER_VOLTAGE UINT16_C(0x0002) /* DC bus below the under-voltage limit */
 #define FAULT_OVER_CURRENT UINT16_C(0x0004) /* hardware over-current latch tripped */
 #define FAULT_CURRENT_OFFSET UINT16_C(0x0008) /* current amplifier offset far from mid-scale during calibration */
-#define FAULT_ROTOR_SEARCH UINT16_C(0x0010) /* full current does not move the shaft while the rotor is searched */
+#define FAULT_ROTOR_SEARCH UINT16_C(0x0010) /* full current does not move the shaft while the rotor is searched, or not far enough */
 #define FAULT_ENCODER UINT16_C(0x0020) /* encoder count and emulated index disagree */
 #define FAULT_HOST_SILENT UINT16_C(0x0040) /* no valid frame from the host within the time-out */
 #define FAULT_STALLED UINT16_C(0x0080) /* full current and no movement: shaft held fast, or encoder dead */
@@ -41,6 +41,7 @@ typedef enum {
 #define FAULT_ENCODER_LOST UINT16_C(0x0200) /* the motor turns and the encoder does not count */
 #define FAULT_FOLLOWING_ERROR UINT16_C(0x0400) /* the shaft is farther from its shaped set-point than param.following_error */
 #define FAULT_OVER_SPEED UINT16_C(0x0800) /* the shaft turns faster than param.over_speed */
+#define FAULT_ENCODER_REVERSED UINT16_C(0x1000) /* the shaft runs away from where the rotor search holds it: it turns one way and the encoder counts the other */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */

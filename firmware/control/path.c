@@ -17,18 +17,19 @@ void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t o
 
 void path_retune(path_t *path, int32_t target, uint16_t from_omega_n_ts, uint16_t to_omega_n_ts)
 {
-    const path_position_t end = path_counts(target);
     const path_position_t lead = i64_over_u16((path->ramp - path->output) * from_omega_n_ts, to_omega_n_ts);
     const path_position_t ramp = path->output + lead;
     /* Only a ramp that is on its way to the target can be drawn past it; one that is yet to turn round keeps its lead. */
-    const bool passes = (lead > 0) ? (path->ramp <= end && ramp > end) : (path->ramp >= end && ramp < end);
+    const path_position_t before = path_beyond(path->ramp, target);
+    const path_position_t beyond = path_beyond(ramp, target);
+    const bool passes = (lead > 0) ? (before <= 0 && beyond > 0) : (before >= 0 && beyond < 0);
     path->filter = i64_over_u16(path->filter * from_omega_n_ts, to_omega_n_ts);
-    path->ramp = passes ? end : ramp;
+    path->ramp = passes ? ramp - beyond : ramp;
 }
 
 void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts)
 {
-    const path_position_t distance = path_counts(target) - path->ramp;
+    const path_position_t distance = -path_beyond(path->ramp, target);
     if (distance > step_limit) {
         path->ramp += step_limit;
     } else if (distance < -step_limit) {

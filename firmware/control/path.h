@@ -4,7 +4,8 @@
 
 #include "math/frac.h"
 
-/* Positions in counts with 24 fraction bits. With 16 the filter would stop several counts short of its target. */
+/* Positions in counts with 24 fraction bits. With 16 the filter would stop several counts short of its target. Counts
+ * wrap at 32 bits, positions on a path do not: only whole counts may be compared, as path_beyond does. */
 #define PATH_BITS 24
 typedef int64_t path_position_t;
 
@@ -31,16 +32,31 @@ static inline path_position_t path_counts(int32_t counts)
     return (path_position_t)counts * (INT32_C(1) << PATH_BITS);
 }
 
+/* Whole counts of a position, rounded down, wrapped as the encoder's position is. */
+static inline int32_t path_whole(path_position_t x) { return (int32_t)(uint32_t)((uint64_t)x >> PATH_BITS); }
+
+/* The rest. */
+static inline int32_t path_part(path_position_t x)
+{
+    return (int32_t)((uint32_t)(uint64_t)x & ((UINT32_C(1) << PATH_BITS) - 1U));
+}
+
+/* How far a position is beyond `counts`, the short way round the wrap. */
+static inline path_position_t path_beyond(path_position_t x, int32_t counts)
+{
+    return path_counts(i32_sub_wrap(path_whole(x), counts)) + path_part(x);
+}
+
 /* Output in whole counts, rounded. */
 static inline int32_t path_position(const path_t *path)
 {
-    return (int32_t)asr64(path->output + (INT32_C(1) << (PATH_BITS - 1)), PATH_BITS);
+    return path_whole(path->output + (INT32_C(1) << (PATH_BITS - 1)));
 }
 
 /* True when the output is within half a count of `target` and no longer on its way. */
 static inline bool path_at_rest(const path_t *path, int32_t target)
 {
-    return path_position(path) == target && path->ramp == path_counts(target);
+    return path_position(path) == target && path_beyond(path->ramp, target) == 0;
 }
 
 #endif

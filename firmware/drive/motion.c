@@ -51,6 +51,7 @@ static void enter(axis_t *axis, motion_t motion, frac32_t speed)
     axis->motion.shaped_speed = speed;
     axis->motion.acceleration = 0;
     axis->motion.resting = false;
+    axis->motion.resistance = 0;
 }
 
 static void start_path(axis_t *axis, frac32_t speed)
@@ -83,6 +84,7 @@ static void enter_stop(axis_t *axis)
     if (axis->motion.motion != MOTION_STOP) {
         axis->motion.speed_ramp = axis->feedback.speed;
         axis->motion.stop_ticks = 0;
+        axis->motion.stopping = axis->feedback.speed;
         enter(axis, MOTION_STOP, axis->feedback.speed);
     }
 }
@@ -156,25 +158,26 @@ static void take_commands(axis_t *axis)
 
 static void report(axis_t *axis, uint16_t limit) { axis->active_limits = (uint16_t)(axis->active_limits | limit); }
 
-static frac32_t limited_speed(axis_t *axis, frac32_t speed)
+static bool beyond_limit(axis_t *axis, frac32_t speed)
 {
-    const frac32_t limited = f32_clip(speed, axis->limits.speed);
-    if (limited != speed) {
+    const bool beyond = speed > axis->limits.speed || speed < -axis->limits.speed;
+    if (beyond) {
         report(axis, LIMIT_SPEED);
     }
-    return limited;
+    return beyond;
 }
 
-/* The same where the shaft might leave its soft limits: everywhere but on the way to a target, which lies inside. */
+/* Where the shaft might leave its soft limits: everywhere but on the way to a target, which lies inside. */
 static frac32_t confined_speed(axis_t *axis, frac32_t speed)
 {
-    const frac32_t limited = limited_speed(axis, speed);
     const speed_range_t range = soft_limits_speed(axis);
-    if (limited > range.most || limited < range.least) {
+    const bool over = speed > range.most && range.most < axis->limits.speed;
+    const bool under = speed < range.least && range.least > -axis->limits.speed;
+    if (over || under) {
         report(axis, LIMIT_POSITION);
-        return (limited > range.most) ? range.most : range.least;
+        return over ? range.most : range.least;
     }
-    return limited;
+    return speed;
 }
 
 static void confine_target(axis_t *axis)
@@ -229,6 +232,17 @@ static frac32_t wanted_speed(const axis_t *axis, path_position_t behind)
     return sat32(forward + asr64((int64_t)behind_q8 * axis->config->position_gain, 8));
 }
 
+/* Speed within the limit, or within the path's own speed while that still comes down to a lower limit. */
+static frac32_t followed_speed(axis_t *axis, path_position_t behind)
+{
+    const frac32_t speed = wanted_speed(axis, behind);
+    if (!beyond_limit(axis, speed)) {
+        return speed;
+    }
+    const frac32_t shaped = f32_abs(axis->motion.shaped_speed);
+    return f32_clip(speed, (shaped > axis->limits.speed) ? shaped : axis->limits.speed);
+}
+
 /* Where a shaft would be that does what the position controller asks: what the real one lacks is its following error.
  * The lag that belongs to a plain gain is none. */
 static void follow_model(axis_t *axis)
@@ -238,8 +252,8 @@ static void follow_model(axis_t *axis)
         m->model = path_counts(axis->feedback.position);
         return;
     }
-    const frac32_t speed = f32_clip(wanted_speed(axis, m->path.output - m->model), axis->limits.speed);
-    m->model += path_step_of(axis->config, speed);
+    const path_position_t behind = path_beyond(m->path.output, path_whole(m->model)) - path_part(m->model);
+    m->model += path_step_of(axis->config, followed_speed(axis, behind));
 }
 
 static frac32_t position_controller(axis_t *axis)
@@ -251,7 +265,7 @@ static frac32_t position_controller(axis_t *axis)
     if (rests(axis)) {
         return 0;
     }
-    return limited_speed(axis, wanted_speed(axis, m->path.output - path_counts(axis->feedback.position)));
+    return followed_speed(axis, path_beyond(m->path.output, axis->feedback.position));
 }
 
 static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
@@ -262,11 +276,27 @@ static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
 /* Slow enough to hold, or to coast. */
 static bool slow(const axis_t *axis) { return f32_abs(axis->feedback.speed) <= axis->config->stop_speed; }
 
+/* The shaft of a stop has come to rest, or has turned round between two looks at it. */
+static bool at_rest(const axis_t *axis)
+{
+    return slow(axis) || (axis->feedback.speed < 0) != (axis->motion.stopping < 0);
+}
+
 /* A stop ends within a stated time, even where the host wants gentle starts. */
 static frac32_t stop_acceleration(const axis_t *axis)
 {
     const frac32_t least = axis->config->stop_acceleration;
     return (axis->limits.acceleration > least) ? axis->limits.acceleration : least;
+}
+
+/* Towards the set-point; and down to a limit that has been lowered, within a stated time as in a stop. */
+static frac32_t ramped_speed(axis_t *axis)
+{
+    const motion_state_t *m = &axis->motion;
+    const bool lowered = beyond_limit(axis, m->speed_ramp);
+    const bool clipped = beyond_limit(axis, m->speed_target);
+    const frac32_t target = clipped ? f32_clip(m->speed_target, axis->limits.speed) : m->speed_target;
+    return ramp(m->speed_ramp, target, lowered ? stop_acceleration(axis) : axis->limits.acceleration);
 }
 
 /* What is known to be needed, before there is an error: current against friction and for the acceleration. */
@@ -306,25 +336,46 @@ static frac16_t speed_controller(axis_t *axis)
     return f16_from_f32(i_q);
 }
 
-/* Torque within the speed limits: near them the proportional part of the speed controller takes the current back. */
+/* Current against a load that drives the shaft past a limit of the speed: it grows while the shaft is past it, and is
+ * given back within it. At the upper limit it is negative. */
+static frac32_t resist(axis_t *axis, speed_range_t range)
+{
+    const gain_t ki = axis->config->speed.ki;
+    const frac32_t limit = f32_from_f16(axis->limits.i_q);
+    const frac32_t speed = axis->feedback.mean_speed;
+    const frac32_t before = axis->motion.resistance;
+    if (before == 0 && speed <= range.most && speed >= range.least) {
+        return 0; /* almost always */
+    }
+    const frac32_t over = f32_add((before < 0) ? before : 0, f32_gain(f32_sub(range.most, speed), ki));
+    const frac32_t under = f32_add((before > 0) ? before : 0, f32_gain(f32_sub(range.least, speed), ki));
+    axis->motion.resistance = ((over < 0) ? f32_clip(over, limit) : 0) + ((under > 0) ? f32_clip(under, limit) : 0);
+    return axis->motion.resistance;
+}
+
+/* Torque within the speed limits: near them the speed controller's proportional part takes the current back, and its
+ * integral part holds against a load. */
 static frac16_t torque_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const gain_t kp = axis->config->speed.kp;
     const speed_range_t range = soft_limits_speed(axis);
-    const frac32_t most = f32_gain(f32_sub(range.most, axis->feedback.speed), kp);
-    const frac32_t least = f32_gain(f32_sub(range.least, axis->feedback.speed), kp);
+    const frac32_t held = resist(axis, range);
+    const frac32_t room_above = f32_gain(f32_sub(range.most, axis->feedback.speed), kp);
+    const frac32_t room_below = f32_gain(f32_sub(range.least, axis->feedback.speed), kp);
+    const frac32_t most = f32_add(room_above, (held < 0) ? held : 0);
+    const frac32_t least = f32_add(room_below, (held > 0) ? held : 0);
     const frac16_t wanted = f16_limit(m->i_q_target, axis->limits.i_q);
     if (wanted != m->i_q_target) {
         report(axis, LIMIT_CURRENT);
     }
-    int64_t i_q = f32_from_f16(wanted);
+    frac32_t i_q = f32_from_f16(wanted);
     if (i_q > most || i_q < least) {
         const bool soft = (i_q > most) ? range.most < axis->limits.speed : range.least > -axis->limits.speed;
         report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
         i_q = (i_q > most) ? most : least;
     }
-    const frac16_t result = f16_limit(f16_from_f32(sat32(i_q)), axis->limits.i_q);
+    const frac16_t result = f16_limit(f16_from_f32(i_q), axis->limits.i_q);
     m->speed_ref = axis->feedback.speed;
     m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
@@ -352,8 +403,7 @@ void motion_step(axis_t *axis)
         axis->current_ref.q = torque_controller(axis);
         return;
     case MOTION_SPEED:
-        m->speed_ramp = ramp(m->speed_ramp, limited_speed(axis, m->speed_target), axis->limits.acceleration);
-        m->speed_ramp = confined_speed(axis, m->speed_ramp);
+        m->speed_ramp = confined_speed(axis, ramped_speed(axis));
         shape(m, m->speed_ramp);
         m->speed_ref = m->speed_ramp;
         break;
@@ -364,7 +414,7 @@ void motion_step(axis_t *axis)
         if (m->speed_ramp == 0) {
             m->stop_ticks = (m->stop_ticks < UINT16_MAX) ? (uint16_t)(m->stop_ticks + 1U) : UINT16_MAX;
             /* With little current the shaft is behind the ramp: a point latched now would have to be run back to. */
-            if (axis->requested && slow(axis)) {
+            if (axis->requested && at_rest(axis)) {
                 hold(axis);
             }
         }
@@ -393,5 +443,5 @@ int32_t motion_following_error(const axis_t *axis)
     if (axis->motion.motion != MOTION_POSITION) {
         return 0;
     }
-    return i32_sub_wrap((int32_t)asr64(axis->motion.model, PATH_BITS), axis->feedback.position);
+    return i32_sub_wrap(path_whole(axis->motion.model), axis->feedback.position);
 }

@@ -164,6 +164,8 @@ static void align_slow(axis_t *axis)
         align_ready(axis);
     } else if (axis->search.phase == ROTOR_SEARCH_BLIND) {
         axis_raise(axis, FAULT_ENCODER_LOST);
+    } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
+        axis_raise(axis, FAULT_ENCODER_REVERSED);
     } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {
         axis_raise(axis, FAULT_ROTOR_SEARCH);
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {

@@ -5,18 +5,20 @@
 #define GROWTH_MOST UINT16_C(4)
 #define HELD_OVER_HOLD UINT16_C(4)  /* an edge that dithers is no reason to pull for ever */
 #define CALM_OVER_REST UINT16_C(10) /* nor to wait; so dithers an encoder with a dead line, too */
-#define FADE_TICKS UINT16_C(4) /* 2 ms: shorted windings would lose their current with L / R, and go on pulling */
-#define STARVED_MOST UINT16_C(64) /* PWM periods: 4 ms */
+#define STARVED_MOST UINT16_C(64)   /* PWM periods: 4 ms */
 
 /* The first count comes after one count of movement at most, the twitch after two or more. With a torque that is constant
- * or grows from zero, the time in between is more than a quarter of the movement's; the brake takes no longer than that. */
+ * or grows from zero, the time in between is more than a quarter of the movement's; the brake takes no longer than that,
+ * or it would drive back a shaft without friction. */
 #define BRAKE_OVER_MOVING UINT16_C(4)
 
-/* So many twitches in a row in one direction: the bound on the other side dates from before them. */
-#define RUN_LEAST 2
+/* A vector beside theta_M moves the shaft so much farther: off an end stop that leaves room for the twitch back. */
+#define SIDE_OVER_MOVE UINT16_C(2)
 
-/* A rotor beyond a bound is looked for within so many reaches, as a power of two, of the end of a search. */
-#define BEYOND_SHIFT 5
+/* So often the shaft may run away from where it was found: once, a knock may have led the search astray. And so often it
+ * may not follow there: twice, the search may have begun too close to an end stop. */
+#define ESCAPES_MOST UINT16_C(2)
+#define REFUSALS_MOST UINT16_C(3)
 
 /* What the shaft has moved since the start of this pull, electrical, wrapped as all angles are. */
 static frac16_t shift_of(const rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
@@ -39,11 +41,7 @@ static frac16_t beside(const rotor_search_t *search, int16_t times, uint16_t ang
 }
 
 /* Angle of the vector while the shaft stands where this pull has begun. */
-static frac16_t aim(const rotor_search_t *search)
-{
-    return (search->check != 0) ? beside(search, search->check, search->reach)
-                                : beside(search, search->side, QUARTER_TURN);
-}
+static frac16_t aim(const rotor_search_t *search) { return beside(search, search->side, QUARTER_TURN); }
 
 /* The torque is the current times the sine of the angle between rotor and vector, and the bounds say how small that may
  * be: a faster growth makes up for it in part. In full it would leave the brake too few slow ticks. */
@@ -81,7 +79,7 @@ static void rest(rotor_search_t *search, const rotor_search_config_t *config, in
 {
     search->phase = ROTOR_SEARCH_REST;
     search->current = slew(search, config, 0);
-    search->fade = FADE_TICKS;
+    search->fade = true;
     search->last = position;
     search->timer = 0;
     search->anchor = position;
@@ -94,58 +92,65 @@ static void finish(rotor_search_t *search, rotor_search_phase_t phase)
     search->current = 0;
 }
 
-/* Nothing is known. */
-static void forget(rotor_search_t *search)
-{
-    search->theta_m = 0;
-    search->reach = HALF_TURN;
-    search->direction = 0;
-    search->run = 0;
-    search->side = 0;
-    search->check = 0;
-    search->free = false;
-}
-
 void rotor_search_start(rotor_search_t *search, int32_t position)
 {
-    *search = (rotor_search_t){0};
-    forget(search);
+    *search = (rotor_search_t){.reach = HALF_TURN};
     pull(search, position);
 }
 
-/* The largest current has moved nothing. The rotor lies on the vector if the shaft has been seen to be free since the last
- * twitch; and it does not matter if the bounds are as narrow as they have to become. Otherwise vectors from the sides
- * tell, first one, then - the shaft may lean on an end stop - the other. */
+/* The rotor is believed to lie at theta_M; the current may still be that of the pull. */
+static void verify(rotor_search_t *search, int32_t position)
+{
+    search->phase = ROTOR_SEARCH_VERIFY;
+    search->vector = search->theta_m;
+    search->origin = position;
+    search->anchor = position;
+    search->direction = 1;
+    search->follows = false;
+}
+
+/* What was believed is not true, and nothing else is known: look from the side, or give up. */
+static void doubt(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+{
+    if (search->escapes >= ESCAPES_MOST) {
+        finish(search, ROTOR_SEARCH_REVERSED);
+    } else if (search->refusals >= REFUSALS_MOST) {
+        finish(search, ROTOR_SEARCH_HELD);
+    } else {
+        search->reach = HALF_TURN;
+        search->side = 1;
+        search->direction = 0;
+        rest(search, config, position);
+    }
+}
+
+/* The largest current has moved nothing. With a twitch before it the rotor ought to lie on the vector. Without one it may
+ * lie opposite as well; vectors from the sides tell, first one, then - the shaft may lean on an end stop - the other. */
 static void nothing_moved(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->side == 0) {
-        if (search->free || (int32_t)search->reach <= config->interval) {
-            finish(search, ROTOR_SEARCH_FOUND);
-            return;
-        }
-        search->side = 1;
-    } else if (search->side == 1) {
-        search->side = -1;
+    if (search->side == 0 && search->reach <= QUARTER_TURN) {
+        search->theta_m = f16_add_wrap(search->theta_m, shift_of(search, config, position));
+        verify(search, position);
+    } else if (search->side >= 0) {
+        search->side = (search->side == 0) ? 1 : -1;
+        rest(search, config, position);
     } else {
         search->phase = ROTOR_SEARCH_TURN;
         search->origin = position;
         rotor_follow_start(&search->follow, search->vector);
-        return;
     }
-    rest(search, config, position);
 }
 
 /* The current is reversed in equal steps, which cancel out, as far each as the current controller follows. */
 static void brake(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    const int64_t reversal = 2 * (int64_t)search->current;
-    const int64_t steps = reversal / config->current_slew + 1;
+    const uint32_t reversal = 2U * (uint32_t)search->current; /* while it pulls it is not negative */
+    const uint32_t steps = reversal / (uint32_t)config->current_slew + 1U;
     search->phase = ROTOR_SEARCH_BRAKE;
-    search->pace = distance(search->last, position);
     search->last = position;
     search->timer = 0;
     search->peak = -search->current;
-    search->swing = (frac32_t)((reversal + steps - 1) / steps);
+    search->swing = (frac32_t)(reversal / steps + ((reversal % steps != 0U) ? 1U : 0U));
     search->current -= search->swing;
 }
 
@@ -154,9 +159,7 @@ static void pull_step(rotor_search_t *search, const rotor_search_config_t *confi
     const uint32_t moved = distance(search->origin, position);
     search->vector = f16_add_wrap(aim(search), shift_of(search, config, position));
     search->moving = (moved == 0U) ? 0U : (uint16_t)(search->moving + 1U);
-    /* Where it is believed to lie nothing must move it: not even back to an end stop that it has just been pulled off. */
-    const uint16_t twitch = (uint16_t)(config->move_counts - (search->free ? 1U : 0U));
-    if (moved >= twitch) {
+    if (moved >= (uint32_t)config->move_counts * ((search->side != 0) ? SIDE_OVER_MOVE : 1U)) {
         search->direction = (i32_sub_wrap(position, search->origin) > 0) ? 1 : -1;
         brake(search, config, position);
         return;
@@ -180,8 +183,6 @@ static void brake_step(rotor_search_t *search, const rotor_search_config_t *conf
 {
     const int32_t ahead = i32_sub_wrap(position, search->last);
     const bool back = (search->direction > 0) ? ahead < 0 : ahead > 0;
-    /* On a vector within a count of the rotor, the reversed current may drive it on instead. */
-    const bool driven = distance(search->last, position) > 2U * search->pace + 1U;
     search->vector = f16_add_wrap(aim(search), shift_of(search, config, position));
     search->last = position;
     search->timer++;
@@ -196,7 +197,7 @@ static void brake_step(rotor_search_t *search, const rotor_search_config_t *conf
         spent = search->peak >= 0;
         search->current = spent ? 0 : search->peak;
     }
-    if (back || driven || spent || search->timer >= (uint32_t)BRAKE_OVER_MOVING * search->moving) {
+    if (back || spent || search->timer >= (uint32_t)BRAKE_OVER_MOVING * search->moving) {
         rest(search, config, position);
     }
 }
@@ -206,72 +207,22 @@ static void halve(rotor_search_t *search)
 {
     search->reach = (uint16_t)(search->reach >> 1);
     search->theta_m = beside(search, (int16_t)-search->direction, search->reach);
-    const bool again = (search->direction > 0) ? search->run > 0 : search->run < 0;
-    search->run = (int16_t)(again ? search->run + search->direction : search->direction);
-    search->free = false;
 }
 
 /* A vector beside theta_M has moved the shaft: the rotor lies within a quarter turn of theta_M, or of its opposite. */
 static void decide_side(rotor_search_t *search)
 {
-    const bool opposite = search->direction != search->side;
-    if (opposite && search->reach <= QUARTER_TURN) {
-        forget(search); /* that is outside of the bounds: one of the twitches was none of ours */
-        return;
-    }
-    search->theta_m = beside(search, opposite ? 2 : 0, QUARTER_TURN);
-    search->reach = (search->reach < QUARTER_TURN) ? search->reach : QUARTER_TURN;
+    search->theta_m = beside(search, (search->direction == search->side) ? 0 : 2, QUARTER_TURN);
+    search->reach = QUARTER_TURN;
     search->side = 0;
-    search->free = true;
-}
-
-/* A vector at a bound has moved the shaft: inwards, and that bound holds, or outwards, and the rotor lies beyond it. */
-static bool decide_check(rotor_search_t *search)
-{
-    if (search->direction == search->check) {
-        return true;
-    }
-    const uint16_t beyond = (uint16_t)(search->reach << BEYOND_SHIFT);
-    search->theta_m = beside(search, search->check, (uint16_t)(search->reach + beyond));
-    search->reach = beyond;
-    search->check = 0;
-    search->run = 0;
-    return false;
-}
-
-/* What the twitch means. True when the rotor is found. */
-static bool decide(rotor_search_t *search, const rotor_search_config_t *config)
-{
-    if (search->direction == 0) {
-        return false; /* theta_M has only been left for its side */
-    }
-    if (search->side != 0) {
-        decide_side(search);
-        return false;
-    }
-    if (search->check != 0) {
-        return decide_check(search);
-    }
-    halve(search);
-    if (2 * (int32_t)search->reach > config->interval) {
-        return false;
-    }
-    if (search->run > -RUN_LEAST && search->run < RUN_LEAST) {
-        return true;
-    }
-    search->check = (search->run > 0) ? -1 : 1; /* the bound that the rotor has been going to */
-    return false;
 }
 
 static void rest_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (search->current != 0) {
-        if (search->current < 0) { /* a reversed vector that stood still would push the shaft away from it */
-            search->vector = f16_add_wrap(aim(search), shift_of(search, config, position));
-        }
         search->current = slew(search, config, 0);
-    } else if (search->fade > 0U) {
-        search->fade--;
+    } else {
+        search->fade = false;
     }
     search->timer = (position == search->last) ? (uint16_t)(search->timer + 1U) : 0U;
     search->last = position;
@@ -283,22 +234,64 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
     if (search->timer < config->rest_ticks && search->calm < (uint32_t)CALM_OVER_REST * config->rest_ticks) {
         return;
     }
-    const bool found = decide(search, config);
+    if (search->direction != 0 && search->side != 0) {
+        decide_side(search);
+    } else if (search->direction != 0) {
+        halve(search);
+    }
     search->theta_m = f16_add_wrap(search->theta_m, shift_of(search, config, position)); /* coordinate correction */
-    if (found) {
-        search->vector = search->theta_m;
-        finish(search, ROTOR_SEARCH_FOUND);
-    } else {
+    if (2 * (int32_t)search->reach > config->interval) {
         pull(search, position);
+    } else {
+        verify(search, position);
+    }
+}
+
+/* The vector turns to one side until the shaft has followed, then back until the shaft is back; if it does not follow, to
+ * the other side. How far vector and rotor are apart by what was found, friction has a part in that: the mean of there and
+ * back is the error of what was found. */
+static void verify_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+{
+    const frac32_t limit = f32_from_f16(config->current_limit);
+    const frac16_t rotor = f16_add_wrap(search->theta_m, shift_of(search, config, position));
+    const frac16_t ahead = f16_sub_wrap(search->vector, rotor);
+    const int64_t gone = (int64_t)distance(search->origin, position) * config->angle_per_count;
+    if (gone > (int64_t)config->verify_angle << 14) { /* a quarter of the largest turn: the vector does not hold it */
+        search->escapes++;
+        doubt(search, config, position);
+        return;
+    }
+    if (search->current < limit || search->timer < config->hold_ticks) {
+        search->timer = (uint16_t)((search->current < limit) ? 0U : search->timer + 1U);
+        search->current = f32_limit((int64_t)search->current + growth(search, config), limit);
+        search->anchor = position;
+        return;
+    }
+    const int32_t moved = search->direction * i32_sub_wrap(position, search->anchor);
+    const int16_t way = (int16_t)(search->follows ? -search->direction : search->direction);
+    if (search->follows ? moved > 0 : moved < (int32_t)config->move_counts) {
+        if ((int32_t)way * f16_sub_wrap(search->vector, search->theta_m) < (int32_t)config->verify_angle) {
+            search->vector = f16_add_wrap(search->vector, (frac16_t)(way * (int16_t)config->verify_step));
+        } else if (way > 0 && !search->follows) {
+            search->direction = -1;
+        } else {
+            search->refusals++;
+            doubt(search, config, position);
+        }
+    } else if (!search->follows) {
+        search->follows = true;
+        search->ahead = ahead;
+    } else {
+        search->vector = f16_add_wrap(rotor, (frac16_t)(((int32_t)search->ahead + ahead) / 2));
+        finish(search, ROTOR_SEARCH_FOUND);
     }
 }
 
 static void turn_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (distance(search->origin, position) >=
-        config->move_counts) { /* the shaft has come free, and the encoder sees it */
-        forget(search);
-        rest(search, config, position);
+    if (distance(search->origin, position) >= config->move_counts) { /* the shaft has come free, and is seen */
+        search->refusals++;
+        doubt(search, config, position);
         return;
     }
     const bool back = rotor_follow_step(&search->follow, &config->follow);
@@ -326,7 +319,6 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
 {
     if (search->starved >= STARVED_MOST) {
         finish(search, ROTOR_SEARCH_HELD);
-        search->starved = 0;
         return;
     }
     switch (search->phase) {
@@ -339,6 +331,9 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
     case ROTOR_SEARCH_REST:
         rest_step(search, config, position);
         break;
+    case ROTOR_SEARCH_VERIFY:
+        verify_step(search, config, position);
+        break;
     case ROTOR_SEARCH_TURN:
         turn_step(search, config, position);
         break;
@@ -350,7 +345,8 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
 bool rotor_search_drives(const rotor_search_t *search)
 {
     return search->phase == ROTOR_SEARCH_PULL || search->phase == ROTOR_SEARCH_BRAKE ||
-           search->phase == ROTOR_SEARCH_TURN || (search->phase == ROTOR_SEARCH_REST && search->fade > 0U);
+           search->phase == ROTOR_SEARCH_VERIFY || search->phase == ROTOR_SEARCH_TURN ||
+           (search->phase == ROTOR_SEARCH_REST && search->fade);
 }
 
 frac16_t rotor_search_angle(const rotor_search_t *search) { return search->vector; }

@@ -7,9 +7,11 @@
  * its size - and the brake is the pull played backwards with the current reversed. The shaft then stops, whatever its
  * inertia, about as far behind the first counts as these were from rest; friction stops it sooner.
  *
- * Honest: a bound that dates from the first, weak twitches is looked at again with the strong vector of the last ones. And
- * where the largest current moves nothing, the rotor may lie on the vector, lie opposite, be held, or move unseen.
- * Vectors from both sides tell; if they move nothing either, the voltage of a turning vector tells held from unseen.
+ * Honest: nothing is believed that has not been tried. Where the rotor is thought to lie, the vector turns a little at full
+ * current until the shaft follows, and back: this cancels friction, and shows a shaft that leans on an end stop, which
+ * twitches alone do not, and a reversed encoder, with which the shaft runs away from the vector. Where the largest current
+ * moves nothing at all, a vector that turns by a wide angle tells by its voltage a shaft that is held from one that moves
+ * unseen.
  */
 #ifndef SERVO_SENSING_ROTOR_SEARCH_H
 #define SERVO_SENSING_ROTOR_SEARCH_H
@@ -23,45 +25,49 @@ typedef struct {
     uint16_t hold_ticks;      /* wait at the largest Ip, without another count, before "no movement" */
     uint16_t rest_ticks;      /* standstill after a twitch before its movement is measured */
     uint16_t move_counts;     /* movement that counts as a twitch; at least 2, one is what an edge does by itself */
+    uint16_t verify_angle;    /* largest turn of the vector for the shaft to follow, 2^16 is a turn; below 2^15 */
+    uint16_t verify_step;     /* angle per slow tick */
     int32_t angle_per_count;  /* electrical, 2^16 is a turn, 16 fraction bits */
     int32_t interval;         /* theta_H - theta_L at which the search ends, 2^16 is a turn */
     rotor_follow_config_t follow;
 } rotor_search_config_t;
 
 typedef enum {
-    ROTOR_SEARCH_PULL,  /* the current at theta_M grows */
-    ROTOR_SEARCH_BRAKE, /* reversed, it shrinks */
-    ROTOR_SEARCH_REST,  /* none; then the windings are shorted until the shaft rests */
-    ROTOR_SEARCH_TURN,  /* nothing moves: does the rotor follow a turning vector unseen? */
+    ROTOR_SEARCH_PULL,     /* the current at theta_M grows */
+    ROTOR_SEARCH_BRAKE,    /* reversed, it shrinks */
+    ROTOR_SEARCH_REST,     /* none; then the windings are shorted until the shaft rests */
+    ROTOR_SEARCH_VERIFY,   /* does the shaft follow the vector where the rotor is believed to lie? */
+    ROTOR_SEARCH_TURN,     /* nothing moves: does the rotor follow a turning vector unseen? */
     ROTOR_SEARCH_FOUND,
-    ROTOR_SEARCH_HELD,  /* the rotor does not move, or no current flows */
-    ROTOR_SEARCH_BLIND, /* the rotor moves, the encoder does not count */
+    ROTOR_SEARCH_HELD,     /* the rotor does not move, or not far enough, or no current flows */
+    ROTOR_SEARCH_BLIND,    /* the rotor moves, the encoder does not count */
+    ROTOR_SEARCH_REVERSED, /* the encoder counts the wrong way: the shaft runs away from where it was found */
 } rotor_search_phase_t;
 
 typedef struct {
     rotor_search_phase_t phase;
-    frac16_t theta_m; /* middle of the bounds at the start of this pull */
-    uint16_t reach;   /* theta_H - theta_M = theta_M - theta_L, 2^16 is a turn */
-    frac16_t vector;  /* angle of the current vector now */
-    frac32_t current; /* Ip along the vector; negative while it brakes */
-    int32_t origin;   /* position at the start of this pull */
-    int32_t last;     /* position: the farthest while it brakes, the last one while it comes to rest */
-    int32_t anchor;     /* position that the resting shaft has not left by more than a count .. */
-    uint16_t calm;      /* .. for so many slow ticks */
-    uint16_t timer;     /* slow ticks without another count */
-    uint16_t held;      /* slow ticks at the largest Ip */
-    uint16_t fade;      /* slow ticks until the current of a twitch is gone */
-    frac32_t peak;      /* Ip of the brake after the reversal .. */
-    frac32_t swing;     /* .. which takes so much per slow tick */
-    uint32_t pace;      /* counts in the last slow tick before the brake */
-    uint16_t moving;    /* slow ticks since this pull's first count */
-    uint16_t searches;  /* vectors tried so far */
-    int16_t direction;  /* of the last twitch: -1, 1, or 0 when nothing moved */
-    int16_t run;        /* twitches in the same direction, the last ones, with their sign */
-    int16_t side;       /* the vector stands this many quarter turns beside theta_M: -1, 0, 1 */
-    int16_t check;      /* it stands at the bound on this side: -1 theta_L, 1 theta_H, 0 neither */
-    bool free;          /* it has been seen from the side that the shaft moves */
-    uint16_t starved;   /* PWM periods with less than a quarter of the current asked for */
+    frac16_t theta_m;  /* middle of the bounds at the start of this pull */
+    uint16_t reach;    /* theta_H - theta_M = theta_M - theta_L, 2^16 is a turn */
+    int16_t side;      /* the vector stands this many quarter turns beside theta_M: -1, 0, 1 */
+    frac16_t vector;   /* angle of the current vector now */
+    frac32_t current;  /* Ip along the vector; negative while it brakes */
+    frac32_t peak;     /* Ip of the brake after the reversal .. */
+    frac32_t swing;    /* .. which takes so much per slow tick */
+    bool fade;         /* the current of a twitch is still controlled, to zero */
+    int32_t origin;    /* position at the start of this pull */
+    int32_t last;      /* position: the farthest while it brakes, the last one while it comes to rest */
+    int32_t anchor; /* position that the resting shaft has not left by more than a count; at the start of the turn */
+    uint32_t calm; /* slow ticks that it has not */
+    uint32_t held; /* slow ticks at the largest Ip */
+    uint16_t timer; /* slow ticks without another count */
+    uint16_t moving;   /* slow ticks since this pull's first count */
+    uint16_t searches; /* vectors tried so far */
+    int16_t direction; /* -1 or 1: of the last twitch, 0 when nothing moved; of the turn that verifies */
+    bool follows; /* the shaft has followed this turn .. */
+    frac16_t ahead; /* .. when the vector was so far ahead of the rotor, as far as that was known */
+    uint16_t escapes; /* times that the shaft ran away from where it was found */
+    uint16_t refusals; /* times that it did not follow there, or came free only in TURN */
+    uint16_t starved; /* PWM periods with less than a quarter of the current asked for */
     rotor_follow_t follow;
 } rotor_search_t;
 

@@ -17,7 +17,7 @@ POSITION, SPEED, TORQUE = range(3)
 OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, CURRENT_OFFSET, ROTOR_SEARCH, ENCODER, HOST_SILENT, STALLED, RUNAWAY = (
     1 << bit for bit in range(9)
 )
-ENCODER_LOST, FAULT_FOLLOWING_ERROR, FAULT_OVER_SPEED = (1 << bit for bit in range(9, 12))
+ENCODER_LOST, FAULT_FOLLOWING_ERROR, FAULT_OVER_SPEED, ENCODER_REVERSED = (1 << bit for bit in range(9, 13))
 LIMIT_CURRENT, LIMIT_VOLTAGE, LIMIT_SPEED, LIMIT_SETPOINT, LIMIT_POSITION = (1 << bit for bit in range(5))
 SEED_FEATURES: Final = 0b1111
 """Those of the reference design, which are on after reset."""
@@ -25,7 +25,7 @@ FRICTION, SPEED_FORWARD, ACCELERATION_FORWARD, POSITION_LIMITS, FOLLOWING_ERROR,
     1 << bit for bit in range(4, 11)
 )
 
-PULL, BRAKE, REST, TURN, FOUND, HELD, BLIND = range(7)  # rotor_search_phase_t
+PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED = range(9)  # rotor_search_phase_t
 PERIODS: Final = 8
 VARIABLES: Final = 0x1000
 TIMER_PER_TICK: Final = 390.625
@@ -120,17 +120,20 @@ class Bench:
         self._shown[i] = timer.raw
 
     def _follow_search(self, i: int) -> None:
-        """A rotor without friction that twitches towards the vector of the search, whose current flows as asked for."""
+        """A rotor without friction that twitches towards the vector of the search, or follows it; the current flows as
+        asked for."""
         axis = self.axis(i)
         aligning = (axis.sm.state, axis.substate) == (RUN, ALIGN)
         if self._search_drives[i] or aligning:
-            self._search_drives[i] = aligning and axis.search.phase in (PULL, BRAKE, TURN)
+            self._search_drives[i] = aligning and axis.search.phase in (PULL, BRAKE, VERIFY, TURN)
             self._flow(i)
-        if not aligning or axis.search.phase != PULL or axis.search.current == 0:
+        if not aligning or axis.search.phase not in (PULL, VERIFY) or axis.search.current == 0:
             return
         rotor = self._rotor[i] + self.shaft[i].shaft * 2 / COUNTS
         towards = (axis.search.vector / 65536 - rotor + 0.5) % 1.0 - 0.5
-        if self.shaft_is_free[i] and abs(towards) > 0.002:
+        if self.shaft_is_free[i] and axis.search.phase == VERIFY:
+            self.shaft[i].move(round(towards * COUNTS / 2))
+        elif self.shaft_is_free[i] and abs(towards) > 0.002:
             self.shaft[i].move(4 if towards > 0 else -4)
             self.hal.axis[i].age = 0
 

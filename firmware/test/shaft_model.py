@@ -23,6 +23,8 @@ class Shaft:
         Held fast.
     seen : bool
         The encoder counts; what it misses is lost.
+    backwards : bool
+        The encoder counts the other way.
     stops : tuple of float
         End stops, mechanical, from the angle at time 0 [rad].
     """
@@ -35,6 +37,7 @@ class Shaft:
     resistance: float = 0.55
     locked: bool = False
     seen: bool = True
+    backwards: bool = False
     stops: tuple[float, float] = (-math.inf, math.inf)
     speed: float = field(default=0.0, init=False)  # mechanical [rad/s]
     moved: float = field(default=0.0, init=False)  # mechanical [rad]
@@ -49,7 +52,8 @@ class Shaft:
     @property
     def counts(self) -> int:
         """Encoder position since time 0."""
-        return math.floor((self.moved - self.missed) / (2.0 * math.pi) * COUNTS + 0.5)
+        counts = math.floor((self.moved - self.missed) / (2.0 * math.pi) * COUNTS + 0.5)
+        return -counts if self.backwards else counts
 
     def emf_across(self, vector: float) -> float:
         """Voltage that the turning rotor induces across a vector at an electrical angle [V]."""
@@ -63,6 +67,8 @@ class Shaft:
                 torque = -k_t * self.pole_pairs * self.psi * self.speed / self.resistance
             else:
                 torque = k_t * current * math.sin(vector - self.angle)
+            if self.locked:
+                self.speed = 0.0
             if self.locked or (self.speed == 0.0 and abs(torque) <= self.friction):
                 continue
             direction = math.copysign(1.0, self.speed if self.speed != 0.0 else torque)

@@ -204,10 +204,23 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("coarse search", {"axis1__rotor_search__interval": 60.0}, "axis1.rotor_search.interval = 60", "torque"),
     ("search finer than a count", {"axis1__rotor_search__interval": 0.1}, "axis1.rotor_search.interval = 0.1", "0.18"),
     ("large twitch", {"axis1__rotor_search__move_counts": 250}, "axis1.rotor_search.move_counts = 250", "no twitch"),
+    ("dithering twitch", {"axis1__rotor_search__move_counts": 2}, "axis1.rotor_search.move_counts = 2", "dithers"),
     ("hasty search", {"axis1__rotor_search__time_most": 0.5}, "axis1.rotor_search.time_most = 0.5", "8 vectors"),
     # gains and scales that do not fit
     ("speed gain", {"axis1__motor__inertia": 4e-4}, "axis1: speed controller Kp = 2", "does not fit gain_t"),
     ("current gain", {"axis1__motor__l_q": 0.1}, "axis1: current controller q Kp = 214.", "does not fit gain_t"),
+    (
+        "gains of one sum",
+        {
+            "axis1__motor__l_d": 0.055,
+            "axis1__motor__l_q": 0.055,
+            "axis1__motor__pole_pairs": 20,
+            "axis1__motor__psi_m": 0.00154,
+            "axis1__rotor_search__interval": 4.0,
+        },
+        "axis1: gains that meet in u_d = 314.",
+        "one sum of a PI",
+    ),
     ("integral gain", {"axis1__motor__r_s": 1000.0}, "axis1: current controller d Kp Ki Ts = 133.", "gain_t"),
     ("vanishing gain", {"axis1__control__position_gain": 1e-5}, "axis1.control.position_gain = 1e-05", "vanish"),
     ("sign of the current", {"axis1__sensing__sign_current": 0.06}, "axis1: slope of sensing.sign_current", "raise"),
@@ -216,7 +229,8 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("search ramp", {"axis1__rotor_search__ramp_time": 1e-4}, "axis1.rotor_search.ramp_time: current", "frac32_t"),
     ("friction slope", {"axis1__friction__smooth": 0.01}, "axis1.friction.smooth", "raise it"),
     # times
-    ("long time", {"axis1__timing__stall_most": 40.0}, "axis1.timing.stall_most = 40", "0.0005 .. 32.7675"),
+    ("longest time", {"axis1__timing__stall_most": 32.7675}, "axis1.timing.stall_most = 32.7675", "65534"),
+    ("long time", {"axis1__timing__stall_most": 40.0}, "axis1.timing.stall_most = 40", "0.0005 .. 32.767"),
     ("no time", {"axis1__timing__settle": 1e-4}, "axis1.timing.settle = 0.0001", "vanish"),
     ("host time-out", {"board__host_timeout": 60.0}, "board.host_timeout = 60", "0.05 .. 30 s"),
     # loops that sampling makes unstable

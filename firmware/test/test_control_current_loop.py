@@ -20,13 +20,14 @@ from exact import (
     clip32,
     edges,
     narrow,
+    near,
     nearest,
     product,
     saturated,
     times_gain,
 )
 from firmware_compiler import CompileC
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 U_FS, I_FS, UDC_FS = 24.2, 8.25, 36.3
@@ -331,6 +332,59 @@ def test_every_bit(
         assert [loop.d.excess, loop.q.excess] == model.excess
         duty = out.modulation.duty
         assert [duty.a, duty.b, duty.c, out.modulation.sector] == modulation
+
+
+@given(omega=I16, angle_step=I32)
+@settings(max_examples=200)
+def test_every_bit_of_a_turn(core: Core, omega: int, angle_step: int) -> None:
+    """What follows from the speed: itself, and sine and versine of the nearest angle per period."""
+    config: Any = core.ffi.new("current_loop_config_t *", core.lib.probe_config().axis[0].current_loop)
+    config.angle_step = angle_step
+    loop: Any = core.ffi.new("current_loop_t *")
+    core.lib.current_loop_turn(loop, config, omega)
+    turn = core.lib.sin_cos(clip16(nearest(omega * angle_step, 2**24)))
+    assert (loop.omega_e, loop.minus_2_omega) == (omega * 2**16, -2 * omega)
+    assert (loop.turn_sin, loop.turn_versine) == (turn.sin, MAX16 - max(turn.cos, 0))
+
+
+@given(theta=I16, turn=edges(-(2**14), 2**14))
+@settings(max_examples=400)
+def test_angle_of_the_duties(core: Core, theta: int, turn: int) -> None:
+    """Up to a quarter of a turn ahead: at most 3.5 LSB off the sine and cosine of the sum of both angles.
+
+    1.01 LSB of the sine and cosine here, 1.5 of those of the turn, half of one for the rounding, less for 1 - cosine.
+    """
+    sin_cos = core.lib.sin_cos
+    loop: Any = core.ffi.new("current_loop_t *", {"turn_sin": sin_cos(turn).sin})
+    loop.turn_versine = MAX16 - sin_cos(turn).cos
+    ahead = core.lib.current_loop_ahead(loop, sin_cos(theta))
+    angle = math.pi * (theta + turn) / 32768
+    assert abs(ahead.sin - 32768 * math.sin(angle)) <= 3.5
+    assert abs(ahead.cos - 32768 * math.cos(angle)) <= 3.5
+    at, s, v = sin_cos(theta), loop.turn_sin, loop.turn_versine
+    assert ahead.sin == clip16(at.sin + nearest(at.cos * s - at.sin * v, 2**15))
+    assert ahead.cos == clip16(at.cos - nearest(at.sin * s + at.cos * v, 2**15))
+
+
+@given(u=I16, bus=edges(8192, MAX16))
+@example(u=4096, bus=16385)  # a half, upwards
+@example(u=-4096, bus=16385)
+@settings(max_examples=200)
+def test_part_of_the_bus(core: Core, u: int, bus: int) -> None:
+    """u / u_dc: half an LSB, and up to 2 for the truncated reciprocal."""
+    part = core.lib.current_loop_over_bus(u, 2**29 // bus)
+    assert part == clip16(nearest(u * (2**29 // bus), 2**14))
+    assert abs(part - min(max(u * 2**15 / bus, MIN16), MAX16)) <= 0.5 + abs(u) / 2**14
+
+
+@given(
+    total=st.one_of(
+        edges(-255 << 55, 255 << 55), near(*(k << 39 for k in (-(2**16) - 1, -(2**16) + 1, -3, -1, 1, 3, 2**16 - 1)))
+    )
+)
+def test_sum_is_rounded_once(core: Core, total: int) -> None:
+    """55 fraction bits to 15, halves upwards, saturated; the gains of a sum stay below 255 together."""
+    assert core.lib.current_loop_rounded(total) == clip16(nearest(total, 2**40))
 
 
 def test_reset(core: Core) -> None:

@@ -50,6 +50,11 @@ def core(compile_c: CompileC) -> Core:
     return load_core(compile_c)
 
 
+def beyond(x: int, target: int) -> int:
+    """How far a position is beyond a target: counts wrap at 32 bits."""
+    return (x - target * ONE + 2**55) % 2**56 - 2**55
+
+
 class Integers:
     """The path with its roundings: two products to the nearest 2^-24 of a count per tick."""
 
@@ -60,16 +65,17 @@ class Integers:
         self.ramp = self.output + 2 * self.filter - step
 
     def step(self, target: int, limit: int) -> None:
-        self.ramp += min(max(target * ONE - self.ramp, -limit), limit)
+        self.ramp += min(max(-beyond(self.ramp, target), -limit), limit)
         self.filter += nearest((self.ramp - 2 * self.filter - self.output) * self.omega, 2**16)
         self.output += nearest(self.filter * self.omega, 2**16)
 
     def retune(self, target: int, omega: int) -> None:
         lead = towards_zero((self.ramp - self.output) * self.omega, omega)
-        short, past = (self.ramp <= target * ONE), (self.output + lead > target * ONE)
+        drawn = self.output + lead
+        short, past = beyond(self.ramp, target) <= 0, beyond(drawn, target) > 0
         if lead <= 0:
-            short, past = (self.ramp >= target * ONE), (self.output + lead < target * ONE)
-        self.ramp = target * ONE if short and past else self.output + lead
+            short, past = beyond(self.ramp, target) >= 0, beyond(drawn, target) < 0
+        self.ramp = drawn - beyond(drawn, target) if short and past else drawn
         self.filter = towards_zero(self.filter * self.omega, omega)
         self.omega = omega
 
@@ -130,7 +136,7 @@ def test_e40_over_the_whole_range(core: Core, omega: int, start: int, targets: l
     ramp, m, y = path.c.ramp, 0, path.c.ramp << more
     for target in targets:
         for _ in range(60):
-            ramp += min(max(target * ONE - ramp, -limit), limit)
+            ramp += min(max(-beyond(ramp, target), -limit), limit)
             m += ((ramp << more) - 2 * m - y) * omega >> 16
             y += m * omega >> 16
             path.step(target, limit)
@@ -224,6 +230,24 @@ def test_standing_start_stays(core: Core, omega_n_ts: int, position: int) -> Non
         path.step(position)
     assert path.position == position
     assert core.lib.path_at_rest(path.c, position)
+
+
+@pytest.mark.parametrize(("start", "target"), [(2**31 - 50, -(2**31) + 150), (-(2**31) + 150, 2**31 - 50)])
+def test_shortest_way_leads_through_the_wrap_of_the_counts(core: Core, start: int, target: int) -> None:
+    path, plain = Path(core, 3276, start), Path(core, 3276)
+    way = 200 if start > 0 else -200
+    for _ in range(400):
+        path.step(target, 20 * ONE)
+        plain.step(way, 20 * ONE)
+        assert (path.position - start - plain.position) % 2**32 == 0
+    assert core.lib.path_at_rest(path.c, target)
+
+
+@given(x=st.integers(-(2**60), 2**60), counts=I32)
+def test_how_far_beyond(core: Core, x: int, counts: int) -> None:
+    assert core.lib.path_beyond(x, counts) == beyond(x, counts)
+    assert (core.lib.path_whole(x) - (x >> 24)) % 2**32 == 0
+    assert core.lib.path_part(x) == x % ONE
 
 
 @pytest.mark.parametrize("step", [150 * ONE, -150 * ONE, ONE // 3])

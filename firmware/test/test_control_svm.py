@@ -15,7 +15,7 @@ from hypothesis import example, given
 FULL = 32767
 SQRT3 = math.sqrt(3.0)
 
-# T3 with spec's corrections: state of the legs a b c, angle of the vector in degrees.
+# T3, where 011 has to be U180, 001 U240 and 101 U300: state of the legs a b c, angle of the vector in degrees.
 ACTIVE = [
     ((1, 0, 0), 0),
     ((1, 1, 0), 60),

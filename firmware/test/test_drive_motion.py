@@ -10,12 +10,14 @@ from core_library import Core, load_core
 from firmware_compiler import CompileC
 from servo_bench import (
     ALIGN,
+    FOLLOWING_ERROR,
     LIMIT_CURRENT,
     LIMIT_SETPOINT,
     LIMIT_SPEED,
     LIMIT_VOLTAGE,
     POSITION,
     SPEED,
+    SPEED_FORWARD,
     SPIN,
     TORQUE,
     Bench,
@@ -165,6 +167,47 @@ def test_moves_ask_for_half_of_the_current_limit(bench: Bench, amperes: float, l
     assert max(speeds) <= limit * 1.001
 
 
+@pytest.mark.parametrize("quick_stop", [0, 1])
+@pytest.mark.parametrize("acceleration", [4000.0, 100.0])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_lowered_speed_limit_is_ramped_down_to(bench: Bench, sign: int, acceleration: float, quick_stop: int) -> None:
+    """At the acceleration limit, and at the least of a stop (1000 rad/s^2) where the host wants it gentle."""
+    bench.write(0, mode=SPEED, speed=speed(sign * 300.0))
+    bench.follow(400)
+    assert rad_s(bench.view(0).speed_ref) == pytest.approx(sign * 300.0, rel=1e-3)
+    bench.set_parameter("acceleration_limit", acceleration)
+    bench.set_parameter("speed_limit", 10.0)
+    bench.write(0, quick_stop=quick_stop)
+    references = [300.0]
+    for _ in range(700):
+        bench.follow(1)
+        references.append(sign * rad_s(bench.view(0).speed_ref))
+    steps = [a - b for a, b in itertools.pairwise(references)]
+    most = max(acceleration, 1000.0) * TICK
+    assert max(steps) == pytest.approx(most, rel=1e-3)
+    assert min(steps) >= -1.0, "a stop begins at the speed that was measured"
+    assert references[-1] == pytest.approx(0.0 if quick_stop else 10.0, abs=0.2)
+    if not quick_stop:
+        assert bench.view(0).limits & LIMIT_SPEED
+
+
+@pytest.mark.parametrize("features", [0, SPEED_FORWARD | FOLLOWING_ERROR])
+def test_lowered_speed_limit_slows_a_move_as_gently_as_its_path(bench: Bench, features: int) -> None:
+    bench.switch_on(0, features)
+    bench.write(0, position=1_000_000)
+    bench.follow(400)
+    bench.set_parameter("speed_limit", 50.0)
+    references = [rad_s(bench.view(0).speed_ref)]
+    for _ in range(400):
+        bench.follow(1)
+        references.append(rad_s(bench.view(0).speed_ref))
+    steps = [a - b for a, b in itertools.pairwise(references)]
+    available = 0.0462 * 4.0 / 0.8e-5  # k_t i / J of axis 1
+    assert max(steps) <= 0.55 * available * TICK
+    assert references[-1] == pytest.approx(50.0, rel=1e-2)
+    assert bench.view(0).faults == 0
+
+
 def test_new_limits_under_way_do_not_jump(bench: Bench) -> None:
     """In the middle of a long move the shaped set-point goes on at its speed, whatever current the host allows."""
     bench.write(0, position=1_000_000)
@@ -265,6 +308,17 @@ def test_integral_part_sums_the_way_not_an_old_speed(bench: Bench, counts: int) 
     assert speeds[-1] == 0.0
     integral = bench.axis(0).config.speed.ki / 2**24 * speed(counts * COUNT / TICK)
     assert bench.view(0).i_q_ref == pytest.approx(-integral / 2**16, abs=1.0)
+
+
+@pytest.mark.parametrize("counts", [1, -1, 300, -300, 666, -666, 667, -667, 1900, -1900])
+def test_counted_speed_saturates(bench: Bench, counts: int) -> None:
+    """Counts of one slow tick over those at full speed, 666.67; more than that is full speed."""
+    bench.write(0, mode=TORQUE, i_q=0)
+    bench.slow()
+    bench.shaft[0].move(counts)
+    bench.slow()
+    wanted = max(min(speed(counts * COUNT / TICK), 2**31 - 1), -(2**31))
+    assert bench.axis(0).feedback.mean_speed == pytest.approx(wanted, abs=2**31 * 2e-6)
 
 
 # ---- torque ---------------------------------------------------------------------------------------------------------
@@ -382,3 +436,70 @@ def test_parameters_are_clipped(bench: Bench) -> None:
     assert limits[0].acceleration == pytest.approx(2051, abs=1)
     assert [x.i_q for x in limits] == [pytest.approx(amps(0.1), abs=1), pytest.approx(amps(4.0), abs=1)]
     assert all(bench.view(i).limits & LIMIT_SETPOINT for i in range(2))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_stop_is_over_when_the_shaft_has_turned_round_between_two_ticks(bench: Bench, sign: int) -> None:
+    bench.write(0, mode=SPEED, speed=speed(sign * 60.0))
+    bench.follow(100)
+    bench.write(0, quick_stop=1)
+    bench.turn(0, sign * 8.0)
+    bench.slow(2)
+    bench.until(lambda: bench.axis(0).motion.speed_ramp == 0, 200)
+    assert bench.axis(0).motion.motion == bench.core.lib.MOTION_STOP
+    bench.turn(0, -sign * 8.0)
+    here = bench.view(0).position
+    bench.slow(2)
+    assert bench.axis(0).motion.motion == bench.core.lib.MOTION_POSITION
+    assert abs(bench.view(0).position_ref - here) <= 20, "it holds where it turned round"
+
+
+# ---- where the counts wrap ------------------------------------------------------------------------------------------
+
+
+def move_counters(bench: Bench, counts: int) -> None:
+    """Let axis 1, in speed mode, have come a long way."""
+    bench.write(0, mode=SPEED, speed=0)
+    bench.slow(2)
+    axis = bench.axis(0)
+    encoder = axis.encoder.position
+
+    def wrapped(x: int) -> int:
+        return (x + 2**31) % 2**32 - 2**31
+
+    encoder.count_init = wrapped(encoder.count_init - counts)
+    encoder.integral = wrapped(encoder.integral + counts)
+    encoder.position = wrapped(encoder.position + counts)
+    axis.feedback.position = encoder.position
+
+
+@pytest.mark.parametrize("features", [0, SPEED_FORWARD | FOLLOWING_ERROR])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_hold_at_the_wrap_is_a_hold(bench: Bench, features: int, direction: int) -> None:
+    bench.switch_on(0, features)
+    move_counters(bench, direction * (2**31 - 1) - bench.view(0).position)
+    bench.write(0, quick_stop=1)
+    bench.slow(5)
+    before = bench.view(0).position
+    bench.turn(0, direction * 5.0)
+    for _ in range(20):
+        bench.slow()
+        behind = rad_s(bench.view(0).speed_ref) * -direction
+        assert 0.0 <= behind <= 0.2 * 20.0, "as anywhere else"
+    assert bench.view(0).position * before < 0, "it has wrapped"
+    assert bench.view(0).faults == 0
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_position_mode_begins_smoothly_before_the_wrap(bench: Bench, direction: int) -> None:
+    """What the shaft trails its set-point by reaches over the wrap."""
+    move_counters(bench, direction * (2**31 - 2000) - bench.view(0).position)
+    bench.write(0, speed=speed(direction * 100.0))
+    bench.follow(80)
+    bench.write(0, mode=POSITION, position=0)
+    references = []
+    for _ in range(10):
+        bench.turn(0, rad_s(bench.view(0).speed_ref))
+        bench.slow()
+        references.append(direction * rad_s(bench.view(0).speed_ref))
+    assert min(references) > 60.0, references

@@ -117,7 +117,66 @@ def test_torque_ends_at_the_limit(bench: Bench) -> None:
     assert not bench.view(0).limits & LIMIT_SPEED
     bench.turn(0, 0.0)
     bench.slow(2000)
-    assert bench.view(0).i_q_ref == 0
+    assert bench.view(0).i_q_ref < 0, "what pushed it out may still be there"
+    bench.turn(0, -5.0)
+    bench.slow(100)
+    bench.turn(0, 0.0)
+    bench.slow(500)
+    assert bench.view(0).i_q_ref >= 0, "given back"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_torque_holds_against_a_load_at_the_limit(bench: Bench, sign: int) -> None:
+    """As the integral part of the speed controller: ki per count past the limit, given back on the way in."""
+    confine(bench, -2000, 2000)
+    bench.write(0, mode=TORQUE, i_q=0)
+    bench.turn(0, sign * 50.0)
+    bench.until(lambda: sign * bench.view(0).position >= 1950, 200)
+    bench.turn(0, sign * 0.5)
+    bench.until(lambda: sign * bench.view(0).position >= 2000, 400)
+    bench.turn(0, 0.0)
+    bench.slow(300)
+    rest, begin = bench.view(0).i_q_ref, bench.view(0).position
+    per_count = bench.axis(0).config.speed.ki / 2**24 * speed(COUNT / 0.5e-3) / 2**16
+    bench.turn(0, sign * 0.5)
+    bench.slow(12)
+    bench.turn(0, 0.0)
+    bench.slow(300)
+    pushed = abs(bench.view(0).position - begin)
+    assert pushed >= 2
+    assert sign * bench.view(0).i_q_ref == pytest.approx(sign * rest - per_count * pushed, abs=2.0)
+    bench.turn(0, -sign * 50.0)
+    bench.slow(40)
+    assert bench.view(0).i_q_ref == 0, "inside the torque is what was asked for"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_torque_against_a_load_stays_within_the_current_limit(bench: Bench, sign: int) -> None:
+    """However long it pushes; and it is not wound up farther than that."""
+    bench.set_parameter("i_q_limit", 1.0)
+    confine(bench, -2000, 2000)
+    bench.write(0, mode=TORQUE, i_q=0)
+    bench.turn(0, sign * 30.0)
+    bench.slow(1500)
+    assert bench.view(0).i_q_ref == pytest.approx(-sign * amps(1.0), abs=1)
+    bench.turn(0, -sign * 30.0)
+    back = bench.until(lambda: bench.view(0).i_q_ref == 0, 60)
+    assert back >= 1
+
+
+def test_torque_mode_begins_without_what_an_earlier_load_has_left(bench: Bench) -> None:
+    confine(bench, -2000, 2000)
+    bench.write(0, mode=TORQUE, i_q=0)
+    bench.turn(0, 30.0)
+    bench.slow(400)
+    assert bench.view(0).i_q_ref < 0
+    bench.turn(0, 0.0)
+    bench.slow(300)
+    bench.write(0, mode=SPEED, speed=0)
+    bench.slow(2)
+    bench.write(0, mode=TORQUE, i_q=0)
+    bench.slow(2)
+    assert bench.axis(0).motion.resistance == 0
 
 
 @pytest.mark.parametrize(("low", "high"), [(100, 5000), (-5000, -100), (100, -100), (-100, -200)])

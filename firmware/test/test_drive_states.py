@@ -22,6 +22,7 @@ from servo_bench import (
     SPIN,
     STOP,
     TORQUE,
+    VERIFY,
     Bench,
 )
 
@@ -115,7 +116,8 @@ def test_ready_shorts_the_windings(bench: Bench) -> None:
 
 
 def test_align_pulls_brakes_and_rests(bench: Bench) -> None:
-    """A growing current vector, the same reversed and taken back, then 50 % while the shaft comes to rest."""
+    """A growing current vector, the same reversed and taken back, then 50 % while the shaft comes to rest; in the end a
+    vector that the shaft follows."""
     bench.to_stop()
     bench.write(0, enable=1)
     bench.to_substate(0, ALIGN)
@@ -133,7 +135,7 @@ def test_align_pulls_brakes_and_rests(bench: Bench) -> None:
             assert axis.current_ref.d == pytest.approx(axis.search.current / 65536, abs=1)
             assert axis.current_ref.q == 0
             assert (axis.search.current < 0) == (axis.search.phase == BRAKE)
-    assert phases == {PULL, BRAKE, REST}
+    assert phases == {PULL, BRAKE, REST, VERIFY}
     assert bench.axis(0).substate == SPIN
 
 

@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shaft_model import SLOW, Shaft
 
-PULL, BRAKE, REST, TURN, FOUND, HELD, BLIND = range(7)
+PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED = range(9)
+COUNT = 2.0 * math.pi / 4000  # mechanical [rad]
 FULL_CURRENT, FULL_VOLTAGE = 8.25, 24.2  # A, V
 INDUCTANCE = 0.4575e-3  # H
 DEGREE = math.pi / 180.0
@@ -58,7 +59,7 @@ def search(
     positions = [shaft.counts]
     twitches = [0]
     before = 0.0
-    while s.phase in (PULL, BRAKE, REST, TURN) and len(currents) < patience / SLOW:
+    while s.phase < FOUND and len(currents) < patience / SLOW:
         driven = core.lib.rotor_search_drives(s)
         assert driven or s.phase == REST
         assert driven or s.current == 0
@@ -73,7 +74,7 @@ def search(
                 core.lib.rotor_search_watch(s, config, s.current >> 16, round(across / FULL_VOLTAGE * 32768))
         before = vector
         searches = s.searches
-        if s.phase != TURN:
+        if s.phase not in (VERIFY, TURN):
             twitches[-1] = max(twitches[-1], abs(shaft.counts - s.origin))
         core.lib.rotor_search_step(s, config, shaft.counts)
         currents.append(current)
@@ -91,12 +92,12 @@ def search(
 @pytest.mark.parametrize("degrees", range(-180, 180, 15))
 @pytest.mark.parametrize("axis", [0, 1])
 def test_from_every_15_degrees(core: Core, degrees: int, axis: int) -> None:
-    """Found within 1.5 degrees and 1.2 s, in eight searches, or ten where the shaft has to be seen to be free."""
+    """Found within half a degree and 0.6 s, in eight searches at most."""
     result = search(core, axis_shaft(axis, degrees), axis)
     assert result.phase == FOUND
-    assert abs(result.error) < 1.5
-    assert result.searches <= 10
-    assert result.seconds < 1.2
+    assert abs(result.error) < 0.5
+    assert result.searches <= 8
+    assert result.seconds < 0.6
     assert max(map(abs, result.currents)) <= 4.0 + 1e-3
 
 
@@ -125,7 +126,7 @@ def test_shaft_hardly_moves(core: Core, axis: int, inertia: float, friction: flo
         )
         result = search(core, shaft, axis)
         assert result.phase == FOUND
-        assert abs(result.error) < 1.5, degrees
+        assert abs(result.error) < 1.0, degrees
         assert result.twitch <= 2 * (seen + 2), degrees
         assert result.travel <= result.searches * 2 * (seen + 2), degrees
 
@@ -204,7 +205,7 @@ def test_dead_encoder_is_told_from_a_blocked_shaft(
     assert result.seconds < 1.0
 
 
-@pytest.mark.parametrize("twitches", range(1, 6))
+@pytest.mark.parametrize("twitches", range(1, 5))
 def test_shaft_that_is_blocked_under_way(core: Core, twitches: int) -> None:
     """What does not move any more is not taken for a rotor on the vector."""
     shaft = Shaft(-101.0 * DEGREE)
@@ -215,7 +216,7 @@ def test_shaft_that_is_blocked_under_way(core: Core, twitches: int) -> None:
     assert search(core, shaft, each_tick=block).phase == HELD
 
 
-@pytest.mark.parametrize("twitches", range(1, 6))
+@pytest.mark.parametrize("twitches", range(1, 5))
 def test_encoder_that_dies_under_way(core: Core, twitches: int) -> None:
     shaft = Shaft(-101.0 * DEGREE)
 
@@ -250,6 +251,46 @@ def test_shaft_that_leans_on_an_end_stop(core: Core, degrees: int, stop: float) 
     assert abs(result.error) < 1.5
 
 
+@pytest.mark.parametrize("inertia", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("stop", [-3.0, -1.4, -0.6, 0.6, 1.4, 3.0])
+def test_end_stop_close_by(core: Core, stop: float, inertia: float) -> None:
+    """Off the stop by one vector and back on it by the next, which then moves nothing: no rotor on its vector."""
+    low, high = (stop * COUNT, math.inf) if stop < 0.0 else (-math.inf, stop * COUNT)
+    for degrees in range(-172, 180, 15):
+        result = search(core, Shaft(degrees * DEGREE, stops=(low, high), inertia=inertia * 0.8e-5))
+        assert result.phase == FOUND, degrees
+        assert abs(result.error) < 0.7, degrees
+
+
+@pytest.mark.parametrize("friction", [0.1, 1.0, 3.0])
+@pytest.mark.parametrize(("below", "above"), [(3.6, 0.5), (0.5, 3.6), (2.0, 2.0), (0.5, 0.5)])
+def test_obstructed_shaft_with_play(core: Core, below: float, above: float, friction: float) -> None:
+    """It twitches from stop to stop, and never follows the vector where it is not: found true or held."""
+    phases = []
+    for degrees in range(-172, 180, 15):
+        shaft = Shaft(degrees * DEGREE, stops=(-below * COUNT, above * COUNT), friction=friction * 2e-3)
+        result = search(core, shaft)
+        phases.append(result.phase)
+        assert result.phase == HELD or (result.phase == FOUND and abs(result.error) < 0.7), degrees
+        assert result.seconds < 3.0
+    assert HELD in phases
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0, 5.0])
+@pytest.mark.parametrize("inertia", [0.3, 1.0, 10.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_encoder_that_counts_backwards(core: Core, axis: int, inertia: float, friction: float) -> None:
+    """Every twitch agrees with a rotor that lies opposite; but there no rotor stays."""
+    for degrees in range(-165, 180, 30):
+        nominal = axis_shaft(axis, degrees)
+        shaft = axis_shaft(
+            axis, degrees, backwards=True, inertia=inertia * nominal.inertia, friction=friction * nominal.friction
+        )
+        result = search(core, shaft, axis)
+        assert result.phase == REVERSED, degrees
+        assert result.seconds < 1.5
+
+
 def test_no_current_no_verdict(core: Core) -> None:
     """An unplugged motor: HELD once the current stays away, long before the search could think of the encoder."""
     config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
@@ -280,11 +321,11 @@ def test_a_quarter_of_the_current_is_enough(core: Core, sign: int) -> None:
 @pytest.mark.parametrize("friction", [0.0, 0.5e-3, 2e-3, 8e-3, 20e-3])
 @pytest.mark.parametrize("degrees", [-100.0, 30.0, 77.0, 150.0])
 def test_friction(core: Core, friction: float, degrees: float) -> None:
-    """The current grows until the shaft lets go; the angle left is where the friction holds it at full current."""
+    """The current grows until the shaft lets go. The angle at which friction holds it against the largest current, six
+    degrees for the last one, is not in the result: it cancels between the turn there and the one back."""
     result = search(core, Shaft(degrees * DEGREE, friction=friction))
-    held = math.degrees(math.asin(min(1.0, friction / (0.0462 * 4.0))))
     assert result.phase == FOUND
-    assert abs(result.error) < 1.5 + held
+    assert abs(result.error) < 0.5
 
 
 def test_heavy_load_takes_more_current(core: Core) -> None:
@@ -332,6 +373,102 @@ def test_one_count_is_no_twitch(core: Core) -> None:
     for k in range(150):
         core.lib.rotor_search_step(s, config, k & 1)
         assert s.phase == PULL
+
+
+def test_dither_of_one_count_does_not_pull_for_ever(core: Core) -> None:
+    """Held fast on an edge that dithers, the shaft is called held, four times the usual wait later."""
+    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+    s = core.ffi.new("rotor_search_t *")
+    core.lib.rotor_search_start(s, 0)
+    ticks = 0
+    while s.phase < FOUND and ticks < 10000:
+        core.lib.rotor_search_step(s, config, ticks & 1)
+        ticks += 1
+    assert s.phase == HELD
+    assert ticks < 3 * (200 + 4 * config.hold_ticks + 10 * config.rest_ticks) + 2 * config.follow.ticks + 10
+
+
+@pytest.mark.parametrize("factor", [1, 350])
+def test_long_times_do_not_wrap(core: Core, factor: int) -> None:
+    """Ten times the longest rest is more than 16 bits."""
+    config = core.ffi.new("rotor_search_config_t *", core.lib.probe_config().axis[0].rotor_search)
+    config.rest_ticks = 20 * factor
+    s = core.ffi.new("rotor_search_t *")
+    core.lib.rotor_search_start(s, 0)
+    core.lib.rotor_search_step(s, config, 3)
+    until(core, s, config, 3, REST)
+    ticks = 0
+    while s.phase == REST and ticks < 100000:
+        core.lib.rotor_search_step(s, config, 3 + (ticks & 1))
+        ticks += 1
+    assert ticks == 10 * config.rest_ticks
+
+
+def verifying(core: Core, config: Any) -> Any:
+    """A search that believes the rotor at theta_M, 0, with the shaft at 0."""
+    s = core.ffi.new("rotor_search_t *")
+    core.lib.rotor_search_start(s, 0)
+    s.reach = 128
+    until(core, s, config, 0, VERIFY)
+    return s
+
+
+@pytest.mark.parametrize("error", [-400, 0, 400])
+@pytest.mark.parametrize("friction", [0, 500, 1500])
+def test_verification_measures_the_angle(core: Core, error: int, friction: int) -> None:
+    """A shaft that lags behind the vector by its friction, both ways, from where the rotor really is."""
+    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+    s = verifying(core, config)
+    position, count = 0, 65536 * 2 / 4000
+    for _ in range(2000):
+        vector = wrapped(s.vector)
+        while vector - (error + (position + 0.5) * count) > friction:
+            position += 1
+        while vector - (error + (position - 0.5) * count) < -friction:
+            position -= 1
+        core.lib.rotor_search_step(s, config, position)
+        if s.phase != VERIFY:
+            break
+    assert s.phase == FOUND
+    assert wrapped(s.vector) == pytest.approx(error + position * count, abs=count)
+
+
+def test_verification_turns_to_both_sides(core: Core) -> None:
+    """Up to its largest angle, down to it, and not beyond; the shaft does not follow: a vector from the side."""
+    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+    s = verifying(core, config)
+    angles = []
+    while s.phase == VERIFY:
+        angles.append(wrapped(s.vector))
+        core.lib.rotor_search_step(s, config, 0)
+    most = config.verify_angle + config.verify_step
+    assert config.verify_angle <= max(angles) < most
+    assert config.verify_angle <= -min(angles) < most
+    assert (s.phase, s.side, s.refusals) == (REST, 1, 1)
+
+
+def test_a_shaft_that_follows_and_stays_is_not_found(core: Core) -> None:
+    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+    s = verifying(core, config)
+    while not s.follows:
+        core.lib.rotor_search_step(s, config, 4 if wrapped(s.vector) > 300 else 0)
+    until(core, s, config, 4, REST, 1000)
+    assert s.refusals == 1
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_shaft_that_leaves_its_vector(core: Core, sign: int) -> None:
+    """By a quarter of the largest turn: once it may be the search that has gone astray, twice it is the encoder."""
+    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+    s = verifying(core, config)
+    far = config.verify_angle // 4 * 4000 // (65536 * 2)
+    core.lib.rotor_search_step(s, config, sign * far)
+    assert s.phase == VERIFY
+    core.lib.rotor_search_step(s, config, sign * (far + 1))
+    assert (s.phase, s.escapes) == (REST, 1)
+    s.phase, s.origin = VERIFY, 0
+    core.lib.rotor_search_step(s, config, sign * (far + 1))
+    assert (s.phase, s.current) == (REVERSED, 0)
 
 
 @pytest.mark.parametrize("back", [False, True])
@@ -405,7 +542,7 @@ def twitch(core: Core, s: Any, config: Any, position: int) -> None:
     assert s.phase == BRAKE
     for _ in range(100):
         core.lib.rotor_search_step(s, config, position)
-        if s.phase in (PULL, FOUND):
+        if s.phase in (PULL, VERIFY):
             return
     pytest.fail("the shaft rests, and the search does not go on")
 
@@ -419,34 +556,9 @@ def test_interval_halves_exactly(core: Core) -> None:
     for k in range(8):
         twitch(core, s, config, 3 * (1 - (k & 1)))
         reaches.append(s.reach)
-    assert s.phase == FOUND
+    assert s.phase == VERIFY
     assert reaches == [32768 >> k for k in range(9)]
     assert 2 * reaches[-1] <= config.interval < 2 * reaches[-2]
-
-
-@pytest.mark.parametrize("direction", [-1, 1])
-@pytest.mark.parametrize("inside", [True, False])
-def test_old_bound_is_looked_at_again(core: Core, direction: int, inside: bool) -> None:
-    """All twitches in one direction have led to a bound that no vector has been near: is the rotor really inside?"""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
-    position = 0
-    for _ in range(8):
-        position += 3 * direction
-        twitch(core, s, config, position)
-    assert (s.phase, s.reach) == (PULL, 128)
-    assert abs(wrapped(s.vector - (s.theta_m - direction * s.reach))) <= 1
-    middle = s.theta_m
-    position += -3 * direction if inside else 3 * direction
-    twitch(core, s, config, position)
-    shift = round(3 * 65536 * 2 / 4000)
-    if inside:
-        assert s.phase == FOUND
-        assert abs(wrapped(s.theta_m - (middle - direction * shift))) <= 1
-    else:
-        assert (s.phase, s.reach) == (PULL, 128 << 5)  # 22.5 degrees to both sides, outside of the bound
-        assert abs(wrapped(s.theta_m - (middle - direction * (128 + (128 << 5) - shift)))) <= 1
 
 
 @pytest.mark.parametrize("at", range(1, 7))
@@ -462,11 +574,11 @@ def test_push_from_outside_leads_to_no_wrong_angle(core: Core, degrees: float, a
             knocked = True
             vector = core.lib.rotor_search_angle(s) * math.pi / 32768.0
             away = -math.copysign(1.0, math.sin(vector - shaft.angle))
-            shaft.moved += away * 4.5 * 2.0 * math.pi / 4000
+            shaft.moved += away * 4.5 * COUNT
 
     result = search(core, shaft, each_tick=knock)
     assert result.phase == FOUND
-    assert abs(result.error) < 1.5 + 0.36
+    assert abs(result.error) < 0.5
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400))
@@ -483,5 +595,5 @@ def test_any_positions_keep_the_search_in_range(core: Core, seed: int, ticks: in
         core.lib.rotor_search_watch(s, config, draw.randint(-32768, 32767), draw.randint(-32768, 32767))
         core.lib.rotor_search_step(s, config, position)
         assert abs(s.current) <= config.current_limit << 16
-        assert s.phase in range(7)
+        assert s.phase in range(9)
         assert 128 <= s.reach <= 32768

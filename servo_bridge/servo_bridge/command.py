@@ -5,11 +5,14 @@ servo-command position axis1=6.28 axis2=-6.28
 servo-command velocity axis1=50 --for 2
 servo-command quick_stop
 servo-command state
+servo-command set 'param.features[0]=ANTI_WINDUP+POSITION_LIMITS' param.i_q_limit=1.0,1.5
+servo-command get param.features
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import sys
 import time
@@ -17,13 +20,20 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args, try_shutdown
 from sensor_msgs.msg import JointState
+from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, find, merged, parameters, parse, si
+from servo_msgs_py.catalogue import Catalogue, Variable
+from servo_msgs_py.convert import parameters_from_message
+from servo_msgs_py.value_text import value_text
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -35,6 +45,10 @@ _STEP: Final = 0.02  # [s]
 _MATCH: Final = 0.3  # until a subscription hears what a running node publishes [s]
 _REPEAT: Final = 0.1  # between two velocity or effort set-points, which time out on silence [s]
 _QUANTITIES: Final = ("position", "velocity", "effort")
+_BRIDGE: Final = "servo_bridge"  # name of the node
+_LIST: Final = "board_parameters"  # its parameter
+_LOST: Final = "DISCONNECTED"  # how its state begins while there is no board
+_DIAGNOSTICS: Final = 2.5  # they come every second [s]
 _UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 
 
@@ -50,59 +64,139 @@ class Commander(Node):
         self._runner = executor
         self._namespace = namespace
         self._patience = patience
+        self._catalogue = Catalogue.load()
         executor.add_node(self)
 
     def _of(self, name: str) -> str:
         return f"{self._namespace}/{name}"
 
-    def wait_for(self, condition: Callable[[], Any], what: str) -> None:
-        """Turn the executor until the condition holds.
+    def wait_for(self, condition: Callable[[], Any], what: str, patience: float | None = None) -> None:
+        """Turn the executor until the condition holds, for so long [s] or for the patience of this user.
 
         Raises
         ------
         CommandError
             If it does not within the patience.
         """
-        deadline = time.monotonic() + self._patience
+        patience = self._patience if patience is None else patience
+        deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() >= deadline:
-                raise CommandError(f"{what} within {self._patience:g} s; is `make up` running in the same ROS domain?")
+                raise CommandError(f"{what} within {patience:g} s; is `make up` running in the same ROS domain?")
             self._runner.spin_once(timeout_sec=_STEP)
 
-    def _call(self, kind: Any, request: Any, name: str) -> str:
+    def _call(self, kind: Any, request: Any, name: str) -> Any:
         client = self.create_client(kind, self._of(name))
         self.wait_for(client.service_is_ready, f"no service {self._of(name)} was found")
         future = client.call_async(request)
         self.wait_for(future.done, f"{self._of(name)} did not answer")
-        response = future.result()
+        return future.result()
+
+    def _ask(self, kind: Any, request: Any, name: str, what: str) -> str:
+        """Call a service that says whether it did what it was asked for."""
+        response = self._call(kind, request, name)
         if not response.success:
-            raise CommandError(f"{name} was refused: {response.message}")
+            raise CommandError(f"{what} was refused: {response.message}")
         return str(response.message)
 
     def enable(self, on: bool) -> str:
         """Enable or disable both axes; returns what the service says."""
-        return self._call(SetBool, SetBool.Request(data=on), topics.ENABLE)
+        return self._ask(SetBool, SetBool.Request(data=on), topics.ENABLE, "enable" if on else "disable")
 
     def trigger(self, name: str) -> str:
         """Call ``quick_stop`` or ``clear_faults``."""
-        return self._call(Trigger, Trigger.Request(), name)
+        return self._ask(Trigger, Trigger.Request(), name, name)
 
     def state(self) -> str:
-        """State of the servo and its joints now, for people."""
-        states: list[str] = []
+        """State of the servo and its joints now, with faults and limits, for people."""
         joints: list[JointState] = []
-        self.create_subscription(String, self._of(topics.STATE), lambda m: states.append(m.data), topics.latched_qos())
+        reports: list[DiagnosticArray] = []
         self.create_subscription(JointState, self._of(topics.JOINT_STATES), joints.append, topics.telemetry_qos())
-        self.wait_for(lambda: states, f"no {self._of(topics.STATE)} was heard")
-        lines = [states[-1]]
-        if not states[-1].startswith("DISCONNECTED"):
-            self.wait_for(lambda: joints, f"no {self._of(topics.JOINT_STATES)} were heard")
-            last = joints[-1]
-            lines += [
-                f"  {name}: {position:.4f} rad, {velocity:.3f} rad/s"
-                for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True)
-            ]
+        self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, topics.telemetry_qos())
+        state = self._state()
+        lines = [state]
+        if state.startswith(_LOST):
+            return state
+        self.wait_for(lambda: joints, f"no {self._of(topics.JOINT_STATES)} were heard")
+        last = joints[-1]
+        names = [f"{_BRIDGE}: {name}" for name in last.name]
+        with contextlib.suppress(CommandError):  # what there is to say without is worth saying
+            self.wait_for(lambda: _statuses(reports).keys() >= set(names), "no diagnostics", _DIAGNOSTICS)
+        statuses = _statuses(reports)
+        for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True):
+            lines.append(f"  {name}: {position:.4f} rad, {velocity:.3f} rad/s")
+            values = _values(statuses.get(f"{_BRIDGE}: {name}"))
+            for key, heading in (("faults", "fault"), ("limits", "at limit")):
+                if values.get(key, "none") != "none":
+                    lines.append(f"    {heading} {values[key]}")
+        board = statuses.get(f"{_BRIDGE}: parameters")
+        if board is not None and board.level != DiagnosticStatus.OK:
+            lines.append(f"  parameters: {board.message}")
         return "\n".join(lines)
+
+    def _state(self) -> str:
+        states: list[str] = []
+        self.create_subscription(String, self._of(topics.STATE), lambda m: states.append(m.data), topics.latched_qos())
+        self.wait_for(lambda: states, f"no {self._of(topics.STATE)} was heard")
+        return states[-1]
+
+    # ---- parameters of the board
+    def parameters(self, wanted: Callable[[RawParameters], bool] = lambda _: True) -> RawParameters:
+        """Raw parameters of the board, as soon as they are as wanted.
+
+        Raises
+        ------
+        CommandError
+            If they are not within the patience, or there is no board.
+        """
+        state = self._state()
+        if state.startswith(_LOST):
+            raise CommandError(f"the board is not connected: {state}")
+        heard: list[RawParameters] = []
+
+        def take(message: Float64MultiArray) -> None:
+            heard.append(parameters_from_message(message, self._catalogue))
+
+        topic = self._of(topics.PARAMETERS)
+        self.create_subscription(Float64MultiArray, topic, take, topics.latched_qos())
+        self.wait_for(lambda: heard, f"no {topic} were heard")
+        self.wait_for(lambda: wanted(heard[-1]), "the board does not have them (/diagnostics says why)")
+        return heard[-1]
+
+    def get(self, wanted: Sequence[tuple[Variable, int | None]]) -> str:
+        """Parameters of the board in words."""
+        values = si(self.parameters(), self._catalogue)
+        lines = []
+        for variable, element in wanted or [(variable, None) for variable in parameters(self._catalogue)]:
+            value = values[variable.name]
+            if element is not None and isinstance(value, list):
+                value = value[element]
+            name = variable.name if element is None else f"{variable.name}[{element}]"
+            lines.append(f"{name} = {value_text(variable, value, self._catalogue)}")
+        return "\n".join(lines)
+
+    def set(self, assignments: Sequence[Assignment]) -> str:
+        """Set parameters of the board by way of the bridge's own parameter, and wait until the board has them.
+
+        Raises
+        ------
+        CommandError
+            If the bridge refuses them, with its reason, or the board does not take them.
+        """
+        bridge = f"{_BRIDGE}/"
+        request = GetParameters.Request(names=[_LIST])
+        before = self._call(GetParameters, request, bridge + "get_parameters").values[0].string_array_value
+        known = [parse(text, self._catalogue) for text in before if text]
+        texts = [assignment.text for assignment in merged(known, assignments)]
+        parameter = Parameter(_LIST, value=texts).to_parameter_msg()
+        answer = self._call(SetParameters, SetParameters.Request(parameters=[parameter]), bridge + "set_parameters")
+        (result,) = answer.results
+        if not result.successful:
+            raise CommandError(f"set was refused: {result.reason.removeprefix(f'parameter {_LIST}: ')}")
+        if self._state().startswith(_LOST):
+            return "the board is not connected; it gets them when it is"
+        self.parameters(lambda present: applied(assignments, present) == present)
+        return self.get([(assignment.variable, assignment.element) for assignment in assignments])
 
     def set_points(self, quantity: str, targets: dict[str, float], duration: float) -> None:
         """Publish set-points by joint name; repeated for `duration` [s] when it is not 0.
@@ -153,15 +247,40 @@ class Commander(Node):
         self.destroy_node()
 
 
+def _statuses(reports: Sequence[DiagnosticArray]) -> dict[str, DiagnosticStatus]:
+    """Every status by its name, the newest."""
+    return {status.name: status for report in reports for status in report.status}
+
+
+def _values(status: DiagnosticStatus | None) -> dict[str, str]:
+    return {} if status is None else {pair.key: pair.value for pair in status.values}
+
+
 def _target(text: str) -> tuple[str, float]:
     joint, separator, value = text.partition("=")
     try:
         number = float(value)
     except ValueError:
-        number = math.nan
-    if not (joint and separator and math.isfinite(number)):
+        joint = ""
+    if not (joint and separator):
         raise argparse.ArgumentTypeError(f"{text!r}: write JOINT=VALUE, for example axis1=6.28")
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text!r}: {value} is not a finite number")
     return joint, number
+
+
+def _assignment(text: str) -> Assignment:
+    try:
+        return parse(text, Catalogue.load())
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _parameter(text: str) -> tuple[Variable, int | None]:
+    try:
+        return find(text, Catalogue.load())
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _duration(text: str) -> float:
@@ -184,9 +303,19 @@ def _parser() -> argparse.ArgumentParser:
         ("disable", "ramp down, outputs off"),
         (topics.QUICK_STOP, "ramp down at the limit and hold; enable again to go on"),
         (topics.CLEAR_FAULTS, "clear the faults whose cause is gone"),
-        ("state", "print state, positions and speeds"),
+        ("state", "print state, positions, speeds, faults with remedy, limits that are reached"),
     ):
         verbs.add_parser(verb, help=text)
+    setter = verbs.add_parser("set", help="set parameters of the board; they stay set when it is connected anew")
+    setter.add_argument(
+        "assignments",
+        nargs="+",
+        type=_assignment,
+        metavar="NAME=VALUE",
+        help="such as 'param.features[0]=ANTI_WINDUP+POSITION_LIMITS' or param.i_q_limit=1.0,1.5",
+    )
+    getter = verbs.add_parser("get", help="print parameters of the board")
+    getter.add_argument("names", nargs="*", type=_parameter, metavar="NAME", help="default: all")
     for quantity in _QUANTITIES:
         verb_parser = verbs.add_parser(
             quantity, help=f"set-points [{_UNITS[quantity]}], both joints at once if both are named"
@@ -212,6 +341,10 @@ def _perform(commander: Commander, args: argparse.Namespace) -> str:
         return "took effect"
     if args.verb == "state":
         return commander.state()
+    if args.verb == "set":
+        return commander.set(args.assignments)
+    if args.verb == "get":
+        return commander.get(args.names)
     if args.verb in ("enable", "disable"):
         return commander.enable(args.verb == "enable")
     return commander.trigger(args.verb)
@@ -226,7 +359,12 @@ def main(args: Sequence[str] | None = None) -> int:
         0 when the command was accepted, 1 when it was refused or nobody answered, 2 for a wrong usage.
     """
     argv = list(sys.argv if args is None else ["servo-command", *args])
-    arguments = _parser().parse_args(remove_ros_args(argv)[1:])
+    parser = _parser()
+    arguments = parser.parse_args(remove_ros_args(argv)[1:])
+    joints = [joint for joint, _ in getattr(arguments, "targets", [])]
+    twice = next((joint for joint in joints if joints.count(joint) > 1), None)
+    if twice is not None:
+        parser.error(f"{twice} is named twice")
     commander: Commander | None = None
     try:
         rclpy.init(args=argv)

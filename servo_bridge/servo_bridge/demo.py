@@ -12,6 +12,7 @@ import json
 import math
 import signal
 import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -36,6 +37,7 @@ __all__ = ["Demo", "main"]
 TURN: Final = 2.0 * math.pi
 _HOLD: Final = 0.25  # how long an axis has to stay on its target before the next move [s]
 _APPLY_TIMEOUT: Final = 2.0  # from publishing a set-point to its effect [s]
+_REACHED: Final = 0.1 * TURN  # a stop this close to the target has not stopped the move [rad]
 _TWIN_TIMEOUT: Final = 3.0  # for the twin to catch up with a move [s]
 
 
@@ -136,8 +138,10 @@ class Demo:
 
         self._wait(lambda: all(self._rests(axis, hold_point(axis), tick) for axis in turns), title)
         self._judge(title, tick, start_ns, {axis: hold_point(axis) for axis in turns})
+        if self.twin:
+            self._say("  (the twin stops where its own ramp ends; then it takes over where the board holds)")
         for axis, value in turns.items():
-            if abs(hold_point(axis) - self._base[axis]) > 0.95 * abs(value) * TURN:
+            if abs(hold_point(axis) - self._target(axis, value)) < _REACHED:
                 raise DemoError(f"{title}: {self._client.joints[axis]} went on to its target; quick_stop had no effect")
 
     def _announce(self, title: str, turns: Mapping[int, float]) -> None:
@@ -320,11 +324,14 @@ def main(args: Sequence[str] | None = None) -> int:
     argv = list(sys.argv if args is None else ["servo-demo", *args])
     arguments = _arguments(remove_ros_args(argv)[1:])
     rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    # A polite end from outside disables the axes just as Ctrl-C does.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # A polite end from outside disables the axes just as Ctrl-C does. An exception from within a signal handler would
+    # come out of the executor's C++ as something else, or not at all.
+    interrupted = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: interrupted.set())
     client: ServoClient | None = None
     try:
-        client = ServoClient(EventsExecutor(), arguments.servo, arguments.twin)
+        client = ServoClient(EventsExecutor(), arguments.servo, arguments.twin, interrupted)
         return _perform(client, arguments)
     except DemoError as error:
         print(f"servo-demo: {error}", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
@@ -37,9 +38,10 @@ class ServoClient(Node):
         Namespaces of the board's node and of its twin.
     """
 
-    def __init__(self, executor: Executor, servo: str, twin: str) -> None:
+    def __init__(self, executor: Executor, servo: str, twin: str, interrupted: threading.Event) -> None:
         super().__init__("servo_demo")
         self._runner = executor
+        self._interrupted = interrupted
         self._servo = servo
         self.joints: list[str] = []
         self.state = ""
@@ -65,9 +67,18 @@ class ServoClient(Node):
 
     # ---- waiting
     def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Turn the executor until the condition holds or the time is over [s]; returns whether it holds."""
+        """Turn the executor until the condition holds or the time is over [s]; returns whether it holds.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If `interrupted` has been set. It is cleared: the axes have to be disabled after that.
+        """
         deadline = time.monotonic() + timeout
         while not condition():
+            if self._interrupted.is_set():
+                self._interrupted.clear()
+                raise KeyboardInterrupt
             if time.monotonic() >= deadline:
                 return False
             self._runner.spin_once(timeout_sec=_STEP)

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from servo_msgs_py.board_parameters import RawParameters, si
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import diagnostic_status, flag_texts
+from servo_msgs_py.value_text import value_text
 
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.telemetry import Frame
@@ -120,10 +122,11 @@ class Health:
         status = frame.axes[axis]
         faults = flag_texts(self._catalogue, "faults", frame.faults[axis])
         word = frame.values.get(f"{prefix}.limits")
-        limits = [] if word is None else [f.name for f in self._catalogue.active("limits", int(word))]
+        limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
         level = _ERROR if faults or status.faulted else _OK
-        at_limit = f", at limit: {', '.join(limits)}" if limits else ""
-        values: dict[str, object] = {"state": status.label, "limits": ", ".join(limits) or "none"}
+        at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
+        values: dict[str, object] = {"state": status.label}
+        values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
         for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
             values[f"{column} [{unit}]"] = _number(frame.values[f"{prefix}.{column}"])
         return self._status(name, level, "; ".join(faults) or status.label + at_limit, values)
@@ -145,6 +148,14 @@ class Health:
                 "last rejection": figures.last_rejection or "none",
             },
         )
+
+    def parameters(self, values: RawParameters | None, trouble: str) -> DiagnosticStatus:
+        """Status of the parameters of the board: their values, and whether they are those that the user wants."""
+        if values is None:
+            return self._status("parameters", _WARN, trouble or "not read yet", {})
+        known = si(values, self._catalogue)
+        texts = {name: value_text(self._catalogue[name], value, self._catalogue) for name, value in known.items()}
+        return self._status("parameters", _WARN if trouble else _OK, trouble or "as wanted", dict(texts))
 
     def _status(self, part: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
         return diagnostic_status(f"{self._node}: {part}", level, message, self._hardware, values)

@@ -26,6 +26,7 @@ from servo_msgs_py.node_shell import run
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health
@@ -141,10 +142,20 @@ class ServoBridge(Node):
         self._epoch = 0
         self._ended = False
         self._torque_constants: list[float] | None = None
+        self._board_parameters = BoardParameters(
+            self._catalogue,
+            self._link.read,
+            self._link.write_raw,
+            self._inbox.post,
+            changed=lambda values: self._publications.parameters(values, self._catalogue),
+            say=lambda text: self._log.info(text),
+            warn=self._warn,
+        )
+        self._board_parameters.want(settings.board_parameters)
         self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
         self._offer_services()
         self._start_timers()
-        watch(self, self._catalogue, self._settings_changed)
+        watch(self, self._catalogue, self._settings_changed, self._refuse_settings)
         self._publish_state()
         self._link.start()
 
@@ -177,7 +188,13 @@ class ServoBridge(Node):
         if self._settings.variables:
             self.create_timer(1.0 / self._settings.variable_rate, self._publish_variables, clock=steady)
 
+    def _refuse_settings(self, settings: Settings) -> str:
+        problem = self._board_parameters.check(settings.board_parameters)
+        return f"parameter board_parameters: {problem}" if problem else ""
+
     def _settings_changed(self, settings: Settings) -> None:
+        if settings.board_parameters != self._settings.board_parameters:
+            self._board_parameters.want(settings.board_parameters)
         self._settings = settings
         self._arbiter.limits = list(settings.limits)
         self._arbiter.command_timeout = settings.command_timeout
@@ -203,6 +220,7 @@ class ServoBridge(Node):
             self._log.info(str(status))
             self._dispatcher.open()
             self._read_torque_constants()
+            self._board_parameters.connected()
         else:
             if status.state is LinkState.CONNECTING:
                 self._log.info(str(status))
@@ -211,6 +229,7 @@ class ServoBridge(Node):
             self._publications.flush()
             self._frame = None
             self._torque_constants = None
+            self._board_parameters.link_lost()
             self._variables.link_lost()
             self._arbiter.link_lost(status.reason)
             self._dispatcher.close(status.reason)
@@ -276,6 +295,7 @@ class ServoBridge(Node):
             health.board(self._link.board, frame),
             *(health.axis(axis, frame) for axis in range(AXES)),
             health.commands(self._set_points.figures, armed=self._arbiter.armed),
+            health.parameters(self._board_parameters.values, self._board_parameters.trouble),
         ]
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))
 

@@ -1,4 +1,7 @@
-"""Parameters of a board in a file, TOML or JSON, and the difference between file and board. Pure."""
+"""Parameters of a board in a file, TOML or JSON, and the difference between file and board. Pure.
+
+Flags and enumeration values are written as names, ``"ANTI_WINDUP+DEAD_TIME"``; numbers are read as well.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py.catalogue import Catalogue
+
 from servo_bridge.freemaster.tsa import Number
+from servo_bridge.tool_values import parse_values
 from servo_bridge.wire.session import BoardVariable
 
 if sys.version_info >= (3, 11):
@@ -16,9 +22,12 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["ParameterFileError", "changes", "dump", "parse", "to_bytes"]
+__all__ = ["ParameterFileError", "changes", "checked", "dump", "parse", "to_bytes"]
 
-Parameters = Mapping[str, list[Number]]
+Entry = Number | str
+"""A number, or the name of one."""
+
+Parameters = Mapping[str, list[Entry]]
 
 _HASH: Final = "catalogue_hash"
 _TABLE: Final = "parameters"
@@ -26,6 +35,19 @@ _TABLE: Final = "parameters"
 
 class ParameterFileError(ValueError):
     """The file is not a file of parameters, or one of them does not fit the board."""
+
+
+def checked(path: Path) -> Path:
+    """The path itself, if its name says which form the file has.
+
+    Raises
+    ------
+    ParameterFileError
+        If it ends neither in ``.toml`` nor in ``.json``.
+    """
+    if path.suffix.lower() not in (".toml", ".json"):
+        raise ParameterFileError(f"{path}: the name has to end in .toml or .json")
+    return path
 
 
 def dump(path: Path, parameters: Parameters, units: Mapping[str, str], catalogue_hash: int | None) -> str:
@@ -43,8 +65,17 @@ def dump(path: Path, parameters: Parameters, units: Mapping[str, str], catalogue
     return "\n".join(lines) + "\n"
 
 
-def parse(path: Path, text: str) -> Parameters:
+def parse(path: Path, text: str, catalogue_hash: int | None) -> Parameters:
     """Parameters of a file.
+
+    Parameters
+    ----------
+    path : Path
+        For messages, and for the form.
+    text : str
+        What is in the file.
+    catalogue_hash : int or None
+        What the file has to say of it, if it says anything; None: whatever it says.
 
     Raises
     ------
@@ -58,16 +89,22 @@ def parse(path: Path, text: str) -> Parameters:
     parameters = table.get(_TABLE) if isinstance(table, dict) else None
     if not isinstance(parameters, dict) or not parameters:
         raise ParameterFileError(f"{path}: there is no table [{_TABLE}]; `servo-tool save` writes such files")
-    result: dict[str, list[Number]] = {}
+    written = table.get(_HASH)
+    if written is not None and catalogue_hash is not None and written != catalogue_hash:
+        raise ParameterFileError(
+            f"{path} belongs to another version of the board: its {_HASH} is {written}, here it is {catalogue_hash}; "
+            f"check the file and take the line {_HASH} out"
+        )
+    result: dict[str, list[Entry]] = {}
     for name, value in parameters.items():
         values = value if isinstance(value, list) else [value]
-        if not values or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
-            raise ParameterFileError(f"{path}: {name} is neither a number nor a list of numbers")
+        if not values or not all(isinstance(v, (int, float, str)) and not isinstance(v, bool) for v in values):
+            raise ParameterFileError(f"{path}: {name} is neither a number nor a name nor a list of them")
         result[name] = values
     return result
 
 
-def to_bytes(variables: Mapping[str, BoardVariable], parameters: Parameters) -> dict[str, bytes]:
+def to_bytes(variables: Mapping[str, BoardVariable], parameters: Parameters, catalogue: Catalogue) -> dict[str, bytes]:
     """Bytes for the board of all parameters of a file.
 
     Raises
@@ -83,10 +120,20 @@ def to_bytes(variables: Mapping[str, BoardVariable], parameters: Parameters) -> 
         if len(values) != variable.count:
             raise ParameterFileError(f"{name}: {len(values)} values in the file, {variable.count} on the board")
         try:
-            result[name] = variable.encode([_snap(variable, value) for value in values])[1]
+            numbers = [_number(variable, value, catalogue) for value in values]
+            result[name] = variable.encode([_snap(variable, number) for number in numbers])[1]
         except ValueError as error:
             raise ParameterFileError(str(error)) from None
     return result
+
+
+def _number(variable: BoardVariable, value: Entry, catalogue: Catalogue) -> Number:
+    if not isinstance(value, str):
+        return value
+    numbers = parse_values(variable, value, catalogue)
+    if len(numbers) != 1:
+        raise ValueError(f"{variable.name}: {value!r} is not one name; make a list of several")
+    return numbers[0]
 
 
 def _snap(variable: BoardVariable, value: Number) -> Number:

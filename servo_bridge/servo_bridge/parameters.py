@@ -11,12 +11,14 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from servo_msgs_py.board_parameters import Assignment, merged
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.node_shell import ParameterError, Spec
 from servo_msgs_py.node_shell import declare as declare_all
 
 from servo_bridge.arbiter import JointLimits
 from servo_bridge.telemetry import telemetry_variables
+from servo_msgs_py import board_parameters
 
 __all__ = ["PARAMETERS", "ParameterError", "Settings", "Spec", "declare", "settings_from", "watch"]
 
@@ -67,6 +69,13 @@ PARAMETERS: Mapping[str, Spec] = {
         "largest effort set-point per joint [N m], inside the board's own limit: current limit times torque constant",
         read_only=False,
     ),
+    "board_parameters": Spec(
+        [""],
+        "parameters that the board gets at every connection and whenever this list changes, each as NAME=VALUE such as "
+        "param.features[0]=ANTI_WINDUP+POSITION_LIMITS or param.i_q_limit=1.0,1.5; what is taken out of the list stays "
+        "on the board until its reset",
+        read_only=False,
+    ),
 }
 """Every parameter of the node. ``config/servo_bridge.yaml`` lists the same defaults."""
 
@@ -85,6 +94,7 @@ class Settings:
     snapshot_period: float
     command_timeout: float
     limits: tuple[JointLimits, ...]
+    board_parameters: tuple[Assignment, ...]
 
 
 def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
@@ -124,7 +134,19 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         snapshot_period=values["snapshot_period"],
         command_timeout=values["command_timeout"],
         limits=_limits(values),
+        board_parameters=_board_parameters(values["board_parameters"], catalogue),
     )
+
+
+def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assignment, ...]:
+    try:
+        result = merged([], (board_parameters.parse(text, catalogue) for text in texts if text))
+    except ValueError as error:
+        raise ParameterError(f"parameter board_parameters: {error}") from None
+    problem = board_parameters.contradiction(board_parameters.applied(result, {}), catalogue)
+    if problem:
+        raise ParameterError(f"parameter board_parameters: {problem}")
+    return tuple(result)
 
 
 def _limits(values: Mapping[str, Any]) -> tuple[JointLimits, ...]:
@@ -155,7 +177,9 @@ def declare(node: Node, catalogue: Catalogue) -> Settings:
     return settings_from(declare_all(node, PARAMETERS), catalogue)
 
 
-def watch(node: Node, catalogue: Catalogue, changed: Callable[[Settings], None]) -> None:
+def watch(
+    node: Node, catalogue: Catalogue, changed: Callable[[Settings], None], refuses: Callable[[Settings], str]
+) -> None:
     """Check changes at run time; a change that does not make sense is refused with its reason.
 
     Parameters
@@ -166,6 +190,8 @@ def watch(node: Node, catalogue: Catalogue, changed: Callable[[Settings], None])
         For the checks.
     changed : callable
         Gets the new settings after a change.
+    refuses : callable
+        Says why new settings cannot be taken now; nothing if they can.
     """
 
     def values() -> dict[str, Any]:
@@ -173,10 +199,11 @@ def watch(node: Node, catalogue: Catalogue, changed: Callable[[Settings], None])
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
         try:
-            settings_from(values() | {p.name: p.value for p in parameters}, catalogue)
+            settings = settings_from(values() | {p.name: p.value for p in parameters}, catalogue)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+        reason = refuses(settings)
+        return SetParametersResult(successful=not reason, reason=reason)
 
     def apply(parameters: list[Parameter]) -> None:
         if any(p.name in PARAMETERS for p in parameters):

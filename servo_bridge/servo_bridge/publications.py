@@ -6,10 +6,13 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from servo_msgs_py.board_parameters import RawParameters
+from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import (
     AppliedCommand,
     applied_message,
     joint_state_from_values,
+    parameters_message,
     snapshot_message,
 )
 from servo_msgs_py.units import PERIOD_NS
@@ -60,6 +63,7 @@ class Publications:
         self._joint_states = node.create_publisher(JointState, topics.JOINT_STATES, deep)
         self._snapshot = node.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self._applied = node.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
+        self._parameters = node.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self._state = node.create_publisher(String, topics.STATE, latched)
         self._armed = node.create_publisher(Bool, topics.ARMED, latched)
 
@@ -98,6 +102,10 @@ class Publications:
     def applied(self, command: AppliedCommand) -> None:
         """Publish a write that took effect."""
         self._applied.publish(applied_message(command))
+
+    def parameters(self, values: RawParameters, catalogue: Catalogue) -> None:
+        """Publish the parameters of the board."""
+        self._parameters.publish(parameters_message(values, catalogue))
 
     def state(self, text: str, *, armed: bool) -> None:
         """Publish state and armed where they have changed."""

@@ -29,29 +29,43 @@ _NEGATIVE = re.compile(r"-\.?\d|-(inf|nan)", re.IGNORECASE)
 _STARTUP_RETRIES = 5
 
 
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+
+
 def _positive(text: str) -> float:
-    value = float(text)
+    value = _number(text)
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} is not positive")
     return value
 
 
-def _baud(text: str) -> int:
-    value = int(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} is not positive")
-    return value
+def _positive_whole(text: str) -> int:
+    value = _positive(text)
+    if not value.is_integer():
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number")
+    return int(value)
+
+
+def _port(text: str) -> str:
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty; give a device path or a pyserial URL")
+    return text
 
 
 def _parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument(
         "--port",
+        type=_port,
         default=argparse.SUPPRESS,
         help="device or pyserial URL (default: $SERVO_PORT or /dev/ttyUSB0)",
     )
     common.add_argument(
-        "--baud", type=_baud, default=argparse.SUPPRESS, help="line speed (default: $SERVO_BAUD or 115200)"
+        "--baud", type=_positive_whole, default=argparse.SUPPRESS, help="line speed (default: $SERVO_BAUD or 115200)"
     )
     parser = argparse.ArgumentParser(
         prog="servo-tool",
@@ -83,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     command = add("watch", tool_commands.watch, "print variables again and again until Ctrl-C")
     command.add_argument("names", nargs="+", metavar="NAME")
     command.add_argument("--rate", type=_positive, default=5.0, help="lines per second (default: 5)")
-    command.add_argument("--count", type=int, help="end after this many lines")
+    command.add_argument("--count", type=_positive_whole, help="end after this many lines")
     command = add("record", tool_commands.record, "write variables to a CSV file as fast as the line carries them")
     command.add_argument("names", nargs="+", metavar="NAME")
     command.add_argument("-o", "--output", required=True, metavar="FILE.csv")
@@ -117,8 +131,8 @@ def _shield_negative(arguments: Sequence[str]) -> list[str]:
 def _run(args: argparse.Namespace) -> int:
     port = getattr(args, "port", os.environ.get("SERVO_PORT") or "/dev/ttyUSB0")
     try:
-        baud = getattr(args, "baud", None) or _baud(os.environ.get("SERVO_BAUD") or "115200")
-    except (ValueError, argparse.ArgumentTypeError):
+        baud = getattr(args, "baud", None) or _positive_whole(os.environ.get("SERVO_BAUD") or "115200")
+    except argparse.ArgumentTypeError:
         raise UsageError(f"SERVO_BAUD is {os.environ['SERVO_BAUD']!r}, not a line speed") from None
     run: tool_commands.Runner = args.run
     connected = False

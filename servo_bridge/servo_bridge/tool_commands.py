@@ -8,13 +8,14 @@ import fnmatch
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.value_text import words_of
 
 from servo_bridge import parameter_file
 from servo_bridge.freemaster.tsa import Number
@@ -23,6 +24,7 @@ from servo_bridge.tool_values import UsageError, describe, lookup, parse_values,
 from servo_bridge.wire.board_clock import TickExtender
 from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import BoardMismatchError, BoardVariable, Session
+from servo_msgs_py import board_parameters
 
 __all__ = [
     "Context",
@@ -86,7 +88,7 @@ def info(context: Context) -> int:
 
 def list_variables(context: Context) -> int:
     """Print the table of variables."""
-    rows = describe(_matching(context, context.args.pattern))
+    rows = describe(_matching(context, context.args.pattern), context.catalogue)
     if not rows:
         print(f"servo-tool: no variable matches {context.args.pattern!r}", file=sys.stderr)
         return 1
@@ -125,11 +127,13 @@ def set_variable(context: Context) -> int:
     if len(values) != wanted:
         hint = "; give all of them with commas, or one with --element K" if wanted > 1 else ""
         raise UsageError(f"{args.name}: {len(values)} value(s) given, {wanted} expected{hint}")
-    before = context.session.read(variable)
     try:
-        context.session.write(variable, values, element or 0)
+        data = variable.encode(values, element or 0)[1]
     except ValueError as error:
         raise UsageError(str(error)) from None
+    _refuse_contradictions(context, {variable.name: (element or 0, data)})
+    before = context.session.read(variable)
+    context.session.write(variable, values, element or 0)
     after = context.session.read(variable)
     old, new = (value_text(variable, _element(v, element), context.catalogue) for v in (before, after))
     print(f"{args.name} = {new} (was {old})")
@@ -206,8 +210,8 @@ def save(context: Context) -> int:
         print(f"servo-tool: no writable variable matches {context.args.match!r}", file=sys.stderr)
         return 1
     _warn(context)
-    path = Path(context.args.file)
-    parameters: dict[str, list[Number]] = {v.name: _numbers(context.session.read(v)) for v in chosen}
+    path = parameter_file.checked(Path(context.args.file))
+    parameters = {v.name: _named(v, context.session.read(v), context.catalogue) for v in chosen}
     known = context.catalogue.hash if context.session.mismatch is None else None
     text = parameter_file.dump(path, parameters, {v.name: v.unit for v in chosen}, known)
     path.write_text(text, encoding="utf-8")
@@ -220,6 +224,7 @@ def load(context: Context) -> int:
     _require_contract(context)
     session = context.session
     wanted, found = _compare(context)
+    _refuse_contradictions(context, {name: (0, data) for name, data in wanted.items()})
     names = parameter_file.changes(session.variables, wanted, found)
     for name in names:
         variable = session.variables[name]
@@ -295,11 +300,53 @@ def _readings(sampler: Sampler, rate: float | None, duration: float | None) -> I
 
 def _compare(context: Context) -> tuple[dict[str, bytes], dict[str, bytes]]:
     """Bytes that the file wants and bytes that the board has."""
-    path = Path(context.args.file)
-    variables = context.session.variables
-    wanted = parameter_file.to_bytes(variables, parameter_file.parse(path, path.read_text(encoding="utf-8")))
+    path = parameter_file.checked(Path(context.args.file))
+    variables, catalogue = context.session.variables, context.catalogue
+    known = catalogue.hash if context.session.mismatch is None else None
+    parameters = parameter_file.parse(path, path.read_text(encoding="utf-8"), known)
+    wanted = parameter_file.to_bytes(variables, parameters, catalogue)
     client = context.session.client
     return wanted, {name: client.read_memory(variables[name].address, variables[name].size) for name in wanted}
+
+
+def _refuse_contradictions(context: Context, writes: Mapping[str, tuple[int, bytes]]) -> None:
+    """Refuse parameters that do not go together, with each other or with those that the board has.
+
+    Parameters
+    ----------
+    context : Context
+        The board.
+    writes : mapping
+        First element and bytes, by name.
+
+    Raises
+    ------
+    UsageError
+        With the reason.
+    """
+    session = context.session
+    if session.mismatch is not None or not board_parameters.COMPARED.intersection(writes):
+        return
+    values: dict[str, list[int]] = {}
+    for name in board_parameters.COMPARED:
+        variable, contract = session.variables[name], context.catalogue[name]
+        stored = bytearray(session.client.read_memory(variable.address, variable.size))
+        if name in writes:
+            first, data = writes[name]
+            begin = first * contract.element_size
+            stored[begin : begin + len(data)] = data
+        values[name] = contract.decode_raw(bytes(stored))
+    problem = board_parameters.contradiction(values, context.catalogue)
+    if problem:
+        raise UsageError(problem)
+
+
+def _named(variable: BoardVariable, value: Value, catalogue: Catalogue) -> list[Number | str]:
+    """Numbers of a value, as names where they stand for something."""
+    contract = variable.contract
+    if contract is None:
+        return list(_numbers(value))
+    return [words_of(contract, number, catalogue) or number for number in _numbers(value)]
 
 
 def _change_text(context: Context, variable: BoardVariable, old: bytes, new: bytes) -> str:

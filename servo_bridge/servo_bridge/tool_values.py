@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
+from servo_msgs_py.value_text import number_text
 
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.wire.session import BoardVariable
+from servo_msgs_py import value_text as value_text_of
 
 __all__ = ["UnknownVariableError", "UsageError", "limits_text", "lookup", "number_text", "parse_values", "value_text"]
 
@@ -58,64 +60,24 @@ def parse_values(variable: BoardVariable, text: str, catalogue: Catalogue) -> li
     UsageError
         If one is no number.
     """
-    return [_parse_number(variable, word.strip(), catalogue) for word in text.split(",")]
-
-
-def _parse_number(variable: BoardVariable, word: str, catalogue: Catalogue) -> Number:
-    labels = _labels(variable, catalogue)
-    named = {name.upper(): value for name, value in labels}
-    parts = [part.strip().upper() for part in (word.split("+") if _is_flags(variable) else [word])]
-    if all(part in named for part in parts):
-        number = 0
-        for part in parts:
-            number |= named[part]
-        return number
-    for convert in (lambda w: int(w, 0), float):
-        try:
-            result: Number = convert(word)
-        except ValueError:
-            continue
-        return result
-    known = f"; it may also be {', '.join(name for name, _ in labels)}" if labels else ""
-    raise UsageError(f"{word!r} is not a number{known}")
-
-
-def _is_flags(variable: BoardVariable) -> bool:
-    return variable.contract is not None and variable.contract.flags is not None
-
-
-def _labels(variable: BoardVariable, catalogue: Catalogue) -> Sequence[tuple[str, int]]:
-    contract = variable.contract
-    if contract is not None and contract.enum is not None:
-        return list(catalogue.enums[contract.enum].items())
-    if contract is not None and contract.flags is not None:
-        return [("none", 0), *((flag.name, flag.mask) for flag in catalogue.flags[contract.flags])]
-    return variable.target.type.labels
+    try:
+        if variable.contract is not None:
+            return list(value_text_of.parse_values(variable.contract, text, catalogue))
+        labels = dict(variable.target.type.labels)
+        return [value_text_of.parse_number(word.strip(), labels) for word in text.split(",")]
+    except ValueError as error:
+        raise UsageError(f"{variable.name}: {error}") from None
 
 
 def value_text(variable: BoardVariable, value: Value, catalogue: Catalogue) -> str:
     """Value with unit, and in words where the number stands for something."""
+    if variable.contract is not None:
+        return value_text_of.value_text(variable.contract, value, catalogue)
     if isinstance(value, bytes):
         return value.hex(" ")
     numbers = value if isinstance(value, list) else [value]
-    text = ", ".join(number_text(number) for number in numbers)
-    unit = f" {variable.unit}" if variable.unit else ""
-    words = [_words(variable, number, catalogue) for number in numbers]
-    return f"{text}{unit}" + (f" ({', '.join(words)})" if any(words) else "")
-
-
-def number_text(number: Number) -> str:
-    """Shortest text of nine significant digits; every raw number of 24 bits and more stays distinguishable."""
-    return str(number) if isinstance(number, int) else f"{number:.9g}"
-
-
-def _words(variable: BoardVariable, number: Number, catalogue: Catalogue) -> str:
-    contract = variable.contract
-    if contract is not None and contract.flags is not None:
-        return " ".join(flag.name for flag in catalogue.active(contract.flags, int(number)))
-    if contract is not None and contract.enum is not None:
-        return catalogue.label(contract.enum, int(number))
-    return variable.target.type.label(number) or ""
+    words = [variable.target.type.label(number) or "" for number in numbers]
+    return ", ".join(map(number_text, numbers)) + (f" ({', '.join(words)})" if any(words) else "")
 
 
 def limits_text(contract: Variable | None) -> str:
@@ -125,7 +87,7 @@ def limits_text(contract: Variable | None) -> str:
     return f"{number_text(contract.minimum)} .. {number_text(contract.maximum)}"
 
 
-def describe(variables: Iterable[BoardVariable]) -> list[tuple[str, str, str, str, str, str]]:
+def describe(variables: Iterable[BoardVariable], catalogue: Catalogue) -> list[tuple[str, str, str, str, str, str]]:
     """Rows of a table of variables: name, type, access, unit, limits, description."""
     rows = []
     for variable in variables:
@@ -136,5 +98,7 @@ def describe(variables: Iterable[BoardVariable]) -> list[tuple[str, str, str, st
             count = f"[{variable.size}]"
         access = "rw" if variable.target.writable else "ro"
         text = "" if contract is None else contract.description
+        if contract is not None and (labels := value_text_of.labels_of(contract, catalogue)):
+            text += f": {', '.join(labels)}"
         rows.append((variable.name, type_ + count, access, variable.unit, limits_text(contract), text))
     return rows

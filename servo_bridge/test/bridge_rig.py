@@ -13,6 +13,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import SetParameters
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -23,8 +24,9 @@ from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkSta
 from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_bridge.wire.scope import ScopeLayout
 from servo_bridge.wire.serial_port import LowLatency
+from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import Catalogue, Value
-from servo_msgs_py.convert import applied_from_message, snapshot_table
+from servo_msgs_py.convert import applied_from_message, parameters_from_message, snapshot_table
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -59,6 +61,9 @@ class FakeLink:
         self.tick = 8
         self.epoch = 0
         self.values: dict[str, int] = {}
+        self.parameters = {v.name: [v.to_raw(v.minimum)] * v.count for v in parameters(catalogue)}
+        self.stubborn = ""  # a parameter that this board does not let itself be set
+        self.catalogue = catalogue
         self.figures = LinkStatistics()
         self._effects = 0
         self._on_sample, self._on_state = on_sample, on_state
@@ -80,7 +85,11 @@ class FakeLink:
             done.set_exception(LinkDownError("no link"))
         else:
             self.written.append((name, first, tuple(raw)))
-            if not self.deaf:
+            if name in self.parameters:
+                if name != self.stubborn:
+                    self.parameters[name] = list(raw)
+                done.set_result(WriteResult(name, 0, 0, self.tick))
+            elif not self.deaf:
                 self._effects += 1
                 done.set_result(WriteResult(name, 0, 0, self.tick))
         return done
@@ -88,7 +97,10 @@ class FakeLink:
     def read(self, name: str) -> Future[Value]:
         self.reads.append(name)
         done: Future[Value] = Future()
-        done.set_result(KT.get(name, 1.5))
+        if name in self.parameters:
+            done.set_result(self.catalogue[name].decode(self.catalogue[name].encode_raw(self.parameters[name])))
+        else:
+            done.set_result(KT.get(name, 1.5))
         return done
 
     def statistics(self) -> LinkStatistics:
@@ -153,6 +165,7 @@ class Rig:
             ("/rosout", Log),
         ):
             self._listen(name, kind, topics.telemetry_qos(1000))
+        self._listen(topics.PARAMETERS, Float64MultiArray, topics.latched_qos())
         self._listen(topics.STATE, String, topics.latched_qos())
         self._listen(topics.ARMED, Bool, topics.latched_qos())
         qos = topics.command_qos()
@@ -271,6 +284,21 @@ class Rig:
     def snapshots(self) -> list[dict[str, float]]:
         tables = (snapshot_table(m) for m in self.messages[topics.SNAPSHOT])
         return [dict(zip(names, row, strict=True)) for names, table in tables for row in table.tolist()]
+
+    def parameters(self) -> dict[str, list[int]]:
+        """Raw parameters that the bridge told last."""
+        messages = self.messages[topics.PARAMETERS]
+        return parameters_from_message(messages[-1], self.link.catalogue) if messages else {}
+
+    def set_parameter(self, name: str, value: Any) -> tuple[bool, str]:
+        """Set a parameter of the bridge as ``ros2 param set`` does."""
+        client = self.user.create_client(SetParameters, "servo_bridge/set_parameters")
+        self.until(client.service_is_ready)
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        future = client.call_async(request)
+        self.until(future.done)
+        result = future.result().results[0]
+        return result.successful, result.reason
 
     def diagnosis(self, part: str) -> Any:
         """Newest status of one part that was published after this call."""

@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 from bridge_rig import FAULT, SPIN, STOP, FakeLink, Rig
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_bridge.parameters import ParameterError
 from servo_bridge.wire.link_state import LinkState
@@ -47,7 +45,7 @@ def writes(rig: Rig, count: int) -> list[Any]:
 # ---- telemetry
 def test_joint_states_are_si_and_stamped_with_board_time(rig: Rig) -> None:
     rig.up()
-    rig.until(lambda: rig.link.reads)
+    rig.until(lambda: rig.messages[topics.PARAMETERS])
     rig.link.values.update({"axis1.position": 4000, "axis2.speed": CATALOGUE["axis2.speed"].to_raw(100.0)})
     rig.link.values["axis2.i_q"] = CATALOGUE["axis2.i_q"].to_raw(2.0)
     for _ in range(5):
@@ -103,6 +101,7 @@ def test_joint_states_rate_is_a_ceiling() -> None:
 def test_variables_come_from_the_sample_or_are_read() -> None:
     with Rig(variables=["axis1.i_q", "param.host_timeout", "cmd.position"], variable_rate=50.0) as rig:
         values: list[float] = []
+        rig.link.parameters["param.host_timeout"] = [3000]
         rig.user.create_subscription(Float64, "var/param/host_timeout", lambda m: values.append(m.data), 10)
         rig.until(lambda: rig.user.count_publishers("var/param/host_timeout"))
         assert rig.user.count_publishers("var/cmd/position/axis2") == 1
@@ -400,16 +399,7 @@ def test_joint_names_reach_topics_and_messages() -> None:
 
 def test_limits_change_at_run_time_and_the_port_does_not(rig: Rig) -> None:
     rig.ready()
-    client = rig.user.create_client(SetParameters, "servo_bridge/set_parameters")
-    rig.until(client.service_is_ready)
-
-    def change(name: str, value: Any) -> tuple[bool, str]:
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        future = client.call_async(request)
-        rig.until(future.done)
-        result = future.result().results[0]
-        return result.successful, result.reason
-
+    change = rig.set_parameter
     assert change("position_max", [1.0, 1.0])[0]
     rig.commands.publish(Float64MultiArray(data=[0.0, 1.5]))
     rig.until(rig.rejections)
@@ -418,6 +408,84 @@ def test_limits_change_at_run_time_and_the_port_does_not(rig: Rig) -> None:
     refused = change("position_min", [2.0, 2.0])
     assert not refused[0]
     assert "above position_max" in refused[1]
+
+
+# ---- parameters of the board
+def value(name: str, raw: int) -> float:
+    return float(CATALOGUE[name].scale(raw))
+
+
+def test_the_parameters_of_the_board_are_told_at_every_connection(rig: Rig) -> None:
+    rig.up()
+    rig.until(lambda: rig.parameters() == rig.link.parameters)
+    assert rig.diagnosis("parameters").message == "as wanted"
+    rig.link.lose()
+    rig.link.parameters["param.features"] = [7, 8]
+    rig.up()
+    rig.until(lambda: rig.parameters() == rig.link.parameters)
+    values = {pair.key: pair.value for pair in rig.diagnosis("parameters").values}
+    assert values["param.features"] == "7, 8 (ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION, DEAD_TIME)"
+    assert not [name for name, _, _ in rig.link.written if name.startswith("param.")]
+
+
+def test_wanted_parameters_are_written_at_the_connection_and_when_they_change() -> None:
+    with Rig(board_parameters=["param.features[1]=DEAD_TIME+FRICTION", "param.i_q_limit=1.0,1.5"]) as rig:
+        before = rig.link.parameters["param.features"][0]
+        rig.up()
+        rig.until(lambda: rig.parameters() and rig.parameters()["param.features"] == [before, 0b11000])
+        limits = [value("param.i_q_limit", raw) for raw in rig.parameters()["param.i_q_limit"]]
+        assert limits == pytest.approx([1.0, 1.5], abs=1e-3)
+        assert [name for name, _, _ in rig.link.written] == ["param.i_q_limit", "param.features"]
+        assert any("param.features: " in text and "DEAD_TIME+FRICTION)" in text for text in rig.logs(0))
+        assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
+        rig.until(lambda: rig.parameters()["param.features"] == [0b10000, 0b11000])
+        rig.link.parameters["param.features"] = [0, 0]
+        rig.link.lose()
+        rig.up()
+        rig.until(lambda: rig.parameters()["param.features"] == [0b10000, 0])
+
+
+@pytest.mark.parametrize(
+    ("texts", "reason"),
+    [
+        (["param.features[0]=ANTI_WINDUP+FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
+        (["param.i_q_limit[0]=1", "param.i_q_limit[1]=9"], "param.i_q_limit: 9 is outside 0.1 .. 4 A"),
+        (["cmd.enable[0]=1"], "cmd.enable is no parameter"),
+        (
+            ["param.position_min[1]=2"],
+            "param.position_min[1] 1.99962 rad would be above param.position_max[1] 1.0006 rad",
+        ),
+        (["param.position_min=2,2", "param.position_max=1,3"], "would be above"),
+    ],
+)
+def test_parameters_that_do_not_fit_are_refused_with_the_reason(rig: Rig, texts: list[str], reason: str) -> None:
+    one = CATALOGUE["param.position_max"].to_raw(1.0)
+    rig.link.parameters["param.position_max"] = [one, one]
+    rig.up()
+    rig.until(rig.parameters)
+    done, text = rig.set_parameter("board_parameters", texts)
+    assert not done
+    assert text.startswith("parameter board_parameters: ")
+    assert reason in text
+    assert not [name for name, _, _ in rig.link.written if name.startswith("param.")]
+
+
+def test_wanted_parameters_that_the_board_cannot_have_are_trouble() -> None:
+    with Rig(board_parameters=["param.position_min[0]=2"]) as rig:
+        rig.link.parameters["param.position_max"] = [0, 0]
+        rig.up()
+        rig.until(lambda: any("nothing could move" in text for text in rig.logs()))
+        assert rig.parameters() == rig.link.parameters
+        status = rig.diagnosis("parameters")
+        assert (status.level, "nothing could move" in status.message) == (b"\x01", True)
+        rig.link.stubborn = "param.features"
+        assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
+        rig.until(lambda: any("the board keeps another value" in text for text in rig.logs()))
+
+
+def test_parameters_that_make_no_sense_keep_the_bridge_from_starting() -> None:
+    with pytest.raises(ParameterError, match="FOO"):
+        Rig(board_parameters=["param.features[0]=FOO"])
 
 
 # ---- end

@@ -82,7 +82,7 @@ def test_get(fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytes
     values = dict(line.split(" = ") for line in capsys.readouterr().out.splitlines() if " = " in line)
     assert {name.strip(): value.strip() for name, value in values.items()} == {
         "axis1.state": "2 (STOP)",
-        "axis1.faults": "3 (OVER_VOLTAGE UNDER_VOLTAGE)",
+        "axis1.faults": "3 (OVER_VOLTAGE+UNDER_VOLTAGE)",
         "cmd.position": "0, 6.28318531 rad",
         "cmd.position[1]": "6.28318531 rad",
         "param.host_timeout": "0.5 s",
@@ -175,7 +175,13 @@ def test_set_flags_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo)
         (["cmd.speed", "fast,slow"], "'fast' is not a number"),
         (["cmd.mode", "warp,0"], "POSITION, SPEED, TORQUE"),
         (["cmd.mode", "SPEED+TORQUE,0"], "is not a number"),
-        (["param.features[0]", "DEAD_TIME+WARP"], "ANTI_WINDUP, ENHANCED_MT"),
+        (["param.features[0]", "DEAD_TIME+WARP"], "'WARP' is not a number or one of the names none, ANTI_WINDUP"),
+        (["param.features[0]", "1.5"], "param.features: 1.5 is not a whole number"),
+        (["cmd.enable[0]", "0.6"], "cmd.enable: 0.6 is not a whole number"),
+        (["cmd.mode", "0.4,1"], "cmd.mode: 0.4 is not a whole number"),
+        (["--raw", "cmd.enable[0]", "0.6"], "is not whole"),
+        (["param.position_min[1]", "1001"], "would be above param.position_max[1]"),
+        (["param.position_max", "-1001,0"], "would be above param.position_max[0]"),
         (["axis1.speed", "1"], "can only be read"),
     ],
 )
@@ -252,7 +258,12 @@ def test_a_saved_limit_can_be_loaded_again(
     [
         ("not toml", "x.toml"),
         ("[other]\na = 1", "no table [parameters]"),
-        ("[parameters]\n'param.speed_limit' = 'fast'", "neither a number"),
+        ("[parameters]\n'param.speed_limit' = ['fast', 1]", "'fast' is not a number"),
+        ("[parameters]\n'param.features' = ['WARP', 0]", "'WARP' is not a number or one of the names none"),
+        ("[parameters]\n'param.features' = [1.5, 0]", "1.5 is not a whole number"),
+        ("[parameters]\n'param.position_min' = [5.0, 1.0]\n'param.position_max' = [4.0, 1.0]", "nothing could move"),
+        ("[parameters]\n'param.position_min' = [5000.0, 1.0]", "nothing could move"),
+        ("catalogue_hash = 1\n[parameters]\n'param.features' = [1, 0]", "another version of the board"),
         ("[parameters]\n'param.speed_limit' = true", "neither a number"),
         ("[parameters]\n'param.speed_limit' = [1.0]", "1 values in the file, 2 on the board"),
         ("[parameters]\n'param.unknown' = 1", "no parameter param.unknown"),
@@ -274,6 +285,38 @@ def test_files_that_do_not_fit_change_nothing(
     assert run("load", str(file)) == 2
     assert message in capsys.readouterr().err
     assert fake_board.written == []
+
+
+@pytest.mark.parametrize("name", ["board.toml", "board.json"])
+def test_features_are_saved_by_name(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, name: str
+) -> None:
+    fake_board.put("param.features", 0b11, 0)
+    file = tmp_path / name
+    assert run("save", str(file)) == 0
+    assert '"ANTI_WINDUP+ENHANCED_MT"' in file.read_text()
+    fake_board.put("param.features", 0, 5)
+    assert run("load", str(file)) == 0
+    assert fake_board.get("param.features") == [0b11, 0]
+
+
+@pytest.mark.parametrize("command", ["save", "load", "diff"])
+def test_a_file_of_another_kind(
+    fake_port: FakePort, run: Run, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(command, str(tmp_path / "x.txt")) == 2
+    assert "end in .toml or .json" in capsys.readouterr().err
+    assert not (tmp_path / "x.txt").exists()
+
+
+def test_flags_are_shown_as_they_are_written(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake_board.put("param.features", 0, 9)
+    assert run("get", "param.features") == 0
+    assert "0, 9 (none, ANTI_WINDUP+DEAD_TIME)" in capsys.readouterr().out
+    assert run("vars", "param.features") == 0
+    assert "none, ANTI_WINDUP, ENHANCED_MT" in capsys.readouterr().out
 
 
 def test_a_missing_file(fake_port: FakePort, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -354,12 +397,26 @@ def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFix
     assert "nothing answers at 57600 baud" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [[], ["jump"], ["get"], ["info", "--baud", "x"], ["watch", "x", "--rate", "-1"]])
-def test_wrong_command_lines(run: Run, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ([], "COMMAND"),
+        (["jump"], "'jump'"),
+        (["get"], "NAME"),
+        (["info", "--baud", "abc"], "'abc' is not a number"),
+        (["info", "--baud", "9600.5"], "9600.5 is not a whole number"),
+        (["info", "--port", ""], "it is empty"),
+        (["watch", "x", "--rate", "-1"], "-1 is not positive"),
+        (["watch", "x", "--count", "-1"], "-1 is not positive"),
+    ],
+)
+def test_wrong_command_lines(run: Run, arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         run(*arguments)
     assert caught.value.code == 2
-    assert "usage: servo-tool" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "usage: servo-tool" in err
+    assert text in err
 
 
 def test_baud_from_the_environment(fake_port: FakePort, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -149,6 +149,11 @@ class Variable:
     def writable(self) -> bool:
         return self.access == "rw"
 
+    @property
+    def whole(self) -> bool:
+        """Whether only whole numbers mean something: enumerations, flags, switches, counts."""
+        return self.lsb == 1.0 and not self.raw_type.fractional
+
     def decode_raw(self, data: bytes) -> list[int]:
         """Integers, one per element, from the bytes read from the board.
 
@@ -187,10 +192,12 @@ class Variable:
         Raises
         ------
         ValueError
-            If the value is not finite or outside the limits of the variable.
+            If the value is not finite, not whole where it has to be, or outside the limits of the variable.
         """
         if not math.isfinite(value):
             raise ValueError(f"{self.name}: {value!r} is not a finite number")
+        if self.whole and not float(value).is_integer():
+            raise ValueError(f"{self.name}: {value:g} is not a whole number")
         if not self.minimum <= value <= self.maximum:
             unit = f" {self.unit}" if self.unit else ""
             raise ValueError(f"{self.name}: {value:g} is outside {self.minimum:g} .. {self.maximum:g}{unit}")

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from servo_msgs_py.board_parameters import RawParameters, parameters, si
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
-from servo_msgs_py.topics import COMMAND_COLUMNS, COMMAND_VARIABLES
+from servo_msgs_py.topics import COMMAND_COLUMNS, COMMAND_VARIABLES, PARAMETERS
+from servo_msgs_py.units import to_raw
 
 __all__ = [
     "AppliedCommand",
@@ -33,6 +35,8 @@ __all__ = [
     "from_stamp",
     "joint_state",
     "joint_state_from_values",
+    "parameters_from_message",
+    "parameters_message",
     "row",
     "snapshot_message",
     "snapshot_table",
@@ -190,6 +194,33 @@ def snapshot_table(message: Float64MultiArray) -> tuple[list[str], NDArray[np.fl
     if data.size != shape[0] * shape[1]:
         raise ValueError(f"a table of {shape[0]} by {shape[1]} with {data.size} numbers")
     return names, data.reshape(shape)
+
+
+# ---- parameters
+def parameters_message(values: RawParameters, catalogue: Catalogue) -> Float64MultiArray:
+    """Message of `topics.PARAMETERS` from the raw integers of all parameters."""
+    variables = [catalogue[name] for name in values]
+    return snapshot_message(columns(variables), [row(variables, si(values, catalogue))])
+
+
+def parameters_from_message(message: Float64MultiArray, catalogue: Catalogue) -> dict[str, list[int]]:
+    """Raw integers of all parameters.
+
+    Raises
+    ------
+    ValueError
+        If it is not one row of all the parameters of the catalogue.
+    """
+    variables = parameters(catalogue)
+    names, table = snapshot_table(message)
+    if names != columns(variables) or len(table) != 1:
+        raise ValueError(f"{PARAMETERS}: the names are not those of this version; use the same version everywhere")
+    numbers = iter(table[0].tolist())
+    result: dict[str, list[int]] = {}
+    for variable in variables:
+        low, high = variable.raw_type.low, variable.raw_type.high
+        result[variable.name] = [to_raw(next(numbers), variable.lsb, low, high) for _ in range(variable.count)]
+    return result
 
 
 # ---- commands that took effect

@@ -19,6 +19,8 @@ STAMP_COLUMNS: Final = ("stamp.sec", "stamp.nanosec")
 """Last two columns of `SNAPSHOT`: ROS time of the row, exact."""
 COMMANDS_APPLIED: Final = "commands_applied"
 """std_msgs/Float64MultiArray: one write that took effect, see `COMMAND_COLUMNS`; raw firmware integers."""
+PARAMETERS: Final = "parameters"
+"""std_msgs/Float64MultiArray, latched: all parameters of the board, one row in the form of `SNAPSHOT`."""
 STATE: Final = "state"
 ARMED: Final = "armed"
 DIAGNOSTICS: Final = "/diagnostics"

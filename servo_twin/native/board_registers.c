@@ -21,6 +21,7 @@ struct board {
     bool booted, starting;
     uint32_t breaks;
     bool tripped[BOARD_AXES];
+    bool swapped[BOARD_AXES]; /* lines A and B of the encoder */
     bool up;        /* the port has started: there is a servo to run */
     bool recording; /* stop after each slow tick */
 };
@@ -71,13 +72,19 @@ static uint64_t next(void *context)
     return (plant->waiting > 0) ? plant->now : switching_next(&board->plant); /* an edge may have shorted the bus */
 }
 
+/* A line of an encoder at its pin, or at that of the other line. */
+static void encoder_line(board_t *board, int axis, int line, bool level)
+{
+    chip_pin(&board->chip, encoder_pin[axis][board->swapped[axis] ? 1 - line : line], level);
+}
+
 static void events(void *context)
 {
     board_t *board = (board_t *)context;
     switching_event_t event;
     while (switching_take(&board->plant, &event)) {
         if (event.kind == SWITCHING_ENCODER) {
-            chip_pin(&board->chip, encoder_pin[event.axis][event.line], event.level);
+            encoder_line(board, event.axis, event.line, event.level);
         } else {
             chip_pin(&board->chip, comparator_pin[event.axis], event.level);
             board->breaks += (event.level && !board->tripped[event.axis]) ? 1u : 0u;
@@ -321,5 +328,22 @@ void board_set_encoder(board_t *board, int axis, int connected)
 }
 
 void board_cut_encoder(board_t *board, int axis, int line) { switching_cut(&board->plant, axis, line, true); }
+
+void board_reverse_encoder(board_t *board, int axis)
+{
+    board->swapped[axis] = !board->swapped[axis];
+    for (int line = 0; line < 2; line++) {
+        encoder_line(board, axis, line, switching_line(&board->plant, axis, line));
+    }
+}
+
+int board_obstruct_shaft(board_t *board, int axis, double below, double above)
+{
+    (void)board;
+    (void)axis;
+    (void)below;
+    (void)above;
+    return -1; /* the plant at switching level has no end stops */
+}
 
 void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }

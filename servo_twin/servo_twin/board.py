@@ -473,6 +473,17 @@ class Board:
         """Hold the shaft of an axis fast, or let it go."""
         self._lib.board_set_shaft(self._board, _axis_index(axis), int(locked))
 
+    def obstruct_shaft(self, axis: int, below: float, above: float) -> None:
+        """End stops so far to both sides of where the shaft of an axis is now [rad]; infinite ones are none.
+
+        Raises
+        ------
+        BoardError
+            At the level ``registers``, whose plant knows no end stops.
+        """
+        if self._lib.board_obstruct_shaft(self._board, _axis_index(axis), below, above) != 0:
+            raise BoardError("a shaft has end stops at the level 'ideal' only")
+
     def connect_encoder(self, axis: int, connected: bool = True) -> None:
         """Plug in the encoder of an axis, or pull its plug."""
         self._lib.board_set_encoder(self._board, _axis_index(axis), int(connected))
@@ -480,6 +491,10 @@ class Board:
     def cut_encoder_line(self, axis: int, line: Literal["A", "B"]) -> None:
         """Leave one line of the encoder of an axis dead; `connect_encoder` repairs it."""
         self._lib.board_cut_encoder(self._board, _axis_index(axis), "AB".index(line))
+
+    def reverse_encoder(self, axis: int) -> None:
+        """Swap the lines A and B of the encoder of an axis."""
+        self._lib.board_reverse_encoder(self._board, _axis_index(axis))
 
     def connect_motor(self, axis: int, connected: bool = True) -> None:
         """Plug in the motor cable of an axis, or pull it."""

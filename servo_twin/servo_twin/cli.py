@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -37,19 +38,40 @@ def parser() -> argparse.ArgumentParser:
     info.set_defaults(run=_info)
 
     mover = verbs.add_parser("move", parents=[common], help="find the rotors, move, measure")
-    mover.add_argument("--turns", type=float, default=5.0, help="distance (default: %(default)s)")
+    mover.add_argument("--turns", type=_finite, default=5.0, help="distance (default: %(default)s)")
     mover.add_argument("--axis", type=int, choices=range(1, AXES + 1), help="only this axis (default: both)")
-    mover.add_argument("--time", type=float, help="length of the recording [s] (default: by the distance)")
+    mover.add_argument("--time", type=_positive, help="length of the recording [s] (default: by the distance)")
     mover.add_argument("--plot", type=Path, metavar="FILE", help="draw position, speed and current to this file")
     mover.set_defaults(run=_move)
 
     bench = verbs.add_parser("bench", parents=[common], help="real-time factor of one board with two axes")
-    bench.add_argument("--time", type=float, default=10.0, help="simulated time [s] (default: %(default)s)")
+    bench.add_argument("--time", type=_positive, default=10.0, help="simulated time [s] (default: %(default)s)")
     bench.set_defaults(run=_bench)
 
     experiment.add_parser(verbs, common)
     timing.add_parser(verbs, common)
     return result
+
+
+def _positive(text: str) -> float:
+    """A finite number above zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number above zero")
+    return value
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number")
+    return value
 
 
 def _board(args: argparse.Namespace) -> Board:
@@ -151,7 +173,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when it succeeded, 1 when the board did not do what was asked, 2 for a wrong usage.
+        0 when it succeeded, 1 when the board did not do what was asked, 2 for a wrong usage, 130 after Ctrl-C.
     """
     args = parser().parse_args(argv)
     try:
@@ -159,6 +181,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (SimulationError, PlantError, OSError, ValueError) as error:
         print(f"servo-sim: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("servo-sim: interrupted", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":

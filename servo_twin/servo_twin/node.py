@@ -23,6 +23,7 @@ from servo_msgs_py.convert import (
     diagnostic_status,
     joint_state,
     joint_state_from_values,
+    parameters_from_message,
     snapshot_message,
     snapshot_table,
 )
@@ -85,7 +86,8 @@ class ServoTwin(Node):
         self._values = declare(self, PARAMETERS)
         self._joints = _joints(self._values["joints"])
         self._board_namespace = str(self._values["board_namespace"]).rstrip("/")
-        self._twin = Twin(self._board_factory(), TwinSettings(patience=self._values["patience"]), Catalogue.load())
+        self._catalogue = Catalogue.load()
+        self._twin = Twin(self._board_factory(), TwinSettings(patience=self._values["patience"]), self._catalogue)
         self._monitor = HealthMonitor(
             Thresholds(
                 position=self._values["position_tolerance"],
@@ -97,6 +99,7 @@ class ServoTwin(Node):
         )
         self._lock = threading.Lock()  # the monitor and what was said last are used by both threads
         self._board_trouble = ""
+        self._parameter_trouble = ""
         self._samples_before = 0
         self._synchronisation = 0
         self._worst: Residual | None = None
@@ -134,6 +137,8 @@ class ServoTwin(Node):
         applied = f"{board}/{topics.COMMANDS_APPLIED}"
         self.create_subscription(Float64MultiArray, f"{board}/{topics.SNAPSHOT}", self._on_snapshot, deep)
         self.create_subscription(Float64MultiArray, applied, self._on_applied, deep)
+        parameters = f"{board}/{topics.PARAMETERS}"
+        self.create_subscription(Float64MultiArray, parameters, self._on_parameters, topics.latched_qos())
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, topics.latched_qos())
 
     # ---- what comes in
@@ -152,6 +157,18 @@ class ServoTwin(Node):
             self._log.warning(str(error), throttle_duration_sec=10.0)
             return
         self._worker.command(command)
+
+    def _on_parameters(self, message: Float64MultiArray) -> None:
+        try:
+            values = parameters_from_message(message, self._catalogue)
+        except ValueError as error:
+            with self._lock:
+                self._parameter_trouble = f"the twin cannot take the parameters of the board: {error}"
+            self._log.warning(self._parameter_trouble)
+            return
+        with self._lock:
+            self._parameter_trouble = ""
+        self._worker.parameters(values)
 
     def _on_board_state(self, message: String) -> None:
         with self._lock:
@@ -189,7 +206,7 @@ class ServoTwin(Node):
                 return None
             result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants)
             if not self._board_trouble:
-                self._monitor.update(result)
+                self._monitor.update(result, pair.stopping)
             self._worst = result if self._worst is None else _larger(self._worst, result)
             return result
 
@@ -235,7 +252,7 @@ class ServoTwin(Node):
                 if healthy:
                     self._log.info("healthy: twin and board agree")
                 elif before is not None:
-                    self._log.warning(f"not healthy: {self._monitor.reason}")
+                    self._log.warning(f"not healthy: {self._reason()}")
 
     def _every_second(self) -> None:
         figures = self._worker.figures()
@@ -244,7 +261,7 @@ class ServoTwin(Node):
                 self._monitor.interrupt(self._board_trouble or f"no telemetry from {self._board_namespace}")
             self._samples_before = figures.samples
             worst, self._worst = self._worst, None
-            healthy, reason = self._monitor.healthy, self._monitor.reason
+            healthy, reason = self._monitor.healthy, self._reason()
         self._say()
         slow = figures.backlog > _SLOW
         residuals = {} if worst is None else {f"largest {name}": f"{value:.4g}" for name, value in worst.values.items()}
@@ -253,7 +270,11 @@ class ServoTwin(Node):
                 "comparison",
                 DiagnosticStatus.OK if healthy else DiagnosticStatus.WARN,
                 "healthy" if healthy else reason,
-                residuals | {"synchronisations": self._twin.synchronisations},
+                residuals
+                | {
+                    "synchronisations": self._twin.synchronisations,
+                    "parameters": self._parameter_note() or "those of the board",
+                },
             ),
             self._status(
                 "simulation",
@@ -268,6 +289,17 @@ class ServoTwin(Node):
             ),
         ]
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))
+
+    def _reason(self) -> str:
+        """Why the twin is not healthy, with what may have led to it."""
+        note = self._parameter_note() if self._monitor.differs else self._parameter_trouble
+        return "; ".join(text for text in (self._monitor.reason, note) if text)
+
+    def _parameter_note(self) -> str:
+        """Why the twin's board does not have the parameters of the real one; empty if it has."""
+        if self._parameter_trouble or self._twin.parameters_known:
+            return self._parameter_trouble
+        return f"nothing on {self._board_namespace}/{topics.PARAMETERS}: the twin has the parameters after reset"
 
     def _status(self, part: str, level: bytes, message: str, values: dict[str, object]) -> DiagnosticStatus:
         return diagnostic_status(f"{self.get_name()}: {part}", level, message, self._board_namespace, values)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import re
 import signal
@@ -18,8 +19,11 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
+from servo_msgs_py.catalogue import Catalogue
+
+from servo_msgs_py import board_parameters
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
 __all__ = ["Stack", "main", "parser"]
@@ -28,6 +32,8 @@ _BOARD_PATIENCE: Final = 10.0  # [s]
 _CONNECT_PATIENCE: Final = 15.0
 _VIEWER_PATIENCE: Final = 30.0  # the first start of the viewer compiles nothing but reads a lot
 _DEMO_PATIENCE: Final = 240.0
+_INTERRUPTED: Final = 130
+_HIGHEST_DOMAIN: Final = 232  # a higher one has no ports
 _URL: Final = re.compile(r"http://\S+")
 
 _HOW_TO: Final = """
@@ -41,12 +47,69 @@ Without:
   {bin}/servo-command enable
   {bin}/servo-command position axis1=6.28 axis2=-6.28
   {bin}/servo-command state
+  {bin}/servo-command set param.speed_limit=100,100
   {bin}/servo-command disable
 Ctrl-C ramps down, switches the outputs off and ends everything."""
 
 
-class _StopRequested(Exception):
-    """SIGINT, SIGTERM or SIGHUP."""
+class _StopRequested(BaseException):
+    """SIGINT, SIGTERM or SIGHUP; no library that works when it comes may take it for an error of its own."""
+
+
+class _Signals:
+    """Turns SIGINT, SIGTERM and SIGHUP (a closed terminal) into `_StopRequested`, once; ignores them afterwards."""
+
+    _NUMBERS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+    def __init__(self) -> None:
+        self._held = False
+        self._came = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Signals:
+        self._before = {number: signal.signal(number, self._request) for number in self._NUMBERS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _request(self, _signum: int, _frame: FrameType | None) -> None:
+        for number in self._NUMBERS:
+            signal.signal(number, signal.SIG_IGN)
+        self._came = True
+        if not self._held:
+            raise _StopRequested
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Let nothing interrupt what is done in here; a signal that came meanwhile counts at its end."""
+        came, self._held = self._came, True
+        try:
+            yield
+        finally:
+            self._held = False
+        if self._came and not came:
+            raise _StopRequested
+
+
+def _port(text: str) -> str:
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty; give a device path or a pyserial URL, or leave it out")
+    return text
+
+
+def _domain(text: str) -> int:
+    if not text.isdecimal() or int(text) > _HIGHEST_DOMAIN:
+        raise argparse.ArgumentTypeError(f"{text!r} is no ROS domain; they are 0 .. {_HIGHEST_DOMAIN}")
+    return int(text)
+
+
+def _assignment(text: str) -> str:
+    try:
+        return board_parameters.parse(text, Catalogue.load()).text
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def parser() -> argparse.ArgumentParser:
@@ -54,14 +117,24 @@ def parser() -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(
         prog="servo-up", description="Bring up board, bridge, twin and viewer; stay until Ctrl-C."
     )
-    result.add_argument("--port", help="serial port or pyserial URL of a real board (default: a virtual board)")
+    result.add_argument(
+        "--port", type=_port, help="serial port or pyserial URL of a real board (default: a virtual board)"
+    )
     result.add_argument("--baud", type=int, default=115200, help="line speed [bit/s] (default: %(default)s)")
     result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
     result.add_argument("--plant", type=Path, help="plant file of the virtual board")
     result.add_argument("--no-web", action="store_true", help="no viewer in the browser")
     result.add_argument("--record", type=Path, help="record to this .rrd file")
     result.add_argument(
-        "--domain-id", type=int, help="ROS domain (default: $ROS_DOMAIN_ID, or one of its own with --demo)"
+        "--domain-id", type=_domain, help="ROS domain (default: $ROS_DOMAIN_ID, or one of its own with --demo)"
+    )
+    result.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        type=_assignment,
+        metavar="NAME=VALUE",
+        help="parameter of the board, such as param.i_q_limit=1.0,1.5; may be repeated",
     )
     result.add_argument("--demo", action="store_true", help="move both axes, leave a recording and a picture, and end")
     result.add_argument(
@@ -161,7 +234,8 @@ def _bring_up(stack: Stack, args: argparse.Namespace, folder: Path, record: Path
         If a child does not come up.
     """
     port = args.port or _virtual_board(stack, args, folder)
-    bridge = stack.start("servo_bridge", *_ros(port=port, baud=args.baud))
+    wanted = json.dumps(args.set or [""])
+    bridge = stack.start("servo_bridge", *_ros(port=port, baud=args.baud, board_parameters=wanted))
     # The twin knows the model of the virtual board, but not its luck: start angles and noise are others.
     twin = stack.start("servo_twin", *_ros(seed=args.seed + 1))
     web = not (args.no_web or args.demo)
@@ -220,26 +294,9 @@ def _finish_demo(record: Path, out: Path) -> None:
     if check.returncode != 0:
         raise ChildError(f"the recording {record} is damaged:\n{check.stderr}")
     picture = out / "demo.png"
+    picture.unlink(missing_ok=True)
     draw(record, picture)
     _say(f"recording  {record}   (look at it with {executable('rerun')} {record})\npicture    {picture}")
-
-
-@contextlib.contextmanager
-def _signals_raise() -> Iterator[None]:
-    """Turn SIGINT, SIGTERM and SIGHUP (a closed terminal) into `_StopRequested`; ignore them while stopping."""
-
-    def request(_signum: int, _frame: FrameType | None) -> NoReturn:
-        for number in numbers:
-            signal.signal(number, signal.SIG_IGN)
-        raise _StopRequested
-
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, request) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _environment(args: argparse.Namespace) -> dict[str, str]:
@@ -259,7 +316,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 after an orderly end; 1 when a child fails or the demonstration does not succeed; 2 for a wrong usage.
+        0 after an orderly end; 1 when a child fails or the demonstration does not succeed; 2 for a wrong usage; 130
+        when the demonstration was interrupted.
     """
     args = parser().parse_args(argv)
     if args.demo and args.port:
@@ -267,9 +325,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     environment = _environment(args)
     args.out.mkdir(parents=True, exist_ok=True)
     record = args.out / "demo.rrd" if args.demo else args.record
+    with _Signals() as signals:
+        try:
+            return _session(args, environment, record, signals)
+        except _StopRequested:
+            return _INTERRUPTED if args.demo else 0
+
+
+def _session(args: argparse.Namespace, environment: Mapping[str, str], record: Path | None, signals: _Signals) -> int:
+    """Everything from the first child to the last; returns the exit status."""
     stack = Stack(args.out, environment)
     status = 0
-    with tempfile.TemporaryDirectory(prefix="servo-") as folder, _signals_raise():
+    with tempfile.TemporaryDirectory(prefix="servo-") as folder:
         try:
             if not args.demo:
                 _refuse_a_second(environment)
@@ -279,21 +346,25 @@ def main(argv: Sequence[str] | None = None) -> int:
             status = _run_demo(stack, environment, args.out)
         except _StopRequested:
             _say("\nstopping: outputs off, then everything else")
-            status = 130 if args.demo else 0
+            status = _INTERRUPTED if args.demo else 0
         except ChildError as error:
             _say(f"servo-up: {error}")
             status = 1
         finally:
-            killed = stack.stop()
+            with signals.held():
+                killed = stack.stop()
         if killed:
             _say(f"had to be killed: {', '.join(killed)}")
             status = status or 1
-        if args.demo and status != 130 and record and record.exists():
-            try:
-                _finish_demo(record, args.out)
-            except (ChildError, ValueError) as error:
-                _say(f"servo-up: {error}")
-                status = status or 1
+    if args.demo and status != _INTERRUPTED and record and record.exists():
+        try:
+            _finish_demo(record, args.out)
+        except (ChildError, ValueError) as error:
+            _say(f"servo-up: {error}")
+            status = status or 1
+        except _StopRequested:
+            _say(f"\nstopped; the recording is in {record}, the picture was not drawn")
+            raise
     return status
 
 

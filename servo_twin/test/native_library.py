@@ -62,6 +62,8 @@ typedef struct { double theta_0, theta_1, omega_0, omega_1, start_ns, duration_n
 void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config);
 void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns);
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta);
+void plant_encoder_cut(plant_encoder_t *encoder, int line);
+void plant_encoder_reverse(plant_encoder_t *encoder, double theta);
 void plant_encoder_arm(plant_encoder_t *encoder);
 bool plant_encoder_take(plant_encoder_t *encoder, uint16_t *count, uint16_t *time);
 uint32_t plant_encoder_age(const plant_encoder_t *encoder, uint64_t now_ns);

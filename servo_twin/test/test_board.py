@@ -221,6 +221,29 @@ class TestPlant:
         board.run(0.5)
         assert board.truth(0).theta_m != start
 
+    def test_an_obstructed_shaft_turns_from_stop_to_stop(self, board: Board) -> None:
+        board.run(0.01)
+        start = board.truth(0).theta_m
+        board.obstruct_shaft(0, 0.01, 0.02)
+        for load, stop in ((-0.01, 0.02), (0.01, -0.01)):  # drives the idle shaft
+            board.set_load(0, load)
+            board.run(0.1)
+            truth = board.truth(0)
+            assert truth.theta_m - start == pytest.approx(stop, abs=1e-12)
+            assert truth.omega_m == 0.0
+        board.obstruct_shaft(0, math.inf, math.inf)
+        board.run(0.05)
+        assert board.truth(0).theta_m - start < -0.1
+
+    def test_a_reversed_encoder_counts_the_other_way(self, board: Board) -> None:
+        board.run(0.01)
+        before = board.read_raw("axis1.position")[0]
+        board.reverse_encoder(0)
+        board.set_load(0, -0.01)  # drives the idle shaft
+        board.run(0.05)
+        assert board.truth(0).omega_m > 5.0
+        assert board.read_raw("axis1.position")[0] < before - 10
+
     def test_an_unplugged_encoder_shows_no_movement(self, board: Board) -> None:
         board.run(0.01)
         board.connect_encoder(0, False)
@@ -230,6 +253,35 @@ class TestPlant:
         assert board.truth(0).omega_m > 5.0
         # lines that were high have fallen
         assert abs(board.read_raw("axis1.position")[0] - before[0]) <= 2
+
+    def test_a_dead_encoder_line_shows_one_count_back_and_forth(self, board: Board) -> None:
+        board.run(0.01)
+        before = board.read_raw("axis1.position")[0]
+        board.cut_encoder_line(0, "B")
+        board.set_load(0, -0.01)  # drives the idle shaft
+        seen = set()
+        for _ in range(100):
+            board.run(0.0005)
+            seen.add(board.read_raw("axis1.position")[0] - before)
+        assert board.truth(0).omega_m > 5.0
+        assert len(seen) == 2
+        assert max(seen) - min(seen) == 1
+        board.connect_encoder(0)
+        board.run(0.05)
+        assert abs(board.read_raw("axis1.position")[0] - before) > 10
+
+    def test_an_unplugged_motor_has_no_current_and_no_torque(self, board: Board) -> None:
+        enable(board)
+        board.connect_motor(0, False)
+        board.write("cmd.position", [1.0, 0.0])
+        for _ in range(50):
+            board.run(0.001)
+            truth = board.truth(0)
+            assert (truth.i_d, truth.i_q, truth.torque_e) == (0.0, 0.0, 0.0)
+        assert board.truth(1).i_q != 0.0
+        board.connect_motor(0)
+        board.run(0.01)
+        assert board.truth(0).torque_e != 0.0
 
     def test_another_plant(self) -> None:
         with Board(PlantConfig.load().with_axis(0, theta_start=1.0).with_bus(u_source=20.0)) as board:

@@ -9,7 +9,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import rotor_search
 from servo_twin.experiments.outcome import Outcome
-from servo_twin.experiments.rotor_search import Search
+from servo_twin.experiments.rotor_search import Harm, Search
 from servo_twin.plant import PlantConfig
 
 
@@ -22,7 +22,15 @@ def plant() -> PlantConfig:
 def outcome(plant: PlantConfig) -> Outcome:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rotor_search, "EVERY", 30)
+        patch.setattr(rotor_search, "HARM_EVERY", 120)
         return rotor_search.run(plant, seed=11)
+
+
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer angles; what is tested here shows at any of them."""
+    monkeypatch.setattr(rotor_search, "EVERY", 180)
+    monkeypatch.setattr(rotor_search, "HARM_EVERY", 240)
+    monkeypatch.setattr(rotor_search, "UNDER_WAY", (0.1,))
 
 
 def test_agrees_with_the_reference_design(outcome: Outcome) -> None:
@@ -55,25 +63,57 @@ def test_bound_of_the_error(plant: PlantConfig) -> None:
 
 
 def test_a_wrong_angle_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
-    monkeypatch.setattr(rotor_search, "EVERY", 180)
+    few(monkeypatch)
     genuine = rotor_search.wrapped
     monkeypatch.setattr(rotor_search, "wrapped", lambda degrees: genuine(degrees + 5.0))
     wrong = [row.name for row in rotor_search.run(plant, seed=2).rows if not row.agrees]
-    assert len([name for name in wrong if name.endswith("error")]) == 12
+    assert len([name for name in wrong if name.endswith("error")]) == 14
 
 
 def test_a_shaft_that_moves_is_no_held_shaft(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
-    monkeypatch.setattr(rotor_search, "EVERY", 180)
+    few(monkeypatch)
     monkeypatch.setattr(Board, "lock_shaft", lambda self, axis, locked=True: None)
     rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
-    assert not rows["axis1 shaft held: fault ROTOR_SEARCH"]
-    assert rows["axis1 encoder dead: fault ENCODER_LOST"]
+    assert not rows["axis1 shaft held: ROTOR_SEARCH"]
+    assert not rows["axis1 shaft held under way: ROTOR_SEARCH"]
+    assert rows["axis1 encoder unplugged: ENCODER_LOST"]
 
 
-def test_one_axis_may_fail_alone(plant: PlantConfig) -> None:
-    first, second = rotor_search.find(plant, 3, dead=[1])
+def test_a_wrong_name_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+    few(monkeypatch)
+    monkeypatch.setattr(Board, "connect_encoder", lambda self, axis, connected=True: self.lock_shaft(axis))
+    rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
+    assert not rows["axis1 encoder unplugged: ENCODER_LOST"]
+    assert rows["axis1 encoder line A dead: ENCODER_LOST"]
+
+
+def test_a_long_way_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+    few(monkeypatch)
+    monkeypatch.setattr(rotor_search, "TWITCH_COUNTS", 1)
+    long = [row.name for row in rotor_search.run(plant, seed=2).rows if not row.agrees]
+    assert long
+    assert all(name.endswith("movement") for name in long)
+
+
+@pytest.mark.parametrize("harm", rotor_search.HARMS, ids=lambda harm: harm.name)
+def test_one_axis_may_fail_alone(plant: PlantConfig, harm: Harm) -> None:
+    first, second = rotor_search.find(plant, 3, harm=harm, axes=[1])
     assert isinstance(first, Search)
     assert first.error is not None
-    assert first.fault == 0
+    assert first.faults == frozenset()
     assert second.error is None
-    assert second.fault != 0
+    assert second.faults == {harm.fault}
+
+
+def test_harms_are_told_apart_without_dead_time_compensation(plant: PlantConfig) -> None:
+    """The host may switch it off; the search compares voltages and does not let it."""
+    for k, harm in enumerate((rotor_search.HELD, rotor_search.UNPLUGGED)):
+        with Board(rotor_search.start_at(plant, 75.0), seed=k) as board:
+            board.write_raw("param.features", [0, 0])
+            board.run(0.03)
+            for axis in range(2):
+                harm.do(board, axis)
+            board.write("cmd.enable", [1, 1])
+            board.run(1.2)
+            wanted = next(flag.mask for flag in board.catalogue.flags["faults"] if flag.name == harm.fault)
+            assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [wanted]

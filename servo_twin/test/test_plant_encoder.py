@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -298,3 +299,48 @@ def test_an_unplugged_encoder_counts_nothing_and_loses_what_it_missed(plant_c: N
     plant_c.lib.plant_encoder_connect(encoder.c, True, encoder.at * EDGE)
     encoder.move_to(53.5)
     assert encoder.count == 13
+
+
+@pytest.mark.parametrize("line", [0, 1])
+@pytest.mark.parametrize("direction", [-1, 1])
+@pytest.mark.parametrize("start", [0.5, 1.5, 2.5, 3.5])
+def test_an_encoder_with_a_dead_line_goes_back_and_forth(
+    plant_c: Native, line: int, direction: int, start: float
+) -> None:
+    """Every second edge is left, and the decoder takes the two of a period for opposite steps."""
+    encoder = Encoder(plant_c, start=start)
+    plant_c.lib.plant_encoder_cut(encoder.c, line)
+    counts = [encoder.count]
+    for k in range(1, 41):
+        encoder.move_to(start + direction * k)
+        counts.append(encoder.count)
+    steps = [b - a for a, b in itertools.pairwise(counts) if a != b]
+    assert len(steps) == 20
+    assert all(a == -b for a, b in itertools.pairwise(steps))
+    assert {abs(step) for step in steps} == {1}
+
+
+def test_direction_of_the_edges_of_a_single_line(plant_c: Native) -> None:
+    """Upwards A rises at 1: with B low a step up. B rises at 2: with A low a step down."""
+    for line, position, step in ((1, 1.5, 1), (0, 2.5, -1)):
+        encoder = Encoder(plant_c, start=0.5)
+        plant_c.lib.plant_encoder_cut(encoder.c, line)
+        encoder.move_to(position)
+        assert encoder.count == step
+
+
+def test_a_reversed_encoder_counts_the_other_way(plant_c: Native) -> None:
+    encoder = Encoder(plant_c, start=10.5)
+    plant_c.lib.plant_encoder_reverse(encoder.c, encoder.at * EDGE)
+    encoder.move_to(15.5)
+    assert encoder.count == -5
+    encoder.move_to(3.5)
+    assert encoder.count == 7
+
+
+def test_a_plugged_in_encoder_has_both_lines_again(plant_c: Native) -> None:
+    encoder = Encoder(plant_c)
+    plant_c.lib.plant_encoder_cut(encoder.c, 0)
+    plant_c.lib.plant_encoder_connect(encoder.c, True, encoder.at * EDGE)
+    encoder.move_to(20.5)
+    assert encoder.count == 20

@@ -87,3 +87,21 @@ def test_only_the_named_axis_moves() -> None:
         assert [r.axis for r in results] == ["axis2"]
         assert abs(results[0].reached + 8000) <= 2
         assert abs(int(log["axis1.position"][-1]) - before) <= 2
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "soon"])
+@pytest.mark.parametrize("verb", ["move", "bench"])
+def test_a_time_has_to_be_one(verb: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([verb, "--time", value])
+    assert end.value.code == 2
+    assert f"'{value}' is no number above zero" in capsys.readouterr().err
+
+
+def test_an_interrupted_command_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("servo_twin.cli.enable", interrupted)
+    assert main(["bench"]) == 130
+    assert capsys.readouterr().err == "servo-sim: interrupted\n"

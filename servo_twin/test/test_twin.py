@@ -93,6 +93,64 @@ class TestExactness:
             assert abs(mean["axis2.i_q"]) < 0.2 * extra
 
 
+FEATURES = "SPEED_FORWARD+ACCELERATION_FORWARD+BUS_COMPENSATION+DEAD_TIME+ANTI_WINDUP+ENHANCED_MT"
+OTHER_LIMITS = ("param.speed_limit=60,90", "param.i_q_limit=2.0,2.5", "param.acceleration_limit=500,600")
+
+
+class TestParameters:
+    def test_the_twin_has_those_of_the_board(self, rig: TwinRig) -> None:
+        rig.set_parameters(f"param.features={FEATURES},{FEATURES}", *OTHER_LIMITS)
+        rig.up()
+        assert rig.twin.parameters_known
+        follows(rig, rig.move([5.0, -5.0]))
+        assert max(pair.real["axis1.speed"] for pair in rig.pairs) < 70.0
+
+    def test_what_nobody_tells_shows(self, rig: TwinRig) -> None:
+        rig.set_parameters(*OTHER_LIMITS, tell=False)
+        rig.up()
+        assert not rig.twin.parameters_known
+        assert worst_counts(rig.move([5.0, -5.0])) > 1000.0
+
+    def test_those_after_reset_change_nothing(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.set_parameters()
+        assert rig.twin.status == ""
+        follows(rig, rig.move([1.0, -1.0]))
+        assert rig.twin.synchronisations == 1
+
+    def test_a_change_begins_anew_once_the_shafts_rest(self, rig: TwinRig) -> None:
+        rig.up()
+        rig.move([20.0, -20.0], 0.2)
+        rig.set_parameters("param.speed_limit[1]=50", f"param.features[0]={FEATURES}")
+        changed = "the board has another param.speed_limit, param.features"
+        assert rig.twin.status == changed
+        rig.run(0.05)
+        assert rig.twin.status == f"waiting: axis1 is not at rest; {changed}"
+        rig.run(3.0)
+        assert rig.twin.synchronisations == 2
+        rig.run(0.2)
+        follows(rig, rig.move([15.0, -18.0], 0.5))
+
+    def test_soft_limits_hold_both_at_the_same_place(self) -> None:
+        """The twin found its rotor elsewhere, so its positions count from elsewhere."""
+        with TwinRig(plant=PlantConfig.load().with_axis(0, theta_start=1.0)) as rig:
+            rig.up()
+            rig.move([2.0, 3.0], 0.8)
+            rig.twin.resync("to be in the middle")
+            rig.run(0.5)
+            both = "POSITION_LIMITS+ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME"
+            rig.set_parameters(
+                f"param.features={both},{both}", "param.position_max=18.9,20", "param.position_min=-3,-4"
+            )
+            rig.run(0.5)
+            follows(rig, rig.move([5.0, 5.0], 1.0))
+            ends = [rig.pairs[-1].real[f"axis{n}.position"] for n in (1, 2)]
+            assert ends == pytest.approx([18.9, 20.0], abs=3 * COUNT)
+            follows(rig, rig.move([-5.0, -5.0], 1.5))
+            ends = [rig.pairs[-1].real[f"axis{n}.position"] for n in (1, 2)]
+            assert ends == pytest.approx([-3.0, -4.0], abs=3 * COUNT)
+
+
 class TestRotorSearch:
     @pytest.mark.parametrize("start", [0.0, 1.0, 2.0, 3.0])
     def test_a_search_of_another_length_is_made_up_for(self, start: float) -> None:
@@ -432,6 +490,28 @@ def test_a_report_that_comes_too_late_to_be_replayed_is_still_known(rig: TwinRig
     assert pairs
     assert abs(pairs[-1].real["axis1.speed"]) < 1.0
     assert abs(pairs[-1].twin["axis1.speed"]) < 1.0
+
+
+@pytest.mark.parametrize("variable", ["cmd.quick_stop", "cmd.enable"])
+def test_after_a_stop_the_twin_is_where_the_board_is(variable: str) -> None:
+    """Each ramps down from the speed that it measures; with these seeds the two measure differently."""
+    with TwinRig(real_seed=3, twin_seed=4) as rig:
+        rig.up()
+        rig.move([0.0, 0.0], 0.3)
+        rig.move([10.0, -10.0], 0.2)
+        rig.write(variable, [float(variable == "cmd.quick_stop")] * 2)
+        pairs = rig.run(0.15)
+        assert worst_counts(pairs) > 3 * CLOSE
+        assert all(pair.stopping == (True, True) for pair in pairs)
+        rig.run(0.25)
+        pairs = rig.run(0.2)
+        follows(rig, pairs)
+        assert pairs[-1].stopping == (False, False)
+        rig.write("cmd.enable", [1, 1])
+        rig.until("RUN/SPIN")
+        rig.run(0.1)
+        follows(rig, rig.move([0.0, 0.0], 1.0))
+        assert rig.twin.synchronisations == 1
 
 
 def test_enabling_forgets_a_quick_stop(rig: TwinRig) -> None:

@@ -19,13 +19,20 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from servo_msgs_py.convert import AppliedCommand, applied_message, from_stamp, snapshot_message, snapshot_table
+from servo_msgs_py.convert import (
+    AppliedCommand,
+    applied_message,
+    from_stamp,
+    parameters_message,
+    snapshot_message,
+    snapshot_table,
+)
 from servo_msgs_py.node_shell import ParameterError
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.node import PARAMETERS, ServoTwin, main
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
-from twin_rig import EPOCH_NS, TwinRig
+from twin_rig import CATALOGUE, EPOCH_NS, TwinRig
 
 from servo_msgs_py import topics
 
@@ -52,6 +59,7 @@ class Rig:
         self.snapshot = self.user.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self.applied = self.user.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
         self.state = self.user.create_publisher(String, topics.STATE, latched)
+        self.board_parameters = self.user.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self.messages: dict[str, list[Any]] = {}
         self._listen("/twin/joint_states", JointState, deep)
         self._listen("/twin/snapshot", Float64MultiArray, deep)
@@ -75,7 +83,7 @@ class Rig:
         self.user.create_subscription(kind, name, self.messages[name].append, qos)
 
     def _matched(self) -> bool:
-        publishers = (self.snapshot, self.applied, self.state)
+        publishers = (self.snapshot, self.applied, self.state, self.board_parameters)
         return (
             all(p.get_subscription_count() for p in publishers)
             and all(self.user.count_publishers(name) for name in self.messages)
@@ -94,6 +102,9 @@ class Rig:
 
     def command(self, command: AppliedCommand) -> None:
         self.applied.publish(applied_message(command))
+
+    def parameters(self, values: dict[str, list[int]]) -> None:
+        self.board_parameters.publish(parameters_message(values, CATALOGUE))
 
     def step(self) -> list[Any]:
         return []
@@ -248,6 +259,42 @@ def test_resync_answers_at_once(rig: Rig) -> None:
     rig.board.run(0.3)
     rig.caught_up()
     rig.until(lambda: any(v.key == "synchronisations" and v.value == "2" for v in rig.status("comparison").values))
+
+
+OTHERS = ("param.features[0]=SPEED_FORWARD+ANTI_WINDUP", "param.speed_limit=60,90", "param.i_q_limit=2.0,2.5")
+
+
+def test_has_the_parameters_of_the_board(rig: Rig) -> None:
+    rig.board.set_parameters(*OTHERS)
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+    rig.board.up()
+    known = len(rig.messages["/twin/residual"])
+    rig.board.move([5.0, -5.0])
+    rig.caught_up()
+    rig.until(lambda: len(rig.messages["/twin/residual"]) > known + 50)
+    assert max(max(map(abs, m.position)) for m in rig.messages["/twin/residual"][known:]) < 0.03
+    rig.until(lambda: rig.status("comparison").values)
+    assert {v.key: v.value for v in rig.status("comparison").values}["parameters"] == "those of the board"
+
+
+def test_names_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
+    rig.board.set_parameters(*OTHERS, tell=False)
+    rig.board.up()
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+    rig.board.move([5.0, -5.0], 0.4)
+    rig.until(lambda: "nothing on /servo/parameters" in rig.status("comparison").message)
+    assert "differs by" in rig.status("comparison").message
+
+
+def test_parameters_of_another_version_are_named(rig: Rig) -> None:
+    rig.board_parameters.publish(snapshot_message(["param.warp"], [[8.0]]))
+    rig.until(lambda: "the names are not those of this version" in rig.status("comparison").message)
+    assert rig.status("comparison").level == b"\x01"
+    rig.board.set_parameters()
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
 
 
 def test_messages_of_another_form_do_no_harm(rig: Rig) -> None:

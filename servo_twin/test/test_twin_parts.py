@@ -13,7 +13,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import Replica, slow_tick
-from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Thresholds, residual
+from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.samples import Activity, RestWatch, SampleReader, activity
 from twin_rig import CATALOGUE, COLUMNS
 
@@ -122,11 +122,9 @@ class TestSamples:
 
     def test_rest_needs_the_whole_time(self) -> None:
         watch = RestWatch(100)
-        reader = SampleReader(CATALOGUE)
-        lsb = CATALOGUE["axis1.position"].lsb
 
         def add(tick: int, counts: int) -> bool:
-            watch.add(reader.rows(COLUMNS, self.row(tick=tick, axis1_position=counts * lsb))[0])
+            watch.add(tick, (counts, 0))
             return watch.at_rest(0)
 
         assert [add(tick, 0) for tick in (0, 40, 80, 120)] == [False, False, False, True]
@@ -228,6 +226,17 @@ class TestHealth:
         assert self.update(monitor, 0.0)
         assert not self.update(monitor, 0.1, **difference)
         assert monitor.reason.startswith(said)
+
+    def test_where_a_stopping_axis_is_says_nothing(self) -> None:
+        monitor = HealthMonitor(Thresholds(0.05, 10.0, 0.05, hold=0.0, grace=0.0))
+        far = dict.fromkeys(COMPARED, 0.0) | {"axis2.position": 0.1}
+        difference = Residual(0, far, (0.0, 0.1), (0.0, 0.0), (0.0, 0.0))
+        assert monitor.update(difference, (False, True))
+        assert not monitor.update(difference, (True, False))
+        assert monitor.differs
+        fast = Residual(0, far, (0.0, 0.1), (0.0, 11.0), (0.0, 0.0))
+        assert not monitor.update(fast, (False, True))
+        assert monitor.reason.startswith("axis2: velocity")
 
     def test_an_interruption_begins_the_wait_anew(self) -> None:
         monitor = HealthMonitor(Thresholds(hold=0.5))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from servo_msgs_py.board_parameters import applied, parameters, parse
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand, state_label
 from servo_msgs_py.units import PERIOD_NS
@@ -86,6 +87,15 @@ class TwinRig:
         raw = [CATALOGUE[variable].to_raw(v) if mask >> n & 1 else 0 for n, v in enumerate(values)]
         self.real.write(variable, raw, mask)
         self._written.append((variable, (raw[0], raw[1]), mask))
+
+    def set_parameters(self, *texts: str, tell: bool = True) -> None:
+        """Set parameters of the real board, written as ``NAME=VALUE``, and tell the twin of all it has."""
+        present = {v.name: self.board.read_raw(v.name) for v in parameters(CATALOGUE)}
+        for name, raw in applied([parse(text, CATALOGUE) for text in texts], present).items():
+            self.board.write_raw(name, raw)
+            present[name] = raw
+        if tell:
+            self.twin.parameters(present)
 
     def run(self, seconds: float) -> list[Pair]:
         """Run the real board with samples; returns what the twin made of them."""

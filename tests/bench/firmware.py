@@ -49,9 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(text)
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(plain(measurement), indent=1) + "\n", encoding="utf-8")
-    _tell(text)
     if options.update:
         TABLE.write_text(text, encoding="utf-8")
+    _tell(text)
     return 0
 
 
@@ -59,7 +59,10 @@ def _tell(text: str) -> None:
     committed = compiler_of(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else ""
     if committed != compiler_of(text):
         print(f"The committed table was made with {committed or 'nothing'}.")
-    print("\n".join(difference(text)) or "The committed table says the same.")
+    changes = difference(text)
+    print("\n".join(changes) or "The committed table says the same.")
+    if changes:
+        print("The committed table is out of date: `make bench-firmware UPDATE=1` writes it.")
 
 
 if __name__ == "__main__":

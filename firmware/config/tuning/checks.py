@@ -123,11 +123,15 @@ def _search(axis: Axis) -> None:
     if not count <= axis("rotor_search.interval") < 60.0:
         reason = f"a count is {count:.3g} degrees, and 60 would leave the torque to chance"
         raise axis.refused("rotor_search.interval", reason, "write some 1.5 degrees")
-    if axis("rotor_search.move_counts") * count >= 45.0:
-        reason = "a movement of 45 degrees electrical and more is no twitch"
+    if axis("rotor_search.move_counts") < 3.0:
+        reason = "an edge that dithers moves by one count, and a shaft that it lies on by one more"
+        raise axis.refused("rotor_search.move_counts", reason, "write some 3 counts")
+    if axis("rotor_search.move_counts") * count >= 0.25 * axis("rotor_search.verify_angle"):
+        reason = "so much is no twitch: a quarter of rotor_search.verify_angle is taken for a shaft that runs away"
         raise axis.refused("rotor_search.move_counts", reason, "write some 3 counts")
     halvings = math.ceil(math.log2(360.0 / axis("rotor_search.interval")))
     longest = halvings * sum(axis(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest"))
+    longest += 4.0 * axis("rotor_search.verify_time")  # to one side, to the other one, and back
     if axis("rotor_search.time_most") < longest:
-        reason = f"{halvings} vectors may take {longest:.3g} s"
+        reason = f"{halvings} vectors and the verification may take {longest:.3g} s"
         raise axis.refused("rotor_search.time_most", reason, "write more than that, or shorter times")

@@ -20,6 +20,11 @@ PATH_OMEGA: Final = Format("omega_n Ts of DRM E40", 16, 1, 2**14)
 OBSERVER: Final = Format("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
 RECIPROCAL: Final = Format("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
 FLUX: Final = Format("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
+PI_SUM: Final = Format("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
+"""pi_sum_t holds +-256: these gains, each times a fraction, and the integral part."""
+TICKS: Final = Format("uint16_t slow ticks", 0, 0, 2**16 - 2)
+"""A counter of 16 bits has to be able to go beyond it."""
+SEARCH_TURN: Final = Format("an eighth of a turn", 0, 1, 2**13)
 TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
 TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
 SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
@@ -75,7 +80,7 @@ class _Converter:
     def ticks(self, path: str) -> int:
         """A time in slow ticks."""
         tick = self.board.tick
-        return self.at(UINT16, path, 1.0 / tick, f"write seconds, {tick:g} .. {65535 * tick:g}")
+        return self.at(TICKS, path, 1.0 / tick, f"write seconds, {tick:g} .. {TICKS.high * tick:g}")
 
     def of(self, format_: Format, name: str, value: float, remedy: str) -> int:
         """Something that follows from several entries."""
@@ -112,13 +117,17 @@ def _current_loop(to: _Converter, gains: Gains) -> dict[str, Field]:
     coupling, flux = "correct motor.pole_pairs, motor.l_d or motor.l_q", "correct motor.pole_pairs or motor.psi_m"
     duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period, "write seconds, some 1e-6")
     step = to.of(GAIN, "angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
+    to.of(PI_SUM, "gains that meet in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, slower)
+    emf = omega_e * axis("motor.psi_m") / s.u_s
+    u_q = (gains.current_q.kp + omega_e * axis("motor.l_d")) * admittance + emf
+    to.of(PI_SUM, "gains that meet in u_q", u_q, slower)
     sign = to.of(INT16_Q8, "slope of sensing.sign_current", s.i / axis("sensing.sign_current"), "raise that current")
     return {
         "current_loop.d": _pi(axis, "current controller d", gains.current_d, admittance, slower),
         "current_loop.q": _pi(axis, "current controller q", gains.current_q, admittance, slower),
         "current_loop.omega_l_d": to.of(GAIN, "decoupling d", omega_e * axis("motor.l_d") * admittance, coupling),
         "current_loop.omega_l_q": to.of(GAIN, "decoupling q", omega_e * axis("motor.l_q") * admittance, coupling),
-        "current_loop.omega_psi": to.of(GAIN, "back-EMF", omega_e * axis("motor.psi_m") / s.u_s, flux),
+        "current_loop.omega_psi": to.of(GAIN, "back-EMF", emf, flux),
         "current_loop.angle_step": step,
         "current_loop.dead_time.duty": duty,
         "current_loop.dead_time.v_drop": drop,
@@ -154,6 +163,13 @@ def _sensing(to: _Converter) -> dict[str, Field]:
         f"{search}.hold_ticks": to.ticks("rotor_search.hold_time"),
         f"{search}.rest_ticks": to.ticks("rotor_search.rest_time"),
         f"{search}.move_counts": to.at(UINT16, "rotor_search.move_counts", 1.0),
+        f"{search}.verify_angle": to.at(SEARCH_TURN, "rotor_search.verify_angle", 65536.0 / 360.0),
+        f"{search}.verify_step": to.of(
+            TURN_STEP,
+            "verifying turn of the vector per slow tick",
+            axis("rotor_search.verify_angle") / 360.0 * board.tick / axis("rotor_search.verify_time"),
+            "lower rotor_search.verify_time",
+        ),
         f"{search}.angle_per_count": to.of(INT32_Q16, "search angle", 65536.0 * p / counts, "fewer motor.pole_pairs"),
         f"{search}.interval": to.at(SEARCH_ANGLE, "rotor_search.interval", 1.0 / 360.0),
         **_follow(to),

@@ -132,6 +132,10 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "rest_time": Entry("s", "standstill after a twitch"),
         "move_counts": Entry("", "movement that counts as a twitch", whole=True),
         "interval": Entry("deg electrical", "remaining interval at which the search ends"),
+        "verify_angle": Entry(
+            "deg electrical", "largest turn until the shaft follows where the rotor was found", most=45.0
+        ),
+        "verify_time": Entry("s", "of that turn"),
         "turn_angle": Entry(
             "deg electrical", "turn of the vector that tells a held shaft from a dead encoder", most=180.0
         ),

@@ -146,6 +146,12 @@ void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double thet
 
 void plant_encoder_cut(plant_encoder_t *encoder, plant_line_t line) { encoder->alive[line] = false; }
 
+void plant_encoder_reverse(plant_encoder_t *encoder, double theta)
+{
+    encoder->edges_per_rad = -encoder->edges_per_rad;
+    encoder->edge = edges_at(encoder, theta);
+}
+
 void plant_encoder_arm(plant_encoder_t *encoder)
 {
     encoder->armed = true;

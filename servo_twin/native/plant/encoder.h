@@ -23,7 +23,7 @@
 typedef enum { PLANT_LINE_A, PLANT_LINE_B, PLANT_ENCODER_LINES } plant_line_t;
 
 typedef struct {
-    double edges_per_rad;
+    double edges_per_rad; /* negative: A and B are swapped */
     bool alive[PLANT_ENCODER_LINES]; /* lines that still switch; a dead one stays low */
     int64_t edge;        /* edges passed since angle 0 */
     uint16_t count;      /* TMRx0 */
@@ -60,6 +60,9 @@ void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double thet
 
 /* One line dead: of the edges on the other, which one comes last is all that the decoder can tell. */
 void plant_encoder_cut(plant_encoder_t *encoder, plant_line_t line);
+
+/* A and B swapped: from here on it counts the other way. */
+void plant_encoder_reverse(plant_encoder_t *encoder, double theta);
 
 void plant_encoder_arm(plant_encoder_t *encoder);
 

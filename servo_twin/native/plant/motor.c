@@ -1,5 +1,7 @@
 #include "plant/motor.h"
 
+#include <math.h>
+
 #include "plant/trig.h"
 
 #define NUM double
@@ -34,6 +36,8 @@ void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
         .torque_psi = 1.5 * config->pole_pairs * config->psi_m,
         .torque_l = 1.5 * config->pole_pairs * (config->l_d - config->l_q),
         .theta = config->theta_start,
+        .low = -INFINITY,
+        .high = INFINITY,
     };
     plant_sincos(motor->pole_pairs * motor->theta, &motor->sine, &motor->cosine);
     refresh(motor);
@@ -110,7 +114,20 @@ static double direction_of(plant_motor_t *m, double torque)
     }
     m->omega = 0.0;
     const double drive = torque - m->load;
-    return (drive > m->friction) ? 1.0 : (drive < -m->friction) ? -1.0 : 0.0;
+    if (drive > m->friction) {
+        return (m->theta < m->high) ? 1.0 : 0.0;
+    }
+    return (drive < -m->friction && m->theta > m->low) ? -1.0 : 0.0;
+}
+
+/* What the shaft meets at an end stop takes its speed; within a step, where exactly does not matter. */
+static void stop(plant_motor_t *m)
+{
+    if (m->theta < m->low || m->theta > m->high) {
+        m->theta = (m->theta < m->low) ? m->low : m->high;
+        m->omega = 0.0;
+        m->steps = PLANT_FRESH_TRIG; /* the angle has moved without sine and cosine */
+    }
 }
 
 /* The shaft stopped within `dt`, having begun as in `before`: go to that moment, found by false position. */
@@ -158,6 +175,7 @@ double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt)
             stand(motor, u, dt);
         }
     }
+    stop(motor);
     refresh(motor);
     return used;
 }
@@ -177,6 +195,7 @@ double plant_motor_coast(plant_motor_t *motor, double dt)
         motor->omega = 0.0;
         motor->theta = theta + 0.5 * used * omega;
     }
+    stop(motor);
     motor->steps = PLANT_FRESH_TRIG; /* the angle has moved without them */
     refresh(motor);
     return used;
@@ -199,6 +218,12 @@ void plant_motor_lock(plant_motor_t *motor, bool locked)
     if (locked) {
         motor->omega = 0.0;
     }
+}
+
+void plant_motor_obstruct(plant_motor_t *motor, double below, double above)
+{
+    motor->low = motor->theta - below;
+    motor->high = motor->theta + above;
 }
 
 double plant_motor_torque(const plant_motor_t *motor)

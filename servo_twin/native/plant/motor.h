@@ -36,6 +36,7 @@ typedef struct {
     /* inputs */
     double load;         /* external torque against positive motion [N m] */
     bool locked;         /* shaft held fast */
+    double low, high;    /* end stops, inelastic, mechanical [rad] */
     /* state */
     double i_d, i_q;     /* [A] */
     double omega;        /* mechanical [rad/s] */
@@ -64,6 +65,9 @@ double plant_motor_coast(plant_motor_t *motor, double dt);
 void plant_motor_set_phases(plant_motor_t *motor, double i_a, double i_b);
 
 void plant_motor_lock(plant_motor_t *motor, bool locked);
+
+/* End stops so far [rad] to both sides of where the shaft is now. */
+void plant_motor_obstruct(plant_motor_t *motor, double below, double above);
 
 double plant_motor_torque(const plant_motor_t *motor);
 

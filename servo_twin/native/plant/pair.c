@@ -1,5 +1,6 @@
 #include "plant/pair.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "plant/trig.h"
@@ -42,6 +43,9 @@ static bool plain_case(const plant_lane_t *lane, double *direction)
     plant_motor_t *motor = lane->motor;
     *direction = 0.0;
     if (!lane->inverter->on || lane->inverter->unplugged || motor->steps >= PLANT_FRESH_TRIG) {
+        return false;
+    }
+    if (isfinite(motor->low) || isfinite(motor->high)) {
         return false;
     }
     if (motor->locked) {

@@ -31,6 +31,7 @@ from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
 __all__ = [
+    "NOMINAL_PATH_END",
     "OVER_VOLTAGE",
     "Belief",
     "Demand",
@@ -40,6 +41,7 @@ __all__ = [
     "inertia_ratio",
     "move_speeds",
     "path_demands",
+    "path_ends",
     "speed_limits",
     "top_speed",
 ]
@@ -61,6 +63,14 @@ TUNED_WITHIN: Final = 2.0
 
 PROBE_SPEED: Final = 2.0
 """Step of the speed set-point that shows the feed-forward [rad/s]."""
+
+PROBE_HALVINGS: Final = 6
+"""How often that step may be halved, on a heavy shaft, to show the inertia within the current limit."""
+
+PATH_END: Final = 13.0
+"""Of the path filter's time constants: after so many, (1 + t) exp(-t) leaves no two counts of any move."""
+
+NOMINAL_PATH_END: Final = 0.13  # the same of the nominal plant [s]
 
 PROBE_PATH: Final = 0.3  # [s], of a move that shows the path filter
 PROBE_SLOPE: Final = 10  # [slow ticks] between two points of its speed
@@ -108,20 +118,32 @@ def believed(plant: PlantConfig, seed: int) -> tuple[Belief, ...]:
     SimulationError
         If the current limit hides the difference.
     """
-    plain, friction, inertia = (
-        _first_current(plant, seed, switch) for switch in (None, "FRICTION", "ACCELERATION_FORWARD")
-    )
+    friction = _forward(plant, seed, "FRICTION", PROBE_SPEED)
+    for halving in range(PROBE_HALVINGS + 1):
+        speed = PROBE_SPEED * 0.5**halving
+        try:
+            inertia = _forward(plant, seed, "ACCELERATION_FORWARD", speed)
+            break
+        except SimulationError:
+            if halving == PROBE_HALVINGS:
+                raise
     return tuple(
         Belief(
-            friction=(friction[axis] - plain[axis]) * entry.torque_constant,
-            inertia=(inertia[axis] - plain[axis]) * entry.torque_constant / (PROBE_SPEED / TICK),
+            friction=friction[axis] * entry.torque_constant,
+            inertia=inertia[axis] * entry.torque_constant / (speed / TICK),
         )
         for axis, entry in enumerate(plant.axes)
     )
 
 
+def _forward(plant: PlantConfig, seed: int, switch: str, speed: float) -> list[float]:
+    """What a feature adds to i_q* of each axis in the tick in which the speed set-point jumps [A]."""
+    without, switched = (_first_current(plant, seed, which, speed) for which in (None, switch))
+    return [b - a for a, b in zip(without, switched, strict=True)]
+
+
 def inertia_ratio(plant: PlantConfig, seed: int, axis: int) -> float:
-    """Inertia that is there over the one that the gains are made for: a loop is so many times slower, or quicker."""
+    """Inertia per torque constant, over what the gains are made for: a loop is so many times slower, or quicker."""
     return plant.axes[axis].inertia / believed(plant, seed)[axis].inertia
 
 
@@ -132,13 +154,13 @@ def differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
         ratio = entry.inertia / belief.inertia
         if not 1.0 / TUNED_WITHIN <= ratio <= TUNED_WITHIN:
             notes.append(
-                f"{axis_name(axis)}: the inertia is {ratio:.2g} times the one that the gains are made for"
-                " (firmware/config/servo.toml)"
+                f"{axis_name(axis)}: a current accelerates the shaft {1.0 / ratio:.2g} times as much as the gains are"
+                " made for (firmware/config/servo.toml)"
             )
     return tuple(notes)
 
 
-def _first_current(plant: PlantConfig, seed: int, switch: str | None) -> list[float]:
+def _first_current(plant: PlantConfig, seed: int, switch: str | None, speed: float) -> list[float]:
     """i_q* of each axis in the tick in which its speed set-point has jumped [A]."""
     with spinning(plant, seed) as board:
         for axis in range(AXES):
@@ -148,12 +170,12 @@ def _first_current(plant: PlantConfig, seed: int, switch: str | None) -> list[fl
             choose_mode(board, axis, "SPEED")
         watch(board, [0], 10 * TICK)
         for axis in range(AXES):
-            command_speed(board, axis, PROBE_SPEED)
+            command_speed(board, axis, speed)
         both = watch(board, range(AXES), 5 * TICK)
         limited = flag_mask(board, "limits", "CURRENT")
     currents: list[float] = []
     for recording in both.values():
-        k = int(np.argmax(recording.speed_ref > 0.5 * PROBE_SPEED))
+        k = int(np.argmax(recording.speed_ref > 0.5 * speed))
         if recording.limits[k] & limited:
             raise SimulationError("the current limit hides what the feed-forward stands for")
         currents.append(float(recording.i_q_ref[k]))
@@ -193,6 +215,14 @@ def path_demands(plant: PlantConfig, seed: int) -> list[Demand]:
         acceleration = float((speed[step:] - speed[:-step]).max()) / (step * TICK)
         demands.append(Demand(acceleration / speeds[axis], currents[axis]))
     return demands
+
+
+def path_ends(plant: PlantConfig, seed: int) -> list[float]:
+    """From the end of a ramp until the path of each axis has arrived [s]: on a heavy shaft the filter has to be slow.
+
+    E40 with damping 1 asks a speed step v for at most v omega_n / e.
+    """
+    return [PATH_END / (math.e * demand.acceleration) for demand in path_demands(plant, seed)]
 
 
 def move_speeds(plant: PlantConfig, seed: int, together: bool, share: float = CURRENT_SHARE) -> tuple[list[float], str]:

@@ -39,6 +39,8 @@ MEASURED: Final = 10  # periods
 DEPTH: Final = 0.88
 """What the limited current can accelerate, over what the sine asks for. 1 A does this to the shaft of F21."""
 
+CURRENT_MOST: Final = 4.0  # limit of the drive [A]
+
 HIGHER_LEAST: Final = 1.1
 """Peak without anti-windup over the peak with it."""
 
@@ -79,7 +81,12 @@ def whole_ticks(frequency: float) -> float:
 def current_limit(axis: AxisPlant, frequency: float) -> float:
     """Limit that saturates a shaft as deeply as 1 A does the one of F21 [A], in steps of 0.01 A."""
     torque = DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi * frequency
-    return float(np.clip(round(torque / axis.torque_constant, 2), 0.1, 4.0))
+    return float(np.clip(round(torque / axis.torque_constant, 2), 0.1, CURRENT_MOST))
+
+
+def top_frequency(axis: AxisPlant) -> float:
+    """Highest frequency for which the drive has the current that saturates a shaft so [Hz]."""
+    return CURRENT_MOST * axis.torque_constant / (DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi)
 
 
 def sine(time: float, frequency: float) -> float:
@@ -130,7 +137,7 @@ def sine_of(recording: Recording, frequency: float) -> NDArray[np.float64]:
 
 def run(plant: PlantConfig, seed: int) -> Outcome:
     """Both runs."""
-    frequency = whole_ticks(FREQUENCY / inertia_ratio(plant, seed, AXIS))
+    frequency = whole_ticks(min(FREQUENCY / inertia_ratio(plant, seed, AXIS), top_frequency(plant.axes[AXIS])))
     limit = current_limit(plant.axes[AXIS], frequency)
     with_it, without = (respond(plant, seed, frequency, anti_windup) for anti_windup in (True, False))
     asked = AMPLITUDE / RPM

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -37,7 +38,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         parser = names.add_parser(
             entry.name,
             parents=[common],
-            help=entry.help.splitlines()[0].replace("%", "%%"),
+            help=_first_sentence(entry.help).replace("%", "%%"),
             description=entry.help,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
@@ -49,6 +50,11 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         "--out", type=Path, default=_OUT, metavar="FOLDER", help="tables, pictures, summary (default: %(default)s)"
     )
     everything.set_defaults(run=_run, names=list(EXPERIMENTS), plot=None)
+
+
+def _first_sentence(text: str) -> str:
+    """Up to the first full stop at the end of a word."""
+    return re.split(r"(?<=[a-z)])\.(?=\s|$)", " ".join(text.split()), maxsplit=1)[0]
 
 
 def run_experiments(

@@ -47,6 +47,8 @@ ACCELERATION_LEFT_MOST: Final = 0.75
 """Part of that which may be left with the acceleration: the torque still comes a slow loop late."""
 
 OVERSHOOT_OF_WRONG: Final = 0.1
+OVERSHOOT_OF_FRICTION: Final = 1.0
+"""Counts that current against a friction pushes which is not there, per part of the friction that is."""
 """Of the error that a wrong belief of the inertia brings, what may come out beyond the target."""
 
 REST: Final = 0.8  # recorded after the ramp's end [s]
@@ -119,7 +121,7 @@ def travel(
 
 @dataclass(frozen=True)
 class Mismatch:
-    """How the inertia that is there compares with the one that the controller believes in."""
+    """How inertia or friction that is there compares with what the controller believes in."""
 
     there: float
     believed: float
@@ -144,15 +146,17 @@ def error_bound(speed: Move, inertia: Mismatch) -> float:
     """Following error that may be left with the acceleration fed forward, too [counts].
 
     A part of the error with the speed alone, for the torque that comes late; the error that a wrong belief of the
-    inertia brings back; two counts.
+    inertia brings back; three counts.
     """
-    return (ACCELERATION_LEFT_MOST * inertia.lighter + inertia.wrong) * speed.error + ARRIVED
+    return (ACCELERATION_LEFT_MOST * inertia.lighter + inertia.wrong) * speed.error + ARRIVED + 1.0
 
 
 def run(plant: PlantConfig, seed: int) -> Outcome:
     """Every distance, every choice, both axes at once."""
     speeds, lowered = move_speeds(plant, seed, together=True)
-    inertias = [Mismatch(e.inertia, b.inertia) for e, b in zip(plant.axes, believed(plant, seed), strict=True)]
+    beliefs = believed(plant, seed)
+    inertias = [Mismatch(e.inertia, b.inertia) for e, b in zip(plant.axes, beliefs, strict=True)]
+    frictions = [Mismatch(e.friction, b.friction) for e, b in zip(plant.axes, beliefs, strict=True)]
     rows: list[Row] = []
     panels: list[Panel] = []
     notes = [lowered] if lowered else []
@@ -160,13 +164,13 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         moves = {choice: travel(plant, seed, turns, on, speeds) for choice, on in CHOICES.items()}
         for axis in range(AXES):
             of_axis = {choice: both[axis] for choice, both in moves.items()}
-            rows.extend(_rows(f"{axis_name(axis)} {turns:g} turns", of_axis, inertias[axis]))
+            rows.extend(_rows(f"{axis_name(axis)} {turns:g} turns", of_axis, inertias[axis], frictions[axis]))
         notes.append(_note(turns, moves))
         panels.extend(_panel(f"{axis_name(axis)}, {turns:g} turns", axis, moves) for axis in range(AXES))
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
 
 
-def _rows(what: str, moves: Mapping[str, Move], inertia: Mismatch) -> list[Row]:
+def _rows(what: str, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> list[Row]:
     none, speed = moves["none"], moves["speed"]
     left = speed.error / max(none.error, 1e-9)
     most = SPEED_LEFT_MOST * inertia.heavier
@@ -176,7 +180,8 @@ def _rows(what: str, moves: Mapping[str, Move], inertia: Mismatch) -> list[Row]:
         rows.append(Row(f"{what}, following error, {choice}", BEYOND, moves[choice].error, "counts", bound))
     forward = [move for choice, move in moves.items() if choice != "none"]
     overshoot = max(move.overshoot for move in forward)
-    beyond = Bound(most=ARRIVED + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error)
+    pushed = OVERSHOOT_OF_FRICTION * (friction.lighter - 1.0)
+    beyond = Bound(most=ARRIVED + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed)
     rows.append(Row(f"{what}, overshoot, worst", SEED_OVERSHOOT, overshoot, "counts", beyond))
     rows.append(
         Row(

@@ -11,7 +11,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import move_speeds
+from servo_twin.experiments.ability import NOMINAL_PATH_END, move_speeds, path_ends
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
@@ -33,8 +33,9 @@ NAME: Final = "soft-limits"
 HELP: Final = """\
 Beyond the reference design, which limits nothing but the current of one experiment (F21: i_q to 1 A).
 Shown, without and with each limit: the shaft is sent past a limit of its position (feature POSITION_LIMITS), in
-position, speed and torque mode, and back; a limit is set behind a shaft at rest, which must not move it; a limit of the
-speed (param.speed_limit) and of the current (param.i_q_limit). Every limit has to name itself in the word of limits."""
+position, speed and torque mode, and back; in torque mode a load drives it there and leans on the limit; a limit is set
+behind a shaft at rest, which must not move it; a limit of the speed (param.speed_limit) and of the current
+(param.i_q_limit). Every limit has to name itself in the word of limits."""
 
 AWAY: Final = 2.0  # from the start to the limit of the position [turns]
 FAR: Final = 4.0  # to the target beyond it [turns]
@@ -42,8 +43,12 @@ TORQUE: Final = 1.0  # asked for in torque mode [A]
 OUT: Final = 2.0  # [s]
 BACK: Final = 0.4  # [s]
 BACK_SPEED: Final = 20.0  # [rad/s]
+LEAN: Final = 1.0  # [A] worth of torque, by a load that leans on the limit
+LEAN_AWAY: Final = 0.25  # from the start to that limit [turns]
+LEAN_SPEED: Final = 20.0  # limit of the speed, low: braking the load feeds the bus [rad/s]
+LEAN_TIME: Final = 1.0  # [s]
 BEHIND: Final = 0.1  # the limit set behind the shaft [turns]
-SETTLE: Final = 0.3  # [s]
+SETTLE: Final = 0.3  # [s]; more where a heavy shaft makes the path filter slow
 FLAG_LAST: Final = 0.5  # the limit names itself all that time [s]
 
 BEYOND_MOST: Final = 2.0
@@ -160,6 +165,20 @@ def _named(recording: Recording, mask: int) -> float:
     return float(np.mean((words & mask) != 0))
 
 
+def lean(plant: PlantConfig, seed: int, limited: bool) -> list[float]:
+    """Farthest that a load drives both shafts past their limits, in torque mode without torque [counts]."""
+    with spinning(plant, seed) as board:
+        limits = [position_of(board, axis) + round(LEAN_AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
+        for axis, limit in enumerate(limits):
+            features(board, axis, POSITION_LIMITS=limited)
+            set_axis(board, "param.position_max", axis, limit * COUNT)
+            set_axis(board, "param.speed_limit", axis, LEAN_SPEED)
+            choose_mode(board, axis, "TORQUE")
+            board.set_load(axis, -LEAN * plant.axes[axis].torque_constant)  # a load opposes positive motion
+        both = watch(board, range(AXES), LEAN_TIME)
+    return [float((both[axis].shaft - limit).max()) for axis, limit in enumerate(limits)]
+
+
 @dataclass(frozen=True)
 class Behind:
     """A limit that is set behind a shaft at rest.
@@ -177,19 +196,20 @@ class Behind:
 
 def set_behind(plant: PlantConfig, seed: int) -> list[Behind]:
     """Set the upper limit a little below where both shafts are."""
+    settle = max(SETTLE, SETTLE + max(path_ends(plant, seed)) - NOMINAL_PATH_END)
     with spinning(plant, seed) as board:
         here = [position_of(board, axis) for axis in range(AXES)]
         step = round(BEHIND * COUNTS_PER_TURN)
         for axis, position in enumerate(here):
             features(board, axis, POSITION_LIMITS=True)
             set_axis(board, "param.position_max", axis, (position - step) * COUNT)
-        alone = watch(board, range(AXES), SETTLE)
+        alone = watch(board, range(AXES), settle)
         for axis, position in enumerate(here):
             command_position(board, axis, position + step)
-        farther = watch(board, range(AXES), SETTLE)
+        farther = watch(board, range(AXES), settle)
         for axis, position in enumerate(here):
             command_position(board, axis, position - 2 * step)
-        nearer = watch(board, range(AXES), SETTLE)
+        nearer = watch(board, range(AXES), settle)
     return [
         Behind(
             moved=float(np.ptp(alone[axis].shaft)),
@@ -240,7 +260,7 @@ def push(plant: PlantConfig, seed: int, limit: float | None) -> list[Bounded]:
 def run(plant: PlantConfig, seed: int) -> Outcome:
     """Every limit, without and with, both axes at once."""
     speeds, lowered = move_speeds(plant, seed, together=True)
-    notes = ["beyond: true shaft past the limit; no load pushes it there", *([lowered] if lowered else [])]
+    notes = ["beyond: true shaft past the limit", *([lowered] if lowered else [])]
     rows: list[Row] = []
     panels: list[Panel] = []
     for mode in MODES:
@@ -251,6 +271,8 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
                 _rows_visit(f"{axis_name(axis)}, position, {mode.lower()} mode", most, free[axis], limited[axis])
             )
         panels.append(_panel(f"limit of the position, {mode.lower()} mode", free, limited))
+    for axis, (free_way, way) in enumerate(zip(lean(plant, seed, False), lean(plant, seed, True), strict=True)):
+        rows.extend(_rows_lean(f"{axis_name(axis)}, position, a load leans on it", free_way, way))
     for axis, behind in enumerate(set_behind(plant, seed)):
         rows.extend(_rows_behind(f"{axis_name(axis)}, limit set behind the shaft", behind))
     for mode in ("SPEED", "TORQUE"):
@@ -266,6 +288,13 @@ def _rows_visit(what: str, most: float, free: Visit, limited: Visit) -> tuple[Ro
         Row(f"{what}: stops before", BEYOND_SEED, limited.short, "counts", Bound(-most, NEAR_MOST)),
         Row(f"{what}: names itself", BEYOND_SEED, limited.named, "of the time", Bound(1.0, 1.0)),
         Row(f"{what}: comes back", BEYOND_SEED, limited.returned, "counts", Bound(BACK_LEAST)),
+    )
+
+
+def _rows_lean(what: str, free: float, limited: float) -> tuple[Row, ...]:
+    return (
+        Row(f"{what}: beyond without", BEYOND_SEED, free, "counts", Bound(PASSES_LEAST)),
+        Row(f"{what}: beyond with", BEYOND_SEED, limited, "counts", Bound(most=BEYOND_UNHELD_MOST)),
     )
 
 

@@ -270,12 +270,12 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
     notes: list[str] = [f"following error {FOLLOWING:g} rad; moves at {min(bench.speeds):.3g} rad/s"]
     panels: list[Panel] = []
     for what, cause, name, bounds in (
-        ("shaft blocked in a move", blocked, "FOLLOWING_ERROR", [_blocked_most(bench, a) for a in range(AXES)]),
+        ("shaft blocked in a move", blocked, "FOLLOWING_ERROR", [blocked_most(bench, a) for a in range(AXES)]),
         (
             "too large a load in a move",
             overloaded,
             "FOLLOWING_ERROR",
-            [_overloaded_most(bench, a) for a in range(AXES)],
+            [overloaded_most(bench, a) for a in range(AXES)],
         ),
         ("driven by a load", driven, "OVER_SPEED", [OVER_SPEED_LASTS + ANSWER] * AXES),
         ("set-point too fast", overdone, "OVER_SPEED", [OVER_SPEED_LASTS + ANSWER] * AXES),
@@ -292,12 +292,12 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
 
 
-def _blocked_most(bench: Bench, axis: int) -> float:
+def blocked_most(bench: Bench, axis: int) -> float:
     """The set-point goes on at the speed limit while the shaft stands [s]."""
     return FOLLOWING / bench.speeds[axis] + FOLLOWING_LASTS + ANSWER
 
 
-def _overloaded_most(bench: Bench, axis: int) -> float:
+def overloaded_most(bench: Bench, axis: int) -> float:
     """Braked by at least what the load has more than the drive, the shaft falls behind a set-point that goes on [s]."""
     braking = (LOAD - 1.0) * bench.peaks[axis] / bench.plant.axes[axis].inertia
     return math.sqrt(2.0 * FOLLOWING / braking) + FOLLOWING_LASTS + ANSWER

@@ -13,6 +13,7 @@ from servo_twin.lockstep.samples import Activity, Sample, activity
 __all__ = ["AxisTie"]
 
 _SET_POINTS: Final = ("cmd.position", "cmd.speed", "cmd.i_q")  # by control mode
+_STOPS: Final = (("cmd.quick_stop", 1), ("cmd.enable", 0))
 _COUNTS: Final = ("position", "position_ref")
 
 
@@ -28,6 +29,9 @@ class AxisTie:
     ----------
     memory : dict
         Last raw number that was written to every command variable, as far as it is known.
+    stopping : bool
+        A stop was commanded, and the axis has not been told since where to go: each board ramps down from the speed
+        that it measures, so they come to rest at different places without either being wrong.
     apart_since : int or None
         Real tick since which the two cannot be compared; None while they can.
     """
@@ -35,10 +39,16 @@ class AxisTie:
     def __init__(self, number: int) -> None:
         self.memory: dict[str, int] = {}
         self.apart_since: int | None = None
+        self.stopping = False
         self._number = number
         self._name = axis_name(number)
         self._release()
-        self._offset = 0  # real minus twin [counts]
+        self._offset = 0
+
+    @property
+    def offset(self) -> int:
+        """Position of the real axis minus that of the twin's [counts]."""
+        return self._offset
 
     def _release(self) -> None:
         """The real axis is not under control."""
@@ -57,6 +67,7 @@ class AxisTie:
             Whether the real axis is under control, so that the twin's has to be enabled.
         """
         self.apart_since = None
+        self.stopping = False
         self._offset = 0
         self._release()
         if sample is None or replica is None:
@@ -91,6 +102,10 @@ class AxisTie:
                 self._write(replica, "cmd.mode", self.memory["cmd.mode"])
         self._write(replica, command.variable, command.raw[self._number])
         self.remember(command)
+        if command.variable in _SET_POINTS:
+            self.stopping = False
+        elif (command.variable, command.raw[self._number]) in _STOPS:
+            self.stopping = True
 
     def _write(self, replica: Replica, variable: str, raw: int) -> None:
         own = _int32(raw - self._offset) if variable == "cmd.position" else raw
@@ -115,25 +130,53 @@ class AxisTie:
         """Whether the twin's axis is under control."""
         return activity(replica.label(self._number)) is Activity.ACTIVE
 
-    def align(self, replica: Replica) -> None:
-        """Choose the offset, once both axes have come under control and before either gets a set-point."""
-        if self._hold is not None and not self._aligned and self.controls(replica):
-            self._offset = self._hold - replica.raw[f"{self._name}.position_ref"]
-            self._aligned = True
-            self._restore(replica)
+    def align(self, replica: Replica) -> bool:
+        """Choose the offset, once both axes have come under control and before either gets a set-point.
 
-    def _restore(self, replica: Replica) -> None:
+        Returns
+        -------
+        bool
+            Whether this was the moment; then `restore` brings the axis to its commands.
+        """
+        if self._hold is None or self._aligned or not self.controls(replica):
+            return False
+        self._offset = self._hold - replica.raw[f"{self._name}.position_ref"]
+        self._aligned = True
+        return True
+
+    def restore(self, replica: Replica) -> None:
         """Bring a newly aligned axis to the commands that the real one has had."""
         mode = self.memory.get("cmd.mode", 0)
-        variables = ["cmd.mode"] if mode else []
+        # A mode that is written anew would end the hold that the real axis came under control with.
+        variables = ["cmd.mode"] if replica.read_raw("cmd.mode")[self._number] != mode else []
         if self._withheld:
             variables.append(_SET_POINTS[mode])
             self._withheld = False
         if self.memory.get("cmd.quick_stop", 0):
             variables.append("cmd.quick_stop")
+            self.stopping = True
         for variable in variables:
             if variable in self.memory:
                 self._write(replica, variable, self.memory[variable])
+
+    def take_over_rest(self, replica: Replica, sample: Sample) -> bool:
+        """Choose the offset anew after a stop, now that both shafts are at rest.
+
+        Returns
+        -------
+        bool
+            Whether it is another one.
+        """
+        real, twin = activity(sample.labels[self._number]), activity(replica.label(self._number))
+        if real is not twin or not (real is Activity.IDLE or self._aligned):
+            return False
+        self.stopping = False
+        if real is Activity.ACTIVE:
+            offset = sample.position_ref[self._number] - replica.raw[f"{self._name}.position_ref"]
+        else:
+            offset = sample.position[self._number] - replica.raw[f"{self._name}.position"]
+        changed, self._offset = offset != self._offset, offset
+        return changed
 
     # ---- comparing
     def difference(self, replica: Replica, sample: Sample) -> tuple[str, bool]:

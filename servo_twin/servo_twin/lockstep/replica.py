@@ -118,6 +118,15 @@ class Replica:
             if mask >> axis & 1:
                 self._board.write_memory(address + axis * size, data[axis * size : (axis + 1) * size])
 
+    def write_all(self, variable: str, raw: Sequence[int]) -> None:
+        """Write all elements of a variable."""
+        self._board.write_memory(self._board.address(variable), self._catalogue[variable].encode_raw(raw))
+
+    def read_raw(self, variable: str) -> list[int]:
+        """Firmware integers of any variable, one per element."""
+        value, lsb = self._board.read(variable), self._catalogue[variable].lsb
+        return [round(x / lsb) for x in (value if isinstance(value, (list, bytes)) else [value])]
+
     def label(self, axis: int) -> str:
         """State of an axis, such as ``STOP`` or ``RUN/SPIN``."""
         if not self.raw:

@@ -109,15 +109,28 @@ class HealthMonitor:
         self._small_since: int | None = None
         self._large_since: int | None = None
 
+    @property
+    def differs(self) -> bool:
+        """Whether it is a residual that keeps it from being healthy."""
+        return not self.healthy and self._large_since is not None
+
     def interrupt(self, reason: str) -> None:
         """There is nothing to compare, for this reason."""
         self.healthy = False
         self.reason = reason
         self._small_since = self._large_since = None
 
-    def update(self, residual: Residual) -> bool:
-        """Take a residual; returns `healthy`."""
-        problem = self._problem(residual)
+    def update(self, residual: Residual, stopping: Sequence[bool] = (False,) * AXES) -> bool:
+        """Take a residual; returns `healthy`.
+
+        Parameters
+        ----------
+        residual : Residual
+            Real minus twin.
+        stopping : sequence of bool
+            Axes that stop by themselves: their positions are not judged, their speeds are.
+        """
+        problem = self._problem(residual, stopping)
         if problem:
             self._small_since = None
             if self._large_since is None:
@@ -134,7 +147,7 @@ class HealthMonitor:
                 self.reason = "the residual has been small for a moment only"
         return self.healthy
 
-    def _problem(self, residual: Residual) -> str:
+    def _problem(self, residual: Residual, stopping: Sequence[bool]) -> str:
         limits = self.thresholds
         for name, unit, values, limit in (
             ("position", "rad", residual.position, limits.position),
@@ -142,7 +155,7 @@ class HealthMonitor:
             ("effort", "N m", residual.effort, limits.effort),
         ):
             for axis, value in enumerate(values):
-                if abs(value) > limit:
+                if abs(value) > limit and not (name == "position" and stopping[axis]):
                     return f"{axis_name(axis)}: {name} differs by {value:+.3g} {unit}, allowed are {limit:g}"
         return ""
 

@@ -141,11 +141,11 @@ class RestWatch:
         """The samples seen so far have nothing to do with what comes."""
         self._seen.clear()
 
-    def add(self, sample: Sample) -> None:
-        """Look at a sample."""
-        self._seen.append((sample.tick, sample.position))
+    def add(self, tick: int, position: tuple[int, ...]) -> None:
+        """Look at the positions of all axes [counts]."""
+        self._seen.append((tick, position))
         # One sample beyond the time is kept, so that the samples span it.
-        while len(self._seen) > 1 and self._seen[1][0] <= sample.tick - self._ticks:
+        while len(self._seen) > 1 and self._seen[1][0] <= tick - self._ticks:
             self._seen.popleft()
 
     def at_rest(self, axis: int) -> bool:

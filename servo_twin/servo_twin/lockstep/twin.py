@@ -8,7 +8,11 @@ that differ in nothing give the same numbers, bit for bit.
 The shift is chosen when the twin begins: 0 if everything since the reset of the board is known, otherwise when the
 shafts are at rest. A rotor search ends with luck, some ticks earlier on one board than on the other. When the real axis
 has found its rotor and the twin has not, the twin is run ahead until it has, which changes the shift; afterwards
-positions differ by whole counts, which are added to what the twin says and taken off what it is told.
+positions differ by whole counts, which are added to what the twin says and taken off what it is told. They are chosen
+anew after a stop, which ends on each board where its own ramp does.
+
+The parameters of the real board, which may have been changed while it ran, are written to the twin's board whenever it
+begins; when they change the twin begins anew.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_parameters import RawParameters, parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
@@ -32,6 +37,7 @@ from servo_twin.lockstep.samples import Activity, RestWatch, Sample, SampleReade
 __all__ = ["Pair", "Twin", "TwinSettings"]
 
 _OWN: Final = frozenset({"tick", "applied_tick", "applied_count"})  # columns that count on each board for itself
+_POSITIONS: Final = ("param.position_min", "param.position_max")  # parameters that are positions of a shaft
 _SETTLE: Final = 2.0  # longest time from reset to STOP [s]
 
 
@@ -79,6 +85,8 @@ class Pair:
         The twin's values, SI, in the frame of the real board; every column of `real` that the twin has.
     difference : str
         Empty when the two can be compared; otherwise what keeps them apart, for people.
+    stopping : tuple of bool
+        Per axis, whether it stops by itself, so that the positions say nothing; see `AxisTie.stopping`.
     """
 
     tick: int
@@ -86,6 +94,7 @@ class Pair:
     real: Mapping[str, float]
     twin: Mapping[str, float]
     difference: str
+    stopping: tuple[bool, ...] = (False,) * AXES
 
 
 class Twin:
@@ -106,6 +115,8 @@ class Twin:
         Why the twin does not follow; empty while it does.
     synchronisations : int
         How often it has begun.
+    parameters_known : bool
+        Whether the parameters of the real board have been told; until then the twin has those after reset.
     torque_constants : list of float
         What the firmware takes for the torque per current of every axis [N m/A]; empty before it has begun.
     """
@@ -125,13 +136,29 @@ class Twin:
         self._reader = SampleReader(self._catalogue)
         self._ledger = CommandLedger()
         self._rest = RestWatch(_ticks(self.settings.rest))
+        self._own_rest = RestWatch(_ticks(self.settings.rest))
         self._queue: deque[Sample] = deque()
         self._last: Sample | None = None
         self._replica: Replica | None = None
         self._shift = 0
         self._axes = [AxisTie(axis) for axis in range(AXES)]
+        self._parameters: RawParameters | None = None
+        self._cause = ""  # why the twin has to begin anew, while it waits for that
+        self._in_force: RawParameters = {}  # on the twin's board, as the real board has them
 
     # ---- in
+    @property
+    def parameters_known(self) -> bool:
+        return self._parameters is not None
+
+    def parameters(self, values: RawParameters) -> None:
+        """Take the parameters of the real board; begins anew when the twin's board has others."""
+        self._parameters = values
+        if self._replica is not None and values != self._in_force:
+            changed = ", ".join(name for name in values if values[name] != self._in_force.get(name))
+            self._cause = f"the board has another {changed}"
+            self.resync(self._cause)
+
     def command(self, command: AppliedCommand) -> None:
         """Take a write that took effect on the real board; the order of arrival does not matter."""
         if not self._ledger.add(command):
@@ -238,7 +265,7 @@ class Twin:
     def _take(self, sample: Sample) -> Pair | None:
         if self._last is not None and sample.tick == self._last.tick:
             return None
-        self._rest.add(sample)
+        self._rest.add(sample.tick, sample.position)
         began = self._replica is None and self._begin(sample)
         replica = self._replica
         if replica is not None and not began:
@@ -248,10 +275,12 @@ class Twin:
         if replica is None:
             return None
         self._align(replica, sample)
+        self._take_over_rest(replica, sample)
         difference = self._difference(replica, sample)
         if self._replica is None:
             return None
-        return Pair(sample.tick, sample.stamp_ns, sample.values, self._values(replica, sample), difference)
+        stopping = tuple(axis.stopping for axis in self._axes)
+        return Pair(sample.tick, sample.stamp_ns, sample.values, self._values(replica, sample), difference, stopping)
 
     def _settle(self, sample: Sample) -> None:
         """Everything that took effect up to this sample is dealt with."""
@@ -272,18 +301,20 @@ class Twin:
             replica = self._switch_on()
             for axis in self._axes:
                 axis.begin()
+            self._set_parameters(replica)
             self._replay(replica, sample)
             return True
         for number, label in enumerate(sample.labels):
             if activity(label) is Activity.SEARCHING:
-                self.status = f"waiting: {axis_name(number)} is searching its rotor"
+                self._wait(f"{axis_name(number)} is searching its rotor")
                 return False
             if not self._rest.at_rest(number):
-                self.status = f"waiting: {axis_name(number)} is not at rest"
+                self._wait(f"{axis_name(number)} is not at rest")
                 return False
         replica = self._switch_on()
         replica.run_until(lambda: set(self.labels()) == {"STOP"}, _ticks(_SETTLE))
         active = sum(axis.begin(sample, replica) << number for number, axis in enumerate(self._axes))
+        self._set_parameters(replica)
         replica.write("cmd.enable", [1] * AXES, active)
         self._shift = replica.tick - sample.tick
         return True
@@ -292,16 +323,29 @@ class Twin:
         self._replica = replica = Replica(self._new_board())
         constants = (replica.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
         self.torque_constants = [float(value) for value in constants if isinstance(value, (int, float))]
+        self._in_force = self._parameters or {v.name: replica.read_raw(v.name) for v in parameters(self._catalogue)}
         self._shift = 0
         self.synchronisations += 1
-        self.status = ""
+        self.status = self._cause = ""
         return replica
+
+    def _wait(self, reason: str) -> None:
+        self.status = f"waiting: {reason}" + (f"; {self._cause}" if self._cause else "")
+
+    def _set_parameters(self, replica: Replica) -> None:
+        """Give the twin's board the parameters of the real one; its positions count from elsewhere."""
+        for name, raw in self._in_force.items():
+            if name in _POSITIONS:
+                low, high = self._catalogue[name].raw_type.low, self._catalogue[name].raw_type.high
+                raw = [min(max(x - axis.offset, low), high) for x, axis in zip(raw, self._axes, strict=True)]
+            replica.write_all(name, raw)
 
     def _drop(self, reason: str) -> None:
         if self._replica is not None:
             self._replica.close()
             self._replica = None
         self._rest.forget()
+        self._own_rest.forget()
         self.status = reason
 
     # ---- replaying
@@ -323,7 +367,21 @@ class Twin:
             if axis.wants_to_catch_up(replica, sample) and self._others_rest(number, sample):
                 axis.catch_up(replica, _ticks(self.settings.search))
                 self._shift = replica.tick - sample.tick
-            axis.align(replica)
+            if axis.align(replica):
+                self._set_parameters(replica)
+                axis.restore(replica)
+
+    def _take_over_rest(self, replica: Replica, sample: Sample) -> None:
+        """After a stop, let the twin's axes be where the real ones came to rest."""
+        own = tuple(replica.raw[f"{axis_name(number)}.position"] for number in range(AXES))
+        self._own_rest.add(sample.tick, own)
+        changed = [
+            axis.take_over_rest(replica, sample)
+            for number, axis in enumerate(self._axes)
+            if axis.stopping and self._rest.at_rest(number) and self._own_rest.at_rest(number)
+        ]
+        if any(changed):
+            self._set_parameters(replica)
 
     def _others_rest(self, number: int, sample: Sample) -> bool:
         return all(

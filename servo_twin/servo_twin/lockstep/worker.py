@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import PERIOD_NS
 
@@ -97,6 +98,10 @@ class TwinWorker:
     def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Samples of the real board; a table that the twin cannot use is reported as its status."""
         self._post(lambda: self._take(columns, table))
+
+    def parameters(self, values: RawParameters) -> None:
+        """Parameters of the real board."""
+        self._post(lambda: self._twin.parameters(values))
 
     def resync(self, reason: str) -> None:
         """Begin anew."""

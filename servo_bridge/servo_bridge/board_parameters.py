@@ -1,0 +1,186 @@
+"""The parameters of the connected board: read, brought to what the user wants, read again and told. Pure.
+
+Everything runs in one thread except the link's own work, whose ends come back through `post`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, Future
+from typing import Any
+
+from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, contradiction, parameters, si
+from servo_msgs_py.catalogue import Catalogue, Value
+from servo_msgs_py.value_text import value_text
+
+__all__ = ["BoardParameters"]
+
+
+class BoardParameters:
+    """Keeps a board at the parameters that the user wants.
+
+    What the user does not name stays as it is on the board. The first thing that goes wrong stands in `trouble`.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Which parameters there are.
+    read : callable
+        Starts to read a variable by name, SI.
+    write_raw : callable
+        Starts to write all elements of a variable as firmware integers.
+    post : callable
+        Calls a function in the owner's thread.
+    changed : callable
+        Gets the raw parameters whenever they have been read.
+    say, warn : callable
+        Get sentences for the log.
+
+    Attributes
+    ----------
+    values : mapping or None
+        Raw parameters of the board; None while they are not known.
+    trouble : str
+        Why the board does not have what the user wants; empty when it has.
+    """
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        read: Callable[[str], Future[Value]],
+        write_raw: Callable[[str, Sequence[int]], Future[Any]],
+        post: Callable[[Callable[[], None]], None],
+        *,
+        changed: Callable[[RawParameters], None],
+        say: Callable[[str], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self.values: RawParameters | None = None
+        self.trouble = ""
+        self._catalogue = catalogue
+        self._variables = parameters(catalogue)
+        self._read = read
+        self._write_raw = write_raw
+        self._post = post
+        self._changed = changed
+        self._say = say
+        self._warn = warn
+        self._wanted: Sequence[Assignment] = ()
+        self._connected = False
+        self._round = 0  # what comes back from an earlier round is void
+
+    # ---- what the owner tells
+    def want(self, assignments: Sequence[Assignment]) -> None:
+        """Bring the board to these, now and after every connection."""
+        self._wanted = assignments
+        if self._connected:
+            self._begin()
+
+    def check(self, assignments: Sequence[Assignment]) -> str:
+        """Why these would be refused, empty if they would not."""
+        return contradiction(applied(assignments, self.values or {}), self._catalogue)
+
+    def connected(self) -> None:
+        """The link is up."""
+        self._connected = True
+        self._begin()
+
+    def link_lost(self) -> None:
+        """Nothing is known any more."""
+        self._connected = False
+        self._round += 1
+        self.values = None
+        self.trouble = ""
+
+    # ---- one round: read, write what differs, read again
+    def _begin(self) -> None:
+        self._round += 1
+        self.trouble = ""
+        self._fetch(self._compare)
+
+    def _fetch(self, then: Callable[[dict[str, list[int]]], None]) -> None:
+        futures = {v.name: self._read(v.name) for v in self._variables}
+        number = self._round
+
+        def take() -> None:
+            if number != self._round:
+                return
+            try:
+                values = {
+                    name: [self._raw(name, x) for x in _numbers(future.result(0))] for name, future in futures.items()
+                }
+            except (Exception, CancelledError) as error:
+                self._fail(f"the parameters of the board cannot be read: {error}")
+                return
+            then(values)
+
+        self._when_done(list(futures.values()), take)
+
+    def _compare(self, found: dict[str, list[int]]) -> None:
+        target = applied(self._wanted, found)
+        problem = contradiction(target, self._catalogue)
+        if problem:
+            self._tell(found)
+            self._fail(f"the parameters stay as they are: {problem}")
+            return
+        names = [name for name in target if target[name] != found[name]]
+        if not names:
+            self._tell(found)
+            return
+        futures = {name: self._write_raw(name, target[name]) for name in names}
+        number = self._round
+
+        def written() -> None:
+            if number != self._round:
+                return
+            errors = {name: _error_of(future) for name, future in futures.items()}
+            self._fetch(lambda now: self._verify(names, found, target, now, errors))
+
+        self._when_done(list(futures.values()), written)
+
+    def _verify(
+        self,
+        names: Sequence[str],
+        before: RawParameters,
+        target: RawParameters,
+        now: dict[str, list[int]],
+        errors: dict[str, str],
+    ) -> None:
+        for name in names:
+            if list(now[name]) == list(target[name]):
+                self._say(f"{name}: {self._text(name, before)} -> {self._text(name, now)}")
+            else:
+                reason = errors[name] or "the board keeps another value"
+                self._fail(f"{name} is {self._text(name, now)} and not {self._text(name, target)}: {reason}")
+        self._tell(now)
+
+    # ---- details
+    def _tell(self, values: dict[str, list[int]]) -> None:
+        self.values = values
+        self._changed(values)
+
+    def _fail(self, text: str) -> None:
+        self.trouble = self.trouble or text
+        self._warn(text)
+
+    def _when_done(self, futures: Sequence[Future[Any]], then: Callable[[], None]) -> None:
+        # The link works in order: when the last one is done, all are.
+        futures[-1].add_done_callback(lambda _: self._post(then))
+
+    def _raw(self, name: str, value: float) -> int:
+        return round(value / self._catalogue[name].lsb)
+
+    def _text(self, name: str, values: RawParameters) -> str:
+        return value_text(self._catalogue[name], si({name: values[name]}, self._catalogue)[name], self._catalogue)
+
+
+def _numbers(value: Value) -> list[float]:
+    return list(value) if isinstance(value, (list, bytes)) else [value]
+
+
+def _error_of(done: Future[Any]) -> str:
+    try:
+        error = done.exception(0)
+    except (CancelledError, TimeoutError):
+        return "cancelled"
+    return "" if error is None else str(error)

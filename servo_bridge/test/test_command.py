@@ -1,0 +1,126 @@
+"""``servo-command`` as a process beside a bridge whose board the test drives."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
+from servo_bridge.command import main
+from servo_bridge.wire.link_state import LinkState
+
+
+@pytest.fixture(scope="module")
+def rig() -> Iterator[Rig]:
+    with Rig() as result:
+        yield result
+
+
+def command(rig: Rig, *arguments: str) -> tuple[int, str, str]:
+    """Run a command while the board lives; exit status and what it printed."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "servo_bridge.command", "--wait", "8", *arguments],
+        env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+    def ended() -> bool:
+        if rig.link.connected:
+            rig.link.sample()
+        return process.poll() is not None
+
+    try:
+        rig.until(ended, 30.0)
+    finally:
+        process.kill()
+    out, err = process.communicate()
+    return process.returncode, out, err
+
+
+def test_parameters_are_set_and_read_back(rig: Rig) -> None:
+    rig.up()
+    rig.until(rig.parameters)
+    status, out, err = command(rig, "set", "param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5")
+    assert (status, err) == (0, "")
+    assert "param.features[0] = 24 (DEAD_TIME+FRICTION)" in out
+    status, out, _ = command(rig, "set", "param.features[1]=none")
+    assert (status, out) == (0, "param.features[1] = 0 (none)\n")
+    assert rig.parameters()["param.features"] == [24, 0]
+    wanted = rig.bridge.get_parameter("board_parameters").value
+    assert wanted == ["param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5", "param.features[1]=none"]
+    status, out, _ = command(rig, "get")
+    assert status == 0
+    assert len(out.splitlines()) == 9
+    assert "param.features = 24, 0 (DEAD_TIME+FRICTION, none)" in out
+
+
+def test_what_the_bridge_refuses_is_said(rig: Rig) -> None:
+    one = [rig.link.catalogue["param.position_max"].to_raw(1.0)] * 2
+    rig.link.parameters["param.position_max"] = one
+    rig.up()
+    rig.until(lambda: rig.parameters()["param.position_max"] == one)
+    status, out, err = command(rig, "set", "param.position_min[0]=2")
+    assert (status, out) == (1, "")
+    assert err.startswith("servo-command: set was refused: param.position_min[0] 1.99962 rad would be above")
+
+
+def test_state_names_faults_and_limits(rig: Rig) -> None:
+    rig.up(FAULT, SPIN)
+    rig.link.values |= {"axis1.faults": 1 << 6, "axis2.limits": 1 << 4}
+    status, out, _ = command(rig, "state")
+    rig.link.values |= {"axis1.faults": 0, "axis2.limits": 0}
+    assert status == 0
+    lines = out.splitlines()
+    assert lines[0] == "axis1=FAULT axis2=RUN/SPIN"
+    assert lines[2].startswith("    fault HOST_SILENT: no valid frame from the host within the time-out (restore")
+    assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
+
+
+def test_state_names_parameters_that_the_board_does_not_take(rig: Rig) -> None:
+    rig.up(STOP, STOP)
+    rig.link.stubborn = "param.over_speed"
+    assert rig.set_parameter("board_parameters", ["param.over_speed[0]=300"])[0]
+    rig.until(lambda: any("param.over_speed is" in text for text in rig.logs()))
+    status, out, _ = command(rig, "state")
+    rig.link.stubborn = ""
+    assert status == 0
+    assert out.splitlines()[-1].startswith("  parameters: param.over_speed is 1.0")
+
+
+def test_without_a_board(rig: Rig) -> None:
+    rig.up(STOP, STOP)
+    rig.link.lose(LinkState.DISCONNECTED, "gone")
+    rig.until(lambda: rig.state().startswith("DISCONNECTED"))
+    status, _, err = command(rig, "disable")
+    assert status == 1
+    assert err.startswith("servo-command: disable was refused: not connected: gone")
+    status, _, err = command(rig, "get")
+    assert (status, "the board is not connected" in err) == (1, True)
+    status, out, _ = command(rig, "set", "param.host_timeout=0.5")
+    assert (status, out) == (0, "the board is not connected; it gets them when it is\n")
+    status, out, _ = command(rig, "state")
+    assert (status, out.startswith("DISCONNECTED")) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["position", "axis1=1", "axis1=2"], "axis1 is named twice"),
+        (["position", "axis1=nan"], "nan is not a finite number"),
+        (["position", "axis1"], "write JOINT=VALUE"),
+        (["set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
+        (["set", "cmd.enable[0]=1"], "cmd.enable is no parameter"),
+        (["get", "param.i_q_limt"], "did you mean param.i_q_limit"),
+    ],
+)
+def test_wrong_command_lines(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    assert text in capsys.readouterr().err

@@ -1,0 +1,159 @@
+"""Parameters of a board: how they are written as ``NAME=VALUE``, and what does not go together. Pure.
+
+Everything here computes with the raw integers of the firmware, so that a parameter that was read compares equal to one
+that was written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from servo_msgs_py.catalogue import Catalogue, Value, Variable
+from servo_msgs_py.value_text import parse_values
+
+__all__ = [
+    "COMPARED",
+    "PREFIX",
+    "Assignment",
+    "RawParameters",
+    "applied",
+    "contradiction",
+    "find",
+    "merged",
+    "parameters",
+    "parse",
+    "si",
+]
+
+PREFIX: Final = "param."
+"""What the names of all parameters begin with."""
+
+RawParameters = Mapping[str, Sequence[int]]
+"""Raw integers, one per element, by name of the variable."""
+
+_ORDERED: Final = (("param.position_min", "param.position_max"),)  # the first may not be above the second
+
+COMPARED: Final = frozenset(name for pair in _ORDERED for name in pair)
+"""Parameters that `contradiction` looks at."""
+
+_TARGET: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<element>\d+)\])?")
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """One parameter, or one element of it, and what it shall be.
+
+    Attributes
+    ----------
+    variable : Variable
+        The parameter.
+    element : int or None
+        Index of the element; None for all.
+    raw : tuple of int
+        Firmware integers, one per assigned element.
+    text : str
+        As it was written.
+    """
+
+    variable: Variable
+    element: int | None
+    raw: tuple[int, ...]
+    text: str
+
+    def replaces(self, other: Assignment) -> bool:
+        """Whether nothing is left of `other` once this one is carried out."""
+        return self.variable.name == other.variable.name and self.element in (None, other.element)
+
+
+def parameters(catalogue: Catalogue) -> list[Variable]:
+    """All parameters of a board, in the order of the table."""
+    return [v for v in catalogue.variables.values() if v.name.startswith(PREFIX)]
+
+
+def find(text: str, catalogue: Catalogue) -> tuple[Variable, int | None]:
+    """Parameter that ``param.features`` or ``param.features[0]`` names, and the element, None for all.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    match = _TARGET.fullmatch(text)
+    try:
+        variable = catalogue[match["name"] if match is not None else text]
+    except KeyError as error:
+        raise ValueError(str(error.args[0])) from None
+    if not variable.name.startswith(PREFIX):
+        raise ValueError(f"{variable.name} is no parameter; their names begin with {PREFIX}")
+    element = None if match is None or match["element"] is None else int(match["element"])
+    if element is not None and element >= variable.count:
+        raise ValueError(f"{variable.name} has elements 0 .. {variable.count - 1}, not {element}")
+    return variable, element
+
+
+def parse(text: str, catalogue: Catalogue) -> Assignment:
+    """Read ``param.features[0]=ANTI_WINDUP+DEAD_TIME`` or ``param.i_q_limit=1.0,1.5``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such parameter or the value does not fit it; the text says why.
+    """
+    target, separator, value = (part.strip() for part in text.partition("="))
+    if not (target and separator and value):
+        raise ValueError(f"{text!r}: write NAME=VALUE, for example param.i_q_limit[0]=1.5")
+    variable, element = find(target, catalogue)
+    try:
+        values = parse_values(variable, value, catalogue)
+    except ValueError as error:
+        raise ValueError(f"{target}: {error}") from None
+    wanted = variable.count if element is None else 1
+    if len(values) != wanted:
+        hint = "; give all of them with commas, or name one element" if wanted > 1 else ""
+        raise ValueError(f"{target}: {len(values)} value(s) given, {wanted} expected{hint}")
+    return Assignment(variable, element, tuple(variable.to_raw(v) for v in values), f"{target}={value}")
+
+
+def merged(before: Iterable[Assignment], later: Iterable[Assignment]) -> list[Assignment]:
+    """Both in order, without those that a later one replaces."""
+    result: list[Assignment] = []
+    for assignment in (*before, *later):
+        result = [kept for kept in result if not assignment.replaces(kept)] + [assignment]
+    return result
+
+
+def applied(assignments: Iterable[Assignment], present: RawParameters) -> dict[str, list[int]]:
+    """Parameters after some assignments; one of which only single elements are known or assigned stays away."""
+    result = {name: list(raw) for name, raw in present.items()}
+    for assignment in assignments:
+        name = assignment.variable.name
+        if assignment.element is None:
+            result[name] = list(assignment.raw)
+        elif name in result:
+            result[name][assignment.element] = assignment.raw[0]
+    return result
+
+
+def contradiction(values: RawParameters, catalogue: Catalogue) -> str:
+    """What does not go together in a set of parameters, empty if everything does."""
+    for low_name, high_name in _ORDERED:
+        low, high = catalogue[low_name], catalogue[high_name]
+        for k, (least, most) in enumerate(zip(values.get(low_name, ()), values.get(high_name, ()), strict=False)):
+            if least > most:
+                return (
+                    f"{low_name}[{k}] {low.scale(least):.6g} {low.unit} would be above {high_name}[{k}] "
+                    f"{high.scale(most):.6g} {high.unit}: nothing could move"
+                )
+    return ""
+
+
+def si(values: RawParameters, catalogue: Catalogue) -> dict[str, Value]:
+    """SI values, lists for arrays."""
+    result: dict[str, Value] = {}
+    for name, raw in values.items():
+        numbers = [catalogue[name].scale(number) for number in raw]
+        result[name] = numbers[0] if catalogue[name].count == 1 else numbers
+    return result

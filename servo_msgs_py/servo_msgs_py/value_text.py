@@ -1,0 +1,88 @@
+"""Values of variables as people write and read them: numbers, names of values, flags joined by ``+``. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from servo_msgs_py.catalogue import Catalogue, Value, Variable
+
+__all__ = ["NO_FLAG", "labels_of", "number_text", "parse_number", "parse_values", "value_text", "words_of"]
+
+NO_FLAG: Final = "none"
+"""How a flag word without a flag is written."""
+
+
+def labels_of(variable: Variable, catalogue: Catalogue) -> Mapping[str, int]:
+    """Names that stand for numbers of a variable: of enumeration values or of flags; empty for plain numbers."""
+    if variable.enum is not None:
+        return catalogue.enums[variable.enum]
+    if variable.flags is not None:
+        return {NO_FLAG: 0} | {flag.name: flag.mask for flag in catalogue.flags[variable.flags]}
+    return {}
+
+
+def parse_number(word: str, labels: Mapping[str, int], *, joined: bool = False) -> int | float:
+    """Read a number, or a name of it in any case.
+
+    Parameters
+    ----------
+    word : str
+        What was written.
+    labels : mapping
+        Names and their numbers.
+    joined : bool
+        Whether names are flags, which may be joined by ``+``.
+
+    Raises
+    ------
+    ValueError
+        If it is neither; the text names the part that is not known, and what is.
+    """
+    for convert in (lambda w: int(w, 0), float):
+        try:
+            result: int | float = convert(word)
+        except ValueError:
+            continue
+        return result
+    named = {name.upper(): value for name, value in labels.items()}
+    parts = [part.strip() for part in (word.split("+") if joined else [word])]
+    unknown = [part for part in parts if part.upper() not in named]
+    if unknown:
+        known = f" or one of the names {', '.join(labels)}" if labels else ""
+        raise ValueError(f"{unknown[0]!r} is not a number{known}")
+    number = 0
+    for part in parts:
+        number |= named[part.upper()]
+    return number
+
+
+def parse_values(variable: Variable, text: str, catalogue: Catalogue) -> list[int | float]:
+    """Read comma-separated numbers or names; see `parse_number`."""
+    labels, joined = labels_of(variable, catalogue), variable.flags is not None
+    return [parse_number(word.strip(), labels, joined=joined) for word in text.split(",")]
+
+
+def words_of(variable: Variable, number: float, catalogue: Catalogue) -> str:
+    """What a number stands for, as `parse_number` reads it; empty for plain numbers and for numbers without a name."""
+    if variable.flags is not None:
+        known = [flag.name for flag in catalogue.active(variable.flags, int(number))]
+        return "+".join(known) or (NO_FLAG if not number else "")
+    if variable.enum is not None:
+        return catalogue.label(variable.enum, int(number))
+    return ""
+
+
+def number_text(number: float) -> str:
+    """Shortest text of nine significant digits; every raw number of 24 bits and more stays distinguishable."""
+    return str(number) if isinstance(number, int) else f"{number:.9g}"
+
+
+def value_text(variable: Variable, value: Value, catalogue: Catalogue) -> str:
+    """Value with unit, and in words where numbers stand for something."""
+    if isinstance(value, bytes):
+        return value.hex(" ")
+    numbers: Sequence[float] = value if isinstance(value, list) else [value]
+    words = [words_of(variable, number, catalogue) for number in numbers]
+    unit = f" {variable.unit}" if variable.unit else ""
+    return ", ".join(map(number_text, numbers)) + unit + (f" ({', '.join(words)})" if any(words) else "")

@@ -1,0 +1,130 @@
+"""What a plant can do, what the controller believes of it, and runs that end in a fault."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from servo_twin.experiments import ability
+from servo_twin.experiments.ability import Demand, believed, differences, move_speeds, path_demands, top_speed
+from servo_twin.experiments.rig import COUNT, TICK, choose_mode, command_speed, flag_mask, spinning, watch
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+
+SPEED = 314.0
+
+
+@pytest.fixture(scope="module")
+def plant() -> PlantConfig:
+    return PlantConfig.load()
+
+
+def both(plant: PlantConfig, **factors: float) -> PlantConfig:
+    for axis, entry in enumerate(plant.axes):
+        plant = plant.with_axis(axis, **{name: factor * getattr(entry, name) for name, factor in factors.items()})
+    return plant
+
+
+@pytest.mark.parametrize("factors", [{}, {"friction": 0.3, "inertia": 2.0}])
+def test_belief_does_not_depend_on_what_is_there(plant: PlantConfig, factors: dict[str, float]) -> None:
+    """The packaged configuration believes in the packaged plant."""
+    for entry, belief in zip(plant.axes, believed(both(plant, **factors), 3), strict=True):
+        assert belief.inertia == pytest.approx(entry.inertia, rel=0.01)
+        assert belief.friction == pytest.approx(entry.friction + ability.PROBE_SPEED * entry.viscous, rel=0.01)
+
+
+def test_belief_is_worth_more_on_a_stronger_motor(plant: PlantConfig) -> None:
+    belief = believed(both(plant, psi_m=1.2), 3)[0]
+    assert belief.inertia == pytest.approx(1.2 * plant.axes[0].inertia, rel=0.01)
+
+
+def test_belief_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the current limit hides the inertia; the friction shows in the large one."""
+    genuine, steps = ability._first_current, []
+
+    def first_current(plant: PlantConfig, seed: int, switch: str | None, speed: float) -> list[float]:
+        steps.append(speed)
+        if switch == "ACCELERATION_FORWARD" and speed > 0.6:
+            raise SimulationError("the current limit hides it")
+        return genuine(plant, seed, switch, speed)
+
+    monkeypatch.setattr(ability, "_first_current", first_current)
+    for entry, belief in zip(plant.axes, believed(plant, 3), strict=True):
+        assert belief.inertia == pytest.approx(entry.inertia, rel=0.02)
+    assert min(steps) == 0.5
+
+
+def test_belief_hidden_by_the_current_limit(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ability, "PROBE_SPEED", 20.0)
+    monkeypatch.setattr(ability, "PROBE_HALVINGS", 1)
+    with pytest.raises(SimulationError, match="current limit"):
+        believed(plant, 3)
+
+
+def test_path_asks_for_a_half_of_the_current(plant: PlantConfig) -> None:
+    for entry, demand in zip(plant.axes, path_demands(plant, 3), strict=True):
+        needed = entry.inertia * demand.acceleration * SPEED / entry.torque_constant
+        assert needed == pytest.approx(0.5 * demand.current, rel=0.02)
+
+
+class TestTopSpeed:
+    def test_the_plant_as_it_is(self, plant: PlantConfig) -> None:
+        assert move_speeds(plant, 3, together=True) == ([pytest.approx(SPEED, rel=1e-4)] * 2, "")
+
+    def test_heavy_shafts_move_slowly_and_it_is_said(self, plant: PlantConfig) -> None:
+        speeds, note = move_speeds(both(plant, inertia=3.0), 3, together=False)
+        assert all(0.3 * SPEED < speed < 0.7 * SPEED for speed in speeds)
+        assert "lowered" in note
+
+    def test_bus_takes_the_energy(self, plant: PlantConfig) -> None:
+        small = plant.with_bus(capacitance=1e-3)
+        speed = top_speed(small, [0, 1], SPEED)
+        energy = 0.5 * (plant.axes[0].inertia + plant.axes[1].inertia) * speed**2
+        lifted = math.sqrt(small.bus.u_source**2 + 2.0 * energy / small.bus.capacitance)
+        assert lifted < ability.OVER_VOLTAGE
+        assert lifted > ability.OVER_VOLTAGE - 1.0
+        assert top_speed(small, [0], SPEED) > speed
+
+    def test_voltage(self, plant: PlantConfig) -> None:
+        low = plant.with_bus(u_source=18.0)
+        speed = top_speed(low, [0], SPEED)
+        emf = plant.axes[0].pole_pairs * plant.axes[0].psi_m * speed
+        assert speed < SPEED
+        assert 0.8 * ability.MODULATION * 18.0 < emf < ability.MODULATION * 18.0
+
+    def test_nothing_is_left(self, plant: PlantConfig) -> None:
+        with pytest.raises(SimulationError, match="out of this plant's reach"):
+            top_speed(plant, [0], SPEED, [Demand(1e5, 4.0)] * 2)
+
+
+def test_differences_are_named(plant: PlantConfig) -> None:
+    assert differences(plant, 3) == ()
+    notes = differences(plant.with_axis(1, inertia=5.0 * plant.axes[1].inertia), 3)
+    assert len(notes) == 1
+    assert "axis2: a current accelerates the shaft 0.2 times as much" in notes[0]
+
+
+@pytest.mark.parametrize("may_fail", [False, True])
+def test_a_fault_is_not_measured(plant: PlantConfig, may_fail: bool) -> None:
+    with spinning(plant, 3) as board:
+        board.set_supply(10.0)
+        choose_mode(board, 1, "SPEED")
+        command_speed(board, 1, 200.0)
+        if may_fail:
+            words = watch(board, [1], 1.0, may_fail=True)[1].faults
+            assert words[-1] & flag_mask(board, "faults", "UNDER_VOLTAGE")
+        else:
+            with pytest.raises(SimulationError, match=r"axis\d ended in a fault. UNDER_VOLTAGE"):
+                watch(board, [1], 1.0)
+
+
+def test_true_shaft_in_counts(plant: PlantConfig) -> None:
+    with spinning(plant, 3) as board:
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, 10.0)
+        recording = watch(board, [0], 0.2)[0]
+    assert recording.position[-1] > 900
+    # The position is latched some microseconds before the end of the tick.
+    late = recording.omega * TICK / COUNT
+    assert np.all(np.abs(recording.shaft - recording.position - 0.5 * late) <= 0.5 * late + 0.51)

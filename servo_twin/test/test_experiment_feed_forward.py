@@ -1,0 +1,65 @@
+"""Feed-forward helps, and the figures notice when it is not there."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments import feed_forward
+from servo_twin.experiments.feed_forward import Mismatch, Move
+from servo_twin.experiments.rig import spinning, watch
+from servo_twin.plant import PlantConfig
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feed_forward, "DISTANCES", (1.0,))
+
+
+def rows(**changes: float) -> dict[str, bool]:
+    plant = PlantConfig.load()
+    for axis, entry in enumerate(plant.axes):
+        plant = plant.with_axis(axis, **{name: factor * getattr(entry, name) for name, factor in changes.items()})
+    return {row.name: row.agrees for row in feed_forward.run(plant, seed=4).rows}
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("changes", [{}, {"inertia": 2.0}])
+def test_agrees(changes: dict[str, float]) -> None:
+    found = rows(**changes)
+    assert len(found) == 10
+    assert all(found.values()), found
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("missing", ["SPEED_FORWARD", "ACCELERATION_FORWARD"])
+def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+    genuine = feed_forward.features
+
+    def features(board: Board, axis: int, **switches: bool) -> None:
+        genuine(board, axis, **{name: on for name, on in switches.items() if name != missing})
+
+    monkeypatch.setattr(feed_forward, "features", features)
+    found = rows()
+    for axis in (1, 2):
+        if missing == "SPEED_FORWARD":
+            assert not found[f"axis{axis} 1 turns, following error, speed over none"]
+        else:
+            assert not found[f"axis{axis} 1 turns, following error, speed, acceleration"]
+
+
+def test_figures_of_a_shaft_that_stays() -> None:
+    with spinning(PlantConfig.load(), 4) as board:
+        recording = watch(board, [0], 0.1)[0]
+    here = round(recording.position[0])
+    there = feed_forward.measure(recording, here)
+    assert (there.overshoot, there.settling) == (0.0, 0.0)
+    assert there.error <= 0.5
+    away = feed_forward.measure(recording, here + 1000)
+    assert (away.overshoot, away.settling) == (0.0, None)
+
+
+def test_bounds_go_with_the_inertia() -> None:
+    with spinning(PlantConfig.load(), 4) as board:
+        speed = Move(100.0, 0.0, 0.1, 300.0, watch(board, [0], 0.01)[0])
+    most = [feed_forward.error_bound(speed, Mismatch(there, 1.0)) for there in (0.5, 1.0, 2.0)]
+    assert most == pytest.approx([253.0, 78.0, 128.0])

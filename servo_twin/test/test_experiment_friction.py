@@ -1,0 +1,45 @@
+"""Friction compensation helps as much as its belief is right, and the figures notice when it is not there."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments import friction
+from servo_twin.plant import PlantConfig
+
+
+@pytest.fixture
+def only_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(friction, "TIMES", (1.0,))
+
+
+def wrong() -> set[str]:
+    return {row.name for row in friction.run(PlantConfig.load(), seed=5).rows if not row.agrees}
+
+
+def test_agrees() -> None:
+    assert wrong() == set()
+
+
+@pytest.mark.usefixtures("only_right")
+def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    genuine = friction.features
+
+    def features(board: Board, axis: int, **switches: bool) -> None:
+        genuine(board, axis, **{name: on for name, on in switches.items() if name != "FRICTION"})
+
+    monkeypatch.setattr(friction, "features", features)
+    assert len(wrong()) == 6
+
+
+@pytest.mark.usefixtures("only_right")
+def test_a_belief_that_is_half_right_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice the friction where the bounds expect what the controller believes in."""
+    monkeypatch.setattr(friction, "TIMES", (2.0,))
+    monkeypatch.setattr(friction, "left", lambda times: 0.0)
+    assert len(wrong()) == 6
+
+
+@pytest.mark.parametrize(("times", "left"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
+def test_what_is_left(times: float, left: float) -> None:
+    assert friction.left(times) == pytest.approx(left)

@@ -1,0 +1,43 @@
+"""Soft limits stop the shaft; limits that are not there are noticed."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments import soft_limits
+from servo_twin.plant import PlantConfig
+
+
+def wrong() -> set[str]:
+    return {row.name for row in soft_limits.run(PlantConfig.load(), seed=6).rows if not row.agrees}
+
+
+def test_agrees() -> None:
+    assert wrong() == set()
+
+
+def test_limits_that_are_not_switched_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(soft_limits, "features", lambda board, axis, **switches: None)
+    names = wrong()
+    for mode in ("position", "speed", "torque"):
+        for what in ("beyond with", "stops before", "names itself"):
+            assert f"axis1, position, {mode} mode: {what}" in names
+    assert "axis1, position, a load leans on it: beyond with" in names
+    assert "axis1, limit set behind the shaft, target farther out: moves" in names
+
+
+def test_limits_that_are_not_written_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    genuine = soft_limits.set_axis
+
+    def set_axis(board: Board, name: str, axis: int, value: float) -> None:
+        if name not in {"param.speed_limit", "param.i_q_limit"}:
+            genuine(board, name, axis, value)
+
+    monkeypatch.setattr(soft_limits, "set_axis", set_axis)
+    plant = PlantConfig.load()
+    for mode in ("SPEED", "TORQUE"):
+        for run in soft_limits.turn(plant, 6, mode, soft_limits.SPEED_LIMIT):
+            assert run.most > soft_limits.SPEED_MOST * soft_limits.SPEED_LIMIT
+    for run in soft_limits.push(plant, 6, soft_limits.CURRENT_LIMIT):
+        assert run.most > soft_limits.CURRENT_MOST * soft_limits.CURRENT_LIMIT
+        assert run.named == 0.0

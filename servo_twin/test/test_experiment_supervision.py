@@ -1,0 +1,46 @@
+"""Faults of the motion come in time, by their names, and only then; without them that is noticed."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments import supervision
+from servo_twin.experiments.supervision import Bench
+from servo_twin.plant import PlantConfig
+
+CAUSES = ("shaft blocked in a move", "too large a load in a move", "driven by a load", "set-point too fast")
+
+
+def wrong() -> set[str]:
+    return {row.name for row in supervision.run(PlantConfig.load(), seed=7).rows if not row.agrees}
+
+
+def test_agrees() -> None:
+    assert wrong() == set()
+
+
+def test_supervision_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    genuine = supervision.features
+
+    def features(board: Board, axis: int, **switches: bool) -> None:
+        genuine(board, axis, **dict.fromkeys(switches, False))
+
+    monkeypatch.setattr(supervision, "features", features)
+    names = wrong()
+    for cause in CAUSES:
+        for figure in ("outputs off after", "the fault's name is right", "time with over without"):
+            assert f"axis1, {cause}: {figure}" in names
+
+
+def test_a_false_alarm_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So tight a bound that the load steps go beyond it."""
+    monkeypatch.setattr(supervision, "FOLLOWING", 0.05)
+    assert supervision.legal(Bench.of(PlantConfig.load(), 7), forward=False) != 0
+
+
+def test_a_late_fault_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bound leaves no room for a fault that comes some milliseconds after it could."""
+    bench = Bench.of(PlantConfig.load(), 7)
+    for axis, event in enumerate(supervision.blocked(bench, True)):
+        assert event.time is not None
+        assert event.time < supervision.blocked_most(bench, axis) < event.time + 0.004
