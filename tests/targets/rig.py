@@ -173,6 +173,10 @@ class Rig:
         """Connect or disconnect an encoder."""
         self._lib.board_set_encoder(self._board, axis, int(connected))
 
+    def reverse(self, axis: int) -> None:
+        """Swap the lines of an encoder."""
+        self._lib.board_reverse_encoder(self._board, axis)
+
     def motor(self, axis: int, connected: bool) -> None:
         """Connect or disconnect the cable of a motor."""
         self._lib.board_set_motor(self._board, axis, int(connected))

@@ -104,10 +104,13 @@ def second_thoughts(rig: Rig) -> None:
 
 
 def once_more(rig: Rig) -> None:
-    """A second alignment, which leaves the turns as they are."""
-    _spin(rig)
-    _stop(rig)
-    _spin(rig)
+    """A second alignment, which leaves the turns as they are; the other axis is off."""
+    _ready(rig)
+    for _ in range(2):
+        rig.set("cmd.enable", 1, 0)
+        rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+        rig.set("cmd.enable", 0)
+        rig.until("STOP", lambda: rig.places()[0] == "STOP")
 
 
 def extremes(rig: Rig) -> None:
@@ -196,6 +199,25 @@ def searches(rig: Rig) -> None:
     rig.plug(1, True)
     rig.set("cmd.clear_faults", 1)
     rig.until("both axes cleared", lambda: rig.places() == ["STOP", "STOP"])
+
+
+def reversed_lines(rig: Rig) -> None:
+    """An encoder that counts backwards."""
+    _ready(rig)
+    rig.reverse(0)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("encoder reversed", lambda: rig.faults(0) == ["ENCODER_REVERSED"])
+
+
+def caught(rig: Rig) -> None:
+    """A shaft that is held when it has to follow the vector."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.run(0.27)
+    rig.lock(0)
+    for _ in range(6):
+        rig.run(0.15)
+        rig.set("cmd.mode", POSITION)  # a host that says nothing for half a second is a fault
 
 
 def stalled(rig: Rig) -> None:
@@ -322,6 +344,8 @@ SCENARIOS: Final = (
     Scenario("bus-faults", _plant(capacitance=1e-4), bus_faults),
     Scenario("bad-supply", _plant(), bad_supply),
     Scenario("searches", _plant(), searches),
+    Scenario("reversed-encoder", _plant(), reversed_lines),
+    Scenario("caught", _plant(), caught),
     Scenario("stalled", _plant(), stalled),
     Scenario("lost-index", _plant(), lost_index),
     Scenario("over-current", _plant(i_break=4.5), over_current),
