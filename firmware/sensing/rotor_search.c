@@ -231,7 +231,16 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
         search->calm = 0;
     }
     search->calm++;
-    if (search->timer < config->rest_ticks && search->calm < (uint32_t)CALM_OVER_REST * config->rest_ticks) {
+    /* A shaft without friction would coast: better to take it over as it is. */
+    const bool coasts = search->verified && distance(search->origin, position) > 2U * config->move_counts;
+    const bool rests =
+        search->timer >= config->rest_ticks || search->calm >= (uint32_t)CALM_OVER_REST * config->rest_ticks;
+    if (!rests && !coasts) {
+        return;
+    }
+    if (search->verified) {
+        search->vector = f16_add_wrap(search->theta_m, shift_of(search, config, position));
+        finish(search, ROTOR_SEARCH_FOUND);
         return;
     }
     if (search->direction != 0 && search->side != 0) {
@@ -282,8 +291,10 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
         search->follows = true;
         search->ahead = ahead;
     } else {
-        search->vector = f16_add_wrap(rotor, (frac16_t)(((int32_t)search->ahead + ahead) / 2));
-        finish(search, ROTOR_SEARCH_FOUND);
+        search->theta_m = f16_add_wrap(rotor, (frac16_t)(((int32_t)search->ahead + ahead) / 2));
+        search->origin = position;
+        search->verified = true;
+        rest(search, config, position); /* it has just been moved: what takes over had better find it at rest */
     }
 }
 

@@ -65,6 +65,7 @@ typedef struct {
     int16_t direction; /* -1 or 1: of the last twitch, 0 when nothing moved; of the turn that verifies */
     bool follows; /* the shaft has followed this turn .. */
     frac16_t ahead; /* .. when the vector was so far ahead of the rotor, as far as that was known */
+    bool verified; /* it has come back: found, once it rests */
     uint16_t escapes; /* times that the shaft ran away from where it was found */
     uint16_t refusals; /* times that it did not follow there, or came free only in TURN */
     uint16_t starved; /* PWM periods with less than a quarter of the current asked for */

@@ -95,11 +95,15 @@ class Recording:
         return Recording(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
 
 
+SETTLED: Final = 0.1  # after the rotor search, whose last vector has moved the shaft [s]
+
+
 @contextmanager
 def spinning(plant: PlantConfig, seed: int) -> Iterator[Board]:
-    """A fresh board with both axes in SPIN, holding where they are."""
+    """A fresh board with both axes in SPIN, holding where they are, at rest."""
     with Board(plant, seed=seed) as board:
         enable(board)
+        board.run(SETTLED)
         yield board
 
 
