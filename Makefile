@@ -27,7 +27,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-firmware targets test lint format build generate tune clean
+.PHONY: help setup demo up experiments bench bench-firmware bench-twin targets test lint format build generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -51,6 +51,10 @@ bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; r
 
 bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
+
+bench-twin: $(VENV)/.native ## how fast a virtual board is, at both levels; where the time of the plant goes
+	@$(BIN)/python tests/bench/twin.py
+	@$(BIN)/python tests/bench/plant.py
 
 targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on every compiler and machine
 	@PYTHONPATH=tests $(BIN)/python -m targets $(TARGETS_ARGS)
