@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable
 
 import pytest
@@ -11,6 +12,9 @@ from targets.machines import Target, missing_text
 from targets.recording import Arithmetic, Recorder, Recording
 from targets.scenarios import SCENARIOS
 from targets.sources import Sources
+
+# A shell in the background may have Ctrl-C ignored, and the processes that the tests start would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SKIP_NOTHING = "TESTS_SKIP_NOTHING"
 ALLOWED = ("root may write everywhere",)

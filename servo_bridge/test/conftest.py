@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,9 @@ from fake_port import FakePort
 from fake_servo import FakeServo
 from link_watcher import StartLink, Watcher
 from servo_bridge.wire.link import LinkState
+
+# A shell in the background may have Ctrl-C ignored, and the processes that the tests start would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("fixed", derandomize=True, deadline=None)
 settings.load_profile("fixed")

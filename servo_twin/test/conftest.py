@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
 import pytest
+
+# A shell in the background may have Ctrl-C ignored, and the processes that the tests start would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The helper modules of this folder can be imported under every import mode of pytest.
 TEST = str(Path(__file__).resolve().parent)
