@@ -145,8 +145,9 @@ def test_a_shaft_that_is_held_during_the_search_is_not_found_anywhere() -> None:
             board.write("cmd.enable", [1, 0])
             board.run(0.14 + delay)
             board.lock_shaft(0)
-            board.run(1.0)
+            board.run(2.5)
             if board.read_raw("axis1.state") == [RUN]:
+                assert board.read_raw("axis1.substate") == [SPIN], "the search has ended"
                 theta = 2.0 * board.truth(0).theta_m
                 error = (board.read("axis1.theta_e") - theta + np.pi) % (2.0 * np.pi) - np.pi
                 assert abs(error) < np.radians(35.0)
