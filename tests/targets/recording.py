@@ -125,7 +125,12 @@ class Recorder:
 
     def __init__(self, sources: Sources, folder: Path) -> None:
         library = folder / "librecorder.so"
-        headers = [sources.twin / "board.h", sources.native / "recorder.h", sources.native / "arithmetic.h"]
+        headers = [
+            sources.twin / "chip" / "trace.h",
+            sources.twin / "board.h",
+            sources.native / "recorder.h",
+            sources.native / "arithmetic.h",
+        ]
         ffi = cffi.FFI()
         for header in headers:
             ffi.cdef(_declarations(header))

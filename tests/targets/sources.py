@@ -18,6 +18,8 @@ STRICT: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 
 _FOLDERS: Final = ("firmware", "servo_twin/native", "tests/targets/native", "tests/bench/native")
 _REPLAY: Final = ("replay", "replay_hal", "arithmetic", "digest", "trace_model", "trace_reader", "text")
+_IDEAL_BOARD: Final = ("board", "board_ideal", "ideal_chip", "uart")
+"""Of the virtual board's two levels the one that stands on hal.h itself."""
 _RECORDER: Final = ("recorder", "arithmetic", "digest", "trace_model", "trace_writer")
 
 
@@ -66,5 +68,5 @@ class Sources:
 
     def recorder(self) -> list[Path]:
         """C files of the recorder: core, virtual board and what stands between them."""
-        board = [*sorted(self.twin.glob("*.c")), *sorted((self.twin / "plant").glob("*.c"))]
+        board = [*(self.twin / f"{name}.c" for name in _IDEAL_BOARD), *sorted((self.twin / "plant").glob("*.c"))]
         return [*self.core(), *board, *(self.native / f"{name}.c" for name in _RECORDER)]
