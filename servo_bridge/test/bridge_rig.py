@@ -17,6 +17,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.node import ServoBridge
@@ -135,6 +136,10 @@ class FakeLink:
         self._on_sample(Sample(self.tick, self.epoch, now, now, b"", tuple(numbers), self.layout))
 
 
+ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
+"""As the log is published: no line is lost, however early it was said."""
+
+
 class Rig:
     """Bridge, fake link and a user node on one executor."""
 
@@ -162,9 +167,9 @@ class Rig:
             (topics.COMMANDS_APPLIED, Float64MultiArray),
             (topics.DIAGNOSTICS, DiagnosticArray),
             ("var/axis1/i_q", Float64),
-            ("/rosout", Log),
         ):
             self._listen(name, kind, topics.telemetry_qos(1000))
+        self._listen("/rosout", Log, ROSOUT)
         self._listen(topics.PARAMETERS, Float64MultiArray, topics.latched_qos())
         self._listen(topics.STATE, String, topics.latched_qos())
         self._listen(topics.ARMED, Bool, topics.latched_qos())
