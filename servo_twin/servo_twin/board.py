@@ -76,14 +76,7 @@ class ChipError(BoardError, SimulationError):
     """Software did to the chip what is not modelled, or what silicon would not survive; the board stands still."""
 
 
-TRACE_ENTRY: Final = np.dtype(
-    {
-        "names": ["clock", "kind", "a", "b"],
-        "formats": ["<u8", "<u4", "<u4", "<u4"],
-        "offsets": [0, 8, 12, 16],
-        "itemsize": 24,
-    }
-)
+TRACE_ENTRY: Final = np.dtype([("clock", "<u8"), ("kind", "<u2"), ("a", "<u2"), ("b", "<u4")])
 """Layout of an entry of a trace (``trace_entry_t`` in chip/trace.h, which says what kinds there are)."""
 
 

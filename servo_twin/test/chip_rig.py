@@ -29,7 +29,7 @@ typedef struct {
 } chip_world_t;
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
 typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; } chip_config_t;
-typedef struct { uint64_t clock; uint32_t kind, a, b; } trace_entry_t;
+typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
 typedef struct { trace_entry_t *entry; size_t size, room; } trace_t;
 typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
 typedef struct { uint32_t services; ...; } cop_t;

@@ -37,7 +37,7 @@ CHIP_NORETURN void chip_reset(chip_t *chip, reset_cause_t cause);
 static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32_t b)
 {
     if (chip->trace.size < chip->trace.room) {
-        chip->trace.entry[chip->trace.size++] = (trace_entry_t){chip->now, (uint32_t)kind, a, b};
+        chip->trace.entry[chip->trace.size++] = (trace_entry_t){chip->now, (uint16_t)kind, (uint16_t)a, b};
     }
 }
 

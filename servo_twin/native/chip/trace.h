@@ -21,9 +21,10 @@ typedef enum {
     TRACE_CAPTURE,   /* a timer captures: a = 4 module + channel, b = value */
 } trace_kind_t;
 
-typedef struct {
+typedef struct { /* without padding: the same run gives the same bytes */
     uint64_t clock;
-    uint32_t kind, a, b;
+    uint16_t kind, a;
+    uint32_t b;
 } trace_entry_t;
 /* CFFI-END */
 
