@@ -140,11 +140,14 @@ class Pll:
         At every speed.
     acceleration : float
         Mechanical acceleration per q current that it is told [rad/s^2/A].
+    load : float
+        Acceleration that it learns from the angle that is missing, per time, over omega_n^3.
     """
 
     rate: float
     damping: float
     acceleration: float
+    load: float
 
     def omega_n(self, omega_e: float) -> float:
         """Natural frequency at an electrical speed [rad/s]."""
@@ -154,7 +157,7 @@ class Pll:
     def of(cls, axis: Axis) -> Pll:
         rate = axis("observer.pll_i") * SLIDE_I_PER_SPEED
         per_current = axis("observer.pll_torque") * axis.torque_constant / axis("motor.inertia")
-        return cls(rate, axis("observer.pll_damping"), per_current)
+        return cls(rate, axis("observer.pll_damping"), per_current, axis("observer.pll_load"))
 
 
 @dataclass(frozen=True)

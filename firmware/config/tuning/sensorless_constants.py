@@ -116,7 +116,20 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
             acceleration,
             "lower it, or correct motor.inertia or motor.psi_m",
         ),
+        "pll.load": LOAD.raw(
+            axis.entry("observer.pll_load") + ": learnt in a tick",
+            pll.load * omega_n**3 * _steps_per_acceleration(board) * board.tick,
+            "lower it",
+        ),
     }
+
+
+LOAD: Final = Format("int32_t", 0, 0, 2**31 - 1)
+
+
+def _steps_per_acceleration(board: Board) -> float:
+    """Of the angle per PWM period, 2^32 a turn, gained in a slow tick per rad/s^2."""
+    return math.ldexp(board.tick * board.period / (2.0 * math.pi), 32)
 
 
 STEP_GAIN: Final = Format("int32_t, 2^32 a turn", 32, 0, 2**31 - 1)
@@ -175,6 +188,7 @@ FIELDS: Final = (
         for key in ("kp", "ki", "e_least", "step_most", "speed_per_step", "step_per_speed", "counts_per_turn")
     ),
     "pll.acceleration",
+    "pll.load",
     *(f"reliability.{key}" for key in ("period", "variance_threshold", "hysteresis")),
     *(f"emf_check.{key}" for key in ("floor", "resistance", "part", "ticks_spin", "ticks_check")),
     *(f"startup.{key}" for key in ("first_current", "final_current", "current_step", "final_speed", "speed_step")),
@@ -210,4 +224,5 @@ def used_pll(constants: Mapping[str, Field], axis: Axis, board: Board, scales: S
     omega_n = math.sqrt(ki) / board.period
     gained = STEP_GAIN.value(_integer(constants, "pll.acceleration"))
     per_current = gained * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
-    return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current)
+    learnt = _integer(constants, "pll.load") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
+    return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, learnt)
