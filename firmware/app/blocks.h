@@ -55,14 +55,10 @@ typedef struct {
     int32_t following_error[HAL_AXES];  /* counts */
     frac32_t over_speed[HAL_AXES];
     fault_set_t faults_enabled[HAL_AXES];
+    uint16_t monitor[HAL_MONITORS];     /* monitor_t */
     uint16_t host_timeout; /* slow ticks */
     uint16_t unused;       /* what follows has the same address on every machine */
 } parameter_block_t;
-
-typedef struct {
-    uint16_t select[HAL_MONITORS];
-    int16_t value[HAL_MONITORS];
-} monitor_block_t;
 
 /* What the controller believes about the motors, for the host's conversions. */
 typedef struct {

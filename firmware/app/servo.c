@@ -82,7 +82,6 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->hal = hal;
     servo->snapshot = (snapshot_t){0};
     servo->command = (command_block_t){0};
-    servo->monitor = (monitor_block_t){0};
     servo->parameter.host_timeout = servo_config.host_timeout;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = &servo_config.axis[i];
@@ -98,6 +97,10 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.following_error[i] = config->following_error;
         servo->parameter.over_speed[i] = config->over_speed;
         servo->belief.torque_constant[i] = config->torque_constant;
+    }
+    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+        servo->parameter.monitor[i] = MONITOR_NONE;
+        servo->monitor_value[i] = 0;
     }
     servo->tick = 0;
     servo->slow_tick = false;

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xDF5992D7)
+#define CATALOGUE_HASH UINT32_C(0x3460DDA8)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -33,6 +33,29 @@ typedef enum {
     FEEDBACK_KIND_ENCODER = 0,
     FEEDBACK_KIND_OBSERVER = 1,
 } feedback_kind_t;
+
+typedef enum {
+    MONITOR_NONE = 0,
+    MONITOR_U_DC = 1,
+    MONITOR_AXIS1_I_D = 2,
+    MONITOR_AXIS1_I_Q = 3,
+    MONITOR_AXIS1_I_Q_REF = 4,
+    MONITOR_AXIS1_U_D = 5,
+    MONITOR_AXIS1_U_Q = 6,
+    MONITOR_AXIS1_THETA_E = 7,
+    MONITOR_AXIS1_SPEED = 8,
+    MONITOR_AXIS1_SPEED_REF = 9,
+    MONITOR_AXIS1_POSITION = 10,
+    MONITOR_AXIS2_I_D = 11,
+    MONITOR_AXIS2_I_Q = 12,
+    MONITOR_AXIS2_I_Q_REF = 13,
+    MONITOR_AXIS2_U_D = 14,
+    MONITOR_AXIS2_U_Q = 15,
+    MONITOR_AXIS2_THETA_E = 16,
+    MONITOR_AXIS2_SPEED = 17,
+    MONITOR_AXIS2_SPEED_REF = 18,
+    MONITOR_AXIS2_POSITION = 19,
+} monitor_t;
 
 #define FAULT_OVER_VOLTAGE UINT32_C(0x00000001) /* DC bus above the over-voltage limit */
 #define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002) /* DC bus below the under-voltage limit */
@@ -115,7 +138,5 @@ typedef enum {
 #define PARAM_FAULTS_ENABLED_MAX INT32_C(2097151)
 #define PARAM_HOST_TIMEOUT_MIN INT32_C(100)
 #define PARAM_HOST_TIMEOUT_MAX INT32_C(60000)
-#define MONITOR_SELECT_MIN INT32_C(0)
-#define MONITOR_SELECT_MAX INT32_C(31)
 
 #endif
