@@ -20,12 +20,12 @@
 #define OBSERVER_BITS_MOST 11
 
 typedef struct {
-    uint16_t f1;   /* fraction bits of currents, less 15 */
-    uint16_t f2;   /* fraction bits of voltages, less 15 */
-    int32_t loss;  /* 1 - a = 1 - exp(-R T / L), 32 fraction bits */
+    uint16_t f1; /* fraction bits of currents, less 15 */
+    uint16_t f2; /* fraction bits of voltages, less 15 */
+    int32_t loss; /* 1 - a = 1 - exp(-R T / L), 32 fraction bits */
     int32_t drive; /* b = (1 - a) / R, of full scales, times 2^(F1 - F2), 32 fraction bits */
-    int32_t k1;    /* p1 p2 / a - 1 for the poles p1 and p2, 31 fraction bits */
-    int32_t k2;    /* (1 - p1) (1 - p2) / b, of full scales, times 2^(F2 - F1), 28 fraction bits */
+    int32_t k1; /* p1 p2 / a - 1 for the poles p1 and p2, 31 fraction bits */
+    int32_t k2; /* (1 - p1) (1 - p2) / b, of full scales, times 2^(F2 - F1), 28 fraction bits */
 } observer_config_t;
 
 /* Stator frame, with the bits of F1 or F2. */
@@ -37,8 +37,8 @@ typedef struct {
 typedef struct {
     observer_ab_t i; /* at the next sample, as predicted */
     observer_ab_t e; /* mean until the next sample */
-    ab_t v;          /* voltage that was commanded last */
-    int32_t turn_sin;     /* of the angle that the rotor turns in a period, 32 fraction bits */
+    ab_t v; /* voltage that was commanded last */
+    int32_t turn_sin; /* of the angle that the rotor turns in a period, 32 fraction bits */
     int32_t turn_versine; /* 1 - cosine of it */
 } observer_t;
 

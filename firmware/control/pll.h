@@ -3,7 +3,8 @@
  * In the frame of DRM E13 the error is -(e_alpha cos(theta) + e_beta sin(theta)), which is |omega| psi_m times the sine of the
  * angle that is missing, times the sign of the speed. As on the slide the integral gain is a constant: the natural frequency
  * grows with the root of the speed, and at low speed stays below the ripple of the dead time, the sixth harmonic. The
- * proportional gain goes down with the root of the back-EMF, which keeps the damping.
+ * proportional gain goes down with the root of the back-EMF, which keeps the damping. Beyond the slide, the torque of the
+ * current changes the speed at once, so that a speed controller need not wait for the angle to trail.
  *
  * Angles: 2^32 is an electrical turn. Speeds are steps: the angle per PWM period.
  */
@@ -21,14 +22,17 @@ typedef struct {
     int32_t step_per_speed;  /* step at full-scale speed */
     int32_t counts_per_turn; /* encoder counts of an electrical turn, 16 fraction bits */
     int32_t acceleration;    /* steps gained in a slow tick by the full-scale i_q; 0 leaves the torque out */
+    int32_t load; /* what they change by in a slow tick, per error and root of the back-EMF, of full scales */
 } pll_config_t;
 
 typedef struct {
-    uint32_t angle;   /* at the next sample */
+    uint32_t angle; /* at the next sample */
     int32_t integral; /* speed without the ripple of the error */
     int32_t step;
-    gain_t kp;        /* for the back-EMF that there is */
-    bool backwards;   /* the speed is negative: the back-EMF points the other way */
+    gain_t kp; /* for the back-EMF that there is */
+    frac16_t root; /* root of the back-EMF */
+    int32_t load; /* steps per slow tick that the known torque does not explain */
+    bool backwards; /* the speed is negative: the back-EMF points the other way */
 } pll_t;
 
 /* Turning at `step` with the rotor at `angle`. */
@@ -37,8 +41,9 @@ void pll_reset(pll_t *pll, uint32_t angle, int32_t step);
 /* Take the damping to a back-EMF of this size. */
 void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf);
 
-/* The torque that is known of changes the speed: once per slow tick. */
-void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q);
+/* The torque that is known of changes the speed, and what is not known of shows as an angle that trails: once per slow
+ * tick. `e_d` is the back-EMF along the rotor, where there should be none. */
+void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, frac16_t e_d);
 
 static inline frac16_t pll_upper(uint32_t angle) { return (frac16_t)(uint16_t)((angle + UINT32_C(0x8000)) >> 16); }
 

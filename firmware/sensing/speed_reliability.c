@@ -7,7 +7,7 @@ static void take(speed_reliability_t *r, frac16_t speed)
     const int32_t old = r->speed[r->next];
     const int32_t new = speed;
     r->sum += new - old;
-    r->squares += (int64_t)(new * new) - old * old;
+    r->squares += (int64_t)(new *new) - old * old;
     r->speed[r->next] = speed;
     r->next = (uint16_t)((r->next + 1U) % SPEED_RELIABILITY_SIZE);
     if (r->filled < SPEED_RELIABILITY_SIZE) {
