@@ -51,10 +51,11 @@ def test_figures_of_a_shaft_that_stays() -> None:
     with spinning(PlantConfig.load(), 4) as board:
         recording = watch(board, [0], 0.1)[0]
     here = round(recording.position[0])
-    there = feed_forward.measure(recording, here)
+    shaft = PlantConfig.load().axes[0]
+    there = feed_forward.measure(recording, here, shaft)
     assert (there.overshoot, there.settling) == (0.0, 0.0)
     assert there.error <= 0.5
-    away = feed_forward.measure(recording, here + 1000)
+    away = feed_forward.measure(recording, here + 1000, shaft)
     assert (away.overshoot, away.settling) == (0.0, None)
 
 

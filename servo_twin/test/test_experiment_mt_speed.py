@@ -29,7 +29,8 @@ def test_worked_example() -> None:
 
 def test_the_shaft_turns_as_told(plant: PlantConfig) -> None:
     turned = mt_speed.drive(plant, 1, lambda k: 10.0, 0.02, enhanced=True)
-    assert turned.omega == pytest.approx(10.0, rel=1e-6)
+    # the switching plant takes viscous friction as constant within its steps of some 30 us
+    assert turned.omega == pytest.approx(10.0, rel=1e-4)
 
 
 def test_edges_of_a_steady_shaft(plant: PlantConfig) -> None:
