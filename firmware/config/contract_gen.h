@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x3460DDA8)
+#define CATALOGUE_HASH UINT32_C(0x715BB03E)
 
 typedef enum {
     STATE_FAULT = 0,
