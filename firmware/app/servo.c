@@ -86,7 +86,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->parameter.host_timeout = servo_config.host_timeout;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = &servo_config.axis[i];
-        axis_init(&servo->axis[i], config, hal, i);
+        axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
         servo->parameter.speed_limit[i] = config->speed_limit;
         servo->parameter.acceleration_limit[i] = config->acceleration_limit;
         servo->parameter.i_q_limit[i] = config->i_q_limit;

@@ -10,6 +10,7 @@ from typing import Any
 from servo_msgs_py.catalogue import Catalogue
 
 from tuning.errors import ConfigError, refused
+from tuning.temperature import Temperature
 from tuning.schema import AXIS_GROUPS, check_group, check_switches, check_table, unknown_name
 
 __all__ = ["Axis", "Board", "Configuration", "Scales"]
@@ -52,6 +53,7 @@ class Board:
     """The group [board]; ``board("dead_time")`` is one of its values."""
 
     values: Mapping[str, float]
+    temperature: Temperature
 
     def __call__(self, key: str) -> float:
         return self.values[key]
@@ -80,7 +82,9 @@ class Board:
         ConfigError
             If an entry is missing, unknown or cannot make sense.
         """
-        return cls(check_group("board", "board", table))
+        entries = dict(check_table("board", table))
+        temperature = Temperature.of(entries.pop("temperature", {}))
+        return cls(check_group("board", "board", entries), temperature)
 
     def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
         """Error about one entry of the group."""
