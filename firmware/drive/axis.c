@@ -75,6 +75,14 @@ static fault_set_t root_of(const axis_t *axis, fault_set_t faults)
     return (suspects != 0U) ? suspects & axis->faults_enabled : faults;
 }
 
+/* A converter that repeats itself shows within 50 ms, sometimes only after what it has led to. */
+#define SECOND_THOUGHTS UINT32_C(2048)
+
+/* Faults that are concluded from currents. */
+#define CONCLUSIONS                                                                                                    \
+    (FAULT_CURRENT_OFFSET | FAULT_ROTOR_SEARCH | FAULT_ENCODER_LOST | FAULT_ENCODER_REVERSED | FAULT_ANGLE_MISMATCH |  \
+     FAULT_PHASE_LOST | FAULT_SPEED_FEEDBACK | FAULT_START_UP)
+
 static void capture(axis_t *axis, fault_set_t faults)
 {
     const fault_set_t fresh = faults & ~axis->faults;
@@ -85,8 +93,10 @@ static void capture(axis_t *axis, fault_set_t faults)
         const fault_set_t root = root_of(axis, fresh);
         fault_record_first(axis->record, axis, (root != 0U) ? root : fresh);
         axis->faults = root;
-    } else if (axis->first_fault == fault_code(FAULT_OVER_CURRENT) && (fresh & FAULT_CURRENT_SENSE) != 0U) {
-        axis->record->code = fault_code(FAULT_CURRENT_SENSE); /* the controller has been lied to */
+    } else if ((fresh & FAULT_CURRENT_SENSE) != 0U && *axis->clock - axis->record->tick < SECOND_THOUGHTS &&
+               (axis->faults & (CONCLUSIONS | FAULT_OVER_CURRENT)) != 0U) {
+        axis->record->code = fault_code(FAULT_CURRENT_SENSE); /* the controller has been lied to, and so were we */
+        axis->faults &= ~CONCLUSIONS;
     }
     axis->first_fault = axis->record->code;
     axis->faults |= fresh;

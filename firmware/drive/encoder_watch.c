@@ -3,11 +3,12 @@
 #include "drive/axis.h"
 
 #define REST_COUNTS 2     /* a shaft at rest may dither so far */
-#define CALM_TICKS 4      /* without movement: slower than the back-EMF that counts here */
+#define CALM_TICKS ENCODER_CALM_TICKS
 #define WINDOW 32         /* slow ticks */
 #define TOGGLES_LEAST 12  /* changes of the count in it: 375 Hz, no shaft dithers so fast */
 #define WINDOWS_MOST 2
 #define TURNING_TICKS 8
+#define STILL_TICKS 60    /* of voltage that stays where it is */
 #define SHORT_TICKS 8
 #define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
 
@@ -58,16 +59,28 @@ static frac16_t drop(frac16_t current, gain_t resistance)
     return f16_from_f32(f32_gain(f32_from_f16(current), resistance));
 }
 
-/* More voltage than the current needs while nothing is counted: the motor turns. */
-static bool turns_unseen(const axis_t *axis)
+/* More voltage than the current needs while nothing is counted. */
+static bool unexplained(axis_t *axis)
 {
+    encoder_watch_t *w = &axis->encoder_watch;
     const phase_watch_config_t *config = &axis->config->phases;
     const dq_t u = axis->current_loop.voltage;
     const dq_t i = axis->current_loop.current;
     const dq_t needed = {drop(i.d, config->resistance), drop(i.q, config->resistance)};
     const bool exact = (axis->features & FEATURE_DEAD_TIME) != 0U;
     const int32_t most = (exact ? 1 : 2) * (int32_t)config->emf_floor + length_about(needed.d, needed.q) / 2;
-    return length_about(u.d - needed.d, u.q - needed.q) > most;
+    const dq_t emf = {f16_sub(u.d, needed.d), f16_sub(u.q, needed.q)};
+    if (length_about(emf.d, emf.q) <= most) {
+        return false;
+    }
+    if (w->turning == 0U) {
+        w->emf = emf;
+        w->turned = false;
+    }
+    const int32_t along = asr32((int32_t)emf.d * w->emf.d + (int32_t)emf.q * w->emf.q, 1);
+    const int32_t across = asr32((int32_t)emf.d * w->emf.q - (int32_t)emf.q * w->emf.d, 1);
+    w->turned = w->turned || along < across || along < -across; /* more than an eighth of a turn */
+    return true;
 }
 
 fault_set_t encoder_watch_voltage(axis_t *axis)
@@ -75,12 +88,15 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
     encoder_watch_t *w = &axis->encoder_watch;
     if (w->calm < CALM_TICKS) {
         w->turning = 0;
-    } else if (turns_unseen(axis)) {
+    } else if (unexplained(axis)) {
         w->turning++;
     } else if (w->turning > 0U) {
         w->turning--;
     }
-    return (w->turning >= TURNING_TICKS) ? FAULT_ENCODER_LOST : 0U;
+    if (w->turning >= TURNING_TICKS && w->turned) {
+        return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST); /* the voltage turns with the rotor */
+    }
+    return (w->turning >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
 }
 
 fault_set_t encoder_watch_suspects(const axis_t *axis)

@@ -6,7 +6,11 @@
 #ifndef SERVO_DRIVE_ENCODER_WATCH_H
 #define SERVO_DRIVE_ENCODER_WATCH_H
 
+#include "control/transforms.h"
 #include "drive/faults.h"
+
+/* Slow ticks without movement after which the shaft is slower than any back-EMF that counts here. */
+#define ENCODER_CALM_TICKS 4
 
 typedef struct {
     int32_t anchor;   /* position that the count has not left by more than two */
@@ -17,7 +21,9 @@ typedef struct {
     uint16_t windows; /* windows in a row with more changes than a resting shaft makes */
     uint16_t pace;    /* counts of the last tick that moved the shaft */
     bool sudden;      /* it has come to rest at once */
-    uint16_t turning; /* slow ticks of back-EMF without a count, less those without back-EMF */
+    uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
+    dq_t emf;         /* that voltage at first .. */
+    bool turned;      /* .. and it has pointed elsewhere since */
 } encoder_watch_t;
 
 struct axis;

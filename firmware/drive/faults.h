@@ -18,13 +18,13 @@ typedef uint32_t fault_set_t;
  * the last sample, taken in the period of the fault, shows. */
 typedef struct {
     fault_set_t pending;
-    uint32_t tick;     /* PWM periods since reset at the first fault */
-    uint16_t code;     /* of the first fault */
-    uint16_t state;    /* state_t and substate_t that it ended */
+    uint32_t tick; /* PWM periods since reset at the first fault */
+    uint16_t code; /* of the first fault */
+    uint16_t state; /* state_t and substate_t that it ended */
     uint16_t substate;
-    uint16_t next;     /* oldest sample, the next to be overwritten */
-    uint16_t size;     /* samples that have been taken, FAULT_SAMPLES at most */
-    uint16_t unused;   /* the size is the same on every machine */
+    uint16_t next; /* oldest sample, the next to be overwritten */
+    uint16_t size; /* samples that have been taken, FAULT_SAMPLES at most */
+    uint16_t unused; /* the size is the same on every machine */
     frac16_t i_d[FAULT_SAMPLES];
     frac16_t i_q[FAULT_SAMPLES];
     frac16_t theta_e[FAULT_SAMPLES]; /* turns both back into phase currents */

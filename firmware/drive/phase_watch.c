@@ -10,6 +10,9 @@
 #define SAME_SUSPECT 6  /* equal codes of a phase that seems silent: 1 in 10000 with a noise of two codes */
 #define WRONG_LEAST 32U /* codes off the offset: 16 times the usual noise */
 #define WRONG_TICKS 4
+#define FORGET_TICKS 16
+#define FADE_TICKS 128
+#define FAINT_MOST 14   /* of these ticks without enough current to tell directions */
 #define DIRECTIONS 6    /* of 8: a whole phase is silent in 4 of them at most, where it changes its sign */
 
 void phase_watch_start(phase_watch_t *watch) { *watch = (phase_watch_t){0}; }
@@ -49,7 +52,31 @@ static bool others_noisy(const phase_watch_t *w, uint16_t x)
     return w->noisy[(x + 1U) % SENSE_PHASES] || w->noisy[(x + 2U) % SENSE_PHASES];
 }
 
-static bool frozen(const phase_watch_t *w, uint16_t x, uint16_t least) { return w->same[x] >= least && others_noisy(w, x); }
+static bool frozen(const phase_watch_t *w, uint16_t x, uint16_t least)
+{
+    return w->same[x] >= least && others_noisy(w, x);
+}
+
+/* Something looks wrong already: what seems to be a fault of the motor may be one of its measurement. */
+static bool doubtful(const phase_watch_t *w)
+{
+    bool doubt = false;
+    for (uint16_t x = 0; x < SENSE_PHASES; x++) {
+        doubt = doubt || w->wrong[x] > 0U || frozen(w, x, SAME_SUSPECT);
+    }
+    return doubt;
+}
+
+fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault)
+{
+    return doubtful(watch) ? FAULT_CURRENT_SENSE : fault;
+}
+
+/* The high sides do conduct in turn. Open switches leave the current of a turning shaft in the diodes. */
+static bool switching(const axis_t *axis)
+{
+    return axis->sm.state == STATE_RUN && axis->substate != SUBSTATE_CALIB && axis->substate != SUBSTATE_FREEWHEEL;
+}
 
 /* One code without current; true if the converter is broken. */
 static bool broken(axis_t *axis, uint16_t x, uint16_t code)
@@ -63,14 +90,16 @@ static bool broken(axis_t *axis, uint16_t x, uint16_t code)
     }
     note_spread(w, x, code);
     const uint32_t offset = axis->sense.offset[x] >> SENSE_OFFSET_BITS;
-    const bool off = axis->calibrated && (code > offset + WRONG_LEAST || code + WRONG_LEAST < offset);
+    const bool off = switching(axis) && (code > offset + WRONG_LEAST || code + WRONG_LEAST < offset);
     w->wrong[x] = off ? (uint16_t)(w->wrong[x] + 1U) : 0U;
     return w->wrong[x] >= WRONG_TICKS || frozen(w, x, WINDOW);
 }
 
 static bool sample_is_true(const axis_t *axis, uint16_t x)
 {
-    const frac16_t duty = (frac16_t)((x == 0U) ? axis->sense.duty.a : (x == 1U) ? axis->sense.duty.b : axis->sense.duty.c);
+    const frac16_t duty = (frac16_t)((x == 0U)   ? axis->sense.duty.a
+                                     : (x == 1U) ? axis->sense.duty.b
+                                                 : axis->sense.duty.c);
     return duty >= axis->config->offset_duty_least;
 }
 
@@ -128,29 +157,56 @@ static void note_silence(phase_watch_t *w, const phase_watch_config_t *config, u
     }
 }
 
-/* In which directions of the rotor is a phase silent? */
+/* In which directions of the rotor is a phase silent? Once it is not, everything before was by chance. */
 static void note_direction(phase_watch_t *w, const phase_watch_config_t *config, uint16_t x, const phases_t *is,
                            frac16_t theta_e)
 {
     const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)theta_e >> 13));
     const int32_t others = larger(is->phase[(x + 1U) % SENSE_PHASES], is->phase[(x + 2U) % SENSE_PHASES]);
-    if (4 * is->phase[x] >= others) {
-        w->sectors[x] = (uint16_t)(w->sectors[x] & (uint16_t)~bit);
-    } else if (others > config->least) {
+    const bool some = others > config->least;
+    if (2 * is->phase[x] >= config->silent || (some && 3 * is->phase[x] >= others)) {
+        w->sectors[x] = 0;
+    } else if (some) {
         w->sectors[x] = (uint16_t)(w->sectors[x] | bit);
+    } else {
+        w->faint[x]++;
     }
 }
 
-/* Current is asked for, none flows, and the back-EMF is not what holds it back. */
-static bool nothing_flows(const axis_t *axis, const phases_t *is)
+/* What came once in a while, by chance, is no evidence. */
+static void forget(phase_watch_t *w)
+{
+    w->age++;
+    if (w->age % FORGET_TICKS != 0U) {
+        return;
+    }
+    for (uint16_t x = 0; x < SENSE_PHASES; x++) {
+        w->silent[x] = (uint16_t)(w->silent[x] - ((w->silent[x] > 0U && w->age % FADE_TICKS == 0U) ? 1U : 0U));
+        if (w->faint[x] > FAINT_MOST) {
+            w->sectors[x] = 0;
+        }
+        w->faint[x] = 0;
+    }
+}
+
+/* The current is where the controllers want it. */
+static bool follows(const axis_t *axis)
+{
+    const dq_t is = axis->current_loop.current;
+    const dq_t wanted = axis->current_ref;
+    return length_about(is.d - wanted.d, is.q - wanted.q) < axis->config->phases.least;
+}
+
+/* The current does not follow, and neither the windings nor the back-EMF are what holds it back. */
+static bool nothing_flows(const axis_t *axis)
 {
     const phase_watch_config_t *config = &axis->config->phases;
-    const dq_t wanted = axis->current_ref;
     const dq_t u = axis->current_loop.voltage;
+    const dq_t is = axis->current_loop.current;
     const int32_t emf = asr32(f32_gain(axis->current_loop.omega_e, axis->config->current_loop.omega_psi), 16);
-    return length_about(wanted.d, wanted.q) > 4 * (int32_t)config->silent && is->phase[0] < config->silent &&
-           is->phase[1] < config->silent && is->phase[2] < config->silent &&
-           length_about(u.d, u.q - emf) > 2 * (int32_t)config->emf_floor + larger(emf, -emf) / 2;
+    const int32_t drop = asr32(f32_gain((frac32_t)length_about(is.d, is.q) * 32768, config->resistance), 15);
+    return (axis->sensorless || axis->encoder_watch.calm < ENCODER_CALM_TICKS) && !follows(axis) &&
+           length_about(u.d, u.q - emf) > 2 * (int32_t)config->emf_floor + larger(emf, -emf) / 2 + 2 * drop;
 }
 
 fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
@@ -165,12 +221,13 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
         note_silence(w, config, x, &is, &wanted);
         note_direction(w, config, x, &is, theta_e);
         if (w->silent[x] >= SILENT_TICKS || count_bits(w->sectors[x]) >= DIRECTIONS) {
-            faults |= frozen(w, x, SAME_SUSPECT) ? FAULT_CURRENT_SENSE : FAULT_PHASE_LOST;
+            faults |= phase_watch_or(w, FAULT_PHASE_LOST);
         }
     }
-    w->nothing = nothing_flows(axis, &is) ? (uint16_t)(w->nothing + 1U) : 0U;
-    if (w->nothing >= NOTHING_TICKS && axis->substate == SUBSTATE_SPIN) {
-        faults |= FAULT_PHASE_LOST; /* in ALIGN it is the search that says what it means */
+    forget(w);
+    w->nothing = nothing_flows(axis) ? (uint16_t)(w->nothing + 1U) : 0U;
+    if (w->nothing >= NOTHING_TICKS && axis->substate == SUBSTATE_SPIN) { /* the other states search */
+        faults |= phase_watch_or(w, FAULT_PHASE_LOST);
     }
     return faults;
 }
@@ -178,7 +235,7 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
 fault_set_t phase_watch_suspects(const phase_watch_t *watch)
 {
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
-        if (watch->silent[x] >= SUSPECT_TICKS && !frozen(watch, x, SUSPECT_TICKS)) {
+        if (watch->silent[x] >= SUSPECT_TICKS && !doubtful(watch) && !frozen(watch, x, SUSPECT_TICKS)) {
             return FAULT_PHASE_LOST;
         }
     }

@@ -20,6 +20,8 @@ typedef struct {
 typedef struct {
     uint16_t silent[SENSE_PHASES];  /* slow ticks without the current that is asked for */
     uint16_t sectors[SENSE_PHASES]; /* eighths of an electrical turn in which the phase was silent, a bit each */
+    uint16_t faint[SENSE_PHASES];   /* recent slow ticks with too little current for that */
+    uint16_t age;                   /* slow ticks */
     uint16_t nothing;               /* slow ticks without current in any phase */
     uint16_t wrong[SENSE_PHASES];   /* samples without current that are off the offset */
     uint16_t last[SENSE_PHASES];    /* the code before .. */
@@ -42,6 +44,9 @@ fault_set_t phase_watch_converters(struct axis *axis, adc_pair_t codes);
 
 /* One slow tick of current control with the d axis at `theta_e`. */
 fault_set_t phase_watch_currents(struct axis *axis, frac16_t theta_e);
+
+/* `fault`, or CURRENT_SENSE while a converter looks wrong: then nothing else can be believed. */
+fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault);
 
 /* What an over-current may really have been. */
 fault_set_t phase_watch_suspects(const phase_watch_t *watch);

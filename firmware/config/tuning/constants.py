@@ -299,7 +299,7 @@ def _watches(to: _Converter) -> dict[str, Field]:
     hot, cool = board.temperature.codes()
     return {
         "phases.silent": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
-        "phases.least": to.of(FRAC16, "least current of a direction", 0.6 * sign, "raise sensing.sign_current"),
+        "phases.least": to.of(FRAC16, "least current of a direction", 1.5 * sign, "raise sensing.sign_current"),
         "phases.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
         "phases.emf_floor": to.of(FRAC16, "unexplained voltage", max(drop, 0.5 / s.u_s), "lower board.switch_drop"),
         "heat.hot": hot,
