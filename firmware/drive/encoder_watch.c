@@ -59,44 +59,60 @@ static frac16_t drop(frac16_t current, gain_t resistance)
     return f16_from_f32(f32_gain(f32_from_f16(current), resistance));
 }
 
-/* More voltage than the current needs while nothing is counted. */
-static bool unexplained(axis_t *axis)
+/* Voltage that the current does not need. */
+static dq_t unexplained(const axis_t *axis)
 {
-    encoder_watch_t *w = &axis->encoder_watch;
-    const phase_watch_config_t *config = &axis->config->phases;
+    const gain_t resistance = axis->config->phases.resistance;
     const dq_t u = axis->current_loop.voltage;
     const dq_t i = axis->current_loop.current;
-    const dq_t needed = {drop(i.d, config->resistance), drop(i.q, config->resistance)};
-    const bool exact = (axis->features & FEATURE_DEAD_TIME) != 0U;
-    const int32_t most = (exact ? 1 : 2) * (int32_t)config->emf_floor + length_about(needed.d, needed.q) / 2;
-    const dq_t emf = {f16_sub(u.d, needed.d), f16_sub(u.q, needed.q)};
-    if (length_about(emf.d, emf.q) <= most) {
-        return false;
-    }
-    if (w->turning == 0U) {
-        w->emf = emf;
-        w->turned = false;
-    }
-    const int32_t along = asr32((int32_t)emf.d * w->emf.d + (int32_t)emf.q * w->emf.q, 1);
-    const int32_t across = asr32((int32_t)emf.d * w->emf.q - (int32_t)emf.q * w->emf.d, 1);
-    w->turned = w->turned || along < across || along < -across; /* more than an eighth of a turn */
-    return true;
+    const dq_t rest = {f16_sub(u.d, drop(i.d, resistance)), f16_sub(u.q, drop(i.q, resistance))};
+    return rest;
 }
 
+/* What half of the resistance, dead time and switches may account for. Nobody compensates these at small currents. */
+static int32_t tolerated(const axis_t *axis)
+{
+    const phase_watch_config_t *config = &axis->config->phases;
+    const dq_t i = axis->current_loop.current;
+    const int32_t size = length_about(i.d, i.q);
+    const bool exact = (axis->features & FEATURE_DEAD_TIME) != 0U && size > config->silent;
+    const int32_t half = asr32(f32_gain(size * INT32_C(32768), config->resistance), 16);
+    return (exact ? 1 : 2) * (int32_t)config->emf_floor + half;
+}
+
+static void note_voltage(encoder_watch_t *w, dq_t voltage)
+{
+    if (w->turning == 0U) {
+        w->emf = voltage;
+        w->turned = false;
+    }
+    const int32_t along = asr32((int32_t)voltage.d * w->emf.d, 1) + asr32((int32_t)voltage.q * w->emf.q, 1);
+    const int32_t across = asr32((int32_t)voltage.d * w->emf.q, 1) - asr32((int32_t)voltage.q * w->emf.d, 1);
+    w->turned = w->turned || along < across || along < -across; /* more than an eighth of a turn */
+    w->turning++;
+}
+
+/* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
 fault_set_t encoder_watch_voltage(axis_t *axis)
 {
     encoder_watch_t *w = &axis->encoder_watch;
     if (w->calm < CALM_TICKS) {
         w->turning = 0;
-    } else if (unexplained(axis)) {
-        w->turning++;
+        w->in_vain = 0;
+        return 0;
+    }
+    const dq_t voltage = unexplained(axis);
+    const int32_t size = length_about(voltage.d, voltage.q);
+    if (size > tolerated(axis)) {
+        note_voltage(w, voltage);
     } else if (w->turning > 0U) {
         w->turning--;
     }
+    w->in_vain = (size > 4 * (int32_t)axis->config->phases.emf_floor) ? (uint16_t)(w->in_vain + 1U) : 0U;
     if (w->turning >= TURNING_TICKS && w->turned) {
-        return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST); /* the voltage turns with the rotor */
+        return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST);
     }
-    return (w->turning >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
+    return (w->in_vain >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
 }
 
 fault_set_t encoder_watch_suspects(const axis_t *axis)

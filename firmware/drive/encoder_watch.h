@@ -22,6 +22,7 @@ typedef struct {
     uint16_t pace;    /* counts of the last tick that moved the shaft */
     bool sudden;      /* it has come to rest at once */
     uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
+    uint16_t in_vain; /* slow ticks of much of it */
     dq_t emf;         /* that voltage at first .. */
     bool turned;      /* .. and it has pointed elsewhere since */
 } encoder_watch_t;

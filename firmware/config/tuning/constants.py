@@ -295,13 +295,14 @@ def _watches(to: _Converter) -> dict[str, Field]:
     """What the checks of phases, converters, encoder and heat sink compare with."""
     axis, board, s = to.axis, to.board, to.s
     sign = axis("sensing.sign_current") / s.i
-    drop = board("switch_drop") / s.u_s
+    dead = 0.5 * board("dead_time") / board.period * board("nominal_voltage")
+    floor = max(board("switch_drop") + dead, 0.5) / s.u_s
     hot, cool = board.temperature.codes()
     return {
         "phases.silent": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
         "phases.least": to.of(FRAC16, "least current of a direction", 1.5 * sign, "raise sensing.sign_current"),
         "phases.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
-        "phases.emf_floor": to.of(FRAC16, "unexplained voltage", max(drop, 0.5 / s.u_s), "lower board.switch_drop"),
+        "phases.emf_floor": to.of(FRAC16, "unexplained voltage", floor, "lower board.switch_drop"),
         "heat.hot": hot,
         "heat.cool": cool,
     }
