@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import random
 from collections.abc import Mapping
@@ -9,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import FIRMWARE, CompileC, run_compiler
+from core_library import Core
+from firmware_compiler import FIRMWARE, run_compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tuning.command import main
 from tuning.configuration import Configuration
-from tuning.constants import AxisConstants, PiRaw, Switches, host_timeout
+from tuning.constants import host_timeout
+from tuning.conversion import AxisConstants, PiRaw, Switches
 from tuning.errors import ConfigError
 from tuning.linear import spectral_radius
 from tuning.reading import parse
@@ -25,11 +27,6 @@ from tuning.tuned import Tuned, tuned
 from tuning_tool import CATALOGUE, table
 
 FEATURES = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["features"]}
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:
@@ -177,7 +174,7 @@ def written(whole: Mapping[str, Any]) -> str:
         nested = {f"{owner}.{key}": value for key, value in groups.items() if isinstance(value, dict)}
         for name, entries in (({owner: flat} if flat else {}) | nested).items():
             lines.append(f"[{name}]")
-            lines += [f"{key} = {str(value).lower()}" for key, value in entries.items()]
+            lines += [f"{key} = {json.dumps(value)}" for key, value in entries.items()]
     return "\n".join(lines) + "\n"
 
 
