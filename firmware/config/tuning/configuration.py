@@ -10,8 +10,8 @@ from typing import Any, Final
 from servo_msgs_py.catalogue import Catalogue
 
 from tuning.errors import ConfigError, refused
-from tuning.temperature import Temperature
 from tuning.schema import AXIS_GROUPS, check_group, check_switches, check_table, unknown_name
+from tuning.temperature import Temperature
 
 __all__ = ["FEEDBACKS", "Axis", "Board", "Configuration", "Scales"]
 

@@ -236,7 +236,7 @@ def _supervision(to: Converter) -> dict[str, Field]:
     }
 
 
-def _watches(to: _Converter) -> dict[str, Field]:
+def _watches(to: Converter) -> dict[str, Field]:
     """What the checks of phases, converters, encoder and heat sink compare with."""
     axis, board, s = to.axis, to.board, to.s
     sign = axis("sensing.sign_current") / s.i

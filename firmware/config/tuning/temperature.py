@@ -87,8 +87,10 @@ def _number(key: str, value: object) -> float:
 
 def _points(value: object) -> Sequence[tuple[float, float]]:
     where = "board.temperature.table"
-    wrong = ConfigError(f"{where}: write [[celsius, code], ...] with rising temperatures and codes 0 .. {_CODES} that "
-                        "only rise or only fall")
+    wrong = ConfigError(
+        f"{where}: write [[celsius, code], ...] with rising temperatures and codes 0 .. {_CODES} that "
+        "only rise or only fall"
+    )
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < _POINT:
         raise wrong
     points: list[tuple[float, float]] = []
