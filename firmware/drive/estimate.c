@@ -54,8 +54,8 @@ void estimate_step(axis_t *axis)
 
     speed_reliability_add(&estimate->reliability, &axis->config->reliability, estimate->speed);
     const dq_t smooth = emf_check_filter(&estimate->check, emf);
-    estimate->deviates = emf_check_deviates(&axis->config->emf_check, smooth, estimate_emf_at(axis, estimate->speed),
-                                            axis->current_loop.current.q);
+    estimate->deviates = emf_check_deviates(&axis->config->emf_check, axis->config->emf_check.floor_spin, smooth,
+                                            estimate_emf_at(axis, estimate->speed), axis->current_loop.current.q);
 }
 
 bool estimate_reliable(const axis_t *axis)

@@ -11,6 +11,7 @@
 
 typedef struct {
     frac16_t floor;      /* what dead time and switches leave unexplained at any speed */
+    frac16_t floor_spin; /* the same after the filter */
     gain_t resistance;   /* error of the resistance that is tolerated, full-scale current over full-scale voltage */
     uint16_t part;       /* deviation over the back-EMF that is expected, 15 fraction bits */
     uint16_t ticks_spin; /* slow ticks that the observer of a sensorless axis may deviate, after the filter */
@@ -25,8 +26,10 @@ typedef struct {
 
 void emf_check_reset(emf_check_t *check);
 
-/* True while `emf`, in the frame of an angle, is too far from (0, expected) with a current of this size. */
-bool emf_check_deviates(const emf_check_config_t *config, dq_t emf, frac16_t expected, frac16_t current);
+/* True while `emf`, in the frame of an angle, is farther from (0, expected) than `floor`, the size of what is expected and
+ * the current explain. */
+bool emf_check_deviates(const emf_check_config_t *config, frac16_t floor, dq_t emf, frac16_t expected,
+                        frac16_t current);
 
 /* Back-EMF over some periods of a swing: time constant 32 slow ticks. */
 dq_t emf_check_filter(emf_check_t *check, dq_t emf);
