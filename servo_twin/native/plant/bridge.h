@@ -25,7 +25,7 @@
  * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A).
  *
  * While nothing unusual happens segments are parabolas within a frame (bridge_frame.c), which costs a third; whole runs
- * stay within 1e-4 A then.
+ * stay within 2e-4 A then.
  *
  * Where a segment ends within itself is found in closed form: a current at zero by its slope, corrected once by the slope
  * found there; a shaft that stops or breaks loose by the root of a parabola; a floating leg that reaches an end of its
@@ -60,6 +60,7 @@ typedef struct {
 
 /* A short time in which the currents obey an equation with constant coefficients. */
 typedef struct {
+    double longest;                      /* segment, and frame without the last one [s] */
     plant_vector_t inverse[2], drift[2]; /* by columns: of i' with v [1/H], with i [1/s] */
     plant_vector_t push, push_slope;     /* i' without either, and how it changes [A/s], [A/s^2] */
     plant_vector_t charge;               /* the sum at its beginning [A s] */
