@@ -77,8 +77,8 @@ class Checkout:
         """Rows of one experiment on the other motors.
 
         On the averaged plant, as the design that is checked is linear. With real switches axis 2 hunts by three counts:
-        in a winding of 0.15 mH the bus builds up 0.16 A within a dead time, and the inverter may keep back as much: four
-        times what the friction is worth that holds this shaft.
+        in a winding of 0.15 mH the bus builds up 0.16 A within a dead time. The inverter may keep back as much, which
+        is worth four times the friction that holds this shaft.
         """
         options = ("--plant", "plant.toml", "--level", "ideal", "--json")
         text = self.python("-m", "servo_twin.cli", "experiment", name, *options)

@@ -97,6 +97,8 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
     };
     motion_limit(axis, limits);
     axis->features = parameter->features[i];
+    axis->feedback_wanted = parameter->feedback[i];
+    axis->faults_enabled = parameter->faults_enabled[i] | FAULTS_ALWAYS;
     axis->command.clipped = axis->command.clipped || clipped;
 }
 

@@ -81,6 +81,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->catalogue_hash = CATALOGUE_HASH;
     servo->hal = hal;
     servo->snapshot = (snapshot_t){0};
+    servo->estimate = (estimate_block_t){0};
     servo->command = (command_block_t){0};
     servo->parameter.host_timeout = servo_config.host_timeout;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
@@ -90,11 +91,17 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.acceleration_limit[i] = config->acceleration_limit;
         servo->parameter.i_q_limit[i] = config->i_q_limit;
         servo->parameter.features[i] = config->features;
+        servo->parameter.feedback[i] = config->feedback;
+        servo->parameter.faults_enabled[i] = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
         servo->parameter.position_min[i] = -config->position_limit;
         servo->parameter.position_max[i] = config->position_limit;
         servo->parameter.following_error[i] = config->following_error;
         servo->parameter.over_speed[i] = config->over_speed;
         servo->belief.torque_constant[i] = config->torque_constant;
+    }
+    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+        servo->parameter.monitor[i] = MONITOR_NONE;
+        servo->monitor_value[i] = 0;
     }
     servo->tick = 0;
     servo->slow_tick = false;
@@ -177,7 +184,17 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->state = (uint16_t)axis->sm.state;
     view->substate = (uint16_t)axis->substate;
     view->faults = axis->faults;
+    view->first_fault = axis->first_fault;
     view->limits = axis->active_limits;
+}
+
+static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
+{
+    const estimate_t *estimate = &axis->estimate;
+    view->speed = estimate->speed;
+    view->theta_e = pll_upper(estimate->pll.angle - (uint32_t)estimate->pll.step);
+    view->emf = estimate->size;
+    view->reliable = estimate_reliable(axis) ? 1U : 0U;
 }
 
 static void publish_snapshot(servo_t *servo)
@@ -192,6 +209,7 @@ static void publish_snapshot(servo_t *servo)
     snapshot->u_dc = servo->axis[MOTOR_1].u_dc;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         publish_axis(&servo->axis[i], &snapshot->axis[i]);
+        publish_estimate(&servo->axis[i], &servo->estimate.axis[i]);
     }
 }
 

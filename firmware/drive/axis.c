@@ -2,6 +2,7 @@
 #include "drive/axis.h"
 
 #include "drive/axis_states.h"
+#include "drive/motion.h"
 
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
@@ -13,6 +14,8 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->index = index;
     axis->source = &encoder_feedback;
     axis->faults = 0;
+    axis->faults_enabled = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
+    axis->first_fault = 0;
     axis->limits.speed = config->speed_limit;
     axis->limits.acceleration = config->acceleration_limit;
     axis->limits.i_q = config->i_q_limit;
@@ -33,23 +36,50 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     current_sense_reset(&axis->sense);
     hal_pwm_enable(hal, index, false);
     hal_adc_select(hal, index, axis->sense.pair);
+    axis->fast = LOOP_FAST;
+    axis->sensorless = false;
+    axis->feedback_wanted = config->feedback;
+    axis->estimate = (estimate_t){0};
+    axis->startup = (startup_t){0};
     axis->source->reset(axis);
     axis_states_init(axis);
 }
 
-void axis_raise(axis_t *axis, uint16_t faults)
+bool axis_observable(const axis_t *axis) { return axis->config->observer.drive != 0; }
+
+/* Angle and speed come from somewhere else: never in motion, and never from an observer that has no constants. */
+static void choose_source(axis_t *axis)
 {
+    const bool sensorless = axis->feedback_wanted == FEEDBACK_KIND_OBSERVER && axis_observable(axis);
+    if (sensorless != axis->sensorless && axis->sm.state != STATE_RUN) {
+        axis->sensorless = sensorless;
+        axis->source = sensorless ? &observer_feedback : &encoder_feedback;
+        axis->source->reset(axis);
+    }
+}
+
+static void capture(axis_t *axis, fault_set_t faults)
+{
+    if (axis->faults == 0U) {
+        axis->first_fault = fault_code(faults);
+    }
+    axis->faults |= faults;
+}
+
+void axis_raise(axis_t *axis, fault_set_t faults)
+{
+    faults &= axis->faults_enabled;
     if (faults != 0U) {
-        axis->faults = (uint16_t)(axis->faults | faults);
+        capture(axis, faults);
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT);
     }
 }
 
-void axis_stop_with(axis_t *axis, uint16_t faults)
+void axis_stop_with(axis_t *axis, fault_set_t faults)
 {
     if (axis->requested) {
         axis->requested = false;
-        axis->stop_faults = (uint16_t)(axis->stop_faults | faults);
+        axis->stop_faults |= faults;
     }
 }
 
@@ -67,17 +97,17 @@ static void filter_bus(axis_t *axis)
 }
 
 /* Faults whose cause is there now. */
-static uint16_t present_faults(const axis_t *axis)
+static fault_set_t present_faults(const axis_t *axis)
 {
-    uint16_t faults = 0;
+    fault_set_t faults = 0;
     if (axis->u_dc > axis->config->u_dc_most) {
-        faults = (uint16_t)(faults | FAULT_OVER_VOLTAGE);
+        faults |= FAULT_OVER_VOLTAGE;
     }
     if (axis->u_dc < axis->config->u_dc_least && axis->sm.state != STATE_INIT) {
-        faults = (uint16_t)(faults | FAULT_UNDER_VOLTAGE); /* in INIT the filter still settles */
+        faults |= FAULT_UNDER_VOLTAGE; /* in INIT the filter still settles */
     }
     if (hal_break_active(axis->hal, axis->index)) {
-        faults = (uint16_t)(faults | FAULT_OVER_CURRENT);
+        faults |= FAULT_OVER_CURRENT;
     }
     return faults;
 }
@@ -91,7 +121,7 @@ static bool suspicious(const axis_t *axis)
 
 static void watch(axis_t *axis)
 {
-    axis->faults = (uint16_t)(axis->faults | present_faults(axis));
+    capture(axis, present_faults(axis));
     if (axis->sm.state != STATE_FAULT) {
         axis_raise(axis, axis->faults);
     }
@@ -104,7 +134,7 @@ void axis_fast(axis_t *axis)
     if (suspicious(axis)) {
         watch(axis);
     }
-    axis->loop = LOOP_FAST;
+    axis->loop = axis->fast;
     sm_step(&axis->sm, axis);
 }
 
@@ -121,6 +151,7 @@ static void take_requests(axis_t *axis)
     if (command->clear_faults && axis->sm.state == STATE_FAULT) {
         hal_break_clear(axis->hal, axis->index);
         axis->faults = present_faults(axis);
+        axis->first_fault = fault_code(axis->faults);
         if (axis->faults == 0U) {
             axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT_CLEAR);
         }
@@ -134,6 +165,10 @@ void axis_slow(axis_t *axis)
         axis_raise(axis, FAULT_ENCODER);
     }
     take_requests(axis);
+    choose_source(axis);
+    if (axis->sensorless && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {
+        motion_listen(axis);
+    }
     if (axis->stop_faults != 0U && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {
         axis_raise(axis, axis->stop_faults); /* ramped down: now the reason becomes a fault */
         axis->stop_faults = 0;

@@ -9,14 +9,21 @@
 #include "config/axis_config.h"
 #include "control/path.h"
 #include "drive/current_sense.h"
+#include "drive/estimate.h"
+#include "drive/faults.h"
 #include "drive/feedback.h"
+#include "drive/startup.h"
 #include "drive/state_machine.h"
 #include "drive/supervision.h"
 #include "hal/hal.h"
 
+/* PWM periods per slow tick (DRM 2.3.2). */
+#define AXIS_SLOW_PERIODS 8
+
 typedef enum {
     LOOP_FAST,
     LOOP_SLOW,
+    LOOP_OBSERVED, /* the fast loop with the observer in it */
 } axis_loop_t;
 
 /* What the host asks of an axis, latched once per slow tick. The `fresh_` marks tell what was written since the last
@@ -84,19 +91,29 @@ typedef struct axis {
 
     sm_t sm;
     substate_t substate;
-    axis_loop_t loop; /* which of a sub-state's two functions runs */
+    axis_loop_t loop; /* which of a sub-state's functions runs */
+    axis_loop_t fast; /* .. in the fast loop */
 
     axis_command_t command;
     axis_limits_t limits;
     uint16_t features;      /* FEATURE_ bits: parts of the control that are on */
     bool requested;         /* the drive is wanted: enable was written and nothing has withdrawn it */
-    uint16_t stop_faults;   /* faults to raise once the axis has been ramped down */
-    uint16_t faults;        /* captured faults */
+    fault_set_t stop_faults; /* faults to raise once the axis has been ramped down */
+    fault_set_t faults;     /* captured faults */
+    fault_set_t faults_enabled; /* that may stop the axis; FAULTS_ALWAYS are among them */
+    uint16_t first_fault;   /* code of the fault that came first, 0 without one */
     uint16_t active_limits; /* LIMIT_ bits of the last slow tick */
     uint16_t ticks;         /* slow ticks in this state */
 
     const feedback_source_t *source;
     encoder_feedback_t encoder;
+    observer_feedback_t observed_position;
+    uint16_t feedback_wanted; /* feedback_kind_t; taken when the axis is not in RUN */
+    bool sensorless;          /* the source is the observer */
+    estimate_t estimate;
+    startup_t startup;
+    bool leaving;             /* sensorless: on the way out of SPIN, below the minimum speed */
+    frac16_t current_q_left;  /* i_q* of the last slow tick */
     feedback_t feedback;
 
     current_sense_t sense;
@@ -125,9 +142,12 @@ void axis_edge(axis_t *axis);
 void axis_break(axis_t *axis);
 
 /* Capture faults: the outputs go off with the next call of the state machine. */
-void axis_raise(axis_t *axis, uint16_t faults);
+void axis_raise(axis_t *axis, fault_set_t faults);
+
+/* The observer can be used with this motor. */
+bool axis_observable(const axis_t *axis);
 
 /* Ramp down, then raise `faults` (host silence). */
-void axis_stop_with(axis_t *axis, uint16_t faults);
+void axis_stop_with(axis_t *axis, fault_set_t faults);
 
 #endif

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import random
 from collections.abc import Mapping
@@ -15,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tuning.command import main
 from tuning.configuration import Configuration
-from tuning.constants import AxisConstants, PiRaw, Switches, host_timeout
+from tuning.constants import host_timeout
+from tuning.conversion import AxisConstants, PiRaw, Switches
 from tuning.errors import ConfigError
 from tuning.linear import spectral_radius
 from tuning.reading import parse
@@ -172,7 +174,7 @@ def written(whole: Mapping[str, Any]) -> str:
         nested = {f"{owner}.{key}": value for key, value in groups.items() if isinstance(value, dict)}
         for name, entries in (({owner: flat} if flat else {}) | nested).items():
             lines.append(f"[{name}]")
-            lines += [f"{key} = {str(value).lower()}" for key, value in entries.items()]
+            lines += [f"{key} = {json.dumps(value)}" for key, value in entries.items()]
     return "\n".join(lines) + "\n"
 
 

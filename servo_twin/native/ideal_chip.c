@@ -1,6 +1,7 @@
 #include "ideal_chip.h"
 
-#define QUARTERS (2 * PLANT_STEPS_PER_HALF)
+#define STEPS (2 * PLANT_STEPS_PER_HALF) /* of the plant, per period */
+#define SINK_FULL_SCALE 150.0 /* [deg C] at 3.3 V */
 #define DUTY_FULL (1.0 / 32767.0)
 
 static const int pair_phases[3][2] = {{0, 1}, {1, 2}, {2, 0}};
@@ -16,10 +17,16 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->bus_code = 0;
     chip->now_ns = 0;
     chip->grid_ns = 0;
-    chip->quarter = 0;
+    chip->step = 0;
     chip->scans = 0;
     chip->breaks = 0;
     chip->watchdog = 0;
+    chip->brake = false;
+    chip->sink_code = plant_code_unipolar(config->ambient, SINK_FULL_SCALE);
+    chip->bitten = false;
+    for (int i = 0; i < HAL_MONITORS; i++) {
+        chip->monitor[i] = 0;
+    }
 }
 
 /* ---- running time ------------------------------------------------------------------------------------------------- */
@@ -60,7 +67,7 @@ static void half_cycle(hal_t *chip, int sampled)
     chip->axis[other].offsets = convert(chip, other, false);
     chip->bus_code = plant_bus_code(&chip->plant);
     for (int i = 0; i < HAL_AXES; i++) {
-        plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u_dc);
+        plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u);
     }
     if (sampled == 0) {
         servo_m1_isr(chip->servo);
@@ -83,16 +90,16 @@ static void grid(hal_t *chip)
             }
         }
     }
-    const unsigned quarter = chip->quarter;
-    chip->quarter = (quarter + 1u) % QUARTERS;
+    const unsigned step = chip->step;
+    chip->step = (step + 1u) % STEPS;
     chip->grid_ns += plant->step_ns;
     for (int i = 0; i < HAL_AXES; i++) {
         if (plant->axis[i].encoder.latched) {
             servo_edge_isr(chip->servo, (uint16_t)i);
         }
     }
-    if (quarter % PLANT_STEPS_PER_HALF == 0u) {
-        half_cycle(chip, (quarter == 0u) ? 0 : 1);
+    if (step % PLANT_STEPS_PER_HALF == 0u) {
+        half_cycle(chip, (step == 0u) ? 0 : 1);
     }
 }
 
@@ -174,6 +181,18 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 {
     return plant_encoder_age(&hal->plant.axis[axis].encoder, hal->now_ns);
 }
+
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return hal->sink_code;
+}
+
+void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+
+void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+
+bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
 
 bool hal_serial_get(hal_t *hal, uint8_t *byte) { return uart_get(&hal->uart, byte); }
 

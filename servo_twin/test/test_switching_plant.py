@@ -130,8 +130,8 @@ class TestMeans:
         for n in range(60):
             edges = [e for axis in range(2) for e in centred_edges(n * PERIOD, PERIOD, duties[axis], DEAD, axis)]
             for index in range(2):
-                lib.plant_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u_dc)
-            for _ in range(4):
+                lib.plant_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u)
+            for _ in range(2):  # half cycles
                 lib.plant_step(averaged, clock)
                 clock += averaged.step_ns
             switching.run(sorted(edges), (n + 1) * PERIOD)
@@ -141,13 +141,13 @@ class TestMeans:
                 truth = switching.truth(index)  # low-side centre: ripple is zero there
                 motor = averaged.axis[index].motor
                 worst[index] = max(worst[index], *(abs(truth.phase[k] - motor.phase[k]) for k in range(3)))
-        assert max(worst) < 0.15
+        assert max(worst) < 0.16
         for index in range(2):
             truth, motor = switching.truth(index), averaged.axis[index].motor
             assert abs(truth.omega) > 20.0
-            assert truth.omega == pytest.approx(motor.omega, rel=0.01)
+            assert truth.omega == pytest.approx(motor.omega, rel=0.015)
             assert truth.theta == pytest.approx(motor.theta, abs=2e-3)
-        assert switching.bus.u_dc == pytest.approx(averaged.bus.u_dc, abs=0.01)
+        assert switching.bus.u_dc == pytest.approx(averaged.bus.u, abs=0.01)
 
     def test_mean_voltages(self, switching_c: Native) -> None:
         """Of a held axis with constant duties, over whole periods."""
@@ -315,7 +315,7 @@ class TestEncoder:
 
     def test_cut_lines_stay_low(self, switching_c: Native) -> None:
         switching = self.turn(switching_c, 100.0, 100_000)
-        switching.lib.switching_cut(switching.c, 0, 1, True)
+        switching.lib.switching_cut(switching.c, 0, 1, True, False)
         switching.events.clear()
         switching.advance(1_000_000)
         lines = {event[3] for event in switching.events if event[0] > 100_000}

@@ -9,6 +9,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 from tuning.configuration import Axis, Board, Configuration, Scales
+from tuning.sensorless_checks import check_sensorless
 
 __all__ = ["check"]
 
@@ -29,6 +30,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
         _voltage(axis, board)
         _order(axis, board)
         _search(axis)
+        check_sensorless(axis, board)
 
 
 def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
 
 from tuning.errors import ConfigError, refused
 from tuning.schema import AXIS_GROUPS, check_group, check_switches, check_table, unknown_name
 
-__all__ = ["Axis", "Board", "Configuration", "Scales"]
+__all__ = ["FEEDBACKS", "Axis", "Board", "Configuration", "Scales"]
+
+FEEDBACKS: Final = ("encoder", "observer")
+"""Where an axis may take its angle and speed from; the first one unless the file says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -101,16 +104,24 @@ class Axis:
         What is on after reset.
     inherited : frozenset of str
         Entries that come from [defaults].
+    feedback : str
+        Where angle and speed come from after reset, ``encoder`` or ``observer``.
     """
 
     name: str
     groups: Mapping[str, Mapping[str, float]]
     features: Mapping[str, bool]
     inherited: frozenset[str]
+    feedback: str
 
     def __call__(self, path: str) -> float:
         group, key = path.split(".")
         return self.groups[group][key]
+
+    def given(self, path: str) -> bool:
+        """Whether an entry that may be left out is there."""
+        group, key = path.split(".")
+        return key in self.groups[group]
 
     def entry(self, path: str) -> str:
         """Full name of an entry, and where it stands."""
@@ -143,10 +154,14 @@ class Axis:
             raise ConfigError(f"[{name}.motor] is missing; every axis needs its motor")
         groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features")}
         inherited: set[str] = set()
+        feedback = FEEDBACKS[0]
         for owner in ("defaults", name):
             for group, value in check_table(owner, table.get(owner, {})).items():
+                if group == "feedback":
+                    feedback = _feedback(f"{owner}.feedback", value)
+                    continue
                 if group not in groups:
-                    raise unknown_name(f"{owner}.{group}", group, groups)
+                    raise unknown_name(f"{owner}.{group}", group, (*groups, "feedback"))
                 entries = check_table(f"{owner}.{group}", value)
                 groups[group].update(entries)
                 paths = {f"{group}.{key}" for key in entries}
@@ -159,7 +174,13 @@ class Axis:
             )
             for group, entries in groups.items()
         }
-        return cls(name, checked, features, origin)
+        return cls(name, checked, features, origin, feedback)
+
+
+def _feedback(where: str, value: object) -> str:
+    if not isinstance(value, str) or value not in FEEDBACKS:
+        raise refused(where, repr(value), "no source of angle and speed", f"write one of {', '.join(FEEDBACKS)}")
+    return value
 
 
 def _place(axis: str, path: str, inherited: Collection[str]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from tuning.constants import AxisConstants, Field, Switches
+from tuning.conversion import AxisConstants, Field, Switches
 
 __all__ = ["c_source"]
 
