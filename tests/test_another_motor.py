@@ -77,7 +77,7 @@ class Checkout:
         """Rows of one experiment on the other motors.
 
         On the averaged plant, as the design that is checked is linear. With real switches axis 2 hunts by three counts:
-        in a winding of 0.15 mH the bus builds up 0.16 A within a dead time, and so much the inverter may keep back; that
+        in a winding of 0.15 mH the bus builds up 0.16 A within a dead time. The inverter may keep back as much, which
         is worth four times the friction that holds this shaft.
         """
         options = ("--plant", "plant.toml", "--level", "ideal", "--json")

@@ -22,8 +22,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000
-# Half a count for what rounds, two for what the encoder can tell, and where there are switches two more: the current that
-# an inverter keeps back moves an arriving shaft so far (experiment feed-forward).
+# Half a count for what rounds, two for what the encoder can tell, and where there are switches two more: so far they
+# move an arriving shaft by the current that they keep back (experiment feed-forward).
 OVERSHOOT = (2.5 if chosen_level() == "ideal" else 4.5) * COUNT
 BOTH = ["axis1", "axis2"]
 SPIN = "axis1=RUN/SPIN axis2=RUN/SPIN"

@@ -22,7 +22,7 @@ def rows(**changes: float) -> dict[str, bool]:
     return {row.name: row.agrees for row in feed_forward.run(plant, seed=4).rows}
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("short", "level")
 @pytest.mark.parametrize("changes", [{}, {"inertia": 2.0}])
 def test_agrees(changes: dict[str, float]) -> None:
     found = rows(**changes)
