@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x715BB03E)
+#define CATALOGUE_HASH UINT32_C(0xD38A2B69)
 
 typedef enum {
     STATE_FAULT = 0,
