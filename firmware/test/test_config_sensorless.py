@@ -192,7 +192,8 @@ def test_figures_of_the_committed_motor() -> None:
 
 def test_a_loop_that_is_told_nothing_of_the_torque_has_little_phase_at_low_speed() -> None:
     told, untold = (
-        assess(axis(axis1__observer__pll_torque=part, axis1__feedback="observer")).sensorless.locks[0] for part in (1, 0.3)
+        assess(axis(axis1__observer__pll_torque=part, axis1__feedback="observer")).sensorless.locks[0]
+        for part in (1, 0.3)
     )
     assert told.speed_margins.phase is not None
     assert untold.speed_margins.phase is not None
@@ -201,7 +202,9 @@ def test_a_loop_that_is_told_nothing_of_the_torque_has_little_phase_at_low_speed
 
 def test_gains_that_another_winding_makes_unstable_are_found() -> None:
     it = axis(axis1__observer__k_1=-5200.0, axis1__observer__k_2=3.1e5)
-    assert any("with R x 1 and L x 0.5 the observer's gains are unstable" in finding for finding in findings(it, assess(it)))
+    assert any(
+        "with R x 1 and L x 0.5 the observer's gains are unstable" in finding for finding in findings(it, assess(it))
+    )
 
 
 def test_pole_that_turns_with_the_frame_has_no_partner() -> None:
@@ -241,16 +244,19 @@ def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:
 
 @settings(max_examples=200)
 @given(
-    logarithmic(0.05, 5.0), logarithmic(0.05e-3, 5e-3), logarithmic(100.0, 1900.0), st.floats(0.3, 2.0), st.floats(0, 1e3)
+    logarithmic(0.05, 5.0),
+    logarithmic(0.05e-3, 5e-3),
+    logarithmic(100.0, 1900.0),
+    st.floats(0.3, 2.0),
+    st.floats(0, 1e3),
 )
 def test_poles_of_any_motor_lie_inside(r_s: float, l_s: float, bandwidth: float, damping: float, omega: float) -> None:
     changes: dict[str, object] = {"axis1__motor__r_s": r_s, "axis1__motor__l_d": l_s, "axis1__motor__l_q": l_s}
     changes |= {"axis1__observer__bandwidth": bandwidth, "axis1__observer__damping": damping}
     try:
         it = axis(**changes)
-    except ConfigError as refusal:
-        assert str(refusal).startswith("axis1"), refusal
-        return
+    except ConfigError:
+        return  # test_config_motors.py looks at refusals
     observer = it.designed_sensorless.observer
     assert observer.k1 < 0.0 < observer.k2
     assert observer.radius(0.0) < 1.0

@@ -112,7 +112,8 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
         return
     if start_up.torque > TORQUE_MOST:
         entry = _entry(it, "start_up.current_first")
-        yield f"{entry}: the start-up takes {100.0 * start_up.torque:.0f} % of the current's torque; raise start_up.swings"
+        share = f"{100.0 * start_up.torque:.0f} % of the current's torque"
+        yield f"{entry}: the start-up takes {share}; raise start_up.swings"
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
             what = f"with R x {case.r_s:g} and L x {case.inductance:g} the observer's gains are unstable"

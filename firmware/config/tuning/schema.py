@@ -157,7 +157,9 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "k_2": Entry("V/(A s)", "K2 of the slide, above 0; together with k_1", signed=True, optional=True),
         "pll_i": Entry("", "number in the rule of the slide for the I gain, 1506742"),
         "pll_damping": Entry("", "of the phase-locked loop", most=10.0),
-        "pll_torque": Entry("", "part of the acceleration by the current that the phase-locked loop is told", True, most=2),
+        "pll_torque": Entry(
+            "", "part of the acceleration by the current that the phase-locked loop is told", True, most=2
+        ),
         "pll_load": Entry("", "acceleration that it learns from the angle, per time, over omega_n^3", True, most=1.0),
         "speed_part": Entry("", "speed loop of a sensorless axis, part of control.speed_bandwidth", most=1.0),
     },

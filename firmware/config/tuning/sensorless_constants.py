@@ -106,7 +106,9 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     return {
         "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), "lower observer.pll_i"),
         "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), quicker),
-        "pll.e_least": to.of(FRAC16, "half the back-EMF at start_up.minimum_speed", e_least, f"raise that, or {_MOTOR}"),
+        "pll.e_least": to.of(
+            FRAC16, "half the back-EMF at start_up.minimum_speed", e_least, f"raise that, or {_MOTOR}"
+        ),
         "pll.step_most": to.of(STEP, "turn per period beyond the full speed", 1.25 * turn, "fewer motor.pole_pairs"),
         "pll.speed_per_step": to.of(SPEED_PER_STEP, "speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
         "pll.step_per_speed": to.of(STEP, "turn per period at full speed", turn, "fewer motor.pole_pairs"),
@@ -166,7 +168,9 @@ def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
     return {
         "startup.first_current": to.of(FRAC16, "start_up.current_first", it.current_first / s.i, current),
         "startup.final_current": to.of(FRAC16, "start_up.current_final", it.current_final / s.i, current),
-        "startup.current_step": to.of(SLEW, "change of the start-up current per slow tick", slew, "correct current_time"),
+        "startup.current_step": to.of(
+            SLEW, "change of the start-up current per slow tick", slew, "correct current_time"
+        ),
         "startup.final_speed": to.of(FRAC32, "start_up.speed_final", it.speed_final / s.speed, "correct limits.speed"),
         "startup.speed_step": to.of(FRAC32, "change of the forced speed per slow tick", speed_step, ramp),
         "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", it.time_most / board.tick, ramp),
