@@ -191,6 +191,10 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
 static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
 {
     const estimate_t *estimate = &axis->estimate;
+    if (!estimate->runs) {
+        *view = (axis_estimate_t){0};
+        return;
+    }
     view->speed = estimate->speed;
     view->theta_e = pll_upper(estimate->pll.angle - (uint32_t)estimate->pll.step);
     view->emf = estimate->size;

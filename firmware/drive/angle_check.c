@@ -36,6 +36,7 @@ void angle_check_step(axis_t *axis)
     if (!estimate->runs) {
         axis->fast = LOOP_OBSERVED;
         estimate_start(axis, encoder_angle(axis), step);
+        estimate->locked = true;
         return;
     }
     estimate_step(axis);

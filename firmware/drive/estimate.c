@@ -13,6 +13,7 @@ void estimate_start(axis_t *axis, uint32_t angle, int32_t step)
     estimate->turned = 0;
     estimate->angle = angle;
     estimate->deviates = true;
+    estimate->locked = false;
     estimate->runs = true;
     estimate_set(axis, angle, step);
 }

@@ -193,11 +193,7 @@ static void align_slow(axis_t *axis)
 
 static void spin_fast(axis_t *axis) { drive_current(axis, axis->feedback.theta_e); }
 
-static void spin_observed_fast(axis_t *axis)
-{
-    drive_observed(axis, axis->feedback.theta_e);
-    pll_step(&axis->estimate.pll, &axis->config->pll, axis->estimate.observer.e);
-}
+static void spin_observed_fast(axis_t *axis) { drive_observed(axis, axis->feedback.theta_e); }
 
 /* Sensorless: the speed has come down to where the observer ends. The current goes first, then the outputs. */
 static void leave_slowly(axis_t *axis)
@@ -234,7 +230,7 @@ static void spin_slow(axis_t *axis)
     motion_step(axis);
     if (axis->sensorless) {
         spin_sensorless(axis);
-    } else {
+    } else if (axis->estimate.runs || (axis->features & FEATURE_ANGLE_CHECK) != 0U) {
         angle_check_step(axis);
     }
     if (axis->current_loop.limited) {

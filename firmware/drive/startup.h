@@ -40,7 +40,6 @@ typedef struct {
     uint16_t ticks; /* slow ticks in this phase */
     uint16_t passed; /* tests of the criterion in a row */
     bool backwards;
-    bool locked; /* the back-EMF is large enough for the PLL */
     uint32_t angle; /* of the vector at the next sample, 2^32 is a turn */
     int32_t step; /* per PWM period */
     frac32_t speed; /* mechanical, of the vector; without sign */

@@ -235,7 +235,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
         "axis1.observer.bandwidth = 2000",
         "16000 Hz sample",
     ),
-    ("slow poles", {"axis1__observer__bandwidth": 100.0}, "axis1.observer.bandwidth = 100", "52.4 Hz at limits.speed"),
+    ("slow poles", {"axis1__observer__bandwidth": 100.0}, "axis1.observer.bandwidth = 100", "105 Hz at limits.speed"),
     (
         "slow damping",
         {"axis1__observer__damping": 10.0, "axis1__motor__r_s": 0.1},
