@@ -272,6 +272,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
             "axis1__motor__pole_pairs": 20,
             "axis1__motor__psi_m": 0.00154,
             "axis1__rotor_search__interval": 4.0,
+            "axis1__observer__bandwidth": 1500.0,
         },
         "axis1: gains that meet in u_d = 314.",
         "one sum of a PI",

@@ -77,7 +77,7 @@ def loaded(board: Board, axis: int, torque: float) -> None:
     follow(board, [], LOADING, lambda k: board.set_load(axis, torque * (k + 1) / ticks))
 
 
-def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequence[float] = STEPS) -> Descent:
+def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequence[float]) -> Descent:
     """One axis with a load, as a part of what the current limit can move."""
     motor = plant.axes[axis]
     with started(plant, seed, {axis: 1.0}) as board:
@@ -135,7 +135,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         name = axis_name(axis)
         curves: list[Curve] = []
         for load in LOADS:
-            it = descend(plant, seed, axis, load)
+            it = descend(plant, seed, axis, load, STEPS)
             with_load = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
             top = STEPS[0]
             lowest = 100.0 * it.speeds[-1] / (it.speeds[0] / top) if it.speeds else None
