@@ -50,6 +50,7 @@ typedef struct {
     double u_full_scale;   /* ADC full scale of the bus divider [V] */
     double u_noise;        /* standard deviation of a bus sample [V] */
     double r_brake;        /* brake resistor [ohm]; 0: there is none */
+    double brake_capacity, brake_resistance; /* of the brake resistor, to the ambient air [J/K], [K/W] */
 } plant_bus_t;
 
 /* How long the core is busy with each handler [bus clocks] (servo_twin/core.toml); register level only. */
@@ -81,7 +82,10 @@ typedef struct {
     double u_a, u_b,
         u_c;  /* mean phase-to-midpoint voltages [V]: of the last half cycle on the ideal level, since the last
                             * call that moved time began at register level */
+    double t_sink;         /* temperature of the axis' power stage [deg C] */
     double u_dc;           /* [V] */
+    double e_brake;        /* burnt in the brake resistor so far [J] */
+    double t_brake;        /* temperature of the brake resistor [deg C] */
 } board_truth_t;
 
 board_t *board_new(const board_config_t *config); /* NULL when memory is short */
@@ -128,6 +132,31 @@ void board_set_encoder(board_t *board, int axis, int connected); /* 0: encoder l
 void board_cut_encoder(board_t *board, int axis, int line); /* one line dead, 0: A, 1: B; board_set_encoder repairs */
 void board_reverse_encoder(board_t *board, int axis); /* swap the lines A and B */
 void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
+
+/* What can go wrong with the hardware. `part` is a phase (0, 1, 2) or an encoder line (0: A, 1: B). */
+typedef enum {
+    BOARD_OPEN_PHASE, /* part: the phase whose wire is broken */
+    BOARD_SHORTED_PHASE, /* part: a phase; value: the phase that it touches, or -1: bus minus. One short per axis */
+    BOARD_STUCK_CONVERTER, /* part: the phase whose current reads as one code; value: that */
+    BOARD_STUCK_LINE, /* part: an encoder line; value: its level, 0 or 1 */
+    BOARD_LOCKED_ROTOR,
+    BOARD_SUPPLY_DIP, /* value: open-circuit voltage meanwhile (0: disconnected) [V]; seconds: how long */
+    BOARD_CURRENT_NOISE, /* value: standard deviation of a current sample [A] */
+    BOARD_BUS_NOISE, /* value: standard deviation of a bus sample [V] */
+    BOARD_ENCODER_GLITCHES, /* part: an encoder line; value: pulses per second, at random moments */
+    BOARD_HEAT /* value: temperature of the power stage from now on [deg C] */
+} board_harm_kind_t;
+
+typedef struct {
+    int kind; /* board_harm_kind_t */
+    int axis; /* 0 for what concerns the bus */
+    int part;
+    double value, seconds;
+} board_harm_t;
+
+/* From now on, or no longer; healing what is whole does nothing. */
+void board_inject(board_t *board, const board_harm_t *harm);
+void board_heal(board_t *board, const board_harm_t *harm);
 
 /* What the chip has counted since reset. */
 typedef struct {

@@ -78,7 +78,10 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .u_a = drive->voltage[0],
         .u_b = drive->voltage[1],
         .u_c = drive->voltage[2],
-        .u_dc = board->chip.plant.bus.u_dc,
+        .t_sink = drive->sink.t,
+        .u_dc = board->chip.plant.bus.u,
+        .e_brake = board->chip.plant.bus.e_brake,
+        .t_brake = board->chip.plant.bus.brake.t,
     };
 }
 
@@ -94,7 +97,7 @@ void board_stats(const board_t *board, board_stats_t *stats)
 
 void board_set_load(board_t *board, int axis, double torque) { drive_of(board, axis)->motor.load = torque; }
 
-void board_set_supply(board_t *board, double volts) { board->chip.plant.bus.u_source = volts; }
+void board_set_supply(board_t *board, double volts) { supply_set(&board->chip.plant.bus, volts); }
 
 void board_set_shaft(board_t *board, int axis, int locked)
 {
@@ -121,7 +124,7 @@ void board_set_encoder(board_t *board, int axis, int connected)
 
 void board_cut_encoder(board_t *board, int axis, int line)
 {
-    plant_encoder_cut(&drive_of(board, axis)->encoder, (line == 0) ? PLANT_LINE_A : PLANT_LINE_B);
+    plant_encoder_stick(&drive_of(board, axis)->encoder, (line == 0) ? PLANT_LINE_A : PLANT_LINE_B, true, false);
 }
 
 void board_set_motor(board_t *board, int axis, int connected)
@@ -129,6 +132,10 @@ void board_set_motor(board_t *board, int axis, int connected)
     plant_drive_t *drive = drive_of(board, axis);
     plant_inverter_plug(&drive->inverter, &drive->motor, connected != 0);
 }
+
+void board_inject(board_t *board, const board_harm_t *harm) { plant_harm(&board->chip.plant, harm, false); }
+
+void board_heal(board_t *board, const board_harm_t *harm) { plant_harm(&board->chip.plant, harm, true); }
 
 /* ---- registers: there are none ------------------------------------------------------------------------------------ */
 

@@ -55,8 +55,6 @@ static const struct {
     [6] = {BUS, 0, 0},     [14] = {SINK, 0, 0},   [15] = {SINK, 1, 0},
 };
 
-#define SINK_FULL_SCALE 150.0 /* [deg C] at 3.3 V */
-
 /* ---- the world of the chip ------------------------------------------------------------------------------------------ */
 
 static void advance(void *context, uint64_t clock)
@@ -108,7 +106,7 @@ static uint16_t convert(void *context, unsigned channel)
     case BUS:
         return switching_bus_code(&board->plant);
     case SINK:
-        return plant_code_unipolar(board->plant.axis[analog[channel].axis].sink.t, SINK_FULL_SCALE);
+        return plant_code_unipolar(board->plant.axis[analog[channel].axis].sink.t, PLANT_SINK_FULL_SCALE);
     default:
         return 0;
     }
@@ -301,7 +299,10 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .u_a = now.voltage[0] - middle,
         .u_b = now.voltage[1] - middle,
         .u_c = now.voltage[2] - middle,
+        .t_sink = now.t_sink,
         .u_dc = bus.u_dc,
+        .e_brake = bus.e_brake,
+        .t_brake = bus.t_brake,
     };
 }
 
@@ -323,11 +324,11 @@ void board_set_shaft(board_t *board, int axis, int locked) { switching_lock(&boa
 
 void board_set_encoder(board_t *board, int axis, int connected)
 {
-    switching_cut(&board->plant, axis, 0, connected == 0);
-    switching_cut(&board->plant, axis, 1, connected == 0);
+    switching_cut(&board->plant, axis, 0, connected == 0, false);
+    switching_cut(&board->plant, axis, 1, connected == 0, false);
 }
 
-void board_cut_encoder(board_t *board, int axis, int line) { switching_cut(&board->plant, axis, line, true); }
+void board_cut_encoder(board_t *board, int axis, int line) { switching_cut(&board->plant, axis, line, true, false); }
 
 void board_reverse_encoder(board_t *board, int axis)
 {
@@ -347,3 +348,11 @@ int board_obstruct_shaft(board_t *board, int axis, double below, double above)
 }
 
 void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }
+
+void board_inject(board_t *board, const board_harm_t *harm)
+{
+    boot_once(board);
+    switching_harm(&board->plant, harm, false);
+}
+
+void board_heal(board_t *board, const board_harm_t *harm) { switching_harm(&board->plant, harm, true); }

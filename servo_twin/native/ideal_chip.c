@@ -67,7 +67,7 @@ static void half_cycle(hal_t *chip, int sampled)
     chip->axis[other].offsets = convert(chip, other, false);
     chip->bus_code = plant_bus_code(&chip->plant);
     for (int i = 0; i < HAL_AXES; i++) {
-        plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u_dc);
+        plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u);
     }
     if (sampled == 0) {
         servo_m1_isr(chip->servo);

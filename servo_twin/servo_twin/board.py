@@ -22,6 +22,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.core_load import CoreLoad
+from servo_twin.harm import Harm
 from servo_twin.plant import PlantConfig
 
 try:
@@ -96,8 +97,14 @@ class Truth:
         Air-gap torque [N m].
     u_a, u_b, u_c : float
         Mean phase voltages against the midpoint of the bus over the last half cycle [V].
+    t_sink : float
+        Temperature of the axis' power stage [deg C].
     u_dc : float
         Bus voltage [V].
+    e_brake : float
+        Burnt in the brake resistor so far [J].
+    t_brake : float
+        Temperature of the brake resistor [deg C].
     """
 
     theta_m: float
@@ -108,7 +115,10 @@ class Truth:
     u_a: float
     u_b: float
     u_c: float
+    t_sink: float
     u_dc: float
+    e_brake: float
+    t_brake: float
 
 
 @dataclass(frozen=True)
@@ -195,6 +205,7 @@ class Board:
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._addresses: dict[str, int] | None = None
         self._dtype: np.dtype[np.void] | None = None
+        self._harms: list[Harm] = []
 
     # ---- life -----------------------------------------------------------------------------------------------------
 
@@ -453,6 +464,22 @@ class Board:
         stats = self._ffi.new("board_stats_t *")
         self._lib.board_stats(self._board, stats)
         return BoardStats(**{name: getattr(stats, name) for name in BoardStats.__dataclass_fields__})
+
+    def inject(self, harm: Harm) -> None:
+        """Break something, from this moment on (`servo_twin.harm`)."""
+        self._lib.board_inject(self._board, self._raw(harm))
+        self._harms.append(harm)
+
+    def heal(self, harm: Harm | None = None) -> None:
+        """Make whole again what `inject` has broken; everything by default."""
+        harms = self._harms if harm is None else [harm]
+        for one in reversed(harms):
+            self._lib.board_heal(self._board, self._raw(one))
+        self._harms = [one for one in self._harms if one not in harms]
+
+    def _raw(self, harm: Harm) -> Any:
+        kind, *where = harm.raw()
+        return self._ffi.new("board_harm_t *", (getattr(self._lib, kind), *where))
 
     def set_load(self, axis: int, torque: float) -> None:
         """External torque that slows positive motion and drives negative motion [N m]."""

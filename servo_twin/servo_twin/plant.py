@@ -65,6 +65,8 @@ _BUS_RULES: Final[Mapping[str, _Rule]] = {
     "u_full_scale": _POSITIVE,
     "u_noise": _NOT_NEGATIVE,
     "r_brake": _NOT_NEGATIVE,
+    "brake_capacity": _POSITIVE,
+    "brake_resistance": _POSITIVE,
 }
 
 
@@ -188,6 +190,8 @@ class BusPlant:
         Standard deviation of a voltage sample [V].
     r_brake : float
         Brake resistor [ohm]; 0: there is none.
+    brake_capacity, brake_resistance : float
+        Its heat capacity, and the thermal resistance to the air [J/K], [K/W].
     """
 
     u_source: float
@@ -196,6 +200,8 @@ class BusPlant:
     u_full_scale: float
     u_noise: float
     r_brake: float
+    brake_capacity: float
+    brake_resistance: float
 
     def __post_init__(self) -> None:
         for name, rule in _BUS_RULES.items():

@@ -32,7 +32,7 @@ typedef struct {
     double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, turn_off, i_settle;
     double encoder_jitter, encoder_duty_error, winding_capacity, winding_resistance, sink_capacity, sink_resistance;
 } plant_axis_t;
-typedef struct { double u_source, r_source, capacitance, u_full_scale, u_noise, r_brake; } plant_bus_t;
+typedef struct { double u_source, r_source, capacitance, u_full_scale, u_noise, r_brake, brake_capacity, brake_resistance; } plant_bus_t;
 typedef struct {
     plant_axis_t axis[2]; plant_bus_t bus; double pwm_frequency, ambient, baud; uint64_t seed; ...;
 } board_config_t;
@@ -53,16 +53,20 @@ void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], doubl
 double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);
 double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase, bool low);
 
-typedef struct { double u_source, u_dc; ...; } plant_dc_bus_t;
-void plant_bus_init(plant_dc_bus_t *bus, const plant_bus_t *config, double step);
-void plant_bus_step(plant_dc_bus_t *bus, double i_load);
+typedef struct { double u_source, u, e_source, e_brake; bool braking; ...; } supply_t;
+void supply_init(supply_t *supply, const plant_bus_t *config, double ambient);
+double supply_advance(supply_t *supply, double h, double i_load);
+void supply_set(supply_t *supply, double volts);
+void supply_dip(supply_t *supply, double volts, double seconds);
+void supply_recover(supply_t *supply);
 
 typedef struct { uint16_t count, index; bool oflag, armed, latched; int64_t edge; ...; } plant_encoder_t;
 typedef struct { double theta_0, theta_1, omega_0, omega_1, start_ns, duration_ns; } plant_movement_t;
 void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config);
 void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns);
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta);
-void plant_encoder_cut(plant_encoder_t *encoder, int line);
+void plant_encoder_stick(plant_encoder_t *encoder, int line, bool stuck, bool level);
+void plant_encoder_glitch(plant_encoder_t *encoder, int line, uint64_t now_ns);
 void plant_encoder_reverse(plant_encoder_t *encoder, double theta);
 void plant_encoder_arm(plant_encoder_t *encoder);
 bool plant_encoder_take(plant_encoder_t *encoder, uint16_t *count, uint16_t *time);
@@ -74,7 +78,7 @@ uint16_t plant_code_bipolar(double value, double full_scale);
 uint16_t plant_code_unipolar(double value, double full_scale);
 
 typedef struct { plant_inverter_t inverter; plant_motor_t motor; plant_encoder_t encoder; ...; } plant_drive_t;
-typedef struct { plant_drive_t axis[2]; plant_dc_bus_t bus; uint64_t step_ns; ...; } plant_t;
+typedef struct { plant_drive_t axis[2]; supply_t bus; uint64_t step_ns; ...; } plant_t;
 void plant_init(plant_t *plant, const board_config_t *config);
 void plant_step(plant_t *plant, uint64_t now_ns);
 uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_centre);

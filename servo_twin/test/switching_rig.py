@@ -30,13 +30,13 @@ typedef struct {
 } switching_truth_t;
 void switching_truth(const switching_t *plant, int axis, switching_truth_t *truth);
 void switching_mean(switching_t *plant, int axis);
-typedef struct { double u_dc, e_source, e_brake; } switching_bus_t;
+typedef struct { double u_dc, e_source, e_brake, t_brake; } switching_bus_t;
 void switching_bus(const switching_t *plant, switching_bus_t *bus);
 void switching_set_load(switching_t *plant, int axis, double torque);
 void switching_set_supply(switching_t *plant, double volts);
 void switching_lock(switching_t *plant, int axis, bool locked);
 void switching_plug(switching_t *plant, int axis, bool plugged);
-void switching_cut(switching_t *plant, int axis, int line, bool cut);
+void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level);
 void switching_brake(switching_t *plant, bool on);
 void switching_set_temperature(switching_t *plant, int axis, double winding, double sink);
 """

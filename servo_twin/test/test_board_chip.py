@@ -279,7 +279,7 @@ def test_slices_of_time_do_not_matter(make: Callable[..., Chip]) -> None:
         for piece in pieces:
             chip.run(piece)
         calls = [(c.time_ns, c.kind, c.axis, c.currents.first, c.offsets.second, c.bus) for c in chip.calls()]
-        return [calls, chip.motor(0).theta, chip.motor(1).omega, chip.hal.plant.bus.u_dc]
+        return [calls, chip.motor(0).theta, chip.motor(1).omega, chip.hal.plant.bus.u]
 
     end = 50 * PERIOD_NS
     assert result([end]) == result(sorted({*range(1, end, 7919), end}))

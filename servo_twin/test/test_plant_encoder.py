@@ -309,7 +309,7 @@ def test_an_encoder_with_a_dead_line_goes_back_and_forth(
 ) -> None:
     """Every second edge is left, and the decoder takes the two of a period for opposite steps."""
     encoder = Encoder(plant_c, start=start)
-    plant_c.lib.plant_encoder_cut(encoder.c, line)
+    plant_c.lib.plant_encoder_stick(encoder.c, line, True, False)
     counts = [encoder.count]
     for k in range(1, 41):
         encoder.move_to(start + direction * k)
@@ -324,7 +324,7 @@ def test_direction_of_the_edges_of_a_single_line(plant_c: Native) -> None:
     """Upwards A rises at 1: with B low a step up. B rises at 2: with A low a step down."""
     for line, position, step in ((1, 1.5, 1), (0, 2.5, -1)):
         encoder = Encoder(plant_c, start=0.5)
-        plant_c.lib.plant_encoder_cut(encoder.c, line)
+        plant_c.lib.plant_encoder_stick(encoder.c, line, True, False)
         encoder.move_to(position)
         assert encoder.count == step
 
@@ -340,7 +340,7 @@ def test_a_reversed_encoder_counts_the_other_way(plant_c: Native) -> None:
 
 def test_a_plugged_in_encoder_has_both_lines_again(plant_c: Native) -> None:
     encoder = Encoder(plant_c)
-    plant_c.lib.plant_encoder_cut(encoder.c, 0)
+    plant_c.lib.plant_encoder_stick(encoder.c, 0, True, False)
     plant_c.lib.plant_encoder_connect(encoder.c, True, encoder.at * EDGE)
     encoder.move_to(20.5)
     assert encoder.count == 20

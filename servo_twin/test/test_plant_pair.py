@@ -26,7 +26,7 @@ def test_a_pair_does_what_two_single_axes_do(plant_c: Native, speeds: tuple[floa
         inverters[index].on = both.axis[index].inverter.on = True
         motors[index].omega = both.axis[index].motor.omega = speeds[index]
     for n in range(600):
-        bus = both.bus.u_dc
+        bus = both.bus.u
         if n % 2 == 0:
             for index in range(2):
                 lib.plant_inverter_load(inverters[index], duties[index], bus)

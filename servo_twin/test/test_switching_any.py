@@ -53,7 +53,7 @@ def test_currents_stay_sound_whatever_the_gates_do(switching_c: Native, seed: in
         lambda axis: lib.switching_plug(c, axis, rnd.random() < 0.8),
         lambda axis: lib.switching_brake(c, rnd.random() < 0.5),
         lambda axis: lib.switching_set_supply(c, rnd.uniform(0.0, 60.0)),
-        lambda axis: lib.switching_cut(c, axis, rnd.randrange(2), rnd.random() < 0.5),
+        lambda axis: lib.switching_cut(c, axis, rnd.randrange(2), rnd.random() < 0.5, False),
         lambda axis: lib.switching_current_code(c, axis, rnd.randrange(3)),
     ]
     clock = 0

@@ -315,7 +315,7 @@ class TestEncoder:
 
     def test_cut_lines_stay_low(self, switching_c: Native) -> None:
         switching = self.turn(switching_c, 100.0, 100_000)
-        switching.lib.switching_cut(switching.c, 0, 1, True)
+        switching.lib.switching_cut(switching.c, 0, 1, True, False)
         switching.events.clear()
         switching.advance(1_000_000)
         lines = {event[3] for event in switching.events if event[0] > 100_000}

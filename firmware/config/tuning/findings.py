@@ -129,6 +129,6 @@ def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
             what = f"at {lock.speed:.3g} rad/s the speed loop has a phase margin of {phase:.1f} deg"
             yield f"{_entry(it, 'observer.speed_part')}: {what}, less than {PHASE_LEAST:g}; lower it"
     lock = figures.sensorless.locks[0]
-    if lock.back_emf < it.axis("emf_check.floor"):
-        what = f"{lock.speed:.3g} rad/s give {lock.back_emf:.2g} V, less than emf_check.floor leaves unexplained"
+    if lock.back_emf < it.axis("emf_check.spin_floor"):
+        what = f"{lock.speed:.3g} rad/s give {lock.back_emf:.2g} V, less than emf_check.spin_floor leaves unexplained"
         yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; raise it"

@@ -55,7 +55,8 @@ static void count_one(plant_encoder_t *encoder, bool upwards)
 }
 
 /* Direction that the decoder gives an edge. Upwards A rises at 1, B at 2, A falls at 3, B at 4 (and 0). While the other
- * line stays low, A rising or B falling looks like a step upwards, A falling or B rising like one downwards. */
+ * line stays low, A rising or B falling looks like a step upwards, A falling or B rising like one downwards; while it stays
+ * high, the other way round. */
 static bool decoded_upwards(const plant_encoder_t *encoder, plant_line_t line, int64_t number, bool upwards)
 {
     if (encoder->alive[PLANT_LINE_A] && encoder->alive[PLANT_LINE_B]) {
@@ -63,16 +64,21 @@ static bool decoded_upwards(const plant_encoder_t *encoder, plant_line_t line, i
     }
     const bool rises_upwards = ((number & 2) != 0) == (line == PLANT_LINE_B);
     const bool rises = rises_upwards == upwards;
-    return rises == (line == PLANT_LINE_A);
+    return (rises == (line == PLANT_LINE_A)) != encoder->stuck[1 - (int)line];
+}
+
+static void latch_at(plant_encoder_t *encoder, uint64_t time_ns)
+{
+    encoder->captured_ns = time_ns;
+    encoder->captured_count = encoder->count;
+    encoder->armed = false;
+    encoder->latched = true;
 }
 
 static void latch(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns, int64_t number)
 {
     const double t = movement->start_ns + time_to(movement, (double)number / encoder->edges_per_rad);
-    encoder->captured_ns = reference_ns + (uint64_t)t;
-    encoder->captured_count = encoder->count;
-    encoder->armed = false;
-    encoder->latched = true;
+    latch_at(encoder, reference_ns + (uint64_t)t);
 }
 
 /* One edge after another. */
@@ -141,10 +147,33 @@ void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double thet
 {
     encoder->alive[PLANT_LINE_A] = connected;
     encoder->alive[PLANT_LINE_B] = connected;
+    encoder->stuck[PLANT_LINE_A] = false;
+    encoder->stuck[PLANT_LINE_B] = false;
     encoder->edge = edges_at(encoder, theta);
 }
 
-void plant_encoder_cut(plant_encoder_t *encoder, plant_line_t line) { encoder->alive[line] = false; }
+void plant_encoder_stick(plant_encoder_t *encoder, plant_line_t line, bool stuck, bool level)
+{
+    encoder->alive[line] = !stuck;
+    encoder->stuck[line] = level;
+}
+
+void plant_encoder_glitch(plant_encoder_t *encoder, plant_line_t line, uint64_t now_ns)
+{
+    if (!encoder->alive[line]) {
+        return;
+    }
+    /* the next edge upwards is on B where the position is odd: a change of that line looks like it */
+    const bool upwards = ((encoder->edge & 1) != 0) == (line == PLANT_LINE_B);
+    const bool b_edge = line == PLANT_LINE_B;
+    encoder->oflag = encoder->oflag && !b_edge;
+    count_one(encoder, upwards);
+    if (b_edge && encoder->armed) {
+        latch_at(encoder, now_ns);
+    }
+    encoder->oflag = encoder->oflag && !b_edge;
+    count_one(encoder, !upwards);
+}
 
 void plant_encoder_reverse(plant_encoder_t *encoder, double theta)
 {

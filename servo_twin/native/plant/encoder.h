@@ -24,7 +24,8 @@ typedef enum { PLANT_LINE_A, PLANT_LINE_B, PLANT_ENCODER_LINES } plant_line_t;
 
 typedef struct {
     double edges_per_rad; /* negative: A and B are swapped */
-    bool alive[PLANT_ENCODER_LINES]; /* lines that still switch; a dead one stays low */
+    bool alive[PLANT_ENCODER_LINES]; /* lines that still switch */
+    bool stuck[PLANT_ENCODER_LINES]; /* level of one that does not */
     int64_t edge;        /* edges passed since angle 0 */
     uint16_t count;      /* TMRx0 */
     uint16_t index;      /* TMRx2 */
@@ -58,8 +59,12 @@ void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *moveme
 /* Lines alive or dead; a dead encoder counts nothing, and what it missed is lost. */
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta);
 
-/* One line dead: of the edges on the other, which one comes last is all that the decoder can tell. */
-void plant_encoder_cut(plant_encoder_t *encoder, plant_line_t line);
+/* One line stays at a level, or follows the shaft again: of the edges on the other, which one comes last is all that the
+ * decoder can tell. */
+void plant_encoder_stick(plant_encoder_t *encoder, plant_line_t line, bool stuck, bool level);
+
+/* A short pulse on a line: one count there and back, and on B an edge to capture. */
+void plant_encoder_glitch(plant_encoder_t *encoder, plant_line_t line, uint64_t now_ns);
 
 /* A and B swapped: from here on it counts the other way. */
 void plant_encoder_reverse(plant_encoder_t *encoder, double theta);

@@ -31,6 +31,7 @@ void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config,
         .floor_dead = reach * config->dead_time * pwm_frequency,
         .floor_drop = reach * config->v_drop + 1e-6,
         .inv_i_w = 1.0,
+        .short_from = PLANT_WHOLE,
     };
 }
 
@@ -82,17 +83,63 @@ static double change_of(const double row[3], const double v[3], const double bas
     return row[0] * (v[0] - base[0]) + row[1] * (v[1] - base[1]) + row[2] * (v[2] - base[2]);
 }
 
-/* Leg voltages in [low, high] such that the currents `i` + a (v - base) agree with the diodes; `v` is the first guess.
- * Projected Gauss-Seidel: each sweep is one exact minimisation along every leg of a convex quadratic. */
-static void solve_diodes(double a[3][3], const double i[3], const double base[3], double low, double high, double v[3])
+/* What the terminals of the motor are tied to over a step: limits of their voltages, equal where the voltage is given. */
+typedef struct {
+    int of[3]; /* terminal of a phase, named after the first phase that hangs on it */
+    double low[3], high[3];
+} terminals_t;
+
+static bool floats(const terminals_t *t, int n, const double v[3]) { return v[n] > t->low[n] && v[n] < t->high[n]; }
+
+static void terminals_of(const plant_inverter_t *inverter, double u_dc, terminals_t *t)
+{
+    for (int k = 0; k < 3; k++) {
+        t->of[k] = k;
+        t->low[k] = inverter->on ? inverter->leg[k] : -inverter->v_drop;
+        t->high[k] = inverter->on ? inverter->leg[k] : u_dc + inverter->v_drop;
+        if (inverter->open[k]) {
+            t->low[k] = -INFINITY;
+            t->high[k] = INFINITY;
+        }
+    }
+    const int from = inverter->short_from;
+    const int to = inverter->short_to;
+    if (from == PLANT_WHOLE || inverter->open[from]) {
+        return;
+    }
+    if (to == PLANT_MINUS) {
+        t->low[from] = 0.0;
+        t->high[from] = 0.0;
+    } else if (!inverter->open[to]) {
+        const int first = (from < to) ? from : to;
+        t->of[from] = t->of[to] = first;
+        t->low[first] = 0.5 * (t->low[from] + t->low[to]);
+        t->high[first] = 0.5 * (t->high[from] + t->high[to]);
+    }
+}
+
+/* Leg voltages within their limits such that the currents `i` + a (v - base) agree with the diodes; `v` is the first guess.
+ * Projected Gauss-Seidel: each sweep is one exact minimisation along every terminal of a convex quadratic. */
+static void solve_diodes(double a[3][3], const double i[3], const double base[3], const terminals_t *t, double v[3])
 {
     for (int sweep = 0; sweep < SWEEPS; sweep++) {
         double moved = 0.0;
-        for (int k = 0; k < 3; k++) {
-            const double current = i[k] + change_of(a[k], v, base);
-            const double next = plant_limit(v[k] - current / a[k][k], low, high);
-            moved += fabs(next - v[k]);
-            v[k] = next;
+        for (int n = 0; n < 3; n++) {
+            double current = 0.0;
+            double slope = 0.0;
+            for (int k = n; k < 3; k++) {
+                if (t->of[k] == n) {
+                    current += i[k] + change_of(a[k], v, base);
+                    slope += a[k][k] + 2.0 * ((k != n) ? a[k][n] : 0.0);
+                }
+            }
+            if (slope > 0.0) { /* a terminal of this name */
+                const double next = plant_limit(v[n] - current / slope, t->low[n], t->high[n]);
+                moved += fabs(next - v[n]);
+                for (int k = n; k < 3; k++) {
+                    v[k] = (t->of[k] == n) ? next : v[k];
+                }
+            }
         }
         if (moved < SETTLED) {
             break;
@@ -100,50 +147,106 @@ static void solve_diodes(double a[3][3], const double i[3], const double base[3]
     }
 }
 
-/* Currents after the correction v - base; a leg that floats carries none. */
-static void settle_currents(plant_motor_t *motor, double a[3][3], const double base[3], const double v[3], double low,
-                            double high)
+/* Nothing flows through a terminal; two phases on it may still feed each other. */
+static void cut_off(const terminals_t *t, int n, double i[3])
+{
+    double sum = 0.0;
+    double phases = 0.0;
+    for (int k = n; k < 3; k++) {
+        sum += (t->of[k] == n) ? i[k] : 0.0;
+        phases += (t->of[k] == n) ? 1.0 : 0.0;
+    }
+    for (int k = n; k < 3; k++) {
+        i[k] -= (t->of[k] == n) ? sum / phases : 0.0;
+    }
+}
+
+/* Currents after the correction v - base; a terminal that floats carries none. */
+static void settle_currents(plant_motor_t *motor, double a[3][3], const double base[3], const double v[3],
+                            const terminals_t *t)
 {
     double i[3];
-    int floating = 0;
+    int conducting = 0;
     int last = 0;
     for (int k = 0; k < 3; k++) {
         i[k] = motor->phase[k] + change_of(a[k], v, base);
-        if (v[k] > low && v[k] < high) {
-            i[k] = 0.0;
-            floating++;
-        } else {
-            last = k;
+    }
+    for (int n = 0; n < 3; n++) {
+        if (t->of[n] == n && !floats(t, n, v)) {
+            conducting++;
+            last = n;
+        } else if (t->of[n] == n) {
+            cut_off(t, n, i);
         }
     }
-    if (floating >= 2) { /* one leg alone has no way back */
-        plant_motor_set_phases(motor, 0.0, 0.0);
+    if (conducting <= 1) { /* one terminal alone has no way back */
+        cut_off(t, last, i);
     } else {
         i[last] = -(i[(last + 1) % 3] + i[(last + 2) % 3]); /* a floating leg stays exactly at zero */
-        plant_motor_set_phases(motor, i[0], i[1]);
     }
+    plant_motor_set_phases(motor, i[0], i[1]);
 }
 
 static bool all_zero(const plant_motor_t *motor) { return motor->i_d == 0.0 && motor->i_q == 0.0; }
 
-/* Six open switches. */
-static double open_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
+/* Open switches and no current: true if none begins, because there is a potential of the star point at which every
+ * terminal is within its limits. */
+static bool blocked(const plant_inverter_t *inverter, const plant_motor_t *motor, const double emf[3], double u_dc,
+                    const terminals_t *t, double *star)
 {
-    const double low = -inverter->v_drop;
-    const double high = u_dc + inverter->v_drop;
-    double emf[3];
-    plant_motor_back_emf(motor, emf);
-    double *v = inverter->leg;
-    if (all_zero(motor)) {
-        const double top = larger(emf[0], larger(emf[1], emf[2]));
-        const double depth = larger(-emf[0], larger(-emf[1], -emf[2]));
-        if (top + depth <= high - low) {
-            for (int k = 0; k < 3; k++) {
-                v[k] = 0.5 * u_dc + emf[k];
-                inverter->share[k] = 0.0;
-            }
-            return plant_motor_coast(motor, dt);
+    double least = -INFINITY;
+    double most = INFINITY;
+    if (inverter->on || !all_zero(motor)) {
+        return false;
+    }
+    for (int k = 0; k < 3; k++) {
+        if (t->of[k] != k) { /* two phases in a loop */
+            return motor->omega == 0.0;
         }
+        least = larger(least, t->low[k] - emf[k]);
+        most = -larger(-most, emf[k] - t->high[k]);
+    }
+    *star = plant_limit(0.5 * u_dc, least, most);
+    return least <= most;
+}
+
+/* What the motor gives and the diodes do not burn goes into the bus. Counting energy is right even where a current dies
+ * within the step, because v is the mean of clamped and floating. */
+static void give_back(plant_inverter_t *inverter, const double mean[3], double u_dc, double used, const terminals_t *t,
+                      double *charge)
+{
+    double energy = 0.0;
+    double most = 0.0; /* the upper diodes carry no more than this */
+    for (int n = 0; n < 3; n++) {
+        double current = 0.0;
+        for (int k = n; k < 3; k++) {
+            current += (t->of[k] == n) ? mean[k] : 0.0;
+        }
+        const bool diodes = t->low[n] < t->high[n];
+        inverter->share[n] = (diodes && current < 0.0) ? 1.0 : 0.0;
+        energy += diodes ? (inverter->leg[n] * current + inverter->v_drop * fabs(current)) * used : 0.0;
+        most += (diodes && current < 0.0) ? -current * used : 0.0;
+    }
+    if (energy < 0.0) {
+        *charge += (-energy < most * u_dc) ? energy / u_dc : -most;
+    }
+}
+
+/* Six open switches, or a wire that is broken. */
+static double limited_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
+{
+    double emf[3];
+    double star = 0.0;
+    double *v = inverter->leg;
+    terminals_t t;
+    terminals_of(inverter, u_dc, &t);
+    plant_motor_back_emf(motor, emf);
+    if (blocked(inverter, motor, emf, u_dc, &t, &star)) {
+        for (int k = 0; k < 3; k++) {
+            v[k] = star + emf[k];
+            inverter->share[k] = 0.0;
+        }
+        return plant_motor_coast(motor, dt);
     }
     /* estimate the voltages from the beginning of the step, run the motor on them, then settle what is left over */
     double a[3][3];
@@ -151,30 +254,68 @@ static double open_step(plant_inverter_t *inverter, plant_motor_t *motor, double
     double base[3];
     admittance(motor, dt, a);
     for (int k = 0; k < 3; k++) {
+        const int n = t.of[k];
         before[k] = motor->phase[k];
         base[k] = emf[k]; /* at this voltage the currents only decay, slowly against the step */
-        v[k] = (before[k] > 0.0) ? low : (before[k] < 0.0) ? high : plant_limit(0.5 * u_dc + emf[k], low, high);
+        v[k] = (inverter->open[k] || before[k] == 0.0) ? plant_limit(0.5 * u_dc + emf[n], t.low[n], t.high[n])
+               : (before[k] > 0.0)                     ? t.low[n]
+                                                       : t.high[n];
+        v[k] = (n != k) ? v[n] : v[k];
     }
-    solve_diodes(a, before, base, low, high, v);
+    solve_diodes(a, before, base, &t, v);
     memcpy(base, v, sizeof base);
     const double used = plant_motor_step(motor, plant_clarke(v), dt);
     admittance(motor, used, a);
-    solve_diodes(a, motor->phase, base, low, high, v);
-    settle_currents(motor, a, base, v, low, high);
-    /* What the motor gives and the diodes do not burn goes into the bus. Counting energy is right even where a current
-     * dies within the step, because v is the mean of clamped and floating. */
-    double energy = 0.0;
-    double most = 0.0; /* the upper diodes carry no more than this */
+    solve_diodes(a, motor->phase, base, &t, v);
+    settle_currents(motor, a, base, v, &t);
+    double mean[3];
     for (int k = 0; k < 3; k++) {
-        const double mean = 0.5 * (before[k] + motor->phase[k]);
-        energy += (v[k] * mean + inverter->v_drop * fabs(mean)) * used;
-        most += (mean < 0.0) ? -mean * used : 0.0;
-        inverter->share[k] = (mean < 0.0) ? 1.0 : 0.0;
+        mean[k] = 0.5 * (before[k] + motor->phase[k]);
     }
-    if (energy < 0.0) {
-        *charge += (-energy < most * u_dc) ? energy / u_dc : -most;
+    if (inverter->on) {
+        for (int k = 0; k < 3; k++) {
+            *charge += inverter->share[k] * mean[k] * used;
+        }
+    } else {
+        give_back(inverter, mean, u_dc, used, &t, charge);
     }
     return used;
+}
+
+static void look_for_broken(plant_inverter_t *inverter)
+{
+    inverter->broken =
+        inverter->open[0] || inverter->open[1] || inverter->open[2] || inverter->short_from != PLANT_WHOLE;
+}
+
+void plant_inverter_open(plant_inverter_t *inverter, plant_motor_t *motor, int phase, bool open)
+{
+    if (open && !inverter->open[phase]) { /* half of it had come in through each of the others */
+        double i[3] = {motor->phase[0], motor->phase[1], motor->phase[2]};
+        i[(phase + 1) % 3] += 0.5 * i[phase];
+        i[(phase + 2) % 3] += 0.5 * i[phase];
+        i[phase] = 0.0;
+        plant_motor_set_phases(motor, i[0], i[1]);
+    }
+    inverter->open[phase] = open;
+    look_for_broken(inverter);
+}
+
+void plant_inverter_short(plant_inverter_t *inverter, int phase, int to)
+{
+    inverter->short_from = phase;
+    inverter->short_to = to;
+    look_for_broken(inverter);
+}
+
+bool plant_inverter_shorted(const plant_inverter_t *inverter)
+{
+    const int from = inverter->short_from;
+    if (from == PLANT_WHOLE || !inverter->on) {
+        return false;
+    }
+    return (inverter->short_to == PLANT_MINUS) ? inverter->duty[from] > 0.0
+                                               : inverter->duty[from] != inverter->duty[inverter->short_to];
 }
 
 void plant_inverter_plug(plant_inverter_t *inverter, plant_motor_t *motor, bool plugged)
@@ -200,10 +341,12 @@ double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, dou
     if (inverter->unplugged) {
         return unplugged_step(inverter, motor, u_dc, dt);
     }
-    if (!inverter->on) {
-        return open_step(inverter, motor, u_dc, dt, charge);
+    if (inverter->on) {
+        drive_legs(inverter, motor, u_dc);
     }
-    drive_legs(inverter, motor, u_dc);
+    if (!inverter->on || inverter->broken) {
+        return limited_step(inverter, motor, u_dc, dt, charge);
+    }
     const double before[3] = {motor->phase[0], motor->phase[1], motor->phase[2]};
     const double used = plant_motor_step(motor, plant_clarke(inverter->leg), dt);
     for (int k = 0; k < 3; k++) {
@@ -212,10 +355,21 @@ double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, dou
     return used;
 }
 
+/* What the leg gives to its phase; two that are shorted together give half of the sum each. */
+static double leg_current(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase)
+{
+    const int from = inverter->short_from;
+    const int to = inverter->short_to;
+    if (from == PLANT_WHOLE || (phase != from && phase != to)) {
+        return motor->phase[phase];
+    }
+    return (to == PLANT_MINUS) ? 0.0 : 0.5 * (motor->phase[from] + motor->phase[to]);
+}
+
 double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
                             bool low_side_centre)
 {
-    const double current = motor->phase[phase];
+    const double current = leg_current(inverter, motor, phase);
     if (!inverter->on) {
         return (current > 0.0) ? current : 0.0; /* only the lower diode passes the shunt */
     }

@@ -17,6 +17,9 @@
  * between -V_drop and u + V_drop. Over one step of length h the currents change by h L^-1 (C v + ...), so the three
  * leg voltages solve a box-constrained complementarity problem: at the lower limit i >= 0, at the upper one i <= 0,
  * between them i = 0. That includes conduction when the back-EMF exceeds the bus, and never overshoots zero.
+ *
+ * Broken wires: a phase that is open carries no current, whatever that takes; one that touches bus minus stays there; two
+ * that touch each other share one terminal. The same solver, with other limits and terminals.
  */
 #ifndef PLANT_INVERTER_H
 #define PLANT_INVERTER_H
@@ -25,6 +28,9 @@
 
 #include "board.h"
 #include "plant/motor.h"
+
+#define PLANT_WHOLE (-2)
+#define PLANT_MINUS (-1)
 
 typedef struct {
     /* parameters */
@@ -36,12 +42,15 @@ typedef struct {
     /* state */
     bool on;                        /* the switches follow the duties */
     bool unplugged;                 /* the motor's cable is off */
+    bool broken;                    /* one of the following is the case */
+    bool open[3];                   /* the wire of the phase is broken */
+    int short_from, short_to; /* phases that touch, or a phase and PLANT_MINUS; PLANT_WHOLE if there is no short */
     double duty[3];
-    double dead_leg[3];             /* t_d f of the legs that switch */
-    double inv_i_w;                 /* [1/A] */
+    double dead_leg[3]; /* t_d f of the legs that switch */
+    double inv_i_w; /* [1/A] */
     /* of the last step */
-    double leg[3];                  /* leg voltage above the negative rail, without the resistive drop [V] */
-    double share[3];                /* part of each phase current that the bus delivers, 0..1 */
+    double leg[3]; /* leg voltage above the negative rail, without the resistive drop [V] */
+    double share[3]; /* part of each phase current that the bus delivers, 0..1 */
 } plant_inverter_t;
 
 /* `step` is the longest step taken [s]. */
@@ -49,6 +58,15 @@ void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config,
 
 /* Plug in the motor's cable, or pull it: the currents are gone at once. */
 void plant_inverter_plug(plant_inverter_t *inverter, plant_motor_t *motor, bool plugged);
+
+/* Break the wire of a phase, or mend it: its current is gone at once. */
+void plant_inverter_open(plant_inverter_t *inverter, plant_motor_t *motor, int phase, bool open);
+
+/* A phase touches another, or bus minus; with PLANT_WHOLE there is no short any more. */
+void plant_inverter_short(plant_inverter_t *inverter, int phase, int to);
+
+/* True while the switches feed the short: its current rises within a microsecond beyond what the hardware allows. */
+bool plant_inverter_shorted(const plant_inverter_t *inverter);
 
 /* New duties (0..1) at the beginning of a half cycle. */
 void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc);

@@ -42,7 +42,8 @@ static bool plain_case(const plant_lane_t *lane, double *direction)
 {
     plant_motor_t *motor = lane->motor;
     *direction = 0.0;
-    if (!lane->inverter->on || lane->inverter->unplugged || motor->steps >= PLANT_FRESH_TRIG) {
+    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken ||
+        motor->steps >= PLANT_FRESH_TRIG) {
         return false;
     }
     if (isfinite(motor->low) || isfinite(motor->high)) {

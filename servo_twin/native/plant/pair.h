@@ -2,7 +2,7 @@
  *
  * The Runge-Kutta step waits most of the time for the number before; two axes side by side take hardly longer than one.
  * A lane computes what plant_inverter_step would for its axis alone, but for rounding. What is not the plain case (open
- * switches, a cable that is off, a shaft that stops or breaks loose) is left to that.
+ * switches, a cable that is off or broken, a shaft that stops or breaks loose) is left to that.
  */
 #ifndef PLANT_PAIR_H
 #define PLANT_PAIR_H

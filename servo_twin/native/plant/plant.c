@@ -1,5 +1,7 @@
 #include "plant/plant.h"
 
+#include <math.h>
+
 static inline plant_lane_t lane_of(plant_drive_t *axis)
 {
     return (plant_lane_t){&axis->inverter, &axis->motor, axis->voltage_sum};
@@ -7,11 +9,12 @@ static inline plant_lane_t lane_of(plant_drive_t *axis)
 
 void plant_init(plant_t *plant, const board_config_t *config)
 {
-    *plant = (plant_t){.bus_config = config->bus};
+    *plant = (plant_t){.u_noise = config->bus.u_noise, .u_noise_whole = config->bus.u_noise};
     plant->step_ns = (uint64_t)(1e9 / config->pwm_frequency / (2.0 * PLANT_STEPS_PER_HALF) + 0.5);
     const double step = (double)plant->step_ns * 1e-9;
+    plant->step = step;
     plant->steps_per_second = 1.0 / step;
-    plant_bus_init(&plant->bus, &config->bus, step);
+    supply_init(&plant->bus, &config->bus, config->ambient);
     plant_random_init(&plant->bus_noise, config->seed, 0);
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
@@ -21,6 +24,8 @@ void plant_init(plant_t *plant, const board_config_t *config)
         plant_encoder_init(&axis->encoder, &config->axis[i]);
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
         axis->codes_per_ampere = 2048.0 / config->axis[i].i_full_scale;
+        plant_harm_init(&axis->harm, &config->axis[i], config->seed, (uint64_t)i + 5u);
+        thermal_init(&axis->sink, config->axis[i].sink_capacity, config->axis[i].sink_resistance, config->ambient);
     }
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
     const plant_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
@@ -53,6 +58,17 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
     return charge;
 }
 
+/* Pulses on the lines of the encoder. */
+static void glitch(plant_drive_t *axis, double step, uint64_t now_ns)
+{
+    for (int line = 0; line < PLANT_ENCODER_LINES; line++) {
+        const double rate = axis->harm.glitches[line];
+        if (rate > 0.0 && plant_harm_chance(&axis->harm) < rate * step) {
+            plant_encoder_glitch(&axis->encoder, (plant_line_t)line, now_ns);
+        }
+    }
+}
+
 void plant_step(plant_t *plant, uint64_t now_ns)
 {
     plant_drive_t *drive = plant->axis;
@@ -60,29 +76,51 @@ void plant_step(plant_t *plant, uint64_t now_ns)
     const double theta[2] = {drive[0].motor.theta, drive[1].motor.theta};
     const double omega[2] = {drive[0].motor.omega, drive[1].motor.omega};
     double charge;
-    const unsigned taken = plant_pair_step(&plant->pair, lane, plant->bus.u_dc, &charge);
+    const unsigned taken = plant_pair_step(&plant->pair, lane, plant->bus.u, &charge);
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &drive[i];
         if ((taken & (1u << i)) == 0u) {
-            charge += axis_step(axis, plant->bus.u_dc, now_ns, plant->step_ns);
+            charge += axis_step(axis, plant->bus.u, now_ns, plant->step_ns);
         } else if (plant_encoder_leaves(&axis->encoder, axis->motor.theta)) {
             const plant_movement_t movement = {
                 theta[i], axis->motor.theta, omega[i], axis->motor.omega, 0.0, (double)plant->step_ns,
             };
             plant_encoder_move(&axis->encoder, &movement, now_ns);
         }
+        glitch(axis, plant->step, now_ns);
     }
-    plant_bus_step(&plant->bus, charge * plant->steps_per_second);
+    (void)supply_advance(&plant->bus, plant->step, charge * plant->steps_per_second);
+}
+
+static void warm_up(plant_t *plant)
+{
+    const double h = plant->step * (PLANT_STEPS_PER_HALF * PLANT_HALVES_PER_WARMTH);
+    for (int i = 0; i < BOARD_AXES; i++) {
+        plant_drive_t *axis = &plant->axis[i];
+        if (!axis->harm.heated) {
+            thermal_advance(&axis->sink, h, axis->e_switch);
+        }
+        axis->e_switch = 0.0;
+    }
+    supply_warm(&plant->bus, h);
 }
 
 void plant_half_cycle(plant_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
+        double power = 0.0;
         for (int k = 0; k < 3; k++) {
             axis->voltage[k] = axis->voltage_sum[k] * (1.0 / PLANT_STEPS_PER_HALF);
             axis->voltage_sum[k] = 0.0;
+            const double current = fabs(axis->motor.phase[k]);
+            power += current * (axis->config.v_drop + axis->config.r_on * current);
         }
+        axis->e_switch += power * (PLANT_STEPS_PER_HALF * plant->step);
+    }
+    if (++plant->halves == PLANT_HALVES_PER_WARMTH) {
+        plant->halves = 0;
+        warm_up(plant);
     }
 }
 
@@ -91,6 +129,9 @@ bool plant_over_current(const plant_t *plant, int axis)
     const plant_motor_t *motor = &plant->axis[axis].motor;
     const double *phase = motor->phase;
     const double most = plant->axis[axis].config.i_break;
+    if (plant_inverter_shorted(&plant->axis[axis].inverter)) { /* what flows there is beyond any threshold */
+        return true;
+    }
     if (motor->i_d * motor->i_d + motor->i_q * motor->i_q < most * most) { /* no phase is larger than the vector */
         return false;
     }
@@ -104,11 +145,69 @@ uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_c
     const double current = plant_inverter_shunt(&drive->inverter, &drive->motor, phase, low_side_centre);
     const double shown =
         current + drive->config.i_offset[phase] + drive->config.i_noise * plant_random_gauss(&drive->noise);
-    return plant_code(2048.0 + shown * drive->codes_per_ampere);
+    return plant_harm_code(&drive->harm, phase, plant_code(2048.0 + shown * drive->codes_per_ampere));
 }
 
 uint16_t plant_bus_code(plant_t *plant)
 {
-    const double shown = plant->bus.u_dc + plant->bus_config.u_noise * plant_random_gauss(&plant->bus_noise);
+    const double shown = plant->bus.u + plant->u_noise * plant_random_gauss(&plant->bus_noise);
     return plant_code(shown * plant->codes_per_volt);
+}
+
+uint16_t plant_sink_code(const plant_t *plant, int axis)
+{
+    return plant_code_unipolar(plant->axis[axis].sink.t, PLANT_SINK_FULL_SCALE);
+}
+
+static void harm_converter(plant_drive_t *axis, const board_harm_t *harm, bool healed)
+{
+    axis->harm.stuck[harm->part] = !healed;
+    axis->harm.code[harm->part] = plant_code(harm->value);
+}
+
+static void harm_supply(plant_t *plant, const board_harm_t *harm, bool healed)
+{
+    if (healed) {
+        supply_recover(&plant->bus);
+    } else {
+        supply_dip(&plant->bus, harm->value, harm->seconds);
+    }
+}
+
+void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed)
+{
+    plant_drive_t *axis = &plant->axis[harm->axis];
+    switch ((board_harm_kind_t)harm->kind) {
+    case BOARD_OPEN_PHASE:
+        plant_inverter_open(&axis->inverter, &axis->motor, harm->part, !healed);
+        break;
+    case BOARD_SHORTED_PHASE:
+        plant_inverter_short(&axis->inverter, healed ? PLANT_WHOLE : harm->part, (int)harm->value);
+        break;
+    case BOARD_STUCK_CONVERTER:
+        harm_converter(axis, harm, healed);
+        break;
+    case BOARD_STUCK_LINE:
+        plant_encoder_stick(&axis->encoder, (plant_line_t)harm->part, !healed, harm->value != 0.0);
+        break;
+    case BOARD_LOCKED_ROTOR:
+        plant_motor_lock(&axis->motor, !healed);
+        break;
+    case BOARD_SUPPLY_DIP:
+        harm_supply(plant, harm, healed);
+        break;
+    case BOARD_CURRENT_NOISE:
+        axis->config.i_noise = healed ? axis->harm.i_whole : harm->value;
+        break;
+    case BOARD_BUS_NOISE:
+        plant->u_noise = healed ? plant->u_noise_whole : harm->value;
+        break;
+    case BOARD_ENCODER_GLITCHES:
+        axis->harm.glitches[harm->part] = healed ? 0.0 : harm->value;
+        break;
+    case BOARD_HEAT:
+        axis->harm.heated = !healed;
+        axis->sink.t = healed ? axis->sink.t : harm->value;
+        break;
+    }
 }

@@ -6,14 +6,17 @@
 #include <stdint.h>
 
 #include "board.h"
-#include "plant/bus.h"
 #include "plant/encoder.h"
+#include "plant/harm.h"
 #include "plant/inverter.h"
 #include "plant/motor.h"
 #include "plant/pair.h"
 #include "plant/sensors.h"
+#include "plant/supply.h"
+#include "plant/thermal.h"
 
 #define PLANT_STEPS_PER_HALF 2 /* steps per half cycle of the PWM */
+#define PLANT_HALVES_PER_WARMTH 32u /* half cycles per step of the temperatures */
 
 typedef struct {
     plant_axis_t config;
@@ -23,18 +26,22 @@ typedef struct {
     plant_random_t noise;
     double voltage_sum[3]; /* phase voltages of the steps since the last half cycle began [V] */
     double codes_per_ampere;
+    plant_harm_t harm;
+    thermal_t sink;        /* heatsink of the inverter */
+    double e_switch;       /* burnt there since its temperature was worked out [J] */
     double voltage[3];     /* their mean over the last complete half cycle [V] */
 } plant_drive_t;
 
 typedef struct {
     plant_drive_t axis[BOARD_AXES];
-    plant_bus_t bus_config;
-    plant_dc_bus_t bus;
+    supply_t bus;
+    double u_noise, u_noise_whole; /* of a bus sample; as it should be [V] */
     plant_random_t bus_noise;
     plant_pair_t pair;
     double codes_per_volt;
     uint64_t step_ns;
-    double steps_per_second;
+    double step, steps_per_second;
+    unsigned halves; /* since the temperatures were worked out */
 } plant_t;
 
 void plant_init(plant_t *plant, const board_config_t *config);
@@ -51,5 +58,11 @@ bool plant_over_current(const plant_t *plant, int axis);
 /* Converter codes of this instant: a phase shunt at one of the two centres of the PWM, and the bus divider. */
 uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_centre);
 uint16_t plant_bus_code(plant_t *plant);
+
+/* Converter code of a power stage's thermistor, linearised: 0 deg C at 0, PLANT_SINK_FULL_SCALE at 4096. */
+uint16_t plant_sink_code(const plant_t *plant, int axis);
+
+/* Something breaks, or is whole again. */
+void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed);
 
 #endif

@@ -25,7 +25,8 @@ typedef struct {
     bool upwards;       /* direction in which the shaft moves, or has moved last */
     double target;      /* angle of the next edge in that direction [rad] */
     bool level[QUADRATURE_LINES];
-    bool cut[QUADRATURE_LINES]; /* the line stays low */
+    bool cut[QUADRATURE_LINES]; /* the line stays at */
+    bool stuck[QUADRATURE_LINES];
     plant_random_t random;
 } quadrature_t;
 
@@ -44,7 +45,7 @@ quadrature_edge_t quadrature_pass(quadrature_t *encoder);
 /* Level at the pin. */
 static inline bool quadrature_level(const quadrature_t *encoder, int line)
 {
-    return encoder->level[line] && !encoder->cut[line];
+    return encoder->cut[line] ? encoder->stuck[line] : encoder->level[line];
 }
 
 /* How the shaft moves from some moment on. */

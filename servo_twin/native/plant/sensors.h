@@ -36,6 +36,7 @@ static inline double plant_random_gauss(plant_random_t *random)
 }
 
 #define PLANT_CODE_MAX 4095
+#define PLANT_SINK_FULL_SCALE 150.0 /* [deg C] at full scale of the converter */
 
 /* Nearest code of a 12-bit converter, saturated at 0 and 4095. */
 static inline uint16_t plant_code(double code)

@@ -2,10 +2,11 @@
 
 #include "plant/decay.h"
 
-void supply_init(supply_t *supply, const plant_bus_t *config)
+void supply_init(supply_t *supply, const plant_bus_t *config, double ambient)
 {
     *supply = (supply_t){
         .u_source = config->u_source,
+        .u_whole = config->u_source,
         .g_source = 1.0 / config->r_source,
         .g_brake = (config->r_brake > 0.0) ? 1.0 / config->r_brake : 0.0,
         .c = config->capacitance,
@@ -13,6 +14,33 @@ void supply_init(supply_t *supply, const plant_bus_t *config)
         .per_rc = 1.0 / (config->r_source * config->capacitance),
         .u = config->u_source,
     };
+    thermal_init(&supply->brake, config->brake_capacity, config->brake_resistance, ambient);
+}
+
+void supply_set(supply_t *supply, double volts)
+{
+    supply->u_whole = volts;
+    if (supply->dip <= 0.0) {
+        supply->u_source = volts;
+    }
+}
+
+void supply_dip(supply_t *supply, double volts, double seconds)
+{
+    supply->u_source = volts;
+    supply->dip = seconds;
+}
+
+void supply_recover(supply_t *supply)
+{
+    supply->u_source = supply->u_whole;
+    supply->dip = 0.0;
+}
+
+void supply_warm(supply_t *supply, double h)
+{
+    thermal_advance(&supply->brake, h, supply->e_brake - supply->e_warm);
+    supply->e_warm = supply->e_brake;
 }
 
 /* With or without the source all along: u' = (i - g u) / C. Returns the voltage at the end. */
@@ -44,6 +72,24 @@ static inline void take_over(supply_t *s, double h, double u, double u_h, double
     s->u = u;
 }
 
+/* When the voltage of the source is passed within a step that ends at `u`: the chord, improved by the slope there, which
+ * is the same with the source and without. */
+static double crossing(supply_t *s, double h, double i_load, bool fed, double u)
+{
+    const double g_brake = s->braking ? s->g_brake : 0.0;
+    const double slope = -(i_load + g_brake * s->u_source) * s->inv_c;
+    double part = h * (s->u_source - s->u) / (u - s->u);
+    for (int n = 0; n < 2 && slope != 0.0; n++) {
+        double u_h;
+        const double next = part + (s->u_source - settle(s, part, i_load, fed, &u_h)) / slope;
+        if (!(next > 0.0 && next < h)) {
+            break;
+        }
+        part = next;
+    }
+    return part;
+}
+
 /* With a change of the regime, a brake or a source of little resistance. */
 static double advance_slowly(supply_t *s, double h, double i_load)
 {
@@ -51,7 +97,7 @@ static double advance_slowly(supply_t *s, double h, double i_load)
     double u_h;
     double u = settle(s, h, i_load, fed, &u_h);
     if (fed ? u > s->u_source : u < s->u_source) {
-        const double part = h * (s->u_source - s->u) / (u - s->u);
+        const double part = crossing(s, h, i_load, fed, u);
         double first_h = 0.0;
         if (part > 0.0) {
             (void)settle(s, part, i_load, fed, &first_h);
@@ -74,6 +120,12 @@ static double advance_slowly(supply_t *s, double h, double i_load)
 
 double supply_advance(supply_t *s, double h, double i_load)
 {
+    if (s->dip > 0.0) {
+        s->dip -= h;
+        if (s->dip <= 0.0) {
+            supply_recover(s);
+        }
+    }
     if (s->u < s->u_source && !s->braking) { /* the source feeds, nearly always */
         const double x = h * s->per_rc;
         const double rise = h * s->inv_c * (s->g_source * (s->u_source - s->u) - i_load);

@@ -1,8 +1,8 @@
-/* supply.h - the DC bus seen at every edge: source, capacitor, brake resistor.
+/* supply.h - the DC bus: source, capacitor, brake resistor.
  *
  *   C du/dt = i_source - u / R_brake - i_load,   i_source = max(0, (u_source - u) / R)
  * The source is a rectifier: what braking motors return stays in the capacitor. Exact while the load is constant, the
- * moment included in which the source joins in or lets go, but for the parabola that this moment is taken from.
+ * moment included in which the source joins in or lets go.
  */
 #ifndef PLANT_SUPPLY_H
 #define PLANT_SUPPLY_H
@@ -10,9 +10,12 @@
 #include <stdbool.h>
 
 #include "board.h"
+#include "plant/thermal.h"
 
 typedef struct {
     double u_source;  /* open-circuit voltage [V] */
+    double u_whole;   /* the same after a dip */
+    double dip;       /* how long that lasts yet; 0: there is none [s] */
     double g_source;  /* [S] */
     double g_brake;   /* of the resistor [S]; 0: there is none */
     double c, inv_c;  /* [F], [1/F] */
@@ -21,13 +24,25 @@ typedef struct {
     double u;         /* [V] */
     double e_source;  /* delivered by the source into the bus so far [J] */
     double e_brake;   /* burnt in the resistor so far [J] */
+    double e_warm;    /* the part of it that its temperature has seen [J] */
+    thermal_t brake;  /* the resistor */
 } supply_t;
 
 /* The bus is charged to the voltage of the source. */
-void supply_init(supply_t *supply, const plant_bus_t *config);
+void supply_init(supply_t *supply, const plant_bus_t *config, double ambient);
 
 /* `h` seconds with the current `i_load` drawn. Returns the integral of the bus voltage [V s]. */
 double supply_advance(supply_t *supply, double h, double i_load);
+
+/* Another source from now on. */
+void supply_set(supply_t *supply, double volts);
+
+/* Another one for some time. */
+void supply_dip(supply_t *supply, double volts, double seconds);
+void supply_recover(supply_t *supply);
+
+/* Temperature of the resistor after another `h` seconds. */
+void supply_warm(supply_t *supply, double h);
 
 /* Charge taken out at once [A s]: a correction to loads that were given too low. */
 static inline void supply_take(supply_t *supply, double charge) { supply->u -= charge * supply->inv_c; }

@@ -17,8 +17,9 @@ void switching_init(switching_t *plant, const board_config_t *config)
 {
     memset(plant, 0, sizeof *plant);
     plant->stale = true;
-    supply_init(&plant->supply, &config->bus);
+    supply_init(&plant->supply, &config->bus, config->ambient);
     plant->u_noise = config->bus.u_noise;
+    plant->u_noise_whole = config->bus.u_noise;
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
     plant_random_init(&plant->noise, config->seed, 0);
     plant->thermal_clock = THERMAL_STEP;
@@ -32,6 +33,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
         thermal_init(&axis->winding, c->winding_capacity, c->winding_resistance, config->ambient);
         thermal_init(&axis->sink, c->sink_capacity, c->sink_resistance, config->ambient);
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
+        plant_harm_init(&axis->harm, c, config->seed, (uint64_t)i + 5u);
         axis->turn_off = (uint64_t)(c->turn_off * SWITCHING_CLOCK_HZ + 0.5);
         axis->i_break = c->i_break;
         axis->square_break = c->i_break * c->i_break;
@@ -216,11 +218,14 @@ static void warm_up(switching_t *plant)
         bridge_t *b = &axis->bridge;
         advance_axis(plant, i);
         thermal_advance(&axis->winding, h, b->e_copper - axis->e_copper);
-        thermal_advance(&axis->sink, h, b->e_switch - axis->e_switch);
+        if (!axis->harm.heated) {
+            thermal_advance(&axis->sink, h, b->e_switch - axis->e_switch);
+        }
         axis->e_copper = b->e_copper;
         axis->e_switch = b->e_switch;
         bridge_set_winding(b, axis->r_s * (1.0 + COPPER * (axis->winding.t - axis->winding.ambient)));
     }
+    supply_warm(&plant->supply, h);
     plant->thermal_clock += THERMAL_STEP;
 }
 
@@ -326,7 +331,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
     switching_look_around(plant);
     const double current = bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now));
     const double shown = current + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
-    return plant_code(2048.0 + shown * axis->codes_per_ampere);
+    return plant_harm_code(&axis->harm, phase, plant_code(2048.0 + shown * axis->codes_per_ampere));
 }
 
 uint16_t switching_bus_code(switching_t *plant)
@@ -411,6 +416,7 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus)
     bus->u_dc = copy.supply.u;
     bus->e_source = copy.supply.e_source;
     bus->e_brake = copy.supply.e_brake;
+    bus->t_brake = copy.supply.brake.t;
 }
 
 /* ---- other hands on the plant ------------------------------------------------------------------------------------- */
@@ -440,7 +446,7 @@ void switching_set_supply(switching_t *plant, double volts)
 {
     switching_look_around(plant);
     advance_supply(plant);
-    plant->supply.u_source = volts;
+    supply_set(&plant->supply, volts);
 }
 
 void switching_brake(switching_t *plant, bool on)
@@ -450,11 +456,12 @@ void switching_brake(switching_t *plant, bool on)
     plant->supply.braking = on;
 }
 
-void switching_cut(switching_t *plant, int i, int line, bool cut)
+void switching_cut(switching_t *plant, int i, int line, bool cut, bool level)
 {
     quadrature_t *encoder = &plant->axis[i].encoder;
     const bool before = quadrature_level(encoder, line);
     encoder->cut[line] = cut;
+    encoder->stuck[line] = level;
     const bool after = quadrature_level(encoder, line);
     if (after != before) {
         tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, (uint8_t)line, after});
@@ -465,4 +472,58 @@ void switching_set_temperature(switching_t *plant, int i, double winding, double
 {
     plant->axis[i].winding.t = winding;
     plant->axis[i].sink.t = sink;
+}
+
+/* ---- what breaks ---------------------------------------------------------------------------------------------------- */
+
+static void harm_sensor(switching_t *plant, const board_harm_t *harm, bool healed)
+{
+    switching_axis_t *axis = &plant->axis[harm->axis];
+    switch ((board_harm_kind_t)harm->kind) {
+    case BOARD_STUCK_CONVERTER:
+        axis->harm.stuck[harm->part] = !healed;
+        axis->harm.code[harm->part] = plant_code(harm->value);
+        break;
+    case BOARD_CURRENT_NOISE:
+        axis->i_noise = healed ? axis->harm.i_whole : harm->value;
+        break;
+    case BOARD_BUS_NOISE:
+        plant->u_noise = healed ? plant->u_noise_whole : harm->value;
+        break;
+    case BOARD_HEAT:
+        axis->harm.heated = !healed;
+        axis->sink.t = healed ? axis->sink.t : harm->value;
+        break;
+    default:
+        break;
+    }
+}
+
+static void harm_supply(switching_t *plant, const board_harm_t *harm, bool healed)
+{
+    switching_look_around(plant);
+    advance_supply(plant);
+    if (healed) {
+        supply_recover(&plant->supply);
+    } else {
+        supply_dip(&plant->supply, harm->value, harm->seconds);
+    }
+}
+
+void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed)
+{
+    switch ((board_harm_kind_t)harm->kind) {
+    case BOARD_STUCK_LINE:
+        switching_cut(plant, harm->axis, harm->part, !healed, harm->value != 0.0);
+        break;
+    case BOARD_LOCKED_ROTOR:
+        switching_lock(plant, harm->axis, !healed);
+        break;
+    case BOARD_SUPPLY_DIP:
+        harm_supply(plant, harm, healed);
+        break;
+    default:
+        harm_sensor(plant, harm, healed);
+        break;
+    }
 }

@@ -23,6 +23,7 @@
 
 #include "board.h"
 #include "plant/bridge.h"
+#include "plant/harm.h"
 #include "plant/quadrature.h"
 #include "plant/sensors.h"
 #include "plant/supply.h"
@@ -59,6 +60,7 @@ typedef struct {
     quadrature_t encoder;
     thermal_t winding, sink;
     plant_random_t noise;
+    plant_harm_t harm;
     uint64_t clock;
     double booked; /* charge that the bus has given meanwhile, at the extrapolated current [A s] */
     double u_h; /* integral of the bus voltage meanwhile [V s] */
@@ -87,7 +89,7 @@ typedef struct {
 typedef struct {
     switching_axis_t axis[BOARD_AXES];
     supply_t supply;
-    double u_noise, codes_per_volt;
+    double u_noise, u_noise_whole, codes_per_volt;
     plant_random_t noise;
     uint64_t now;
     uint64_t next; /* clock of the next event, unless `stale` */
@@ -170,6 +172,7 @@ typedef struct {
     double u_dc; /* [V] */
     double e_source; /* delivered by the supply into the bus since clock 0 [J] */
     double e_brake; /* burnt in the brake resistor [J] */
+    double t_brake; /* its temperature [deg C] */
 } switching_bus_t;
 
 void switching_bus(const switching_t *plant, switching_bus_t *bus);
@@ -180,8 +183,11 @@ void switching_set_load(switching_t *plant, int axis, double torque);
 void switching_set_supply(switching_t *plant, double volts);
 void switching_lock(switching_t *plant, int axis, bool locked);
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
-void switching_cut(switching_t *plant, int axis, int line, bool cut); /* encoder line stuck low */
+void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level); /* encoder line stuck at a level */
 void switching_brake(switching_t *plant, bool on); /* brake resistor across the bus */
 void switching_set_temperature(switching_t *plant, int axis, double winding, double sink);
+
+/* Something breaks, or is whole again. */
+void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed);
 
 #endif

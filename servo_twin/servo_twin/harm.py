@@ -1,0 +1,199 @@
+"""What can go wrong with the hardware of a virtual board, for `Board.inject` and `Board.heal`.
+
+Each class is one kind of damage; its values say where and how much. The physics is the plant's: an open phase carries no
+current and leaves the other two in series, a short lets the over-current comparator open the switches without software,
+a stuck encoder line leaves the decoder one count back and forth. Phases are ``"a"``, ``"b"``, ``"c"``; axes count from 0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+from servo_msgs_py.catalogue import AXES
+
+__all__ = [
+    "BusNoise",
+    "CurrentNoise",
+    "EncoderGlitches",
+    "Harm",
+    "HotPowerStage",
+    "LockedRotor",
+    "OpenPhase",
+    "RawHarm",
+    "ShortedPhase",
+    "StuckConverter",
+    "StuckLine",
+    "SupplyDip",
+]
+
+Phase = Literal["a", "b", "c"]
+Line = Literal["A", "B"]
+
+_PHASES: Final = "abc"
+_LINES: Final = "AB"
+
+
+class RawHarm(NamedTuple):
+    """The same as the C interface takes it (``board_harm_t``); `kind` names the constant of ``board.h``."""
+
+    kind: str
+    axis: int = 0
+    part: int = 0
+    value: float = 0.0
+    seconds: float = 0.0
+
+
+def _axis(axis: int) -> int:
+    if not 0 <= axis < AXES:
+        raise IndexError(f"axis {axis}: a board has the axes 0 .. {AXES - 1}")
+    return axis
+
+
+def _one_of(names: str, name: str, what: str) -> int:
+    if len(name) != 1 or name not in names:
+        raise ValueError(f"{what} {name!r} is none of {', '.join(names)}")
+    return names.index(name)
+
+
+def _amount(value: float, what: str) -> float:
+    if not 0.0 <= value < math.inf:
+        raise ValueError(f"{what} {value} is not a finite number from 0")
+    return float(value)
+
+
+@dataclass(frozen=True)
+class OpenPhase:
+    """The wire between inverter and motor is broken in one phase."""
+
+    axis: int
+    phase: Phase
+
+    def raw(self) -> RawHarm:
+        return RawHarm("BOARD_OPEN_PHASE", _axis(self.axis), _one_of(_PHASES, self.phase, "phase"))
+
+
+@dataclass(frozen=True)
+class ShortedPhase:
+    """A phase touches another one, or bus minus; an axis has one short at a time."""
+
+    axis: int
+    phase: Phase
+    to: Phase | Literal["minus"] = "minus"
+
+    def raw(self) -> RawHarm:
+        phase = _one_of(_PHASES, self.phase, "phase")
+        to = -1 if self.to == "minus" else _one_of(_PHASES, self.to, "phase")
+        if to == phase:
+            raise ValueError(f"phase {self.phase} cannot touch itself")
+        return RawHarm("BOARD_SHORTED_PHASE", _axis(self.axis), phase, to)
+
+
+@dataclass(frozen=True)
+class StuckConverter:
+    """The current of a phase reads as one code of the converter, 0 .. 4095."""
+
+    axis: int
+    phase: Phase
+    code: int
+
+    def raw(self) -> RawHarm:
+        if not 0 <= self.code <= 4095:
+            raise ValueError(f"code {self.code} is not within 0 .. 4095")
+        return RawHarm("BOARD_STUCK_CONVERTER", _axis(self.axis), _one_of(_PHASES, self.phase, "phase"), self.code)
+
+
+@dataclass(frozen=True)
+class StuckLine:
+    """A line of the encoder stays at one level."""
+
+    axis: int
+    line: Line
+    high: bool = False
+
+    def raw(self) -> RawHarm:
+        return RawHarm("BOARD_STUCK_LINE", _axis(self.axis), _one_of(_LINES, self.line, "line"), float(self.high))
+
+
+@dataclass(frozen=True)
+class LockedRotor:
+    """Something holds the shaft fast, all at once."""
+
+    axis: int
+
+    def raw(self) -> RawHarm:
+        return RawHarm("BOARD_LOCKED_ROTOR", _axis(self.axis))
+
+
+@dataclass(frozen=True)
+class SupplyDip:
+    """The supply has another open-circuit voltage for some time [V], [s]; 0 V: it is disconnected."""
+
+    volts: float = 0.0
+    seconds: float = math.inf
+
+    def raw(self) -> RawHarm:
+        if not self.seconds > 0.0:
+            raise ValueError(f"a dip of {self.seconds} s is none")
+        return RawHarm("BOARD_SUPPLY_DIP", value=_amount(self.volts, "voltage"), seconds=self.seconds)
+
+
+@dataclass(frozen=True)
+class CurrentNoise:
+    """Standard deviation of every current sample of an axis, in place of the usual one [A]."""
+
+    axis: int
+    amperes: float
+
+    def raw(self) -> RawHarm:
+        return RawHarm("BOARD_CURRENT_NOISE", _axis(self.axis), value=_amount(self.amperes, "noise"))
+
+
+@dataclass(frozen=True)
+class BusNoise:
+    """Standard deviation of every sample of the bus voltage, in place of the usual one [V]."""
+
+    volts: float
+
+    def raw(self) -> RawHarm:
+        return RawHarm("BOARD_BUS_NOISE", value=_amount(self.volts, "noise"))
+
+
+@dataclass(frozen=True)
+class EncoderGlitches:
+    """Pulses on a line of the encoder at random moments; each is an edge there and back."""
+
+    axis: int
+    line: Line
+    per_second: float
+
+    def raw(self) -> RawHarm:
+        line = _one_of(_LINES, self.line, "line")
+        return RawHarm("BOARD_ENCODER_GLITCHES", _axis(self.axis), line, _amount(self.per_second, "rate"))
+
+
+@dataclass(frozen=True)
+class HotPowerStage:
+    """The power stage of an axis is at a temperature and stays there [deg C]."""
+
+    axis: int
+    celsius: float
+
+    def raw(self) -> RawHarm:
+        return RawHarm("BOARD_HEAT", _axis(self.axis), value=float(self.celsius))
+
+
+Harm = (
+    OpenPhase
+    | ShortedPhase
+    | StuckConverter
+    | StuckLine
+    | LockedRotor
+    | SupplyDip
+    | CurrentNoise
+    | BusNoise
+    | EncoderGlitches
+    | HotPowerStage
+)
+"""Anything that can go wrong."""
