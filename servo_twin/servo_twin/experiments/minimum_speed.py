@@ -17,11 +17,11 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "minimum-speed"
 HELP: Final = """\
-Speed control without an encoder, from a third of the speed limit downwards, step by step: without load, and with loads of
-a quarter and half of the current limit against the motion. The reference design says: the minimum speed is 5 % of the
-maximum (slide on the control's performance). Measured: the lowest speed, in parts of the speed limit, that is held as the
-true one: its mean within 3 % of the set-point, and the shaft never stands still. Below, the axis has to switch itself off
-or to end in a fault, never to run away."""
+Speed control without an encoder, from a third of the speed limit downwards, step by step: without load, and with
+loads of a quarter and half of the current limit against the motion. The reference design says: the minimum speed is 5
+% of the maximum (slide on the control's performance). Measured: the lowest speed, in parts of the speed limit, that
+is held as the true one: its mean within 3 % of the set-point, and the shaft never stands still. Below, the axis has
+to switch itself off or to end in a fault, never to run away."""
 
 STEPS: Final = (0.3, 0.15, 0.1, 0.08, 0.07, 0.06, 0.05, 0.045, 0.04, 0.035, 0.03, 0.025, 0.02)
 """Set-points, parts of the speed limit."""
@@ -77,7 +77,7 @@ def loaded(board: Board, axis: int, torque: float) -> None:
     follow(board, [], LOADING, lambda k: board.set_load(axis, torque * (k + 1) / ticks))
 
 
-def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequence[float] = STEPS) -> Descent:
+def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequence[float]) -> Descent:
     """One axis with a load, as a part of what the current limit can move."""
     motor = plant.axes[axis]
     with started(plant, seed, {axis: 1.0}) as board:
@@ -135,7 +135,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         name = axis_name(axis)
         curves: list[Curve] = []
         for load in LOADS:
-            it = descend(plant, seed, axis, load)
+            it = descend(plant, seed, axis, load, STEPS)
             with_load = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
             top = STEPS[0]
             lowest = 100.0 * it.speeds[-1] / (it.speeds[0] / top) if it.speeds else None
@@ -146,8 +146,8 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
                 away = it.fastest / it.speeds[0]
                 rows.append(Row(f"{with_load}, largest speed", "not shown", away, "", Bound(most=AWAY_MOST)))
                 notes.append(
-                    f"{with_load}: down to {it.speeds[-1] / RPM:.3g} rpm, ripple {100.0 * it.ripple:.2g} %, angle error "
-                    f"up to {it.error:.2g} deg; ended by {it.end}"
+                    f"{with_load}: down to {it.speeds[-1] / RPM:.3g} rpm, ripple {100.0 * it.ripple:.2g} %, "
+                    f"angle error up to {it.error:.2g} deg; ended by {it.end}"
                 )
                 shown = it.trace
                 curves.append(Curve(f"load {100.0 * load:.0f} %", shown.time, shown.omega / RPM))

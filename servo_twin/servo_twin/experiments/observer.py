@@ -1,4 +1,4 @@
-"""Error of the observed angle over speed and current, with another winding, and with a dead time that nobody makes up."""
+"""Error of the observed angle over speed and current, with another winding, and with a dead time not made up."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from servo_twin.simulation import SimulationError
 
 NAME: Final = "observer"
 HELP: Final = """\
-The observer runs beside the encoder, which alone moves the shaft: error of the observed angle from 200 rpm to the speed
-limit, without load and with a load that takes a quarter and half of the current limit.
-The reference design says: not very sensitive to Rs, moderately sensitive to Ls (slide on the control's performance). On
-paper, with i_d = 0, a winding whose R is wrong changes the size of the observed back-EMF only, and (Lq - L) i_q / psi is
-the angle by which a wrong L turns it; shown with R and L of the plant at half and at one and a half times what they are.
-At 200 rpm dead time and switches make an error as large as the back-EMF; shown with the compensation as it is, and on an
+The observer runs beside the encoder, which alone moves the shaft: error of the observed angle from 200 rpm to the
+speed limit, without load and with a load that takes a quarter and half of the current limit. The reference design
+says: not very sensitive to Rs, moderately sensitive to Ls (slide on the control's performance). On paper, with i_d =
+0, a winding whose R is wrong changes the size of the observed back-EMF only, and (Lq - L) i_q / psi is the angle by
+which a wrong L turns it; shown with R and L of the plant at half and at one and a half times what they are. At 200
+rpm dead time and switches make an error as large as the back-EMF; shown with the compensation as it is, and on an
 inverter with twice the dead time and twice the drops, where it leaves as much as if there were none."""
 
 SPEEDS: Final = (1.0 / 15.0, 1.0 / 6.0, 1.0 / 3.0, 1.0)

@@ -20,12 +20,12 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "stall"
 HELP: Final = """\
-The shaft of an axis that runs without an encoder is caught: held fast at three speeds, and by a stiff spring whose other
-end swings to and fro, so that the rotor oscillates sinusoidally where it is caught. The reference design notices a stall
-by the variance of the observed speed over the last 64, and says that it cannot when the rotor oscillates sinusoidally at
-the stalled position (slide on stall detection). Measured: time from the stall to outputs off and the name of the fault;
-the notes say how long the variance alone would have taken, if nothing else watched. Then both axes run for a long time
-with random set-points and load steps: there must be no fault."""
+The shaft of an axis that runs without an encoder is caught: held fast at three speeds, and by a stiff spring whose
+other end swings to and fro, so that the rotor oscillates sinusoidally where it is caught. The reference design
+notices a stall by the variance of the observed speed over the last 64, and says that it cannot when the rotor
+oscillates sinusoidally at the stalled position (slide on stall detection). Measured: time from the stall to outputs
+off and the name of the fault; the notes say how long the variance alone would have taken, if nothing else watched.
+Then both axes run for a long time with random set-points and load steps: there must be no fault."""
 
 SPEEDS: Final = (0.06, 0.2, 0.8)
 """Parts of the speed limit from which the shaft is stopped."""
@@ -45,6 +45,9 @@ HYSTERESIS: Final = 200  # RELIABILITY_HYSTERESYS of the drive, slow ticks
 
 NOTICED_MOST: Final = (SIZE + HYSTERESIS) * TICK
 """What the reference design's own criterion takes when every test fails from the stall on [s]."""
+
+OSCILLATING_MOST: Final = 0.5
+"""The reference design does not notice at all; so long may a shaft with an encoder stand at full current [s]."""
 
 BEFORE: Final = 0.4  # the axis turns steadily for so long [s]
 WATCHED: Final = 2.0  # after the stall [s]
@@ -195,23 +198,25 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         name = axis_name(axis)
         fast = [stall(plant, seed, axis, part, None) for part in SPEEDS]
         for part, it in zip(SPEEDS, fast, strict=True):
-            rows.extend(_rows(f"{name}, held fast from {100.0 * part:.0f} %", "a fault by the variance", it))
-            notes.append(_note(f"{name}, held fast from {100.0 * part:.0f} %", it))
+            what = f"{name}, held fast from {100.0 * part:.0f} %"
+            rows.extend(_rows(what, "a fault by the variance", NOTICED_MOST, it))
+            notes.append(_note(what, it))
         loose = [stall(plant, seed, axis, SPEEDS[1], frequency) for frequency in FREQUENCIES]
         for frequency, it in zip(FREQUENCIES, loose, strict=True):
-            rows.extend(_rows(f"{name}, oscillating with {frequency:g} Hz", "not noticed", it))
-            notes.append(_note(f"{name}, oscillating with {frequency:g} Hz", it))
-        panels.append(_panel(name, [*fast[1:2], *loose]))
+            what = f"{name}, oscillating with {frequency:g} Hz"
+            rows.extend(_rows(what, "not noticed", OSCILLATING_MOST, it))
+            notes.append(_note(what, it))
+        panels.append(_panel(name, [fast[-1], *loose]))
     faults, ran = operate(plant, seed, LONG)
     rows.append(Row(f"false alarms in {LONG:g} s of both axes", "not shown", float(bool(faults)), "", Bound(most=0.0)))
     notes.append(f"random operation: {faults or 'no fault'} in {ran:.3g} s")
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
 
 
-def _rows(what: str, says: str, it: Stall) -> Iterator[Row]:
+def _rows(what: str, says: str, most: float, it: Stall) -> Iterator[Row]:
     time = None if it.noticed is None else 1e3 * it.noticed
     named = float(it.faults == "SPEED_FEEDBACK")
-    yield Row(f"{what}, outputs off after", says, time, "ms", Bound(most=1e3 * NOTICED_MOST))
+    yield Row(f"{what}, outputs off after", says, time, "ms", Bound(most=1e3 * most))
     yield Row(f"{what}, is called SPEED_FEEDBACK", "error on speed feedback", named, "", Bound(1.0, 1.0))
 
 

@@ -24,12 +24,12 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "start-up"
 HELP: Final = """\
-A turning current vector draws the rotor along until mean and variance of the observed speed say that the observer has it.
-The reference design shows a start-up in which the angle converges within 150 ms and the criterion is met within 500 ms
-(slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the vector begins;
-the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and in it. Then 1000
-starts with random rotor angle, direction and set-point, with inertia, friction and load torque spread about the nominal
-ones, on all cores: how many of them end in a shaft that turns at the set-point."""
+A turning current vector draws the rotor along until mean and variance of the observed speed say that the observer has
+it. The reference design shows a start-up in which the angle converges within 150 ms and the criterion is met within
+500 ms (slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the
+vector begins; the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and
+in it. Then 1000 starts with random rotor angle, direction and set-point, with inertia, friction and load torque
+spread about the nominal ones, on all cores: how many of them end in a shaft that turns at the set-point."""
 
 STARTS: Final = 1000
 """Random starts, two per board."""
@@ -47,7 +47,7 @@ FRICTION: Final = (0.5, 3.0)
 """Spread of the friction, likewise."""
 
 LOAD: Final = 0.3
-"""Largest load torque against the motion, over that of half of the current limit; it grows with the speed, as of a fan."""
+"""Largest load torque against the motion, over that of half of the current limit: a fan, growing with the speed."""
 
 SET_POINTS: Final = (0.15, 0.9)
 """Spread of the set-point, parts of the speed limit."""
