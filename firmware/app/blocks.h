@@ -2,6 +2,7 @@
 #ifndef SERVO_APP_BLOCKS_H
 #define SERVO_APP_BLOCKS_H
 
+#include "drive/faults.h"
 #include "hal/hal.h"
 #include "math/frac.h"
 
@@ -10,6 +11,7 @@ typedef struct {
     int32_t position_ref; /* counts */
     frac32_t speed;
     frac32_t speed_ref;
+    fault_set_t faults;
     frac16_t i_q;
     frac16_t i_d;
     frac16_t i_q_ref;
@@ -18,8 +20,8 @@ typedef struct {
     frac16_t theta_e;
     uint16_t state;
     uint16_t substate;
-    uint16_t faults;
     uint16_t limits;
+    uint16_t first_fault;
 } axis_snapshot_t;
 
 /* All of it from one slow tick. */
@@ -47,10 +49,13 @@ typedef struct {
     frac32_t acceleration_limit[HAL_AXES];
     frac16_t i_q_limit[HAL_AXES];
     uint16_t features[HAL_AXES];        /* FEATURE_ bits */
+    uint16_t feedback[HAL_AXES];        /* feedback_kind_t */
     int32_t position_min[HAL_AXES];     /* counts */
     int32_t position_max[HAL_AXES];     /* counts */
     int32_t following_error[HAL_AXES];  /* counts */
     frac32_t over_speed[HAL_AXES];
+    fault_set_t faults_enabled[HAL_AXES];
+    uint16_t monitor[HAL_MONITORS];     /* monitor_t */
     uint16_t host_timeout; /* slow ticks */
     uint16_t unused;       /* what follows has the same address on every machine */
 } parameter_block_t;

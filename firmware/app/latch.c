@@ -97,6 +97,7 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
     };
     motion_limit(axis, limits);
     axis->features = parameter->features[i];
+    axis->faults_enabled = parameter->faults_enabled[i] | FAULTS_ALWAYS;
     axis->command.clipped = axis->command.clipped || clipped;
 }
 

@@ -90,11 +90,17 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.acceleration_limit[i] = config->acceleration_limit;
         servo->parameter.i_q_limit[i] = config->i_q_limit;
         servo->parameter.features[i] = config->features;
+        servo->parameter.feedback[i] = FEEDBACK_KIND_ENCODER;
+        servo->parameter.faults_enabled[i] = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
         servo->parameter.position_min[i] = -config->position_limit;
         servo->parameter.position_max[i] = config->position_limit;
         servo->parameter.following_error[i] = config->following_error;
         servo->parameter.over_speed[i] = config->over_speed;
         servo->belief.torque_constant[i] = config->torque_constant;
+    }
+    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+        servo->parameter.monitor[i] = MONITOR_NONE;
+        servo->monitor_value[i] = 0;
     }
     servo->tick = 0;
     servo->slow_tick = false;
@@ -177,6 +183,7 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->state = (uint16_t)axis->sm.state;
     view->substate = (uint16_t)axis->substate;
     view->faults = axis->faults;
+    view->first_fault = axis->first_fault;
     view->limits = axis->active_limits;
 }
 

@@ -20,6 +20,7 @@ typedef struct {
     snapshot_t snapshot;
     command_block_t command;
     parameter_block_t parameter;
+    int16_t monitor_value[HAL_MONITORS];
     belief_block_t belief;
 
     hal_t *hal;

@@ -32,37 +32,43 @@ CHECK(16, SIZE(parameter.position_min) == 8);
 CHECK(17, SIZE(parameter.position_max) == 8);
 CHECK(18, SIZE(parameter.following_error) == 8);
 CHECK(19, SIZE(parameter.over_speed) == 8);
-CHECK(20, SIZE(parameter.host_timeout) == 2);
-CHECK(21, SIZE(snapshot.axis[0].position) == 4);
-CHECK(22, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(23, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(24, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(25, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(26, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(27, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(28, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(29, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(30, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(31, SIZE(snapshot.axis[0].state) == 2);
-CHECK(32, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(33, SIZE(snapshot.axis[0].faults) == 2);
-CHECK(34, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(35, SIZE(belief.torque_constant[0]) == 2);
-CHECK(36, SIZE(snapshot.axis[1].position) == 4);
-CHECK(37, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(38, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(39, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(40, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(41, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(42, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(43, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(44, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(45, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(46, SIZE(snapshot.axis[1].state) == 2);
-CHECK(47, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(48, SIZE(snapshot.axis[1].faults) == 2);
-CHECK(49, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(50, SIZE(belief.torque_constant[1]) == 2);
+CHECK(20, SIZE(parameter.feedback) == 4);
+CHECK(21, SIZE(parameter.faults_enabled) == 8);
+CHECK(22, SIZE(parameter.monitor) == 4);
+CHECK(23, SIZE(parameter.host_timeout) == 2);
+CHECK(24, SIZE(monitor_value) == 4);
+CHECK(25, SIZE(snapshot.axis[0].position) == 4);
+CHECK(26, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(27, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(28, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(29, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(30, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(31, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(32, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(33, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(34, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(35, SIZE(snapshot.axis[0].state) == 2);
+CHECK(36, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(37, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(38, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(39, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(40, SIZE(belief.torque_constant[0]) == 2);
+CHECK(41, SIZE(snapshot.axis[1].position) == 4);
+CHECK(42, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(43, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(44, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(45, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(46, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(47, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(48, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(49, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(50, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(51, SIZE(snapshot.axis[1].state) == 2);
+CHECK(52, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(53, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(54, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(55, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(56, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -83,6 +89,30 @@ static const char strings[] =
     "POSITION\0"
     "SPEED\0"
     "TORQUE\0"
+    "feedback_kind_t\0"
+    "ENCODER\0"
+    "OBSERVER\0"
+    "monitor_t\0"
+    "NONE\0"
+    "U_DC\0"
+    "AXIS1_I_D\0"
+    "AXIS1_I_Q\0"
+    "AXIS1_I_Q_REF\0"
+    "AXIS1_U_D\0"
+    "AXIS1_U_Q\0"
+    "AXIS1_THETA_E\0"
+    "AXIS1_SPEED\0"
+    "AXIS1_SPEED_REF\0"
+    "AXIS1_POSITION\0"
+    "AXIS2_I_D\0"
+    "AXIS2_I_Q\0"
+    "AXIS2_I_Q_REF\0"
+    "AXIS2_U_D\0"
+    "AXIS2_U_Q\0"
+    "AXIS2_THETA_E\0"
+    "AXIS2_SPEED\0"
+    "AXIS2_SPEED_REF\0"
+    "AXIS2_POSITION\0"
     "catalogue_hash\0"
     "\xE2\0"
     "snapshot\0"
@@ -110,7 +140,12 @@ static const char strings[] =
     "param.position_max\0"
     "param.following_error\0"
     "param.over_speed\0"
+    "param.feedback\0"
+    "param.faults_enabled\0"
+    "param.monitor\0"
     "param.host_timeout\0"
+    "monitor.value\0"
+    "\xF1\0"
     "axis1.position\0"
     "axis1.position_ref\0"
     "axis1.speed\0"
@@ -124,6 +159,7 @@ static const char strings[] =
     "axis1.state\0"
     "axis1.substate\0"
     "axis1.faults\0"
+    "axis1.first_fault\0"
     "axis1.limits\0"
     "axis1.torque_constant\0"
     "axis2.position\0"
@@ -139,6 +175,7 @@ static const char strings[] =
     "axis2.state\0"
     "axis2.substate\0"
     "axis2.faults\0"
+    "axis2.first_fault\0"
     "axis2.limits\0"
     "axis2.torque_constant\0";
 
@@ -159,58 +196,88 @@ static const tsa_entry_t entries[] = {
     {110, 21, 0, 0, TSA_KIND_NONE}, /* POSITION */
     {119, 21, 1, 0, TSA_KIND_NONE}, /* SPEED */
     {125, 21, 2, 0, TSA_KIND_NONE}, /* TORQUE */
-    {132, 147, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {149, 158, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {160, 147, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {165, 147, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {178, 192, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {194, 199, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {201, 214, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {216, 226, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {228, 199, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {236, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {245, 192, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {256, 192, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {271, 192, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {288, 226, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {306, 226, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {331, 199, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {347, 192, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {362, 214, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {381, 214, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {400, 214, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {422, 226, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {439, 192, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {458, 214, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {473, 214, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {492, 226, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {504, 226, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {520, 199, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {530, 199, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {540, 199, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {554, 199, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {564, 199, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {574, 199, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {588, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {600, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {615, 192, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {628, 192, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {641, 199, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {663, 214, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {678, 214, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {697, 226, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {709, 226, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {725, 199, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {735, 199, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {745, 199, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {759, 199, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {769, 199, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {779, 199, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {793, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {805, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {820, 192, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {833, 192, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {846, 199, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {132, 8, 0, 2, TSA_KIND_NONE}, /* feedback_kind_t */
+    {148, 21, 0, 0, TSA_KIND_NONE}, /* ENCODER */
+    {156, 21, 1, 0, TSA_KIND_NONE}, /* OBSERVER */
+    {165, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
+    {175, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {180, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
+    {185, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
+    {195, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
+    {205, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
+    {219, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
+    {229, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
+    {239, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
+    {253, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
+    {265, 21, 9, 0, TSA_KIND_NONE}, /* AXIS1_SPEED_REF */
+    {281, 21, 10, 0, TSA_KIND_NONE}, /* AXIS1_POSITION */
+    {296, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
+    {306, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
+    {316, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
+    {330, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
+    {340, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
+    {350, 21, 16, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
+    {364, 21, 17, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
+    {376, 21, 18, 0, TSA_KIND_NONE}, /* AXIS2_SPEED_REF */
+    {392, 21, 19, 0, TSA_KIND_NONE}, /* AXIS2_POSITION */
+    {407, 422, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {424, 433, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {435, 422, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {440, 422, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {453, 467, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {469, 474, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {476, 489, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {491, 501, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {503, 474, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {511, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {520, 467, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {531, 467, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {546, 467, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {563, 501, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {581, 501, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {606, 474, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {622, 467, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {637, 489, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {656, 489, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {675, 489, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {697, 501, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {714, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {729, 422, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {750, 165, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {764, 467, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {783, 797, AT(monitor_value), SIZE(monitor_value), TSA_KIND_RO}, /* monitor.value */
+    {799, 489, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {814, 489, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {833, 501, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {845, 501, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {861, 474, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {871, 474, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {881, 474, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {895, 474, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {905, 474, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {915, 474, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {929, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {941, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {956, 422, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {969, 467, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {987, 467, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1000, 474, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1022, 489, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1037, 489, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1056, 501, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1068, 501, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1084, 474, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1094, 474, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1104, 474, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1118, 474, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1128, 474, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1138, 474, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1152, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1164, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1179, 422, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1192, 467, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1210, 467, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1223, 474, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x0D618A83)
+#define CATALOGUE_HASH UINT32_C(0x3460DDA8)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -29,25 +29,65 @@ typedef enum {
     CONTROL_MODE_TORQUE = 2,
 } control_mode_t;
 
-#define FAULT_OVER_VOLTAGE UINT16_C(0x0001) /* DC bus above the over-voltage limit */
-#define FAULT_UNDER_VOLTAGE UINT16_C(0x0002) /* DC bus below the under-voltage limit */
-#define FAULT_OVER_CURRENT UINT16_C(0x0004) /* hardware over-current latch tripped */
-#define FAULT_CURRENT_OFFSET UINT16_C(0x0008) /* current amplifier offset far from mid-scale during calibration */
-#define FAULT_ROTOR_SEARCH UINT16_C(0x0010) /* full current does not move the shaft while the rotor is searched, or not far enough */
-#define FAULT_ENCODER UINT16_C(0x0020) /* encoder count and emulated index disagree */
-#define FAULT_HOST_SILENT UINT16_C(0x0040) /* no valid frame from the host within the time-out */
-#define FAULT_STALLED UINT16_C(0x0080) /* full current and no movement: shaft held fast, or encoder dead */
-#define FAULT_RUNAWAY UINT16_C(0x0100) /* the shaft gains speed against the full current or beyond its limit */
-#define FAULT_ENCODER_LOST UINT16_C(0x0200) /* the motor turns and the encoder does not count */
-#define FAULT_FOLLOWING_ERROR UINT16_C(0x0400) /* the shaft is farther from its shaped set-point than param.following_error */
-#define FAULT_OVER_SPEED UINT16_C(0x0800) /* the shaft turns faster than param.over_speed */
-#define FAULT_ENCODER_REVERSED UINT16_C(0x1000) /* the shaft runs away from where the rotor search holds it: it turns one way and the encoder counts the other */
+typedef enum {
+    FEEDBACK_KIND_ENCODER = 0,
+    FEEDBACK_KIND_OBSERVER = 1,
+} feedback_kind_t;
+
+typedef enum {
+    MONITOR_NONE = 0,
+    MONITOR_U_DC = 1,
+    MONITOR_AXIS1_I_D = 2,
+    MONITOR_AXIS1_I_Q = 3,
+    MONITOR_AXIS1_I_Q_REF = 4,
+    MONITOR_AXIS1_U_D = 5,
+    MONITOR_AXIS1_U_Q = 6,
+    MONITOR_AXIS1_THETA_E = 7,
+    MONITOR_AXIS1_SPEED = 8,
+    MONITOR_AXIS1_SPEED_REF = 9,
+    MONITOR_AXIS1_POSITION = 10,
+    MONITOR_AXIS2_I_D = 11,
+    MONITOR_AXIS2_I_Q = 12,
+    MONITOR_AXIS2_I_Q_REF = 13,
+    MONITOR_AXIS2_U_D = 14,
+    MONITOR_AXIS2_U_Q = 15,
+    MONITOR_AXIS2_THETA_E = 16,
+    MONITOR_AXIS2_SPEED = 17,
+    MONITOR_AXIS2_SPEED_REF = 18,
+    MONITOR_AXIS2_POSITION = 19,
+} monitor_t;
+
+#define FAULT_OVER_VOLTAGE UINT32_C(0x00000001) /* DC bus above the over-voltage limit */
+#define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002) /* DC bus below the under-voltage limit */
+#define FAULT_OVER_CURRENT UINT32_C(0x00000004) /* hardware over-current latch tripped */
+#define FAULT_CURRENT_OFFSET UINT32_C(0x00000008) /* current amplifier offset far from mid-scale during calibration */
+#define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* full current does not move the shaft while the rotor is searched, or not far enough */
+#define FAULT_ENCODER UINT32_C(0x00000020) /* encoder count and emulated index disagree */
+#define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no valid frame from the host within the time-out */
+#define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement: shaft held fast, or encoder dead */
+#define FAULT_RUNAWAY UINT32_C(0x00000100) /* the shaft gains speed against the full current or beyond its limit */
+#define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns and the encoder does not count */
+#define FAULT_FOLLOWING_ERROR UINT32_C(0x00000400) /* the shaft is farther from its shaped set-point than param.following_error */
+#define FAULT_OVER_SPEED UINT32_C(0x00000800) /* the shaft turns faster than param.over_speed */
+#define FAULT_ENCODER_REVERSED UINT32_C(0x00001000) /* the shaft runs away from where the rotor search holds it: it turns one way and the encoder counts the other */
+#define FAULT_OVER_TEMPERATURE UINT32_C(0x00002000) /* the heat sink of the inverter is hotter than its limit */
+#define FAULT_START_UP UINT32_C(0x00004000) /* the sensorless start-up did not reach a reliable speed in time */
+#define FAULT_SPEED_FEEDBACK UINT32_C(0x00008000) /* the speed that the observer gives is not reliable: the rotor stands, oscillates or is lost */
+#define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* encoder and observer disagree about the rotor's angle */
+#define FAULT_PHASE_LOST UINT32_C(0x00020000) /* a phase of the motor carries no current although voltage asks for it */
+#define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the code of a current converter is stuck or off scale */
+#define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop came late or has left out a period */
+#define FAULT_WATCHDOG UINT32_C(0x00100000) /* the watchdog has reset the board: the control loops had stopped */
+
+#define FAULTS_ALWAYS UINT32_C(0x0018701F) /* nobody can switch them off */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */
 #define LIMIT_SPEED UINT16_C(0x0004) /* speed set-point at its limit */
 #define LIMIT_SETPOINT UINT16_C(0x0008) /* a set-point was clipped to its limits */
 #define LIMIT_POSITION UINT16_C(0x0010) /* a soft limit of the position holds the shaft back */
+#define LIMIT_REGENERATION UINT16_C(0x0020) /* braking current held back by the voltage of the DC bus */
+#define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
@@ -60,6 +100,7 @@ typedef enum {
 #define FEATURE_FOLLOWING_ERROR UINT16_C(0x0100) /* a fault when the shaft is too far from its shaped set-point */
 #define FEATURE_OVER_SPEED UINT16_C(0x0200) /* a fault when the shaft turns too fast */
 #define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
+#define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* a fault when encoder and observer disagree about the rotor's angle */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
@@ -84,7 +125,7 @@ typedef enum {
 #define PARAM_I_Q_LIMIT_MIN INT32_C(397)
 #define PARAM_I_Q_LIMIT_MAX INT32_C(15888)
 #define PARAM_FEATURES_MIN INT32_C(0)
-#define PARAM_FEATURES_MAX INT32_C(2047)
+#define PARAM_FEATURES_MAX INT32_C(4095)
 #define PARAM_POSITION_MIN_MIN INT32_C(-954929659)
 #define PARAM_POSITION_MIN_MAX INT32_C(954929659)
 #define PARAM_POSITION_MAX_MIN INT32_C(-954929659)
@@ -93,6 +134,8 @@ typedef enum {
 #define PARAM_FOLLOWING_ERROR_MAX INT32_C(636620)
 #define PARAM_OVER_SPEED_MIN INT32_C(4101392)
 #define PARAM_OVER_SPEED_MAX INT32_C(2050695827)
+#define PARAM_FAULTS_ENABLED_MIN INT32_C(0)
+#define PARAM_FAULTS_ENABLED_MAX INT32_C(2097151)
 #define PARAM_HOST_TIMEOUT_MIN INT32_C(100)
 #define PARAM_HOST_TIMEOUT_MAX INT32_C(60000)
 

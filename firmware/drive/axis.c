@@ -13,6 +13,8 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->index = index;
     axis->source = &encoder_feedback;
     axis->faults = 0;
+    axis->faults_enabled = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
+    axis->first_fault = 0;
     axis->limits.speed = config->speed_limit;
     axis->limits.acceleration = config->acceleration_limit;
     axis->limits.i_q = config->i_q_limit;
@@ -37,19 +39,28 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis_states_init(axis);
 }
 
-void axis_raise(axis_t *axis, uint16_t faults)
+static void capture(axis_t *axis, fault_set_t faults)
 {
+    if (axis->faults == 0U) {
+        axis->first_fault = fault_code(faults);
+    }
+    axis->faults |= faults;
+}
+
+void axis_raise(axis_t *axis, fault_set_t faults)
+{
+    faults &= axis->faults_enabled;
     if (faults != 0U) {
-        axis->faults = (uint16_t)(axis->faults | faults);
+        capture(axis, faults);
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT);
     }
 }
 
-void axis_stop_with(axis_t *axis, uint16_t faults)
+void axis_stop_with(axis_t *axis, fault_set_t faults)
 {
     if (axis->requested) {
         axis->requested = false;
-        axis->stop_faults = (uint16_t)(axis->stop_faults | faults);
+        axis->stop_faults |= faults;
     }
 }
 
@@ -67,17 +78,17 @@ static void filter_bus(axis_t *axis)
 }
 
 /* Faults whose cause is there now. */
-static uint16_t present_faults(const axis_t *axis)
+static fault_set_t present_faults(const axis_t *axis)
 {
-    uint16_t faults = 0;
+    fault_set_t faults = 0;
     if (axis->u_dc > axis->config->u_dc_most) {
-        faults = (uint16_t)(faults | FAULT_OVER_VOLTAGE);
+        faults |= FAULT_OVER_VOLTAGE;
     }
     if (axis->u_dc < axis->config->u_dc_least && axis->sm.state != STATE_INIT) {
-        faults = (uint16_t)(faults | FAULT_UNDER_VOLTAGE); /* in INIT the filter still settles */
+        faults |= FAULT_UNDER_VOLTAGE; /* in INIT the filter still settles */
     }
     if (hal_break_active(axis->hal, axis->index)) {
-        faults = (uint16_t)(faults | FAULT_OVER_CURRENT);
+        faults |= FAULT_OVER_CURRENT;
     }
     return faults;
 }
@@ -91,7 +102,7 @@ static bool suspicious(const axis_t *axis)
 
 static void watch(axis_t *axis)
 {
-    axis->faults = (uint16_t)(axis->faults | present_faults(axis));
+    capture(axis, present_faults(axis));
     if (axis->sm.state != STATE_FAULT) {
         axis_raise(axis, axis->faults);
     }
@@ -121,6 +132,7 @@ static void take_requests(axis_t *axis)
     if (command->clear_faults && axis->sm.state == STATE_FAULT) {
         hal_break_clear(axis->hal, axis->index);
         axis->faults = present_faults(axis);
+        axis->first_fault = fault_code(axis->faults);
         if (axis->faults == 0U) {
             axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT_CLEAR);
         }

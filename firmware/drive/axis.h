@@ -9,6 +9,7 @@
 #include "config/axis_config.h"
 #include "control/path.h"
 #include "drive/current_sense.h"
+#include "drive/faults.h"
 #include "drive/feedback.h"
 #include "drive/state_machine.h"
 #include "drive/supervision.h"
@@ -90,8 +91,10 @@ typedef struct axis {
     axis_limits_t limits;
     uint16_t features;      /* FEATURE_ bits: parts of the control that are on */
     bool requested;         /* the drive is wanted: enable was written and nothing has withdrawn it */
-    uint16_t stop_faults;   /* faults to raise once the axis has been ramped down */
-    uint16_t faults;        /* captured faults */
+    fault_set_t stop_faults; /* faults to raise once the axis has been ramped down */
+    fault_set_t faults;     /* captured faults */
+    fault_set_t faults_enabled; /* that may stop the axis; FAULTS_ALWAYS are among them */
+    uint16_t first_fault;   /* code of the fault that came first, 0 without one */
     uint16_t active_limits; /* LIMIT_ bits of the last slow tick */
     uint16_t ticks;         /* slow ticks in this state */
 
@@ -125,9 +128,9 @@ void axis_edge(axis_t *axis);
 void axis_break(axis_t *axis);
 
 /* Capture faults: the outputs go off with the next call of the state machine. */
-void axis_raise(axis_t *axis, uint16_t faults);
+void axis_raise(axis_t *axis, fault_set_t faults);
 
 /* Ramp down, then raise `faults` (host silence). */
-void axis_stop_with(axis_t *axis, uint16_t faults);
+void axis_stop_with(axis_t *axis, fault_set_t faults);
 
 #endif

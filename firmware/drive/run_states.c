@@ -189,7 +189,7 @@ static void spin_slow(axis_t *axis)
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
-    const uint16_t faults = supervision_step(axis);
+    const fault_set_t faults = supervision_step(axis);
     if (faults != 0U) {
         axis_raise(axis, faults);
     } else if (!axis->requested && motion_stopped(axis)) {

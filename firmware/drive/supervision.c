@@ -50,14 +50,14 @@ static bool too_fast(axis_t *axis)
     return s->over_speed_ticks > axis->config->over_speed_ticks_most;
 }
 
-uint16_t supervision_step(axis_t *axis)
+fault_set_t supervision_step(axis_t *axis)
 {
-    uint16_t faults = 0;
+    fault_set_t faults = 0;
     if (runs_away(axis)) {
-        faults = (uint16_t)(faults | FAULT_RUNAWAY);
+        faults |= FAULT_RUNAWAY;
     }
     if (stalled(axis)) {
-        faults = (uint16_t)(faults | FAULT_STALLED);
+        faults |= FAULT_STALLED;
     }
     if ((axis->features & (FEATURE_FOLLOWING_ERROR | FEATURE_OVER_SPEED)) == 0U) {
         axis->supervision.following_ticks = 0;
@@ -65,10 +65,10 @@ uint16_t supervision_step(axis_t *axis)
         return faults;
     }
     if (off_path(axis)) {
-        faults = (uint16_t)(faults | FAULT_FOLLOWING_ERROR);
+        faults |= FAULT_FOLLOWING_ERROR;
     }
     if (too_fast(axis)) {
-        faults = (uint16_t)(faults | FAULT_OVER_SPEED);
+        faults |= FAULT_OVER_SPEED;
     }
     return faults;
 }

@@ -2,6 +2,7 @@
 #ifndef SERVO_DRIVE_SUPERVISION_H
 #define SERVO_DRIVE_SUPERVISION_H
 
+#include "drive/faults.h"
 #include "math/frac.h"
 
 struct axis;
@@ -17,6 +18,6 @@ typedef struct {
 void supervision_start(supervision_t *supervision);
 
 /* One slow tick, after the controllers; returns the faults (FAULT_ bits) that have lasted long enough. */
-uint16_t supervision_step(struct axis *axis);
+fault_set_t supervision_step(struct axis *axis);
 
 #endif

@@ -55,6 +55,9 @@ adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis);
 /* Newest code of the bus divider (36.3 V full scale, DRM E46). */
 uint16_t hal_adc_bus(hal_t *hal);
 
+/* Newest code of the temperature sensor on the heat sink of `axis`. */
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis);
+
 /* ---- inverter -------------------------------------------------------------------------------------------------- */
 
 /* High-side duties of the phases in Q1.15 (0..32767 is 0..100 %); loaded at the next half cycle of the axis. */
@@ -68,6 +71,15 @@ bool hal_break_active(hal_t *hal, uint16_t axis);
 
 /* Release the latch; it latches again at once if the current is still too high. */
 void hal_break_clear(hal_t *hal, uint16_t axis);
+
+/* ---- DC bus and monitor outputs --------------------------------------------------------------------------------- */
+
+/* The switch of the brake resistor between the bus voltage and ground. */
+void hal_brake(hal_t *hal, bool on);
+
+/* Two slow analogue outputs for an oscilloscope; 0 is 0 V, 65535 the full voltage. */
+#define HAL_MONITORS 2
+void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value);
 
 /* ---- encoder timers (DRM 2.4, F10) ---------------------------------------------------------------------------- */
 
@@ -97,6 +109,9 @@ bool hal_serial_get(hal_t *hal, uint8_t *byte);
 
 /* Hand one byte to the transmitter; false when it is still busy. */
 bool hal_serial_put(hal_t *hal, uint8_t byte);
+
+/* True when it was the watchdog that has reset the board. */
+bool hal_reset_by_watchdog(hal_t *hal);
 
 /* Service the watchdog: called once per slow tick, after both fast loops have reported. */
 void hal_watchdog_service(hal_t *hal);

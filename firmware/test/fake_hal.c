@@ -160,6 +160,14 @@ bool hal_serial_put(hal_t *hal, uint8_t byte)
     return true;
 }
 
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return hal->axis[axis].temperature_code; }
+
+void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+
+void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+
+bool hal_reset_by_watchdog(hal_t *hal) { return hal->reset_by_watchdog; }
+
 void hal_watchdog_service(hal_t *hal)
 {
     note(hal, FAKE_WATCHDOG, NO_AXIS, 0);

@@ -34,6 +34,7 @@ typedef struct {
     /* what the firmware reads */
     uint16_t current_code[3]; /* per phase */
     uint16_t offset_code[3];
+    uint16_t temperature_code;
     uint16_t count;
     uint16_t index;
     uint32_t age;
@@ -53,6 +54,9 @@ typedef struct {
 struct hal {
     fake_axis_t axis[HAL_AXES];
     uint16_t bus_code;
+    uint16_t monitor[HAL_MONITORS];
+    bool brake;
+    bool reset_by_watchdog;
     uint32_t watchdog;
     uint8_t serial_in[FAKE_SERIAL];
     uint16_t serial_in_size;

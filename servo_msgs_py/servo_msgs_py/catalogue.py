@@ -61,6 +61,7 @@ _RAW_TYPES: Final[Mapping[str, _RawType]] = {
     "frac32": _RawType(4, True, 0xF6, fractional=True),
     "enum": _RawType(2, False, 0xE1),
     "flags": _RawType(2, False, 0xE1),
+    "flags32": _RawType(4, False, 0xE2),
     "block": _RawType(1, False, 0xE0),
 }
 
@@ -83,6 +84,8 @@ class Flag:
     bit: int
     cause: str
     remedy: str
+    always: bool = False
+    """A fault that nobody can switch off."""
 
     @property
     def mask(self) -> int:
@@ -280,7 +283,7 @@ class Catalogue:
         }
         enums = {name: dict(entries) for name, entries in table.get("enums", {}).items()}
         flags = {
-            name: tuple(Flag(n, e["bit"], e["cause"], e.get("remedy", "")) for n, e in entries.items())
+            name: tuple(Flag(n, e["bit"], e["cause"], e.get("remedy", ""), e.get("always", False)) for n, e in entries.items())
             for name, entries in table.get("flags", {}).items()
         }
         bits = {name: dict(entries) for name, entries in table.get("bits", {}).items()}
@@ -355,8 +358,10 @@ def _variable(
     lsb = frac_lsb(scale.full_scale, 8 * raw.size) if scale.full_scale is not None else scale.lsb
     assert lsb is not None
     for kind, known in (("enum", enums), ("flags", flags)):
-        if (type_ == kind) != (kind in entry) or (kind in entry and entry[kind] not in known):
+        if type_.startswith(kind) != (kind in entry) or (kind in entry and entry[kind] not in known):
             raise CatalogueError(f"{name}: type {kind!r} needs a key {kind!r} that names one of the table's {kind}")
+    if "flags" in entry and any(flag.mask > raw.high for flag in flags[entry["flags"]]):
+        raise CatalogueError(f"{name}: {type_} has no room for every bit of {entry['flags']!r}")
     access = str(entry.get("access", "ro"))
     if access not in ("ro", "rw"):
         raise CatalogueError(f"{name}: access is {access!r}, not 'ro' or 'rw'")

@@ -37,7 +37,12 @@ def contract_header(catalogue: Catalogue) -> str:
         lines.append(f"typedef enum {{\n{body}}} {name};\n")
     for name, flags in catalogue.flags.items():
         prefix = name.removesuffix("s").upper()
-        lines.append("".join(f"#define {prefix}_{f.name} UINT16_C(0x{f.mask:04X}) /* {f.cause} */\n" for f in flags))
+        digits = 8 if any(v.flags == name and v.element_size == 4 for v in catalogue.variables.values()) else 4
+        kind = f"UINT{4 * digits}_C"
+        lines.append("".join(f"#define {prefix}_{f.name} {kind}(0x{f.mask:0{digits}X}) /* {f.cause} */\n" for f in flags))
+        always = sum(f.mask for f in flags if f.always)
+        if always:
+            lines.append(f"#define {prefix}S_ALWAYS {kind}(0x{always:0{digits}X}) /* nobody can switch them off */\n")
     for name, entries in catalogue.bits.items():
         lines.append("".join(f"#define {name.upper()}_{key} {value}\n" for key, value in entries.items()))
     limits = []

@@ -73,7 +73,7 @@ def test_numbers_of_states_are_those_of_the_seed() -> None:
 def test_flags_have_a_bit_each_and_faults_a_remedy() -> None:
     for flags in CATALOGUE.flags.values():
         assert len({f.bit for f in flags}) == len(flags)
-        assert all(0 <= f.bit < 16 and f.cause for f in flags)
+        assert all(0 <= f.bit < 32 and f.cause for f in flags)
     assert all(fault.remedy for fault in CATALOGUE.flags["faults"])
 
 

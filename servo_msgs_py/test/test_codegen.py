@@ -56,7 +56,8 @@ def test_header_has_hash_enums_flags_and_limits() -> None:
     header = codegen.contract_header(CATALOGUE)
     assert f"#define CATALOGUE_HASH UINT32_C(0x{CATALOGUE.hash:08X})" in header
     assert "    STATE_RUN = 3,\n} state_t;" in header
-    assert "#define FAULT_UNDER_VOLTAGE UINT16_C(0x0002)" in header
+    assert "#define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002)" in header
+    assert "#define LIMIT_VOLTAGE UINT16_C(0x0002)" in header
     position = CATALOGUE["cmd.position"]
     assert f"#define CMD_POSITION_MAX INT32_C({position.to_raw(position.maximum)})" in header
 

@@ -1,6 +1,7 @@
 #include "ideal_chip.h"
 
 #define QUARTERS (2 * PLANT_STEPS_PER_HALF)
+#define SINK_FULL_SCALE 150.0 /* [deg C] at 3.3 V */
 #define DUTY_FULL (1.0 / 32767.0)
 
 static const int pair_phases[3][2] = {{0, 1}, {1, 2}, {2, 0}};
@@ -20,6 +21,12 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->scans = 0;
     chip->breaks = 0;
     chip->watchdog = 0;
+    chip->brake = false;
+    chip->sink_code = plant_code_unipolar(config->ambient, SINK_FULL_SCALE);
+    chip->bitten = false;
+    for (int i = 0; i < HAL_MONITORS; i++) {
+        chip->monitor[i] = 0;
+    }
 }
 
 /* ---- running time ------------------------------------------------------------------------------------------------- */
@@ -174,6 +181,18 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 {
     return plant_encoder_age(&hal->plant.axis[axis].encoder, hal->now_ns);
 }
+
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return hal->sink_code;
+}
+
+void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+
+void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+
+bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
 
 bool hal_serial_get(hal_t *hal, uint8_t *byte) { return uart_get(&hal->uart, byte); }
 

@@ -37,6 +37,10 @@ struct hal {
     unsigned quarter;    /* of that step's end within the PWM period */
     uint32_t scans;      /* M2 interrupts so far */
     uint32_t breaks;     /* times an over-current latch has tripped */
+    uint16_t sink_code;  /* both heat sinks are as warm as the air */
+    uint16_t monitor[HAL_MONITORS];
+    bool brake;          /* the switch of the brake resistor */
+    bool bitten;         /* the watchdog has reset the board */
     uint32_t watchdog;   /* times the watchdog was serviced */
 };
 

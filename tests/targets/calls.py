@@ -21,6 +21,8 @@ _OUTPUTS: Final = (
     ("capture_arm", 0),
     ("serial", 1),
     ("watchdog", 0),
+    ("brake", 1),
+    ("monitor", 1),
 )
 """Names of ``out_t``, and how many words follow the head."""
 
@@ -74,7 +76,7 @@ class Call:
             name, count = _OUTPUTS[operation] if operation < len(_OUTPUTS) else (f"operation {operation}", 0)
             operands = [str(_signed(word) if name in ("duty", "preset") else word) for word in words[:count]]
             del words[:count]
-            texts.append(" ".join([name if name in ("serial", "watchdog") else f"axis{axis + 1} {name}", *operands]))
+            texts.append(" ".join([name if name in ("serial", "watchdog", "brake") else f"axis{axis + 1} {name}", *operands]))
         return texts
 
 

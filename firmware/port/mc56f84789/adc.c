@@ -145,3 +145,5 @@ adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis) { return hal->axis[axis].
 adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis) { return hal->axis[axis].offsets; }
 
 uint16_t hal_adc_bus(hal_t *hal) { return hal->bus; }
+
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return hal->axis[axis].sink; }

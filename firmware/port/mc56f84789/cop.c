@@ -9,6 +9,8 @@ void cop_start(hal_t *hal)
     REG_WRITE(hal, COP_CTRL, SET_COP_CTRL);
 }
 
+bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
+
 void hal_watchdog_service(hal_t *hal)
 {
     REG_WRITE(hal, COP_CNTR, COP_SERVICE_1);

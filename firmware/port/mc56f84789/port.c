@@ -103,6 +103,7 @@ static void state_init(hal_t *hal, servo_t *servo)
         axis->arms = 0;
     }
     hal->bus = 0;
+    hal->bitten = (REG_READ(hal, SIM_RSTAT) & (SIM_RSTAT_COP_LOR | SIM_RSTAT_COP_CPU)) != 0U;
     hal->losses = 0;
     hal->restarts = 0;
 }

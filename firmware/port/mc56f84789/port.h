@@ -34,6 +34,7 @@ struct hal {
     servo_t *servo;
     port_axis_t axis[HAL_AXES];
     uint16_t bus;
+    bool bitten;     /* the watchdog has reset the board */
     uint16_t losses; /* of triggers, forgotten with time */
     uint32_t restarts; /* of the sequence, since reset */
 

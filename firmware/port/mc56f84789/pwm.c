@@ -121,6 +121,13 @@ void hal_break_clear(hal_t *hal, uint16_t axis)
     REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0);
 }
 
+void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
+{
+    (void)hal;
+    (void)channel;
+    (void)value;
+}
+
 /* ---- over-current: the outputs are off already, the flag stays until the application clears it ------------------ */
 
 static void over_current(hal_t *hal, uint16_t axis)

@@ -345,7 +345,9 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
  *   motor 1    E0..E5 PWMA 0B 0A 1B 1A 2B 2A    E8 over-current    C3, C4 encoder A, B
  *   motor 2    G2 G3 PWMB 0B 0A, G0 G1 1B 1A, E6 E7 2B 2A    F14 over-current    C2, F8 encoder A, B
  *   host       C7 transmit, C8 receive    C0, C1 crystal
+ *   brake      G6 high switches the resistor on
  *   scope      F6, F7 high while M1, M2 runs (DRM F38) */
+#define PIN_BRAKE BIT(6)
 #define PIN_SCOPE_M1 BIT(6)
 #define PIN_SCOPE_M2 BIT(7)
 #define SET_GPSAL SIM_GPSAL_A0(SIM_A0_ANA0)
@@ -375,6 +377,7 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
 #define SET_GPIOF_PER (BIT(8) | BIT(14))
 #define SET_GPIOG_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3))
 #define SET_GPIOF_DDR (PIN_SCOPE_M1 | PIN_SCOPE_M2)
+#define SET_GPIOG_DDR PIN_BRAKE
 /* Pulled up: an unplugged encoder or host is quiet, a torn over-current line is an over-current. */
 #define SET_GPIOC_PULL (BIT(2) | BIT(3) | BIT(4) | BIT(8))
 #define SET_GPIOE_PULL BIT(8)

@@ -17,6 +17,8 @@ static void pull_up(hal_t *hal, uint16_t port, uint16_t pins)
     REG_WRITE(hal, port + GPIO_PUR, pins);
 }
 
+void hal_brake(hal_t *hal, bool on) { REG_WRITE(hal, GPIO(GPIO_G) + GPIO_DR, on ? PIN_BRAKE : 0U); }
+
 /* The function of a pin first, then the peripheral gets it. */
 void pins_init(hal_t *hal)
 {
@@ -36,6 +38,10 @@ void pins_init(hal_t *hal)
     REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DR, 0U);
     REG_WRITE(hal, GPIO(GPIO_F) + GPIO_PPMODE, SET_GPIOF_DDR);
     REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DDR, SET_GPIOF_DDR);
+
+    hal_brake(hal, false);
+    REG_WRITE(hal, GPIO(GPIO_G) + GPIO_PPMODE, SET_GPIOG_DDR);
+    REG_WRITE(hal, GPIO(GPIO_G) + GPIO_DDR, SET_GPIOG_DDR);
 
     REG_WRITE(hal, GPIO(GPIO_A) + GPIO_PER, SET_GPIOA_PER);
     REG_WRITE(hal, GPIO(GPIO_B) + GPIO_PER, SET_GPIOB_PER);

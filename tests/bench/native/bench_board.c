@@ -195,4 +195,20 @@ bool hal_serial_put(hal_t *hal, uint8_t byte)
     return true;
 }
 
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
+{
+    (void)hal;
+    return (uint16_t)(700U + axis);
+}
+
+void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+
+void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+
+bool hal_reset_by_watchdog(hal_t *hal)
+{
+    (void)hal;
+    return false;
+}
+
 void hal_watchdog_service(hal_t *hal) { hal->watchdog++; }

@@ -40,6 +40,8 @@ struct hal {
     uint16_t serial; /* received byte behind a flag in bit 8 */
     uint16_t sent;
     uint16_t watchdog;
+    uint16_t monitor[HAL_MONITORS];
+    bool brake;
     bench_motor_t motor[HAL_AXES];
     uint32_t period;
 };

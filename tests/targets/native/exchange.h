@@ -29,6 +29,8 @@ typedef enum {
     OUT_ARM,
     OUT_SERIAL, /* byte */
     OUT_WATCHDOG,
+    OUT_BRAKE,   /* on */
+    OUT_MONITOR, /* value */
 } out_t;
 
 #define EXCHANGE_IN_MAX 64

@@ -264,6 +264,10 @@ void __real_hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 void __real_hal_capture_arm(hal_t *hal, uint16_t axis);
 bool __real_hal_serial_put(hal_t *hal, uint8_t byte);
 void __real_hal_watchdog_service(hal_t *hal);
+uint16_t __real_hal_adc_temperature(hal_t *hal, uint16_t axis);
+bool __real_hal_reset_by_watchdog(hal_t *hal);
+void __real_hal_brake(hal_t *hal, bool on);
+void __real_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value);
 
 void __wrap_servo_init(servo_t *servo, hal_t *hal)
 {
@@ -333,6 +337,20 @@ uint16_t __wrap_hal_adc_bus(hal_t *hal)
     const uint16_t code = bus_code_of(__real_hal_adc_bus(hal));
     in(code);
     return code;
+}
+
+uint16_t __wrap_hal_adc_temperature(hal_t *hal, uint16_t axis)
+{
+    const uint16_t code = __real_hal_adc_temperature(hal, axis);
+    in(code);
+    return code;
+}
+
+bool __wrap_hal_reset_by_watchdog(hal_t *hal)
+{
+    const bool bitten = __real_hal_reset_by_watchdog(hal);
+    in(bitten);
+    return bitten;
 }
 
 bool __wrap_hal_break_active(hal_t *hal, uint16_t axis)
@@ -443,6 +461,18 @@ bool __wrap_hal_serial_put(hal_t *hal, uint8_t byte)
     const bool taken = __real_hal_serial_put(hal, byte);
     in(taken);
     return taken;
+}
+
+void __wrap_hal_brake(hal_t *hal, bool on)
+{
+    out1(OUT_BRAKE, 0, on);
+    __real_hal_brake(hal, on);
+}
+
+void __wrap_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
+{
+    out1(OUT_MONITOR, channel, value);
+    __real_hal_monitor(hal, channel, value);
 }
 
 void __wrap_hal_watchdog_service(hal_t *hal)

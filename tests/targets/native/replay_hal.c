@@ -116,6 +116,26 @@ bool hal_serial_put(hal_t *hal, uint8_t byte)
     return take(hal) != 0U;
 }
 
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return take(hal);
+}
+
+bool hal_reset_by_watchdog(hal_t *hal) { return take(hal) != 0U; }
+
+void hal_brake(hal_t *hal, bool on)
+{
+    out_head(&hal->out, OUT_BRAKE, 0);
+    out_word(&hal->out, on ? 1U : 0U);
+}
+
+void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
+{
+    out_head(&hal->out, OUT_MONITOR, channel);
+    out_word(&hal->out, value);
+}
+
 void hal_watchdog_service(hal_t *hal) { out_head(&hal->out, OUT_WATCHDOG, 0); }
 
 /* ---- calls ------------------------------------------------------------------------------------------------------ */
