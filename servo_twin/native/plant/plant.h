@@ -13,7 +13,7 @@
 #include "plant/pair.h"
 #include "plant/sensors.h"
 
-#define PLANT_STEPS_PER_HALF 2 /* steps per half cycle of the PWM */
+#define PLANT_STEPS_PER_HALF 1 /* steps per half cycle of the PWM */
 
 typedef struct {
     plant_axis_t config;
