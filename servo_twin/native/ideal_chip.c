@@ -1,7 +1,6 @@
 #include "ideal_chip.h"
 
-#define QUARTERS (2 * PLANT_STEPS_PER_HALF)
-#define SINK_FULL_SCALE 150.0 /* [deg C] at 3.3 V */
+#define STEPS (2 * PLANT_STEPS_PER_HALF) /* of the plant, per period */
 #define DUTY_FULL (1.0 / 32767.0)
 
 static const int pair_phases[3][2] = {{0, 1}, {1, 2}, {2, 0}};
@@ -17,12 +16,10 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->bus_code = 0;
     chip->now_ns = 0;
     chip->grid_ns = 0;
-    chip->quarter = 0;
+    chip->step = 0;
     chip->scans = 0;
     chip->breaks = 0;
     chip->watchdog = 0;
-    chip->brake = false;
-    chip->sink_code = plant_code_unipolar(config->ambient, SINK_FULL_SCALE);
     chip->bitten = false;
     for (int i = 0; i < HAL_MONITORS; i++) {
         chip->monitor[i] = 0;
@@ -90,16 +87,16 @@ static void grid(hal_t *chip)
             }
         }
     }
-    const unsigned quarter = chip->quarter;
-    chip->quarter = (quarter + 1u) % QUARTERS;
+    const unsigned step = chip->step;
+    chip->step = (step + 1u) % STEPS;
     chip->grid_ns += plant->step_ns;
     for (int i = 0; i < HAL_AXES; i++) {
         if (plant->axis[i].encoder.latched) {
             servo_edge_isr(chip->servo, (uint16_t)i);
         }
     }
-    if (quarter % PLANT_STEPS_PER_HALF == 0u) {
-        half_cycle(chip, (quarter == 0u) ? 0 : 1);
+    if (step % PLANT_STEPS_PER_HALF == 0u) {
+        half_cycle(chip, (step == 0u) ? 0 : 1);
     }
 }
 
@@ -184,11 +181,10 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 
 uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
 {
-    (void)axis;
-    return hal->sink_code;
+    return plant_sink_code(&hal->plant, (int)axis);
 }
 
-void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+void hal_brake(hal_t *hal, bool on) { hal->plant.bus.braking = on; }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
