@@ -25,6 +25,7 @@ typedef struct {
 
     hal_t *hal;
     axis_t axis[HAL_AXES];
+    brake_t brake;
     uint32_t tick; /* PWM periods since reset */
     bool slow_tick;
     uint32_t applied_tick;

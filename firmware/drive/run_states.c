@@ -94,6 +94,13 @@ static void spin_freewheel(axis_t *axis)
     enter(axis, SUBSTATE_FREEWHEEL);
 }
 
+/* Braked by its own windings: the low sides see the current, the supply does not. */
+static void spin_short(axis_t *axis)
+{
+    axis_short(axis);
+    enter(axis, SUBSTATE_FREEWHEEL);
+}
+
 static void freewheel_align(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
@@ -179,6 +186,17 @@ static void align_slow(axis_t *axis)
 
 static void spin_fast(axis_t *axis) { drive(axis, axis->feedback.theta_e); }
 
+/* The drive is not wanted any more. */
+static void bring_to_rest(axis_t *axis)
+{
+    const stop_category_t next = stop_step(axis);
+    if (next == STOP_CATEGORY_COAST) {
+        spin_freewheel(axis);
+    } else if (next == STOP_CATEGORY_SHORT) {
+        spin_short(axis);
+    }
+}
+
 static void spin_slow(axis_t *axis)
 {
     track_offsets(axis);
@@ -189,21 +207,31 @@ static void spin_slow(axis_t *axis)
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
-    const fault_set_t faults = supervision_step(axis);
-    if (faults != 0U) {
-        axis_raise(axis, faults);
-    } else if (!axis->requested && motion_stopped(axis)) {
-        spin_freewheel(axis);
+    axis_raise(axis, supervision_step(axis));
+    if (!axis->requested && (axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
+        bring_to_rest(axis);
     }
 }
 
-/* ---- FREEWHEEL: outputs off until the rotor is still --------------------------------------------------------------- */
+/* ---- FREEWHEEL: outputs off until the rotor is still; or shorted windings, which become the same ------------------- */
 
-static void freewheel_fast(axis_t *axis) { measure(axis); }
+static void freewheel_fast(axis_t *axis)
+{
+    measure(axis);
+    if (axis->shorted && stop_short_overloaded(axis)) {
+        axis_zero_voltage(axis, false);
+    }
+}
 
 static void freewheel_slow(axis_t *axis)
 {
     track_offsets(axis);
+    if (axis->shorted) {
+        if (stop_short_over(axis)) {
+            axis_zero_voltage(axis, false);
+        }
+        return;
+    }
     if (!axis->feedback.still) {
         wait_for_rest(axis);
         return;

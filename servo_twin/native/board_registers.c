@@ -42,6 +42,7 @@ static const chip_wiring_t wiring = {
 static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN('C', 4)},
                                                     {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
 static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
+static const unsigned brake_pin = CHIP_PIN('G', 6);
 
 /* Analogue pins ANA0-7, ANB0-7. Phase b is on both converters, so that any two phases can be sampled together. */
 typedef enum { NOTHING, CURRENT, BUS, SINK } analog_kind_t;
@@ -112,6 +113,15 @@ static uint16_t convert(void *context, unsigned channel)
     }
 }
 
+/* The switch of the brake resistor follows its pin, as software has left it. */
+static void follow_brake(board_t *board)
+{
+    const bool on = chip_pin_level(&board->chip, brake_pin);
+    if (on != board->plant.supply.braking) {
+        switching_brake(&board->plant, on);
+    }
+}
+
 static void boot(void *context)
 {
     board_t *board = (board_t *)context;
@@ -120,6 +130,7 @@ static void boot(void *context)
     board->hal.chip = &board->chip;
     board->hal.baud = (uint32_t)(board->chip.config.baud + 0.5); /* both ends of the line are told the same */
     board->up = port_init(&board->hal, &board->servo);
+    follow_brake(board);
 }
 
 static uint32_t interrupt(void *context, unsigned vector)
@@ -129,6 +140,7 @@ static uint32_t interrupt(void *context, unsigned vector)
     const bool slow = board->servo.slow_tick;
     const uint32_t tick = board->servo.snapshot.tick;
     port_isr(&board->hal, (uint16_t)vector);
+    follow_brake(board);
     switch (vector) {
     case 85: /* PWMA_CMP1 */
         return board->servo.slow_tick ? core->m1_slow : core->m1;

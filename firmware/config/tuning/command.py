@@ -13,7 +13,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import update
 
 from tuning.configuration import Configuration
-from tuning.constants import host_timeout
+from tuning.constants import brake_constants, host_timeout
 from tuning.errors import ConfigError
 from tuning.picture import PictureError, draw
 from tuning.reading import load
@@ -68,7 +68,9 @@ def _generate(args: argparse.Namespace, configuration: Configuration) -> int:
     for report in reports:
         for finding in report.findings:
             print(f"{args.config}: warning: {finding}", file=sys.stderr)
-    source = c_source([report.tuned.constants for report in reports], host_timeout(configuration.board))
+    source = c_source(
+        [report.tuned.constants for report in reports], brake_constants(configuration), host_timeout(configuration.board)
+    )
     stale = update([(args.output, source)], check=args.check)
     return 1 if args.check and stale else 0
 

@@ -10,7 +10,8 @@ from typing import Any
 from servo_msgs_py.catalogue import Catalogue
 
 from tuning.errors import ConfigError, refused
-from tuning.schema import AXIS_GROUPS, check_group, check_switches, check_table, unknown_name
+from tuning.schema import AXIS_GROUPS, BOARD_GROUPS, check_group, check_switches, check_table, unknown_name
+from tuning.stops import Stops
 
 __all__ = ["Axis", "Board", "Configuration", "Scales"]
 
@@ -49,9 +50,18 @@ class Scales:
 
 @dataclass(frozen=True)
 class Board:
-    """The group [board]; ``board("dead_time")`` is one of its values."""
+    """The group [board]; ``board("dead_time")`` and ``board("brake.power")`` are two of its values.
+
+    Attributes
+    ----------
+    values : mapping
+        By key, or by group and key.
+    brake : bool
+        Whether there is a brake resistor.
+    """
 
     values: Mapping[str, float]
+    brake: bool
 
     def __call__(self, key: str) -> float:
         return self.values[key]
@@ -80,7 +90,14 @@ class Board:
         ConfigError
             If an entry is missing, unknown or cannot make sense.
         """
-        return cls(check_group("board", "board", table))
+        plain = dict(check_table("board", table))
+        groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
+        fitted = check_switches("board.brake", {"fitted": groups["brake"].pop("fitted", None)}, ["fitted"])
+        values = check_group("board", "board", plain)
+        for group, entries in groups.items():
+            checked = check_group(f"board.{group}", group, entries)
+            values |= {f"{group}.{key}": value for key, value in checked.items()}
+        return cls(values, fitted["fitted"])
 
     def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
         """Error about one entry of the group."""
@@ -99,6 +116,8 @@ class Axis:
         Numbers by group and key.
     features : mapping
         What is on after reset.
+    stops : Stops
+        How the axis comes to rest.
     inherited : frozenset of str
         Entries that come from [defaults].
     """
@@ -106,6 +125,7 @@ class Axis:
     name: str
     groups: Mapping[str, Mapping[str, float]]
     features: Mapping[str, bool]
+    stops: Stops
     inherited: frozenset[str]
 
     def __call__(self, path: str) -> float:
@@ -131,7 +151,9 @@ class Axis:
         return 4.0 * self("encoder.lines")
 
     @classmethod
-    def of(cls, table: Mapping[str, Any], name: str, feature_names: Collection[str]) -> Axis:
+    def of(
+        cls, table: Mapping[str, Any], name: str, feature_names: Collection[str], fault_names: Collection[str]
+    ) -> Axis:
         """Merge and check the groups of one axis.
 
         Raises
@@ -153,13 +175,16 @@ class Axis:
                 inherited = inherited | paths if owner == "defaults" else inherited - paths
         features = check_switches(f"{name}.features", groups.pop("features"), feature_names)
         origin = frozenset(inherited)
+        stops = Stops.taken_from(
+            groups["stop"], fault_names, lambda key: _place(name, f"stop.{key}", origin), AXIS_GROUPS["stop"]
+        )
         checked = {
             group: check_group(
                 f"{name}.{group}", group, entries, {key: _place(name, f"{group}.{key}", origin) for key in entries}
             )
             for group, entries in groups.items()
         }
-        return cls(name, checked, features, origin)
+        return cls(name, checked, features, stops, origin)
 
 
 def _place(axis: str, path: str, inherited: Collection[str]) -> str:

@@ -11,7 +11,21 @@ from tuning.configuration import Axis, Board, Configuration, Scales
 from tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
 from tuning.gains import Gains, Pi
 
-__all__ = ["PATH_OMEGA", "AxisConstants", "Field", "PiRaw", "Switches", "axis_constants", "host_timeout"]
+__all__ = [
+    "BUS_END",
+    "PATH_OMEGA",
+    "AxisConstants",
+    "Category",
+    "FaultSet",
+    "Field",
+    "PiRaw",
+    "Switches",
+    "axis_constants",
+    "brake_constants",
+    "host_timeout",
+    "regeneration_speed",
+    "short_speed",
+]
 
 ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
 COUNTS: Final = Format("int32_t counts", 0, 1, 2**30)
@@ -29,6 +43,9 @@ TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
 TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
 SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
 
+BUS_END: Final = 0.98
+"""Part of the bus converter's range that can still be told from its end."""
+
 _LINES: Final = "correct encoder.lines"
 _HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
 _SLOWER_CURRENT: Final = "lower control.current_bandwidth"
@@ -43,11 +60,19 @@ class PiRaw(NamedTuple):
     kc: int
 
 
+class FaultSet(tuple[str, ...]):
+    """Faults, by their names in the contract, lower case."""
+
+
+class Category(str):
+    """A stop category."""
+
+
 class Switches(tuple[str, ...]):
     """Features that are on, by their names in the contract."""
 
 
-Field = int | PiRaw | Switches
+Field = int | PiRaw | Switches | FaultSet | Category
 AxisConstants = Mapping[str, Field]
 """C path of every field of ``axis_config_t`` with its value."""
 
@@ -104,6 +129,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **_feed_forward(to),
         **_limits(to),
         **_supervision(to),
+        **_stops(to),
     }
 
 
@@ -287,6 +313,69 @@ def _supervision(to: _Converter) -> dict[str, Field]:
         "runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
         "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
         **{field: to.ticks(path) for field, path in times.items()},
+    }
+
+
+def short_speed(axis: Axis) -> float:
+    """Mechanical speed at which shorted windings carry ``stop.short_current`` [rad/s]; infinite if they never do.
+
+    K_e w / sqrt(R_s^2 + w^2 L_s^2) grows with the speed towards K_e / L_s.
+    """
+    current = axis("stop.short_current")
+    inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))
+    rest = axis("motor.psi_m") ** 2 - (current * inductance) ** 2
+    if rest <= 0.0:
+        return math.inf
+    return current * axis("motor.r_s") / math.sqrt(rest) / axis("motor.pole_pairs")
+
+
+def regeneration_speed(axis: Axis) -> float:
+    """Mechanical speed up to which the full current burns in the winding what braking returns [rad/s]."""
+    return axis("limits.current") * axis("motor.r_s") / (axis("motor.pole_pairs") * axis("motor.psi_m"))
+
+
+def _stops(to: _Converter) -> dict[str, Field]:
+    axis, s, stops = to.axis, to.s, to.axis.stops
+    names = {"shorted": "short", "ramp": "ramp", "hold": "hold"}
+    most = 1.0 - 2.0**-31
+    return {
+        **{f"stop.{command}": Category(category) for command, category in stops.commands.items()},
+        **{f"stop.{field}": FaultSet(stops.answered(category)) for field, category in names.items()},
+        "stop.short_speed": to.of(FRAC32, "speed of the short", min(short_speed(axis) / s.speed, most), _HOLD),
+        "stop.short_current": to.at(FRAC16, "stop.short_current", 1.0 / s.i * (1.0 - 2.0**-15)),
+        "stop.ticks_most": to.ticks("stop.time_most"),
+        "stop.hold_ticks": to.ticks("stop.hold_time"),
+        "regeneration_speed": to.of(
+            FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, most), _HOLD
+        ),
+        "copper_current": to.at(FRAC16, "stop.copper_current", 1.0 / s.i),
+    }
+
+
+def brake_constants(configuration: Configuration) -> Mapping[str, int]:
+    """Every field of the ``brake_config_t``.
+
+    Raises
+    ------
+    ConfigError
+        If one does not fit its format, or vanishes in it.
+    """
+    board, s = configuration.board, configuration.scales
+    energy, power = board("brake.energy"), board("brake.power")
+    heating = s.u_dc**2 / board("brake.resistance") * board.tick / energy
+
+    def volts(key: str) -> int:
+        return FRAC16.raw(f"board.{key}", board(key) / s.u_dc, "stay below the full scale of the ADC", board(key))
+
+    return {
+        "fitted": int(board.brake),
+        "on": volts("brake.on_voltage"),
+        "off": volts("brake.off_voltage"),
+        "heating": GAIN.raw("board.brake.energy", heating, "raise it, or brake.resistance", energy),
+        "cooling": FRAC32.raw("board.brake.power", power * board.tick / energy, "raise it, or lower energy", power),
+        "start": volts("regeneration.start_voltage"),
+        "full": volts("regeneration.full_voltage"),
+        "most_able": FRAC16.raw("board: end of the bus converter", BUS_END, "none"),
     }
 
 
