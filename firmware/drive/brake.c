@@ -3,10 +3,7 @@
 #define RESTED (FRAC32_MAX / 2) /* a spent resistor is used again when it has cooled so far */
 #define LEAD_TICKS 4
 
-void brake_init(brake_t *brake)
-{
-    *brake = (brake_t){.bearable = FRAC16_MAX};
-}
+void brake_init(brake_t *brake) { *brake = (brake_t){.bearable = FRAC16_MAX}; }
 
 /* Energy in, u^2 / R while it is on; a steady power out. */
 static void heat_up(brake_t *brake, const brake_config_t *config, frac16_t u_dc)

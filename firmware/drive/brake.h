@@ -12,22 +12,23 @@
 #include "math/frac.h"
 
 typedef struct {
-    bool fitted;        /* default of the writable switch */
-    frac16_t on, off;   /* bus voltages */
-    gain_t heating;     /* u^2 -> part of the energy budget that the resistor burns in a slow tick */
-    frac32_t cooling;   /* part of the budget that leaves it in a slow tick */
+    bool fitted; /* default of the writable switch */
+    frac16_t on, off; /* bus voltages */
+    gain_t heating; /* u^2 -> part of the energy budget that the resistor burns in a slow tick */
+    frac32_t cooling; /* part of the budget that leaves it in a slow tick */
     frac16_t start, full; /* bus voltages between which braking current is folded back */
-    frac16_t most_able; /* over-voltage while the resistor is able: what the converter can just tell from its full scale. Nobody
+    frac16_t
+        most_able; /* over-voltage while the resistor is able: what the converter can just tell from its full scale. Nobody
                          * could see how far beyond that the bus is, and the capacitors' rating is not far away. */
 } brake_config_t;
 
 typedef struct {
     bool on;
-    bool able;          /* fitted, and not spent */
-    bool spent;         /* the budget is used up: off until half of it has cooled away */
-    frac32_t heat;      /* used part of the budget */
-    frac16_t u_dc;      /* bus voltage of the last tick */
-    frac16_t bearable;  /* part of the braking current that the bus bears now */
+    bool able; /* fitted, and not spent */
+    bool spent; /* the budget is used up: off until half of it has cooled away */
+    frac32_t heat; /* used part of the budget */
+    frac16_t u_dc; /* bus voltage of the last tick */
+    frac16_t bearable; /* part of the braking current that the bus bears now */
 } brake_t;
 
 /* Resistor off and cold. */

@@ -443,7 +443,8 @@ void motion_step(axis_t *axis)
         shape(m, m->speed_ramp);
         m->speed_ref = m->speed_ramp;
         if (m->speed_ramp == 0) {
-            if (m->stop_ticks < UINT16_MAX && !m->held_back) { /* what the bus holds back takes the time that it takes */
+            if (m->stop_ticks < UINT16_MAX &&
+                !m->held_back) { /* what the bus holds back takes the time that it takes */
                 m->stop_ticks++;
             }
             /* With little current the shaft is behind the ramp: a point latched now would have to be run back to. */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import random
 from collections.abc import Mapping
@@ -15,15 +16,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tuning.command import main
 from tuning.configuration import Configuration
-from tuning.constants import AxisConstants, PiRaw, Switches, host_timeout
+from tuning.constants import AxisConstants, Category, FaultSet, PiRaw, Switches, brake_constants, host_timeout
 from tuning.errors import ConfigError
 from tuning.linear import spectral_radius
 from tuning.reading import parse
-from tuning.schema import AXIS_GROUPS, BOARD
+from tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
 from tuning.source import c_source
+from tuning.stops import CATEGORIES
 from tuning.tuned import Tuned, tuned
 from tuning_tool import CATALOGUE, table
 
+FAULTS = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["faults"]}
 FEATURES = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["features"]}
 
 
@@ -65,6 +68,7 @@ def with_motor(motor: Mapping[str, float], axis: str = "axis1") -> dict[str, Any
 
 def tune(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]]:
     configuration = parse(whole, CATALOGUE)
+    assert brake_constants(configuration)
     return configuration, [tuned(axis, configuration) for axis in configuration.axes]
 
 
@@ -85,6 +89,10 @@ def fill(config: Any, constants: AxisConstants) -> None:
             place = getattr(place, group)
         if isinstance(value, Switches):
             setattr(place, field, sum(FEATURES[name] for name in value))
+        elif isinstance(value, FaultSet):
+            setattr(place, field, sum(FAULTS[name] for name in value))
+        elif isinstance(value, Category):
+            setattr(place, field, CATEGORIES.index(value))
         elif isinstance(value, PiRaw):
             gains = getattr(place, field)
             gains.kp, gains.ki, gains.kc = value
@@ -123,6 +131,7 @@ def test_constants_of_any_motor_fit_their_types(core: Core, motor: dict[str, flo
     config = core.ffi.new("servo_config_t *")
     for place, it in zip(config.axis, axes, strict=True):
         fill(place, it.constants)
+    fill(config.brake, brake_constants(configuration))
     config.host_timeout = host_timeout(configuration.board)
     it = axes[0]
     assert max(spectral_radius(it.current_loop(which).closed.a) for which in "dq") < 1.0
@@ -177,7 +186,7 @@ def written(whole: Mapping[str, Any]) -> str:
         nested = {f"{owner}.{key}": value for key, value in groups.items() if isinstance(value, dict)}
         for name, entries in (({owner: flat} if flat else {}) | nested).items():
             lines.append(f"[{name}]")
-            lines += [f"{key} = {str(value).lower()}" for key, value in entries.items()]
+            lines += [f"{key} = {json.dumps(value)}" for key, value in entries.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -201,9 +210,11 @@ def test_the_command_on_other_motors(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def places() -> list[str]:
     """Every number of the file."""
-    return [f"board__{key}" for key in BOARD] + [
-        f"axis1__{group}__{key}" for group, entries in AXIS_GROUPS.items() for key in entries
-    ]
+    return (
+        [f"board__{key}" for key in BOARD]
+        + [f"board__{group}__{key}" for group, entries in BOARD_GROUPS.items() for key in entries]
+        + [f"axis1__{group}__{key}" for group, entries in AXIS_GROUPS.items() for key in entries]
+    )
 
 
 @settings(max_examples=600)
@@ -225,7 +236,7 @@ def test_absurd_numbers_never_break_it(core: Core, exponents: dict[str, float]) 
     config = core.ffi.new("servo_config_t *")
     for target, it in zip(config.axis, axes, strict=True):
         fill(target, it.constants)
-    assert c_source([it.constants for it in axes], host_timeout(configuration.board))
+    assert c_source([it.constants for it in axes], brake_constants(configuration), host_timeout(configuration.board))
 
 
 def test_the_folder_of_the_tool_is_not_compiled() -> None:

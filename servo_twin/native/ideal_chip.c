@@ -179,10 +179,7 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
     return plant_encoder_age(&hal->plant.axis[axis].encoder, hal->now_ns);
 }
 
-uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
-{
-    return plant_sink_code(&hal->plant, (int)axis);
-}
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return plant_sink_code(&hal->plant, (int)axis); }
 
 void hal_brake(hal_t *hal, bool on) { hal->plant.bus.braking = on; }
 

@@ -154,7 +154,9 @@ def _bus(configuration: Configuration) -> None:
     burnt = board("brake.on_voltage") ** 2 / board("brake.resistance")
     returned = sum(_returned(axis, board) for axis in configuration.axes)
     if burnt < returned:
-        reason = f"at {board('brake.on_voltage'):g} V it burns {burnt:.3g} W, and all axes braking return {returned:.3g} W"
+        reason = (
+            f"at {board('brake.on_voltage'):g} V it burns {burnt:.3g} W, and all axes braking return {returned:.3g} W"
+        )
         remedy = f"write {board('brake.on_voltage') ** 2 / returned:.3g} ohm or less"
         raise board.refused("brake.resistance", reason, remedy)
     kinetic = sum(0.5 * axis("motor.inertia") * axis("limits.speed") ** 2 for axis in configuration.axes)
@@ -162,7 +164,9 @@ def _bus(configuration: Configuration) -> None:
         reason = f"all axes braking once from their speed limits return up to {kinetic:.3g} J"
         raise board.refused("brake.energy", reason, "write more, or fit another resistor")
     if board("brake.power") >= burnt:
-        reason = f"at {board('brake.on_voltage'):g} V it burns no more than {burnt:.3g} W, so there is nothing to budget"
+        reason = (
+            f"at {board('brake.on_voltage'):g} V it burns no more than {burnt:.3g} W, so there is nothing to budget"
+        )
         raise board.refused("brake.power", reason, "write what it bears for ever")
 
 
@@ -177,9 +181,6 @@ def _stops(axis: Axis, scales: Scales) -> None:
     if axis("stop.short_current") > scales.i:
         reason = f"the shunts end at {scales.i:g} A and could not tell"
         raise axis.refused("stop.short_current", reason, "stay within it")
-    if axis("stop.copper_current") > axis("limits.current"):
-        reason = f"more than the current limit of {axis('limits.current'):g} A"
-        raise axis.refused("stop.copper_current", reason, "stay within it")
     ramp = axis("limits.speed") / axis("timing.stop_acceleration") + axis("timing.stop_most")
     if axis("stop.time_most") < ramp:
         reason = f"the gentlest ramp from the speed limit and timing.stop_most take {ramp:.3g} s"

@@ -69,7 +69,9 @@ def _generate(args: argparse.Namespace, configuration: Configuration) -> int:
         for finding in report.findings:
             print(f"{args.config}: warning: {finding}", file=sys.stderr)
     source = c_source(
-        [report.tuned.constants for report in reports], brake_constants(configuration), host_timeout(configuration.board)
+        [report.tuned.constants for report in reports],
+        brake_constants(configuration),
+        host_timeout(configuration.board),
     )
     stale = update([(args.output, source)], check=args.check)
     return 1 if args.check and stale else 0

@@ -92,12 +92,12 @@ class Board:
         """
         plain = dict(check_table("board", table))
         groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
-        fitted = check_switches("board.brake", {"fitted": groups["brake"].pop("fitted", None)}, ["fitted"])
         values = check_group("board", "board", plain)
+        switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}
         for group, entries in groups.items():
             checked = check_group(f"board.{group}", group, entries)
             values |= {f"{group}.{key}": value for key, value in checked.items()}
-        return cls(values, fitted["fitted"])
+        return cls(values, check_switches("board.brake", switch, ["fitted"])["fitted"])
 
     def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
         """Error about one entry of the group."""

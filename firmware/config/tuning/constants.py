@@ -348,7 +348,7 @@ def _stops(to: _Converter) -> dict[str, Field]:
         "regeneration_speed": to.of(
             FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, most), _HOLD
         ),
-        "copper_current": to.at(FRAC16, "stop.copper_current", 1.0 / s.i),
+        "copper_current": to.at(FRAC16, "stop.copper_use", axis("limits.current") / s.i),
     }
 
 

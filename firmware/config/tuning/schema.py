@@ -10,7 +10,17 @@ from typing import Any, Final
 
 from tuning.errors import ConfigError, refused
 
-__all__ = ["AXIS_GROUPS", "BOARD", "BOARD_GROUPS", "SCHEMA", "Entry", "check_group", "check_switches", "check_table", "unknown_name"]
+__all__ = [
+    "AXIS_GROUPS",
+    "BOARD",
+    "BOARD_GROUPS",
+    "SCHEMA",
+    "Entry",
+    "check_group",
+    "check_switches",
+    "check_table",
+    "unknown_name",
+]
 
 LEAST: Final = 1e-12
 """Nothing that could stand in the file is smaller, 0 apart."""
@@ -174,7 +184,9 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "time_most": Entry("s", "from the beginning of a stop until the outputs go off in any case"),
         "hold_time": Entry("s", "that an axis holds its position without a drive"),
         "short_current": Entry("A", "steady current that shorted windings may carry"),
-        "copper_current": Entry("A", "i_d against the flux while braking current is folded back", zero=True),
+        "copper_use": Entry(
+            "", "part of the current limit for i_d while braking current is folded back", zero=True, most=1.0
+        ),
     },
     "sensing": {
         "sign_current": Entry("A", "above it the direction of a phase current is certain"),
