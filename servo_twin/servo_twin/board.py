@@ -467,15 +467,8 @@ class Board:
         self._lib.board_set_shaft(self._board, _axis_index(axis), int(locked))
 
     def obstruct_shaft(self, axis: int, below: float, above: float) -> None:
-        """End stops so far to both sides of where the shaft of an axis is now [rad]; infinite ones are none.
-
-        Raises
-        ------
-        BoardError
-            At the level ``registers``, whose plant knows no end stops.
-        """
-        if self._lib.board_obstruct_shaft(self._board, _axis_index(axis), below, above) != 0:
-            raise BoardError("a shaft has end stops at the level 'ideal' only")
+        """End stops so far to both sides of where the shaft of an axis is now [rad]; infinite ones are none."""
+        self._lib.board_obstruct_shaft(self._board, _axis_index(axis), below, above)
 
     def connect_encoder(self, axis: int, connected: bool = True) -> None:
         """Plug in the encoder of an axis, or pull its plug."""

@@ -332,6 +332,48 @@ class TestEncoder:
         assert runs[0] == runs[1] != runs[2]
 
 
+class TestEndStops:
+    @pytest.mark.parametrize("omega", [150.0, -150.0])
+    def test_a_shaft_stops_there(self, switching_c: Native, omega: float) -> None:
+        switching = Switching(switching_c, plain(encoder_jitter=0.05, theta_start=0.001))
+        switching.spin(0, omega)
+        switching.lib.switching_obstruct(switching.c, 0, 0.0301, 0.0301)
+        switching.advance(400_000)
+        truth = switching.truth(0)
+        assert truth.theta == pytest.approx(0.001 + math.copysign(0.0301, omega), abs=1e-15)
+        assert truth.omega == 0.0
+        # an edge for every count on the way, and none beyond: half a count is more than jitter and duty error
+        assert len(switching.events) == pytest.approx(0.0301 / (2 * math.pi / 4000), abs=1.5)
+        assert switching.events[-1][0] <= 0.0301 / 150.0 / CLOCK + 1
+
+    def test_pressed_against_it_a_motor_stands_as_if_held(self, switching_c: Native) -> None:
+        results = []
+        for held in (False, True):
+            switching = Switching(switching_c, plain(theta_start=0.2, friction=2e-3))
+            switching.lib.switching_lock(switching.c, 0, held)
+            switching.lib.switching_obstruct(switching.c, 0, 0.01, 0.0)
+            switching.run(cycles([0], (0.45, 0.55, 0.50), 0, 20), 20 * PERIOD)
+            results.append(switching.truth(0))
+        assert results[0].torque > 0.01
+        assert (results[0].theta, list(results[0].phase)) == (results[1].theta, list(results[1].phase))
+
+    def test_driven_away_it_leaves(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain(theta_start=0.2))
+        switching.lib.switching_obstruct(switching.c, 0, 0.01, 0.0)
+        switching.run(cycles([0], (0.45, 0.55, 0.50), 0, 10), 10 * PERIOD)
+        switching.run(cycles([0], (0.55, 0.45, 0.50), 10 * PERIOD, 60), 60 * PERIOD)
+        truth = switching.truth(0)
+        assert truth.torque < -0.01
+        assert truth.theta == pytest.approx(0.19, abs=1e-15)  # and has come to the other one
+
+    def test_infinite_ones_are_none(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain(theta_start=0.2))
+        switching.spin(0, 100.0)
+        switching.lib.switching_obstruct(switching.c, 0, math.inf, math.inf)
+        switching.advance(100_000)
+        assert switching.truth(0).theta == pytest.approx(0.3, rel=1e-6)
+
+
 class TestOther:
     def test_to_look_changes_nothing(self, switching_c: Native) -> None:
         results = []

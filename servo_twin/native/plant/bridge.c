@@ -26,6 +26,8 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .longest = 0.1 * ((config->l_d < config->l_q) ? config->l_d : config->l_q) / (config->r_s + config->r_on),
         .tau = config->i_settle,
         .theta = config->theta_start,
+        .low = -INFINITY,
+        .high = INFINITY,
     };
     const double x = (config->i_settle > 0.0) ? 1.0 / (BRIDGE_CLOCK_HZ * config->i_settle) : 800.0;
     for (int n = 0; n < BRIDGE_DECAY; n++) {
@@ -135,6 +137,10 @@ static void apply(bridge_t *b, const cut_t *cut)
         break;
     case STOPPED:
         b->held = cut->after <= 0.0; /* it never left */
+        b->omega = 0.0;
+        break;
+    case ENDED:
+        b->theta = (cut->sign > 0) ? b->high : b->low; /* where a parabola has brought it to within rounding */
         b->omega = 0.0;
         break;
     case BROKE_LOOSE:

@@ -66,6 +66,7 @@ typedef struct {
     bridge_gates_t gates[3];
     double load;                         /* [N m] */
     bool locked, unplugged;
+    double low, high;                    /* end stops, inelastic, mechanical [rad] */
     /* state */
     plant_vector_t psi;                  /* stator flux linkage [V s] */
     double theta, omega;                 /* mechanical [rad], [rad/s] */

@@ -25,7 +25,7 @@ typedef struct {
 } end_t;
 
 /* Why a step ends early. */
-typedef enum { WHOLE, CURRENT_ZERO, CLAMPED, STOPPED, BROKE_LOOSE } reason_t;
+typedef enum { WHOLE, CURRENT_ZERO, CLAMPED, STOPPED, BROKE_LOOSE, ENDED } reason_t;
 
 typedef struct {
     double after; /* [s] */
@@ -170,11 +170,18 @@ static inline bool crossed(const bridge_t *b, const end_t *e)
     return e->phase[0] * b->way[0] < 0.0 || e->phase[1] * b->way[1] < 0.0 || e->phase[2] * b->way[2] < 0.0;
 }
 
-/* The shaft stops, or breaks loose. */
+/* An end stop lets a resting shaft go one way only. */
+static inline bool open_way(const bridge_t *b, double way)
+{
+    return (way > 0.0) ? b->theta < b->high : b->theta > b->low;
+}
+
+/* The shaft stops, breaks loose, or has come to an end stop. */
 static inline bool jerked(const bridge_t *b, const end_t *e)
 {
-    return e->omega * b->direction < 0.0 ||
-           (b->direction == 0.0 && !b->locked && fabs(e->torque - b->load) > b->friction);
+    return e->omega * b->direction < 0.0 || e->theta > b->high || e->theta < b->low ||
+           (b->direction == 0.0 && !b->locked && fabs(e->torque - b->load) > b->friction &&
+            open_way(b, e->torque - b->load));
 }
 
 static inline bool may_cross(const bridge_t *b, double h)

@@ -87,7 +87,8 @@ static double break_loose(const bridge_t *b)
     const double drive = b->torque - b->load;
     const double way = (drive > 0.0) ? 1.0 : -1.0;
     const double rest = drive * way - b->friction;
-    return (rest > 0.0 || (rest > -THRESHOLD * b->friction && b->dtorque * way > 0.0)) ? way : 0.0;
+    const bool goes = rest > 0.0 || (rest > -THRESHOLD * b->friction && b->dtorque * way > 0.0);
+    return (goes && open_way(b, way)) ? way : 0.0;
 }
 
 void bridge_begin(bridge_t *b, double u)

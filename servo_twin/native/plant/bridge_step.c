@@ -141,10 +141,14 @@ static void shift(const bridge_t *b, double h, double t, end_t *e)
     e->omega += b->accel * t;
 }
 
-/* Moment at which the shaft stops or breaks loose. */
+/* Moment at which the shaft stops, breaks loose or meets an end stop. */
 static void find_jerk(const bridge_t *b, double h, const end_t *e, cut_t *cut)
 {
-    if (e->omega * b->direction < 0.0) {
+    if (e->theta > b->high) {
+        sooner(cut, root_of(b->high - b->theta, -b->omega, b->high - e->theta, h), ENDED, 0, 1);
+    } else if (e->theta < b->low) {
+        sooner(cut, root_of(b->theta - b->low, b->omega, e->theta - b->low, h), ENDED, 0, -1);
+    } else if (e->omega * b->direction < 0.0) {
         const double way = b->direction;
         sooner(cut, root_of(b->omega * way, b->accel * way, e->omega * way, h), STOPPED, 0, 0);
     } else if (!b->held) {

@@ -96,6 +96,9 @@ static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axi
 static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
 {
     axis->edge_clock = NEVER;
+    if (axis->encoder.target > axis->bridge.high || axis->encoder.target < axis->bridge.low) {
+        return; /* beyond an end stop */
+    }
     /* An edge drawn on the other side of the shaft is behind it, however far it has gone since: that is passed at once. */
     const double way = axis->encoder.target - axis->course.theta;
     if ((axis->encoder.upwards ? way : -way) > axis->course.range) {
@@ -432,6 +435,13 @@ void switching_lock(switching_t *plant, int axis, bool locked)
     bridge_t *bridge = touch(plant, axis);
     bridge->locked = locked;
     bridge->omega = locked ? 0.0 : bridge->omega;
+}
+
+void switching_obstruct(switching_t *plant, int axis, double below, double above)
+{
+    bridge_t *bridge = touch(plant, axis);
+    bridge->low = bridge->theta - below;
+    bridge->high = bridge->theta + above;
 }
 
 void switching_plug(switching_t *plant, int axis, bool plugged) { bridge_plug(touch(plant, axis), plugged); }
