@@ -17,7 +17,7 @@ from servo_msgs_py.convert import from_stamp
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Float64, Float64MultiArray
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000

@@ -8,12 +8,14 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from servo_twin.processes import executable
 from servo_twin.up import main, parser
+
+pytestmark = pytest.mark.realtime
 
 PATIENCE = 60.0
 MARK = "SERVO_UP_TEST_MARK"
@@ -57,10 +59,13 @@ class Up:
         return self.log.read_text(errors="replace")
 
     def wait_for(self, text: str) -> None:
+        self.wait_until(lambda: text in self.text(), f"servo-up does not say {text!r}")
+
+    def wait_until(self, holds: Callable[[], bool], complaint: str = "servo-up does not get there") -> None:
         deadline = time.monotonic() + PATIENCE
-        while text not in self.text():
+        while not holds():
             assert self.process.poll() is None, f"servo-up has ended:\n{self.text()}"
-            assert time.monotonic() < deadline, f"servo-up does not say {text!r}:\n{self.text()}"
+            assert time.monotonic() < deadline, f"{complaint}:\n{self.text()}"
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(0.1)
 
@@ -179,7 +184,7 @@ def test_ctrl_c_ends_the_demonstration(started: list[Up], tmp_path: Path, when: 
         up.wait_for("axis1 to +5 turns")
     else:
         up.wait_for("both axes got there")
-        time.sleep(1.0)  # the children end, the recording is checked, and the picture is drawn for seconds
+        up.wait_until(lambda: len(left_behind(up.mark)) == 1)  # alone: the picture is drawn for seconds
     up.process.send_signal(signal.SIGINT)
     assert up.process.wait(30.0) == 130, up.text()
     assert "Traceback" not in up.text()

@@ -158,13 +158,13 @@ static void take_commands(axis_t *axis)
 
 static void report(axis_t *axis, uint16_t limit) { axis->active_limits = (uint16_t)(axis->active_limits | limit); }
 
-static bool beyond_limit(axis_t *axis, frac32_t speed)
+static frac32_t limited_speed(axis_t *axis, frac32_t speed)
 {
-    const bool beyond = speed > axis->limits.speed || speed < -axis->limits.speed;
-    if (beyond) {
+    const frac32_t limited = f32_clip(speed, axis->limits.speed);
+    if (limited != speed) {
         report(axis, LIMIT_SPEED);
     }
-    return beyond;
+    return limited;
 }
 
 /* Where the shaft might leave its soft limits: everywhere but on the way to a target, which lies inside. */
@@ -236,11 +236,12 @@ static frac32_t wanted_speed(const axis_t *axis, path_position_t behind)
 static frac32_t followed_speed(axis_t *axis, path_position_t behind)
 {
     const frac32_t speed = wanted_speed(axis, behind);
-    if (!beyond_limit(axis, speed)) {
+    const frac32_t limited = limited_speed(axis, speed);
+    if (limited == speed) {
         return speed;
     }
     const frac32_t shaped = f32_abs(axis->motion.shaped_speed);
-    return f32_clip(speed, (shaped > axis->limits.speed) ? shaped : axis->limits.speed);
+    return (shaped > axis->limits.speed) ? f32_clip(speed, shaped) : limited;
 }
 
 /* Where a shaft would be that does what the position controller asks: what the real one lacks is its following error.
@@ -293,9 +294,8 @@ static frac32_t stop_acceleration(const axis_t *axis)
 static frac32_t ramped_speed(axis_t *axis)
 {
     const motion_state_t *m = &axis->motion;
-    const bool lowered = beyond_limit(axis, m->speed_ramp);
-    const bool clipped = beyond_limit(axis, m->speed_target);
-    const frac32_t target = clipped ? f32_clip(m->speed_target, axis->limits.speed) : m->speed_target;
+    const bool lowered = limited_speed(axis, m->speed_ramp) != m->speed_ramp;
+    const frac32_t target = limited_speed(axis, m->speed_target);
     return ramp(m->speed_ramp, target, lowered ? stop_acceleration(axis) : axis->limits.acceleration);
 }
 

@@ -13,9 +13,11 @@ TEST = str(Path(__file__).resolve().parent)
 if TEST not in sys.path:
     sys.path.insert(0, TEST)
 
+from core_library import Core, load_core  # noqa: E402
 from firmware_compiler import CompileC, CompileProgram, LibraryCompiler, ProgramCompiler  # noqa: E402
 from freemaster_board import CDEF, Board  # noqa: E402
 from freemaster_model import COMM_SOURCES, SERVO, SHEET, Layout  # noqa: E402
+from servo_bench import Bench  # noqa: E402
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +33,21 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> CompileProgram:
     Skips the test when the compiler is missing.
     """
     return ProgramCompiler(tmp_path_factory.mktemp("program"))
+
+
+@pytest.fixture(scope="session")
+def core(compile_c: CompileC) -> Core:
+    """The whole firmware on a fake board."""
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    """A board whose first axis has found its rotor and spins."""
+    bench = Bench(core)
+    bench.to_spin(0)
+    bench.slow(2)
+    return bench
 
 
 @pytest.fixture(scope="session")

@@ -30,6 +30,8 @@ PERIODS: Final = 8
 VARIABLES: Final = 0x1000
 TIMER_PER_TICK: Final = 390.625
 FULL_SPEED: Final = 523.5987755982989  # rad/s
+TICK: Final = 0.5e-3  # s
+COUNT: Final = 2.0 * math.pi / 4000  # rad
 CODE_24V: Final = 2708
 
 

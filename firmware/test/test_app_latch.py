@@ -5,18 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given
 from hypothesis import strategies as st
 from servo_bench import SPEED, TORQUE, Bench
 
 FIELDS = ("position", "speed", "i_q", "mode", "enable", "quick_stop", "clear_faults")
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture

@@ -5,16 +5,10 @@ from __future__ import annotations
 import random
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from servo_bench import ALIGN, CALIB, CODE_24V, FAULT, FREEWHEEL, INIT, READY, RUN, SPIN, STOP, Bench, bus_code
 
 LEGAL = {(FAULT, INIT), (INIT, FAULT), (INIT, STOP), (STOP, FAULT), (STOP, RUN), (RUN, FAULT), (RUN, STOP)}
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 class Monkey:

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from servo_bench import RUN, SPIN, Bench
 
 M1, M2 = 0, 1
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture

@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -24,11 +23,6 @@ from tuning.tuned import Tuned
 from tuning_tool import CATALOGUE, axis, configuration
 
 TICK = 0.5e-3
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 # ---- linear systems -------------------------------------------------------------------------------------------------

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import FIRMWARE, CompileC, run_compiler
+from core_library import Core
+from firmware_compiler import FIRMWARE, run_compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tuning.command import main
@@ -25,11 +25,6 @@ from tuning.tuned import Tuned, tuned
 from tuning_tool import CATALOGUE, table
 
 FEATURES = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["features"]}
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:

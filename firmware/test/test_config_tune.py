@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import FIRMWARE, CompileC
+from core_library import Core
+from firmware_compiler import FIRMWARE
 from tuning.command import main
 from tuning_tool import FILE, GENERATED
 
@@ -174,11 +174,6 @@ def test_without_matplotlib(
 
 
 # ---- numbers --------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import (
     GAIN_ONE,
     I16,
@@ -26,7 +26,6 @@ from exact import (
     saturated,
     times_gain,
 )
-from firmware_compiler import CompileC
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -89,11 +88,6 @@ def stator_volts(out: Any, bus: int) -> complex:
     a = complex(-0.5, SQRT3 / 2.0)
     duty = (out.modulation.duty.a, out.modulation.duty.b, out.modulation.duty.c)
     return complex(2.0 / 3.0 * bus / 32768 * UDC_FS * sum(d / 32767 * a**k for k, d in enumerate(duty)))
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def test_measured_current_is_in_the_rotor_frame(core: Core) -> None:

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import FRACTION16, I16, MAX16, clip, clip16, edges, nearest, product
-from firmware_compiler import CompileC
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 BUS_LEAST = 8192
 SLOPE_ONE = 2**8
 BUS = edges(BUS_LEAST, MAX16)
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def compensated(core: Core, config: tuple[int, int, int], duty: list[int], current: list[int], bus: int) -> list[int]:

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import FRACTION32, I32, clip16, clip32, edges, times_gain
-from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 FULL = 2**31
 GAIN = 2**24
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def current(core: Core, coulomb: int, viscous: int, smooth: int, speed: int) -> int:

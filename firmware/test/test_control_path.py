@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import I32, edges, nearest, towards_zero
-from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -43,11 +42,6 @@ class Path:
     @property
     def position(self) -> int:
         return int(self._lib.path_position(self.c))
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def beyond(x: int, target: int) -> int:

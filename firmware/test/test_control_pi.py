@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import FRACTION32, GAIN_ONE, I32, clip, clip32, edges, nearest, saturated
-from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -51,11 +50,6 @@ class Reference:
         out = min(max(presat, -limit), limit)
         self.excess = out - presat
         return out
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def test_worked_by_hand(core: Core) -> None:

@@ -7,9 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import I16, MAX16, MIN16, nearest, towards_zero
-from firmware_compiler import CompileC
 from hypothesis import example, given
 
 FULL = 32767
@@ -24,11 +23,6 @@ ACTIVE = [
     ((0, 0, 1), 240),
     ((1, 0, 1), 300),
 ]
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 ONE_BY_SQRT3 = 18919  # 15 fraction bits

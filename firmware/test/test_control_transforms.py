@@ -7,9 +7,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import I16, MAX16, MIN16
-from firmware_compiler import CompileC
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -22,11 +21,6 @@ def clip(x: float) -> float:
 
 def radians(angle: int) -> float:
     return angle * math.pi / 32768.0
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def park(core: Core, alpha: int, beta: int, angle: int) -> tuple[int, int]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import I16, MAX16, U16, clip16, edges, narrow, nearest
-from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from servo_bench import Bench, bus_code
@@ -16,11 +15,6 @@ AB, BC, CA = range(3)
 U12 = edges(0, 4095)
 PHASES = {AB: (0, 1), BC: (1, 2), CA: (2, 0)}
 MID = 2048 << 16
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture

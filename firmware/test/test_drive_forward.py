@@ -6,27 +6,23 @@ import itertools
 import math
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
-from servo_bench import ACCELERATION_FORWARD, FRICTION, POSITION, SPEED, SPEED_FORWARD, Bench, amps, rad_s, speed
+from core_library import Core
+from servo_bench import (
+    ACCELERATION_FORWARD,
+    COUNT,
+    FRICTION,
+    POSITION,
+    SPEED,
+    SPEED_FORWARD,
+    TICK,
+    Bench,
+    amps,
+    rad_s,
+    speed,
+)
 
 K_T = 0.0462  # N m/A of axis 1, as configured
 INERTIA = 0.8e-5
-TICK = 0.5e-3
-COUNT = 2.0 * math.pi / 4000
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
-
-
-@pytest.fixture
-def bench(core: Core) -> Bench:
-    bench = Bench(core)
-    bench.to_spin(0)
-    bench.slow(2)
-    return bench
 
 
 def lag(log: list[tuple[int, int]]) -> list[int]:

@@ -6,10 +6,10 @@ import itertools
 import math
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from servo_bench import (
     ALIGN,
+    COUNT,
     FOLLOWING_ERROR,
     LIMIT_CURRENT,
     LIMIT_SETPOINT,
@@ -19,29 +19,13 @@ from servo_bench import (
     SPEED,
     SPEED_FORWARD,
     SPIN,
+    TICK,
     TORQUE,
     Bench,
     amps,
     rad_s,
     speed,
 )
-
-TICK = 0.5e-3
-COUNT = 2.0 * math.pi / 4000
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
-
-
-@pytest.fixture
-def bench(core: Core) -> Bench:
-    bench = Bench(core)
-    bench.to_spin(0)
-    bench.slow(2)
-    return bench
-
 
 # ---- fresh writes ---------------------------------------------------------------------------------------------------
 

@@ -6,11 +6,11 @@ import itertools
 import math
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from servo_bench import (
+    COUNT,
     LIMIT_POSITION,
     LIMIT_SPEED,
     POSITION,
@@ -22,21 +22,6 @@ from servo_bench import (
     rad_s,
     speed,
 )
-
-COUNT = 2.0 * math.pi / 4000
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
-
-
-@pytest.fixture
-def bench(core: Core) -> Bench:
-    bench = Bench(core)
-    bench.to_spin(0)
-    bench.slow(2)
-    return bench
 
 
 def confine(bench: Bench, low: int, high: int) -> None:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import FIRMWARE, CompileC
+from core_library import Core
+from firmware_compiler import FIRMWARE
 from hypothesis import given
 from hypothesis import strategies as st
 from servo_bench import FAULT, INIT, RUN, STOP
@@ -34,11 +34,6 @@ TRANSITIONS = (
     "run_fault",
     "run_stop",
 )
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 class Machine:

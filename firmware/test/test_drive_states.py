@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from servo_bench import (
     ALIGN,
     BRAKE,
@@ -27,11 +26,6 @@ from servo_bench import (
 )
 
 HALF = 16384
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from servo_bench import (
     CALIB,
     FAULT,
@@ -31,11 +30,6 @@ from servo_bench import (
 )
 
 ANTI_WINDUP, ENHANCED_MT, BUS_COMPENSATION, DEAD_TIME = (1 << bit for bit in range(4))
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import edges, towards_zero
-from firmware_compiler import CompileC
 from hypothesis import given, settings
 
 I64 = edges(1 - 2**63, 2**63 - 1)
 DIVISOR = edges(1, 2**16 - 1)
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @given(x=I64, divisor=DIVISOR)

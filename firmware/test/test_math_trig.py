@@ -6,13 +6,7 @@ from math import isqrt
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
+from core_library import Core
 
 
 @pytest.fixture(scope="module")

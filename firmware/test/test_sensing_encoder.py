@@ -7,17 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import I16, I32, U16, edges, nearest, towards_zero, wrap
-from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from quad_timer import COUNTS, QuadTimer
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,7 @@ import random
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,11 +16,6 @@ PERIOD = 62.5e-6  # s
 PERIODS = 8  # per slow tick
 FRAC16 = st.integers(-32768, 32767)
 PSI, INDUCTANCE, CURRENT = (0.0154, 0.0138), (0.4575e-3, 0.402e-3), 4.0  # what servo.toml says of the two axes
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def config_of(core: Core, axis: int = 0) -> Any:

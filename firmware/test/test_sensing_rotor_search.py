@@ -9,8 +9,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given
 from hypothesis import strategies as st
 from shaft_model import SLOW, Shaft
@@ -32,11 +31,6 @@ class Result(NamedTuple):
     vectors: list[float]  # degrees, one per vector tried
     travel: int  # counts between the outermost positions
     twitch: int  # counts, the longest movement of one vector until the shaft rests
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def axis_shaft(axis: int, degrees: float, **changes: Any) -> Shaft:

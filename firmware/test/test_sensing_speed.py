@@ -6,9 +6,8 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
+from core_library import Core
 from exact import I32, MAX32, MIN32, U16, edges, towards_zero
-from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from quad_timer import AGE_OVERFLOW, COUNTS, TIMER_CLOCK, EdgeCapture
@@ -17,11 +16,6 @@ ONE = 2**31
 SLOW = 0.5e-3
 FULL_SCALE_RPM = 5000
 RPM_PER_RATIO = Fraction(781250 * 60, COUNTS)  # one count per timer tick
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 class Speed:

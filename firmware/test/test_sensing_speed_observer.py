@@ -8,8 +8,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given
 from hypothesis import strategies as st
 from servo_bench import SPEED_OBSERVER, Bench, rad_s, speed
@@ -20,11 +19,6 @@ TICK = 0.5e-3
 COUNT = 2.0 * math.pi / 4000
 INT32 = (-(2**31), 2**31 - 1)
 int32s = st.integers(*INT32)
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @cache

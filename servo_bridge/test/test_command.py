@@ -12,6 +12,8 @@ from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
 from servo_bridge.command import main
 from servo_bridge.wire.link_state import LinkState
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture(scope="module")
 def rig() -> Iterator[Rig]:

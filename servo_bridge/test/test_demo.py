@@ -23,6 +23,8 @@ from servo_msgs_py.convert import AppliedCommand
 
 from servo_bridge import demo as demo_module
 
+pytestmark = pytest.mark.realtime
+
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000
 STEP = 16  # PWM periods per sample: 1 ms

@@ -14,6 +14,8 @@ from link_watcher import PATIENCE, StartLink, Watcher
 from servo_bridge.freemaster.errors import StatusError
 from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkStatus
 
+pytestmark = pytest.mark.realtime
+
 
 # ---- telemetry ----------------------------------------------------------------------------------------------------
 def test_samples_come_with_growing_ticks(connected: Watcher, fake_board: FakeServo) -> None:

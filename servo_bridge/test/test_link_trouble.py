@@ -14,6 +14,8 @@ from link_watcher import PATIENCE, StartLink, Watcher
 from servo_bridge.freemaster.errors import AnswerTimeoutError, CommandUnfinishedError
 from servo_bridge.wire.link import Link, LinkConfig, LinkDownError, LinkState, LinkStatus, Sample
 
+pytestmark = pytest.mark.realtime
+
 
 # ---- trouble ------------------------------------------------------------------------------------------------------
 def test_the_port_is_waited_for(tmp_path: Path, fake_board: FakeServo, start_link: StartLink) -> None:

@@ -9,6 +9,8 @@ from servo_bridge.motion_services import MotionServices
 from servo_bridge.telemetry import Frame
 from servo_msgs_py.catalogue import Catalogue
 
+pytestmark = pytest.mark.realtime
+
 CATALOGUE = Catalogue.load()
 JOINTS = ["axis1", "axis2"]
 SPINNING = AxisStatus("RUN/SPIN", spinning=True)

@@ -21,6 +21,8 @@ from std_srvs.srv import SetBool
 
 from servo_msgs_py import topics
 
+pytestmark = pytest.mark.realtime
+
 CATALOGUE = Catalogue.load()
 TURN = 2.0 * math.pi
 

@@ -15,6 +15,8 @@ from servo_bridge.freemaster.errors import TransportError
 from servo_bridge.wire import serial_port
 from servo_bridge.wire.serial_port import PortError, SerialPort
 
+pytestmark = pytest.mark.realtime
+
 
 def soon(seconds: float = 5.0) -> int:
     return time.monotonic_ns() + round(seconds * 1e9)

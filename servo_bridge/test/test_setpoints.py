@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from servo_bridge.setpoints import Mode, Rejected, from_array, from_joint_command, from_single
 
+pytestmark = pytest.mark.realtime
+
 JOINTS = ("axis1", "axis2")
 
 

@@ -19,6 +19,8 @@ from fake_target import CONST, ENUM, NONE, RO, RW, FakeEntry, FakeTarget
 
 from servo_bridge import tool
 
+pytestmark = pytest.mark.realtime
+
 Run = Callable[..., int]
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
+pytestmark = pytest.mark.realtime
+
 STUBBORN = """
 import os, signal, subprocess, sys
 signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -36,6 +36,8 @@ from twin_rig import CATALOGUE, EPOCH_NS, TwinRig
 
 from servo_msgs_py import topics
 
+pytestmark = pytest.mark.realtime
+
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() % 100
 CONFIG = Path(__file__).resolve().parents[1] / "config" / "servo_twin.yaml"
 BATCH = 5  # samples in a message, as the bridge sends them

@@ -35,7 +35,10 @@ from viewer_rig import COLUMNS, EVERY, FAULT, move, stamp, verify
 from servo_msgs_py import topics
 
 pytest.importorskip("rerun")
-pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # one that is still being written
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:RRD file has no footer"),
+    pytest.mark.realtime,
+]  # one that is still being written
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 20 + os.getpid() % 80
 PATIENCE = 30.0  # [s]

@@ -16,6 +16,8 @@ import pytest
 from servo_twin.view.recording import Recording
 from servo_twin.view.web_page import LOOPBACK, WebPage, WebPageError, free_port
 
+pytestmark = pytest.mark.realtime
+
 pytest.importorskip("rerun")
 
 _OWNER = """

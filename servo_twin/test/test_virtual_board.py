@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 from servo_twin.virtual_board import IDLE_SLICE_S, LinkError, Pacer, Terminal, main, serve
 
+pytestmark = pytest.mark.realtime
+
 MS = 1_000_000
 GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
 PATIENCE_S = 20.0

@@ -31,7 +31,6 @@ from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
 __all__ = [
-    "NOMINAL_PATH_END",
     "OVER_VOLTAGE",
     "Belief",
     "Demand",
@@ -42,6 +41,7 @@ __all__ = [
     "move_speeds",
     "path_demands",
     "path_ends",
+    "path_settles",
     "speed_limits",
     "top_speed",
 ]
@@ -223,6 +223,11 @@ def path_ends(plant: PlantConfig, seed: int) -> list[float]:
     E40 with damping 1 asks a speed step v for at most v omega_n / e.
     """
     return [PATH_END / (math.e * demand.acceleration) for demand in path_demands(plant, seed)]
+
+
+def path_settles(plant: PlantConfig, seed: int, nominal: float) -> list[float]:
+    """Time that each axis is given to settle [s]: `nominal`, and what its path takes longer than on that plant."""
+    return [nominal + max(0.0, end - NOMINAL_PATH_END) for end in path_ends(plant, seed)]
 
 
 def move_speeds(plant: PlantConfig, seed: int, together: bool, share: float = CURRENT_SHARE) -> tuple[list[float], str]:

@@ -10,7 +10,7 @@ from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import NOMINAL_PATH_END, move_speeds, path_ends
+from servo_twin.experiments.ability import move_speeds, path_settles
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
@@ -110,7 +110,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
     rows: list[Row] = []
     panels: list[Panel] = []
     speeds, lowered = move_speeds(plant, seed, together=False)
-    settles = [max(SETTLE, SETTLE - NOMINAL_PATH_END + end) for end in path_ends(plant, seed)]
+    settles = path_settles(plant, seed, SETTLE)
     with spinning(plant, seed) as board:
         for axis, speed in enumerate(speeds):
             set_axis(board, "param.speed_limit", axis, speed)

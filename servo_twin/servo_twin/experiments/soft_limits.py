@@ -11,7 +11,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import NOMINAL_PATH_END, move_speeds, path_ends
+from servo_twin.experiments.ability import move_speeds, path_settles
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
@@ -196,7 +196,7 @@ class Behind:
 
 def set_behind(plant: PlantConfig, seed: int) -> list[Behind]:
     """Set the upper limit a little below where both shafts are."""
-    settle = max(SETTLE, SETTLE + max(path_ends(plant, seed)) - NOMINAL_PATH_END)
+    settle = max(path_settles(plant, seed, SETTLE))
     with spinning(plant, seed) as board:
         here = [position_of(board, axis) for axis in range(AXES)]
         step = round(BEHIND * COUNTS_PER_TURN)
