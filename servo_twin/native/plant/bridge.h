@@ -25,7 +25,7 @@
  * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A).
  *
  * While nothing unusual happens segments are parabolas within a frame (bridge_frame.c), which costs a third; whole runs
- * stay within 1e-4 A then.
+ * stay within 2e-4 A then.
  *
  * Where a segment ends within itself is found in closed form: a current at zero by its slope, corrected once by the slope
  * found there; a shaft that stops or breaks loose by the root of a parabola; a floating leg that reaches an end of its

@@ -14,6 +14,7 @@
 #include <string.h>
 
 #define LONGEST 16e-6 /* segment [s] */
+#define FRAME 16e-6 /* the segment in which this is over is the last of a frame [s] */
 #define SPLITS 24 /* parts of one segment */
 
 typedef double pair_t __attribute__((vector_size(16)));
@@ -40,10 +41,10 @@ static inline pair_t product(const plant_vector_t column[2], pair_t x)
 static inline bool runs_freely(const bridge_t *b)
 {
     const double most =
-        fabs(b->i.alpha) + fabs(b->i.beta) + (2.0 * LONGEST) * b->u * (b->inv_l_mean + fabs(b->inv_l_half));
+        fabs(b->i.alpha) + fabs(b->i.beta) + (FRAME + LONGEST) * b->u * (b->inv_l_mean + fabs(b->inv_l_half));
     const double torque = b->k_torque * (b->psi_m + fabs(b->l_d - b->l_q) * most) * most + fabs(b->load) + b->friction;
-    const double reach = (4.0 * LONGEST) * fabs(b->omega);
-    return fabs(b->omega) > (4.0 * LONGEST) * torque * b->inv_inertia && b->theta - reach > b->low &&
+    const double reach = (2.0 * (FRAME + LONGEST)) * fabs(b->omega);
+    return fabs(b->omega) > (2.0 * (FRAME + LONGEST)) * torque * b->inv_inertia && b->theta - reach > b->low &&
            b->theta + reach < b->high;
 }
 
@@ -54,7 +55,7 @@ bool bridge_frame(bridge_t *b, double u)
         return false;
     }
     const double w = b->pole_pairs * b->omega;
-    const double x = w * (0.5 * LONGEST);
+    const double x = w * (0.5 * FRAME);
     const double c = b->cosine * (1.0 - 0.5 * x * x) - b->sine * x;
     const double s = b->sine * (1.0 - 0.5 * x * x) + b->cosine * x;
     const bridge_matrix_t m = inverse_of(b, c, s);
@@ -271,7 +272,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
             b->phase[zero] = 0.0;
         }
         b->begun = false;
-        if (b->frame_time > 0.5 * LONGEST) {
+        if (b->frame_time > FRAME) {
             bridge_settle(b);
         }
     }
