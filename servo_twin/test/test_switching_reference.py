@@ -38,7 +38,7 @@ def compare(switching: Switching, reference: Reference, edges: Sequence[Edge], u
             assert list(truth.phase) == pytest.approx(machine.phases(), abs=AMPERES), where
             assert truth.omega == pytest.approx(machine.omega, abs=1e-3), where
             assert truth.theta == pytest.approx(machine.theta, abs=3e-6), where
-            assert truth.torque == pytest.approx(machine.torque(), abs=5e-6), where
+            assert truth.torque == pytest.approx(machine.torque(), abs=1e-5), where
             largest = max(largest, *map(abs, machine.phases()))
         assert switching.bus.u_dc == pytest.approx(reference.u, abs=2e-5)
     return largest
