@@ -240,7 +240,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("no time", {"axis1__timing__settle": 1e-4}, "axis1.timing.settle = 0.0001", "vanish"),
     ("host time-out", {"board__host_timeout": 60.0}, "board.host_timeout = 60", "0.05 .. 30 s"),
     # the bus, its resistor, ways to stop
-    ("folding below nominal", {"board__regeneration__start_voltage": 23.0}, "board.regeneration.start_voltage = 23", "24"),
+    ("early folding", {"board__regeneration__start_voltage": 23.0}, "board.regeneration.start_voltage = 23", "24"),
     ("folding upside down", {"board__regeneration__full_voltage": 28.0}, "board.regeneration.full_voltage = 28", "29"),
     ("folding too late", {"board__regeneration__full_voltage": 33.0}, "board.over_voltage = 33", "not above"),
     ("no hysteresis", FITTED | {"board__brake__off_voltage": 28.0}, "board.brake.on_voltage = 28", "not above"),

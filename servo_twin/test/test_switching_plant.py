@@ -130,7 +130,7 @@ class TestMeans:
         for n in range(60):
             edges = [e for axis in range(2) for e in centred_edges(n * PERIOD, PERIOD, duties[axis], DEAD, axis)]
             for index in range(2):
-                lib.plant_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u_dc)
+                lib.plant_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u)
             for _ in range(2):  # half cycles
                 lib.plant_step(averaged, clock)
                 clock += averaged.step_ns
@@ -147,7 +147,7 @@ class TestMeans:
             assert abs(truth.omega) > 20.0
             assert truth.omega == pytest.approx(motor.omega, rel=0.015)
             assert truth.theta == pytest.approx(motor.theta, abs=2e-3)
-        assert switching.bus.u_dc == pytest.approx(averaged.bus.u_dc, abs=0.01)
+        assert switching.bus.u_dc == pytest.approx(averaged.bus.u, abs=0.01)
 
     def test_mean_voltages(self, switching_c: Native) -> None:
         """Of a held axis with constant duties, over whole periods."""

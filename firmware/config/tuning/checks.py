@@ -171,7 +171,7 @@ def _bus(configuration: Configuration) -> None:
 
 
 def _returned(axis: Axis, board: Board) -> float:
-    """What an axis returns to the bus at most, braking from its speed limit [W]: the shaft's power less the copper's."""
+    """What an axis returns to the bus at most when it brakes from its speed limit [W]: the shaft's less the copper's."""
     emf, r_s = axis("motor.pole_pairs") * axis("motor.psi_m") * axis("limits.speed"), axis("motor.r_s")
     current = min(axis("limits.current"), 0.5 * emf / r_s)  # more current burns more than it returns
     return 1.5 * current * (emf - r_s * current)
