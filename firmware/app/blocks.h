@@ -62,6 +62,19 @@ typedef struct {
     uint16_t brake;        /* 1: there is a resistor */
 } parameter_block_t;
 
+/* What the observer sees; 0 where it does not run. From the same slow tick as the snapshot. */
+typedef struct {
+    frac32_t speed;
+    frac16_t theta_e; /* at the sampling instant, as the snapshot's */
+    frac16_t emf;
+    uint16_t reliable;
+    uint16_t unused; /* what follows has the same address on every machine */
+} axis_estimate_t;
+
+typedef struct {
+    axis_estimate_t axis[HAL_AXES];
+} estimate_block_t;
+
 /* What the controller believes about the motors, for the host's conversions. */
 typedef struct {
     frac16_t torque_constant[HAL_AXES];

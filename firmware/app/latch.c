@@ -103,6 +103,7 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
     };
     motion_limit(axis, limits);
     axis->features = parameter->features[i];
+    axis->feedback_wanted = parameter->feedback[i];
     axis->on_disable = category(parameter->on_disable[i], axis->on_disable);
     axis->on_quick_stop = category(parameter->on_quick_stop[i], axis->on_quick_stop);
     axis->faults_enabled = parameter->faults_enabled[i] | FAULTS_ALWAYS;

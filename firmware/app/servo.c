@@ -81,6 +81,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->catalogue_hash = CATALOGUE_HASH;
     servo->hal = hal;
     servo->snapshot = (snapshot_t){0};
+    servo->estimate = (estimate_block_t){0};
     servo->command = (command_block_t){0};
     servo->parameter.host_timeout = servo_config.host_timeout;
     servo->parameter.brake = servo_config.brake.fitted ? 1U : 0U;
@@ -91,7 +92,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.acceleration_limit[i] = config->acceleration_limit;
         servo->parameter.i_q_limit[i] = config->i_q_limit;
         servo->parameter.features[i] = config->features;
-        servo->parameter.feedback[i] = FEEDBACK_KIND_ENCODER;
+        servo->parameter.feedback[i] = config->feedback;
         servo->parameter.on_disable[i] = config->stop.disable;
         servo->parameter.on_quick_stop[i] = config->stop.quick_stop;
         servo->parameter.faults_enabled[i] = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
@@ -208,6 +209,15 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->limits = axis->active_limits;
 }
 
+static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
+{
+    const estimate_t *estimate = &axis->estimate;
+    view->speed = estimate->speed;
+    view->theta_e = pll_upper(estimate->pll.angle - (uint32_t)estimate->pll.step);
+    view->emf = estimate->size;
+    view->reliable = estimate_reliable(axis) ? 1U : 0U;
+}
+
 static void publish_snapshot(servo_t *servo)
 {
     if (servo->held) {
@@ -220,6 +230,7 @@ static void publish_snapshot(servo_t *servo)
     snapshot->u_dc = servo->axis[MOTOR_1].u_dc;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         publish_axis(&servo->axis[i], &snapshot->axis[i]);
+        publish_estimate(&servo->axis[i], &servo->estimate.axis[i]);
     }
 }
 

@@ -13,7 +13,7 @@
 #include "hal/hal.h"
 
 /* PWM periods per slow loop: 0.5 ms (DRM 2.3.2). */
-#define SERVO_SLOW_PERIODS 8
+#define SERVO_SLOW_PERIODS AXIS_SLOW_PERIODS
 
 typedef struct {
     uint32_t catalogue_hash;
@@ -22,6 +22,7 @@ typedef struct {
     parameter_block_t parameter;
     int16_t monitor_value[HAL_MONITORS];
     belief_block_t belief;
+    estimate_block_t estimate;
 
     hal_t *hal;
     axis_t axis[HAL_AXES];

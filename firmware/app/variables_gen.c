@@ -55,23 +55,31 @@ CHECK(39, SIZE(snapshot.axis[0].substate) == 2);
 CHECK(40, SIZE(snapshot.axis[0].faults) == 4);
 CHECK(41, SIZE(snapshot.axis[0].first_fault) == 2);
 CHECK(42, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(43, SIZE(belief.torque_constant[0]) == 2);
-CHECK(44, SIZE(snapshot.axis[1].position) == 4);
-CHECK(45, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(46, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(47, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(48, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(49, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(50, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(51, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(52, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(53, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(54, SIZE(snapshot.axis[1].state) == 2);
-CHECK(55, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(56, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(57, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(58, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(59, SIZE(belief.torque_constant[1]) == 2);
+CHECK(43, SIZE(estimate.axis[0].speed) == 4);
+CHECK(44, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(45, SIZE(estimate.axis[0].emf) == 2);
+CHECK(46, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(47, SIZE(belief.torque_constant[0]) == 2);
+CHECK(48, SIZE(snapshot.axis[1].position) == 4);
+CHECK(49, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(50, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(51, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(52, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(53, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(54, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(55, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(56, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(57, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(58, SIZE(snapshot.axis[1].state) == 2);
+CHECK(59, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(60, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(61, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(62, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(63, SIZE(estimate.axis[1].speed) == 4);
+CHECK(64, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(65, SIZE(estimate.axis[1].emf) == 2);
+CHECK(66, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(67, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -172,6 +180,10 @@ static const char strings[] =
     "axis1.faults\0"
     "axis1.first_fault\0"
     "axis1.limits\0"
+    "axis1.estimate_speed\0"
+    "axis1.estimate_theta_e\0"
+    "axis1.estimate_emf\0"
+    "axis1.estimate_reliable\0"
     "axis1.torque_constant\0"
     "axis2.position\0"
     "axis2.position_ref\0"
@@ -188,6 +200,10 @@ static const char strings[] =
     "axis2.faults\0"
     "axis2.first_fault\0"
     "axis2.limits\0"
+    "axis2.estimate_speed\0"
+    "axis2.estimate_theta_e\0"
+    "axis2.estimate_emf\0"
+    "axis2.estimate_reliable\0"
     "axis2.torque_constant\0";
 
 static const tsa_entry_t entries[] = {
@@ -280,23 +296,31 @@ static const tsa_entry_t entries[] = {
     {1043, 460, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
     {1056, 505, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
     {1074, 505, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1087, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1109, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1124, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1143, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1155, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1171, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1181, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1191, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1205, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1215, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1225, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1239, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1251, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1266, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1279, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1297, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1310, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {1087, 539, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1108, 512, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1131, 512, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1150, 505, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1174, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1196, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1211, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1230, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1242, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1258, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1268, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1278, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1292, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1302, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1312, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1326, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1338, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1353, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1366, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1384, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1397, 539, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1418, 512, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1441, 512, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1460, 505, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1484, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

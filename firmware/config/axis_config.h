@@ -9,13 +9,18 @@
 #include "config/contract_gen.h"
 #include "control/current_loop.h"
 #include "control/friction.h"
+#include "control/observer.h"
+#include "control/pll.h"
 #include "drive/brake.h"
+#include "drive/startup.h"
 #include "drive/stop.h"
 #include "hal/hal.h"
+#include "sensing/emf_check.h"
 #include "sensing/encoder.h"
 #include "sensing/mt_speed.h"
 #include "sensing/rotor_search.h"
 #include "sensing/speed_observer.h"
+#include "sensing/speed_reliability.h"
 
 typedef struct {
     current_loop_config_t current_loop;
@@ -23,8 +28,15 @@ typedef struct {
     mt_speed_config_t mt_speed;
     speed_observer_config_t speed_observer;
     rotor_search_config_t rotor_search;
+    observer_config_t observer;
+    pll_config_t pll;
+    speed_reliability_config_t reliability;
+    emf_check_config_t emf_check;
+    startup_config_t startup;
+    uint16_t feedback; /* default of the writable source: feedback_kind_t */
 
     pi_gains_t speed;           /* speed fraction -> current fraction */
+    pi_gains_t observed_speed;  /* the same with the speed of the observer */
     int32_t position_gain;      /* speed fraction (31 bits) per count: K_v (DRM E44) */
     uint16_t path_omega_n_ts;   /* omega_n Ts of E40, 16 fraction bits */
     int32_t path_step_per_speed; /* counts per slow tick at full-scale speed, 16 fraction bits */

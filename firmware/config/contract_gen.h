@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xE566FE90)
+#define CATALOGUE_HASH UINT32_C(0x75DA3F99)
 
 typedef enum {
     STATE_FAULT = 0,

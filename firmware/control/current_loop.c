@@ -31,3 +31,17 @@ void current_loop_turn(current_loop_t *loop, const current_loop_config_t *config
     loop->turn_sin = turn.sin;
     loop->turn_versine = FRAC16_MAX - ((turn.cos > 0) ? turn.cos : 0); /* less than a quarter turn per period */
 }
+
+/* The integral parts hold what the decoupling does not give. */
+void current_loop_take_over(current_loop_t *loop, const current_loop_config_t *config, dq_t current, dq_t voltage)
+{
+    const pi_sum_t d = pi_sum_add(0, loop->minus_2_omega * current.q, config->omega_l_q);
+    pi_sum_t q = pi_sum_add(0, loop->minus_2_omega * current.d, -config->omega_l_d);
+    q = pi_sum_add(q, loop->omega_e, config->omega_psi);
+    loop->current = current;
+    loop->voltage = voltage;
+    loop->d.integral = pi_sum_saturated(pi_sum_of(f32_from_f16(voltage.d)) - d);
+    loop->q.integral = pi_sum_saturated(pi_sum_of(f32_from_f16(voltage.q)) - q);
+    loop->d.excess = 0;
+    loop->q.excess = 0;
+}

@@ -30,12 +30,22 @@ typedef struct {
     int32_t turn_versine; /* 1 - cosine of it */
 } current_loop_t;
 
+/* What one period leaves for an observer. */
+typedef struct {
+    svm_t svm;
+    ab_t current; /* measured */
+    ab_t voltage; /* what the duties stand for */
+} current_loop_out_t;
+
 /* At rest, without current and voltage. */
 void current_loop_reset(current_loop_t *loop);
 
 /* From now on the rotor turns with the electrical speed `omega_e` (full scale: pole pairs x full-scale speed). Speed is
  * measured once per slow tick, so what follows from it alone is worked out here and not in every period. */
 void current_loop_turn(current_loop_t *loop, const current_loop_config_t *config, frac16_t omega_e);
+
+/* Go on from here, in another frame: `current` flows, and `voltage` is what the next period is to have. */
+void current_loop_take_over(current_loop_t *loop, const current_loop_config_t *config, dq_t current, dq_t voltage);
 
 /* Limit the voltage to a circle; the d axis, which keeps the flux, goes first. */
 void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, frac16_t u_limit);
@@ -71,12 +81,13 @@ static inline sin_cos_t current_loop_ahead(const current_loop_t *loop, sin_cos_t
 
 /* One PWM period: from the phase currents to duties. `theta_e` is the angle at the sampling instant, `u_dc` the voltage of
  * the bus in this period. */
-static inline svm_t current_loop_step(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
-                                      dq_t reference, frac16_t theta_e, frac16_t u_dc)
+static inline current_loop_out_t current_loop_run(current_loop_t *loop, const current_loop_config_t *config,
+                                                  abc_t current, dq_t reference, frac16_t theta_e, frac16_t u_dc)
 {
     const int32_t bus = (u_dc < U_DC_LEAST) ? U_DC_LEAST : u_dc;
     const sin_cos_t at = sin_cos(theta_e);
-    const dq_t i = park(clarke(current), at);
+    const ab_t measured = clarke(current);
+    const dq_t i = park(measured, at);
     loop->current.d = i.d;
     loop->current.q = i.q;
 
@@ -108,7 +119,13 @@ static inline svm_t current_loop_step(current_loop_t *loop, const current_loop_c
     if (!loop->dead_time_off) {
         result.duty = dead_time_compensate(&config->dead_time, result.duty, current, reciprocal);
     }
-    return result;
+    return (current_loop_out_t){result, measured, stator};
+}
+
+static inline svm_t current_loop_step(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
+                                      dq_t reference, frac16_t theta_e, frac16_t u_dc)
+{
+    return current_loop_run(loop, config, current, reference, theta_e, u_dc).svm;
 }
 
 #endif

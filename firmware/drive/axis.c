@@ -2,6 +2,7 @@
 #include "drive/axis.h"
 
 #include "drive/axis_states.h"
+#include "drive/motion.h"
 
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
@@ -40,8 +41,26 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     current_sense_reset(&axis->sense);
     hal_pwm_enable(hal, index, false);
     hal_adc_select(hal, index, axis->sense.pair);
+    axis->fast = LOOP_FAST;
+    axis->sensorless = false;
+    axis->feedback_wanted = config->feedback;
+    axis->estimate = (estimate_t){0};
+    axis->startup = (startup_t){0};
     axis->source->reset(axis);
     axis_states_init(axis);
+}
+
+bool axis_observable(const axis_t *axis) { return axis->config->observer.drive != 0; }
+
+/* Angle and speed come from somewhere else: never in motion, and never from an observer that has no constants. */
+static void choose_source(axis_t *axis)
+{
+    const bool sensorless = axis->feedback_wanted == FEEDBACK_KIND_OBSERVER && axis_observable(axis);
+    if (sensorless != axis->sensorless && axis->sm.state != STATE_RUN) {
+        axis->sensorless = sensorless;
+        axis->source = sensorless ? &observer_feedback : &encoder_feedback;
+        axis->source->reset(axis);
+    }
 }
 
 static void capture(axis_t *axis, fault_set_t faults)
@@ -125,7 +144,7 @@ void axis_fast(axis_t *axis)
     if (suspicious(axis)) {
         watch(axis);
     }
-    axis->loop = LOOP_FAST;
+    axis->loop = axis->fast;
     sm_step(&axis->sm, axis);
 }
 
@@ -163,6 +182,10 @@ void axis_slow(axis_t *axis)
         axis_raise(axis, FAULT_ENCODER);
     }
     take_requests(axis);
+    choose_source(axis);
+    if (axis->sensorless && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {
+        motion_listen(axis);
+    }
     if (axis->stop_faults != 0U && !stop_in_hand(axis)) {
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT); /* at rest: now the outputs go off */
         axis->stop_faults = 0;

@@ -9,16 +9,22 @@
 #include "config/axis_config.h"
 #include "control/path.h"
 #include "drive/current_sense.h"
+#include "drive/estimate.h"
 #include "drive/faults.h"
 #include "drive/feedback.h"
+#include "drive/startup.h"
 #include "drive/state_machine.h"
 #include "drive/stop.h"
 #include "drive/supervision.h"
 #include "hal/hal.h"
 
+/* PWM periods per slow tick (DRM 2.3.2). */
+#define AXIS_SLOW_PERIODS 8
+
 typedef enum {
     LOOP_FAST,
     LOOP_SLOW,
+    LOOP_OBSERVED, /* the fast loop with the observer in it */
 } axis_loop_t;
 
 /* What the host asks of an axis, latched once per slow tick. The `fresh_` marks tell what was written since the last
@@ -87,7 +93,8 @@ typedef struct axis {
 
     sm_t sm;
     substate_t substate;
-    axis_loop_t loop; /* which of a sub-state's two functions runs */
+    axis_loop_t loop; /* which of a sub-state's functions runs */
+    axis_loop_t fast; /* .. in the fast loop */
 
     axis_command_t command;
     axis_limits_t limits;
@@ -105,6 +112,13 @@ typedef struct axis {
 
     const feedback_source_t *source;
     encoder_feedback_t encoder;
+    observer_feedback_t observed_position;
+    uint16_t feedback_wanted; /* feedback_kind_t; taken when the axis is not in RUN */
+    bool sensorless;          /* the source is the observer */
+    estimate_t estimate;
+    startup_t startup;
+    bool leaving;             /* sensorless: on the way out of SPIN, below the minimum speed */
+    frac16_t current_q_left;  /* i_q* of the last slow tick */
     feedback_t feedback;
 
     current_sense_t sense;
@@ -139,7 +153,10 @@ void axis_break(axis_t *axis);
  * one for all of these faults (stop.h). */
 void axis_raise(axis_t *axis, fault_set_t faults);
 
-/* The same, for what concerns an axis only while its drive is wanted (host silence). */
+/* The observer can be used with this motor. */
+bool axis_observable(const axis_t *axis);
+
+/* The same as axis_raise, for what concerns an axis only while its drive is wanted (host silence). */
 void axis_stop_with(axis_t *axis, fault_set_t faults);
 
 #endif

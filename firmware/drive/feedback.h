@@ -1,6 +1,6 @@
 /* feedback.h - where an axis takes its angle and speed from.
  *
- * A source fills the same numbers whatever it measures: the encoder today, an observer for a sensorless axis. The
+ * A source fills the same numbers whatever it measures: the encoder, or the observer of a sensorless axis. The
  * controllers know only `feedback_t`.
  */
 #ifndef SERVO_DRIVE_FEEDBACK_H
@@ -42,6 +42,13 @@ typedef struct {
     bool found; /* the rotor has been found before: positions count from there (E41) */
 } encoder_feedback_t;
 
+/* What the observer has seen the shaft turn, in counts of the encoder that is not there. */
+typedef struct {
+    int32_t counts;
+    uint16_t rest; /* 16 fraction bits */
+} observer_feedback_t;
+
 extern const feedback_source_t encoder_feedback;
+extern const feedback_source_t observer_feedback;
 
 #endif

@@ -96,6 +96,8 @@ static void hold(axis_t *axis)
     axis->motion.target_clipped = false;
 }
 
+static void report(axis_t *axis, uint16_t limit) { axis->active_limits = (uint16_t)(axis->active_limits | limit); }
+
 /* ---- commands --------------------------------------------------------------------------------------------------- */
 
 static bool mode_matches(motion_t motion, uint16_t mode)
@@ -123,6 +125,8 @@ static void take_mode(axis_t *axis)
     }
 }
 
+/* What an axis without an encoder cannot do is neither begun nor remembered. */
+static bool impossible(const axis_t *axis) { return axis->sensorless && axis->command.mode == CONTROL_MODE_POSITION; }
 /* A stop ends by holding the position: of a drive that is wanted, or for some time. */
 static bool stop_holds(const axis_t *axis) { return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD; }
 
@@ -130,10 +134,16 @@ static void take_commands(axis_t *axis)
 {
     const axis_command_t *command = &axis->command;
     motion_state_t *m = &axis->motion;
-    if (!axis->requested || command->quick_stop) {
+    if (impossible(axis)) {
+        report(axis, LIMIT_SETPOINT);
+    }
+    if (!axis->requested || command->quick_stop || impossible(axis)) {
         const bool begins = command->fresh_quick_stop || (!axis->requested && axis->stop.ticks == 0U);
         if (begins || !stop_holds(axis) || m->motion != MOTION_POSITION) {
             enter_stop(axis);
+        }
+        if (axis->sensorless) {
+            m->speed_target = 0;
         }
         return;
     }
@@ -158,8 +168,6 @@ static void take_commands(axis_t *axis)
 }
 
 /* ---- controllers ------------------------------------------------------------------------------------------------ */
-
-static void report(axis_t *axis, uint16_t limit) { axis->active_limits = (uint16_t)(axis->active_limits | limit); }
 
 static frac32_t limited_speed(axis_t *axis, frac32_t speed)
 {
@@ -343,11 +351,16 @@ static void hold_back(axis_t *axis, bool held)
     }
 }
 
+static const pi_gains_t *speed_gains(const axis_t *axis)
+{
+    return axis->sensorless ? &axis->config->observed_speed : &axis->config->speed;
+}
+
 static frac16_t speed_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
-    const pi_gains_t *gains = &axis->config->speed;
+    const pi_gains_t *gains = speed_gains(axis);
     if ((axis->features & FEATURE_ANTI_WINDUP) == 0U) {
         m->speed_pi.excess = 0; /* as with Kc = 0 */
     }
@@ -369,7 +382,7 @@ static frac16_t speed_controller(axis_t *axis)
  * given back within it. At the upper limit it is negative. */
 static frac32_t resist(axis_t *axis, speed_range_t range)
 {
-    const gain_t ki = axis->config->speed.ki;
+    const gain_t ki = speed_gains(axis)->ki;
     const frac32_t limit = f32_from_f16(axis->limits.i_q);
     const frac32_t speed = axis->feedback.mean_speed;
     const frac32_t before = axis->motion.resistance;
@@ -387,7 +400,7 @@ static frac32_t resist(axis_t *axis, speed_range_t range)
 static frac16_t torque_controller(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    const gain_t kp = axis->config->speed.kp;
+    const gain_t kp = speed_gains(axis)->kp;
     const speed_range_t range = soft_limits_speed(axis);
     const frac32_t held = resist(axis, range);
     const frac32_t room_above = f32_gain(f32_sub(range.most, axis->feedback.speed), kp);
@@ -425,6 +438,56 @@ void motion_start(axis_t *axis)
     hold(axis);
 }
 
+void motion_start_turning(axis_t *axis, frac16_t i_q)
+{
+    motion_state_t *m = &axis->motion;
+    pi_reset(&m->speed_pi, f32_from_f16(i_q));
+    m->i_q_target = 0;
+    m->saturated = false;
+    m->target_clipped = false;
+    m->speed_ref = axis->feedback.speed;
+    m->speed_ramp = axis->feedback.speed;
+    supervision_start(&axis->supervision);
+    enter(axis, MOTION_SPEED, axis->feedback.speed);
+}
+
+void motion_listen(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const axis_command_t *command = &axis->command;
+    if (!axis->requested || command->quick_stop || command->mode != CONTROL_MODE_SPEED) {
+        m->speed_target = 0;
+    } else if (command->fresh_speed) {
+        m->speed_target = command->speed;
+    } else if (command->fresh_mode) {
+        m->speed_target = 0;
+    }
+    const bool unable = command->mode != CONTROL_MODE_SPEED || m->speed_target != 0;
+    if (axis->requested && unable && motion_wanted_speed(axis) == 0) {
+        report(axis, LIMIT_SETPOINT);
+    }
+}
+
+frac32_t motion_wanted_speed(const axis_t *axis)
+{
+    const speed_range_t range = soft_limits_speed(axis);
+    const frac32_t least = axis->config->startup.minimum_speed;
+    frac32_t speed = axis->motion.speed_target;
+    if (speed > range.most) {
+        speed = range.most;
+    }
+    if (speed < range.least) {
+        speed = range.least;
+    }
+    return (speed < least && speed > -least) ? 0 : speed;
+}
+
+bool motion_too_slow(const axis_t *axis)
+{
+    const frac32_t told = (axis->motion.motion == MOTION_TORQUE) ? axis->feedback.speed : axis->motion.speed_ramp;
+    return f32_abs(told) < axis->config->startup.minimum_speed;
+}
+
 void motion_step(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -448,7 +511,7 @@ void motion_step(axis_t *axis)
                 m->stop_ticks++;
             }
             /* With little current the shaft is behind the ramp: a point latched now would have to be run back to. */
-            if (stop_holds(axis) && at_rest(axis)) {
+            if (stop_holds(axis) && at_rest(axis) && !axis->sensorless) {
                 hold(axis);
             }
         }

@@ -7,6 +7,18 @@
 /* SPIN begins: hold where the shaft is; what was commanded before does not count. */
 void motion_start(axis_t *axis);
 
+/* SPIN begins with a shaft that turns, and with the current that flows: the speed set-point holds. */
+void motion_start_turning(axis_t *axis, frac16_t i_q);
+
+/* Sensorless, every slow tick outside SPIN: take a speed set-point, flag what cannot be done. */
+void motion_listen(axis_t *axis);
+
+/* Sensorless: the speed set-point, within its limits; 0 while nothing is to turn, or slower than the observer sees. */
+frac32_t motion_wanted_speed(const axis_t *axis);
+
+/* Sensorless, in SPIN: the shaft is told to turn more slowly than the observer sees, or does. */
+bool motion_too_slow(const axis_t *axis);
+
 /* The limits of this tick, which the host may have changed. */
 void motion_limit(axis_t *axis, axis_limits_t limits);
 

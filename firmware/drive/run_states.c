@@ -1,14 +1,10 @@
 /* run_states.c - the sub-states of RUN, each with a fast and a slow function, and their transitions (DRM 4.5, F37). */
+#include "drive/angle_check.h"
 #include "drive/axis_states.h"
+#include "drive/current_drive.h"
 #include "drive/motion.h"
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
-
-static void choose_pair(axis_t *axis, phase_pair_t pair)
-{
-    axis->sense.pair = pair;
-    hal_adc_select(axis->hal, axis->index, pair);
-}
 
 static void track_offsets(axis_t *axis)
 {
@@ -22,24 +18,10 @@ static void measure(axis_t *axis)
     axis->current_loop.current = park(clarke(current), sin_cos(axis->feedback.theta_e));
 }
 
-/* Dead time is compensated if that is among `features`. */
+/* Dead time is compensated if that is among `features`; the observer of a sensorless axis cannot do without. */
 static void choose_dead_time(axis_t *axis, uint16_t features)
 {
-    axis->current_loop.dead_time_off = (features & FEATURE_DEAD_TIME) == 0U;
-}
-
-/* Current control with the d axis at `theta_e`. */
-static void drive(axis_t *axis, frac16_t theta_e)
-{
-    const abc_t current = current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
-    /* Unfiltered: it is the ripple that counts. */
-    const frac16_t u_dc = ((axis->features & FEATURE_BUS_COMPENSATION) != 0U) ? (frac16_t)asr32(axis->u_dc_now, 16)
-                                                                              : axis->config->u_dc_nominal;
-    const svm_t out =
-        current_loop_step(&axis->current_loop, &axis->config->current_loop, current, axis->current_ref, theta_e, u_dc);
-    hal_pwm_duty(axis->hal, axis->index, (frac16_t)out.duty.a, (frac16_t)out.duty.b, (frac16_t)out.duty.c);
-    axis->sense.duty = out.duty;
-    choose_pair(axis, current_sense_pair(out.sector));
+    axis->current_loop.dead_time_off = (features & FEATURE_DEAD_TIME) == 0U && !axis->sensorless;
 }
 
 static void enter(axis_t *axis, substate_t substate)
@@ -60,11 +42,16 @@ static void wait_for_rest(axis_t *axis)
 
 /* ---- transitions ------------------------------------------------------------------------------------------------ */
 
-static void calib_ready(axis_t *axis)
+/* READY shorts the windings. A shaft without an encoder may turn, for all one knows: its outputs stay off. */
+static void to_ready(axis_t *axis)
 {
-    axis_zero_voltage(axis, true);
+    axis_zero_voltage(axis, !axis->sensorless);
+    estimate_stop(axis);
+    axis->fast = LOOP_FAST;
     enter(axis, SUBSTATE_READY);
 }
+
+static void calib_ready(axis_t *axis) { to_ready(axis); }
 
 static void ready_align(axis_t *axis)
 {
@@ -85,12 +72,15 @@ static void align_spin(axis_t *axis)
     axis->source->align(axis, rotor_search_angle(&axis->search));
     motion_start(axis);
     choose_dead_time(axis, axis->features);
+    angle_check_start(axis);
     enter(axis, SUBSTATE_SPIN);
 }
 
 static void spin_freewheel(axis_t *axis)
 {
     axis_zero_voltage(axis, false);
+    estimate_stop(axis);
+    axis->fast = LOOP_FAST;
     enter(axis, SUBSTATE_FREEWHEEL);
 }
 
@@ -107,10 +97,29 @@ static void freewheel_align(axis_t *axis)
     ready_align(axis);
 }
 
-static void freewheel_ready(axis_t *axis)
+static void freewheel_ready(axis_t *axis) { to_ready(axis); }
+
+static void ready_startup(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
-    enter(axis, SUBSTATE_READY);
+    choose_dead_time(axis, FEATURE_DEAD_TIME);
+    startup_begin(axis, motion_wanted_speed(axis) < 0);
+    enter(axis, SUBSTATE_STARTUP);
+}
+
+static void startup_spin(axis_t *axis)
+{
+    startup_hand_over(axis);
+    axis->leaving = false;
+    axis->fast = LOOP_OBSERVED;
+    enter(axis, SUBSTATE_SPIN);
+}
+
+static void startup_freewheel(axis_t *axis)
+{
+    axis_zero_voltage(axis, false);
+    estimate_stop(axis);
+    enter(axis, SUBSTATE_FREEWHEEL);
 }
 
 /* ---- CALIB: offsets of the current amplifiers, outputs off -------------------------------------------------------- */
@@ -120,7 +129,7 @@ static void calib_fast(axis_t *axis)
 {
     if (!axis->calibrated && axis->feedback.still) {
         axis->calibrated = current_sense_calibrate(&axis->sense, hal_adc_currents(axis->hal, axis->index));
-        choose_pair(axis, axis->sense.pair);
+        drive_choose_pair(axis, axis->sense.pair);
     }
 }
 
@@ -144,8 +153,13 @@ static void ready_fast(axis_t *axis) { measure(axis); }
 static void ready_slow(axis_t *axis)
 {
     track_offsets(axis);
-    if (axis->requested) {
+    if (!axis->requested) {
+        return;
+    }
+    if (!axis->sensorless) {
         ready_align(axis);
+    } else if (motion_wanted_speed(axis) != 0) {
+        ready_startup(axis);
     }
 }
 
@@ -154,7 +168,7 @@ static void ready_slow(axis_t *axis)
 static void align_fast(axis_t *axis)
 {
     if (rotor_search_drives(&axis->search)) {
-        drive(axis, rotor_search_angle(&axis->search));
+        drive_current(axis, rotor_search_angle(&axis->search));
         rotor_search_watch(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
                            axis->current_loop.voltage.q);
     }
@@ -184,12 +198,51 @@ static void align_slow(axis_t *axis)
 
 /* ---- SPIN: field-oriented control ---------------------------------------------------------------------------------- */
 
-static void spin_fast(axis_t *axis) { drive(axis, axis->feedback.theta_e); }
+static void spin_fast(axis_t *axis) { drive_current(axis, axis->feedback.theta_e); }
 
-/* The drive is not wanted any more. */
+static void spin_observed_fast(axis_t *axis)
+{
+    drive_observed(axis, axis->feedback.theta_e);
+    pll_step(&axis->estimate.pll, &axis->config->pll, axis->estimate.observer.e);
+}
+
+/* Sensorless: the speed has come down to where the observer ends. The current goes first, then the outputs. */
+static void leave_slowly(axis_t *axis)
+{
+    axis->leaving = axis->leaving || motion_too_slow(axis);
+    if (axis->leaving) {
+        const frac32_t q = f32_from_f16(axis->current_q_left);
+        axis->current_ref.q = f16_from_f32(q - f32_clip(q, axis->config->startup.fade_step));
+    }
+    axis->current_q_left = axis->current_ref.q;
+}
+
+static void spin_sensorless(axis_t *axis)
+{
+    estimate_t *estimate = &axis->estimate;
+    axis->current_ref.d = f16_add(axis->current_ref.d, startup_fade(axis));
+    leave_slowly(axis);
+    if (axis->leaving) {
+        return;
+    }
+    estimate->pll.backwards = estimate->pll.integral < 0;
+    pll_push(&estimate->pll, &axis->config->pll, axis->current_loop.current.q, estimate->along);
+    const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
+    if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost) {
+        axis_raise(axis, FAULT_SPEED_FEEDBACK);
+    }
+}
+
+/* The observer sees the rotor no more, or the drive is not wanted any more. */
 static void bring_to_rest(axis_t *axis)
 {
-    const stop_category_t next = stop_step(axis);
+    if (axis->leaving) {
+        if (axis->current_ref.q == 0) {
+            spin_freewheel(axis);
+        }
+        return;
+    }
+    const stop_category_t next = axis->requested ? STOP_CATEGORY_HOLD : stop_step(axis);
     if (next == STOP_CATEGORY_COAST) {
         spin_freewheel(axis);
     } else if (next == STOP_CATEGORY_SHORT) {
@@ -203,13 +256,39 @@ static void spin_slow(axis_t *axis)
     choose_dead_time(axis, axis->features);
     current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
     motion_step(axis);
+    if (axis->sensorless) {
+        spin_sensorless(axis);
+    } else {
+        angle_check_step(axis);
+    }
     if (axis->current_loop.limited) {
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
     axis_raise(axis, supervision_step(axis));
-    if (!axis->requested && (axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
+    if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
         bring_to_rest(axis);
+    }
+}
+
+/* ---- STARTUP: a sensorless axis, from rest to where the observer sees the rotor ------------------------------------ */
+
+static void startup_slow_state(axis_t *axis)
+{
+    track_offsets(axis);
+    if (!axis->requested || motion_wanted_speed(axis) == 0) {
+        startup_freewheel(axis);
+        return;
+    }
+    switch (startup_slow(axis)) {
+    case STARTUP_DONE:
+        startup_spin(axis);
+        break;
+    case STARTUP_FAILED:
+        axis_raise(axis, FAULT_START_UP);
+        break;
+    default:
+        break;
     }
 }
 
@@ -236,7 +315,7 @@ static void freewheel_slow(axis_t *axis)
         wait_for_rest(axis);
         return;
     }
-    if (axis->requested) {
+    if (axis->requested && !axis->sensorless) {
         freewheel_align(axis);
     } else {
         freewheel_ready(axis);
@@ -245,14 +324,13 @@ static void freewheel_slow(axis_t *axis)
 
 /* ---- the table ------------------------------------------------------------------------------------------------------ */
 
-/* STARTUP belongs to a sensorless source. No source that is built in leads there; its row coasts, which is safe. */
-static const axis_function_t run_table[6][2] = {
-    [SUBSTATE_CALIB] = {calib_fast, calib_slow},
-    [SUBSTATE_READY] = {ready_fast, ready_slow},
-    [SUBSTATE_ALIGN] = {align_fast, align_slow},
-    [SUBSTATE_SPIN] = {spin_fast, spin_slow},
-    [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow},
-    [SUBSTATE_STARTUP] = {freewheel_fast, freewheel_slow},
+static const axis_function_t run_table[6][3] = {
+    [SUBSTATE_CALIB] = {calib_fast, calib_slow, calib_fast},
+    [SUBSTATE_READY] = {ready_fast, ready_slow, ready_fast},
+    [SUBSTATE_ALIGN] = {align_fast, align_slow, align_fast},
+    [SUBSTATE_SPIN] = {spin_fast, spin_slow, spin_observed_fast},
+    [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast},
+    [SUBSTATE_STARTUP] = {startup_fast, startup_slow_state, startup_fast},
 };
 
 void run_state_step(axis_t *axis) { run_table[axis->substate][axis->loop](axis); }
@@ -262,7 +340,10 @@ void run_state_enter(axis_t *axis)
     axis_zero_voltage(axis, false);
     current_sense_reset(&axis->sense);
     axis->calibrated = false;
-    choose_pair(axis, axis->sense.pair);
+    axis->fast = LOOP_FAST;
+    axis->leaving = false;
+    estimate_stop(axis);
+    drive_choose_pair(axis, axis->sense.pair);
     enter(axis, SUBSTATE_CALIB);
 }
 

@@ -58,3 +58,26 @@ frac16_t f16_sqrt(frac32_t x)
     root = nearer(nearer(nearer(nearer(root, square), square), square), square);
     return (frac16_t)((root * root > square) ? root - 1U : root);
 }
+
+#define EIGHTH INT32_C(8192) /* of a turn */
+#define BULGE INT32_C(2847)  /* 0.273 rad: atan(r) is nearly r (pi/4 + 0.273 (1 - r)) */
+
+frac16_t f16_angle(frac16_t x, frac16_t y)
+{
+    const int32_t across = (x < 0) ? -(int32_t)x : x;
+    const int32_t up = (y < 0) ? -(int32_t)y : y;
+    const bool steep = up > across;
+    const int32_t most = steep ? up : across;
+    if (most == 0) {
+        return 0;
+    }
+    const int32_t ratio = (steep ? across : up) * INT32_C(32768) / most;
+    int32_t angle = asr32(ratio * (EIGHTH + asr32(BULGE * (32768 - ratio), 15)), 15);
+    if (steep) {
+        angle = 2 * EIGHTH - angle;
+    }
+    if (x < 0) {
+        angle = 4 * EIGHTH - angle;
+    }
+    return (frac16_t)(uint16_t)((y < 0) ? -angle : angle);
+}

@@ -1,4 +1,4 @@
-/* trig.h - sine, cosine and square root of fractions. */
+/* trig.h - sine, cosine, angle and square root of fractions. */
 #ifndef SERVO_MATH_TRIG_H
 #define SERVO_MATH_TRIG_H
 
@@ -45,6 +45,9 @@ static inline sin_cos_t sin_cos(frac16_t angle)
     }
     return result;
 }
+
+/* Angle of the vector (x, y), 2^16 is a turn; at most 0.25 degrees off. */
+frac16_t f16_angle(frac16_t x, frac16_t y);
 
 /* Square root of a fraction in [0, 1), rounded down; 0 for negative numbers. */
 frac16_t f16_sqrt(frac32_t x);

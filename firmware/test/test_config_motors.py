@@ -14,9 +14,11 @@ from core_library import Core
 from firmware_compiler import FIRMWARE, run_compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tuning.braking import brake_constants
 from tuning.command import main
 from tuning.configuration import Configuration
-from tuning.constants import AxisConstants, Category, FaultSet, PiRaw, Switches, brake_constants, host_timeout
+from tuning.constants import host_timeout
+from tuning.conversion import AxisConstants, Category, FaultSet, PiRaw, Switches
 from tuning.errors import ConfigError
 from tuning.linear import spectral_radius
 from tuning.reading import parse

@@ -1,4 +1,4 @@
-"""What a test or a user can break: the physics against closed forms on both plants, and the whole board on both levels."""
+"""What can be broken: the physics against closed forms on both plants, and the whole board on both levels."""
 
 from __future__ import annotations
 

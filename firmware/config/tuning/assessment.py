@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tuning.linear import Margins, Pole, System, Tracking, poles, spectral_radius
 from tuning.loops import In, Out
+from tuning.sensorless_figures import SensorlessFigures, sensorless_figures
 from tuning.sensors import edge_delay
 from tuning.tuned import Tuned
 
@@ -199,6 +200,7 @@ class Assessment:
     load_step: LoadStep
     reach: Reach
     inertias: tuple[Inertia, ...]
+    sensorless: SensorlessFigures
 
 
 def assess(it: Tuned) -> Assessment:
@@ -213,6 +215,7 @@ def assess(it: Tuned) -> Assessment:
         load_step=_load_step(it),
         reach=_reach(it),
         inertias=tuple(_with_inertia(it, factor, observed) for observed in (False, True) for factor in INERTIAS),
+        sensorless=sensorless_figures(it),
     )
 
 

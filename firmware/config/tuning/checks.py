@@ -9,6 +9,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 from tuning.configuration import Axis, Board, Configuration, Scales
+from tuning.sensorless_checks import check_sensorless
 
 __all__ = ["check"]
 
@@ -31,6 +32,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
         _order(axis, board)
         _search(axis)
         _stops(axis, configuration.scales)
+        check_sensorless(axis, board)
 
 
 def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
@@ -171,7 +173,7 @@ def _bus(configuration: Configuration) -> None:
 
 
 def _returned(axis: Axis, board: Board) -> float:
-    """What an axis returns to the bus at most when it brakes from its speed limit [W]: the shaft's less the copper's."""
+    """What an axis returns to the bus at most when it brakes from its speed limit [W]: less the copper's losses."""
     emf, r_s = axis("motor.pole_pairs") * axis("motor.psi_m") * axis("limits.speed"), axis("motor.r_s")
     current = min(axis("limits.current"), 0.5 * emf / r_s)  # more current burns more than it returns
     return 1.5 * current * (emf - r_s * current)

@@ -12,8 +12,9 @@ from typing import Final
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import update
 
+from tuning.braking import brake_constants
 from tuning.configuration import Configuration
-from tuning.constants import brake_constants, host_timeout
+from tuning.constants import host_timeout
 from tuning.errors import ConfigError
 from tuning.picture import PictureError, draw
 from tuning.reading import load

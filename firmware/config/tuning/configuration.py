@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
 
@@ -13,7 +13,10 @@ from tuning.errors import ConfigError, refused
 from tuning.schema import AXIS_GROUPS, BOARD_GROUPS, check_group, check_switches, check_table, unknown_name
 from tuning.stops import Stops
 
-__all__ = ["Axis", "Board", "Configuration", "Scales"]
+__all__ = ["FEEDBACKS", "Axis", "Board", "Configuration", "Scales"]
+
+FEEDBACKS: Final = ("encoder", "observer")
+"""Where an axis may take its angle and speed from; the first one unless the file says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,8 @@ class Axis:
         How the axis comes to rest.
     inherited : frozenset of str
         Entries that come from [defaults].
+    feedback : str
+        Where angle and speed come from after reset, ``encoder`` or ``observer``.
     """
 
     name: str
@@ -127,10 +132,16 @@ class Axis:
     features: Mapping[str, bool]
     stops: Stops
     inherited: frozenset[str]
+    feedback: str
 
     def __call__(self, path: str) -> float:
         group, key = path.split(".")
         return self.groups[group][key]
+
+    def given(self, path: str) -> bool:
+        """Whether an entry that may be left out is there."""
+        group, key = path.split(".")
+        return key in self.groups[group]
 
     def entry(self, path: str) -> str:
         """Full name of an entry, and where it stands."""
@@ -165,10 +176,14 @@ class Axis:
             raise ConfigError(f"[{name}.motor] is missing; every axis needs its motor")
         groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features")}
         inherited: set[str] = set()
+        feedback = FEEDBACKS[0]
         for owner in ("defaults", name):
             for group, value in check_table(owner, table.get(owner, {})).items():
+                if group == "feedback":
+                    feedback = _feedback(f"{owner}.feedback", value)
+                    continue
                 if group not in groups:
-                    raise unknown_name(f"{owner}.{group}", group, groups)
+                    raise unknown_name(f"{owner}.{group}", group, (*groups, "feedback"))
                 entries = check_table(f"{owner}.{group}", value)
                 groups[group].update(entries)
                 paths = {f"{group}.{key}" for key in entries}
@@ -184,7 +199,13 @@ class Axis:
             )
             for group, entries in groups.items()
         }
-        return cls(name, checked, features, stops, origin)
+        return cls(name, checked, features, stops, origin, feedback)
+
+
+def _feedback(where: str, value: object) -> str:
+    if not isinstance(value, str) or value not in FEEDBACKS:
+        raise refused(where, repr(value), "no source of angle and speed", f"write one of {', '.join(FEEDBACKS)}")
+    return value
 
 
 def _place(axis: str, path: str, inherited: Collection[str]) -> str:

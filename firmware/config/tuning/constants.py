@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
-from tuning.configuration import Axis, Board, Configuration, Scales
+from tuning.braking import stop_constants
+from tuning.configuration import Axis, Board, Configuration
+from tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
 from tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
-from tuning.gains import Gains, Pi
+from tuning.gains import Gains
 
-__all__ = [
-    "BUS_END",
-    "PATH_OMEGA",
-    "AxisConstants",
-    "Category",
-    "FaultSet",
-    "Field",
-    "PiRaw",
-    "Switches",
-    "axis_constants",
-    "brake_constants",
-    "host_timeout",
-    "regeneration_speed",
-    "short_speed",
-]
+__all__ = ["OBSERVER", "PATH_OMEGA", "axis_constants", "host_timeout"]
 
 ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
 COUNTS: Final = Format("int32_t counts", 0, 1, 2**30)
@@ -36,15 +22,10 @@ RECIPROCAL: Final = Format("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
 FLUX: Final = Format("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
 PI_SUM: Final = Format("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
 """pi_sum_t holds +-256: these gains, each times a fraction, and the integral part."""
-TICKS: Final = Format("uint16_t slow ticks", 0, 0, 2**16 - 2)
-"""A counter of 16 bits has to be able to go beyond it."""
 SEARCH_TURN: Final = Format("an eighth of a turn", 0, 1, 2**13)
 TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
 TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
 SEARCH_ANGLE: Final = Format("int32_t, 2^16 a turn", 16, 1, 2**16 - 1)
-
-BUS_END: Final = 0.98
-"""Part of the bus converter's range that can still be told from its end."""
 
 _LINES: Final = "correct encoder.lines"
 _HOLD: Final = "correct motor.psi_m, motor.pole_pairs or motor.inertia"
@@ -52,75 +33,15 @@ _SLOWER_CURRENT: Final = "lower control.current_bandwidth"
 _SLOWER: Final = "lower control.speed_bandwidth, or correct motor.inertia or motor.psi_m"
 
 
-class PiRaw(NamedTuple):
-    """A ``pi_gains_t``."""
-
-    kp: int
-    ki: int
-    kc: int
-
-
-class FaultSet(tuple[str, ...]):
-    """Faults, by their names in the contract, lower case."""
-
-
-class Category(str):
-    """A stop category."""
-
-
-class Switches(tuple[str, ...]):
-    """Features that are on, by their names in the contract."""
-
-
-Field = int | PiRaw | Switches | FaultSet | Category
-AxisConstants = Mapping[str, Field]
-"""C path of every field of ``axis_config_t`` with its value."""
-
-
-def _pi(axis: Axis, name: str, gains: Pi, scale: float, remedy: str) -> PiRaw:
-    entry = f"{axis.name}: {name}"
-    return PiRaw(
-        GAIN.raw(f"{entry} Kp", gains.kp * scale, remedy),
-        GAIN.raw(f"{entry} Kp Ki Ts", gains.ki * scale, remedy),
-        GAIN.raw(f"{entry} Kc", gains.kc, "raise control.anti_windup"),
-    )
-
-
-@dataclass(frozen=True)
-class _Converter:
-    """Shorthand for one axis: every method names the entry in its refusal."""
-
-    axis: Axis
-    board: Board
-    s: Scales
-
-    def at(self, format_: Format, path: str, scale: float, remedy: str = "correct it") -> int:
-        """An entry of the configuration times `scale`."""
-        return format_.raw(self.axis.entry(path), self.axis(path) * scale, remedy, self.axis(path))
-
-    def board_at(self, format_: Format, key: str, scale: float, remedy: str) -> int:
-        """An entry of [board] times `scale`."""
-        return format_.raw(f"board.{key}", self.board(key) * scale, remedy, self.board(key))
-
-    def ticks(self, path: str) -> int:
-        """A time in slow ticks."""
-        tick = self.board.tick
-        return self.at(TICKS, path, 1.0 / tick, f"write seconds, {tick:g} .. {TICKS.high * tick:g}")
-
-    def of(self, format_: Format, name: str, value: float, remedy: str) -> int:
-        """Something that follows from several entries."""
-        return format_.raw(f"{self.axis.name}: {name}", value, remedy)
-
-
 def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> AxisConstants:
-    """Every field of one ``axis_config_t``.
+    """Every field of one ``axis_config_t`` but those of the sensorless part.
 
     Raises
     ------
     ConfigError
         If one does not fit its format, or vanishes in it.
     """
-    to = _Converter(axis, configuration.board, configuration.scales)
+    to = Converter(axis, configuration.board, configuration.scales)
     return {
         **_current_loop(to, gains),
         **_sensing(to),
@@ -129,11 +50,11 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **_feed_forward(to),
         **_limits(to),
         **_supervision(to),
-        **_stops(to),
+        **stop_constants(to),
     }
 
 
-def _current_loop(to: _Converter, gains: Gains) -> dict[str, Field]:
+def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
     axis, board, s = to.axis, to.board, to.s
     omega_e = axis("motor.pole_pairs") * s.speed
     admittance = s.i / s.u_s
@@ -149,8 +70,8 @@ def _current_loop(to: _Converter, gains: Gains) -> dict[str, Field]:
     to.of(PI_SUM, "gains that meet in u_q", u_q, slower)
     sign = to.of(INT16_Q8, "slope of sensing.sign_current", s.i / axis("sensing.sign_current"), "raise that current")
     return {
-        "current_loop.d": _pi(axis, "current controller d", gains.current_d, admittance, slower),
-        "current_loop.q": _pi(axis, "current controller q", gains.current_q, admittance, slower),
+        "current_loop.d": pi_raw(axis, "current controller d", gains.current_d, admittance, slower),
+        "current_loop.q": pi_raw(axis, "current controller q", gains.current_q, admittance, slower),
         "current_loop.omega_l_d": to.of(GAIN, "decoupling d", omega_e * axis("motor.l_d") * admittance, coupling),
         "current_loop.omega_l_q": to.of(GAIN, "decoupling q", omega_e * axis("motor.l_q") * admittance, coupling),
         "current_loop.omega_psi": to.of(GAIN, "back-EMF", emf, flux),
@@ -162,7 +83,7 @@ def _current_loop(to: _Converter, gains: Gains) -> dict[str, Field]:
     }
 
 
-def _sensing(to: _Converter) -> dict[str, Field]:
+def _sensing(to: Converter) -> dict[str, Field]:
     axis, board, s = to.axis, to.board, to.s
     p, counts = axis("motor.pole_pairs"), axis.counts
     # ratio() multiplies it with up to half a turn of counts, in 32 bits
@@ -209,7 +130,7 @@ def _search_slew(axis: Axis, board: Board) -> float:
     return 0.5 * voltage / (2.0 * math.pi * axis("control.current_bandwidth") * inductance)
 
 
-def _follow(to: _Converter) -> dict[str, Field]:
+def _follow(to: Converter) -> dict[str, Field]:
     """The turn of the vector that tells a held shaft from an encoder that does not count."""
     axis, board, s = to.axis, to.board, to.s
     turn, time = math.radians(axis("rotor_search.turn_angle")), axis("rotor_search.turn_time")
@@ -228,7 +149,7 @@ def _follow(to: _Converter) -> dict[str, Field]:
     }
 
 
-def _speed_observer(to: _Converter) -> dict[str, Field]:
+def _speed_observer(to: Converter) -> dict[str, Field]:
     """Fading-memory gains: the three poles of the observer's error at the same place."""
     axis, tick, s = to.axis, to.board.tick, to.s
     per_rad = axis.counts / (2.0 * math.pi)
@@ -245,12 +166,12 @@ def _speed_observer(to: _Converter) -> dict[str, Field]:
     }
 
 
-def _motion(to: _Converter, gains: Gains) -> dict[str, Field]:
+def _motion(to: Converter, gains: Gains) -> dict[str, Field]:
     axis, board, s, counts = to.axis, to.board, to.s, to.axis.counts
     step = s.speed * board.tick * counts / (2.0 * math.pi)  # counts per slow tick at full-scale speed
     path = "lower control.path_current_use or limits.current, or correct motor.inertia or motor.psi_m"
     return {
-        "speed": _pi(axis, "speed controller", gains.speed, s.speed / s.i, _SLOWER),
+        "speed": pi_raw(axis, "speed controller", gains.speed, s.speed / s.i, _SLOWER),
         "position_gain": to.at(FRAC32, "control.position_gain", 2.0 * math.pi / counts / s.speed),
         "path_omega_n_ts": to.of(PATH_OMEGA, "omega_n Ts of the path", gains.path_omega_n * board.tick, path),
         "path_step_per_speed": to.of(INT32_Q16, "path step", step, _LINES),
@@ -258,7 +179,7 @@ def _motion(to: _Converter, gains: Gains) -> dict[str, Field]:
     }
 
 
-def _feed_forward(to: _Converter) -> dict[str, Field]:
+def _feed_forward(to: Converter) -> dict[str, Field]:
     axis, board, s = to.axis, to.board, to.s
     k_t, smooth = axis.torque_constant, axis("friction.smooth")
     inertia = axis("motor.inertia") / k_t * s.speed / board.tick / s.i
@@ -271,7 +192,7 @@ def _feed_forward(to: _Converter) -> dict[str, Field]:
     }
 
 
-def _limits(to: _Converter) -> dict[str, Field]:
+def _limits(to: Converter) -> dict[str, Field]:
     axis, board, s = to.axis, to.board, to.s
     per_rad = axis.counts / (2.0 * math.pi)
 
@@ -294,7 +215,7 @@ def _limits(to: _Converter) -> dict[str, Field]:
     }
 
 
-def _supervision(to: _Converter) -> dict[str, Field]:
+def _supervision(to: Converter) -> dict[str, Field]:
     board, s = to.board, to.s
     times = {
         "following_ticks_most": "timing.following_most",
@@ -313,69 +234,6 @@ def _supervision(to: _Converter) -> dict[str, Field]:
         "runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
         "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
         **{field: to.ticks(path) for field, path in times.items()},
-    }
-
-
-def short_speed(axis: Axis) -> float:
-    """Mechanical speed at which shorted windings carry ``stop.short_current`` [rad/s]; infinite if they never do.
-
-    K_e w / sqrt(R_s^2 + w^2 L_s^2) grows with the speed towards K_e / L_s.
-    """
-    current = axis("stop.short_current")
-    inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))
-    rest = axis("motor.psi_m") ** 2 - (current * inductance) ** 2
-    if rest <= 0.0:
-        return math.inf
-    return current * axis("motor.r_s") / math.sqrt(rest) / axis("motor.pole_pairs")
-
-
-def regeneration_speed(axis: Axis) -> float:
-    """Mechanical speed up to which the full current burns in the winding what braking returns [rad/s]."""
-    return axis("limits.current") * axis("motor.r_s") / (axis("motor.pole_pairs") * axis("motor.psi_m"))
-
-
-def _stops(to: _Converter) -> dict[str, Field]:
-    axis, s, stops = to.axis, to.s, to.axis.stops
-    names = {"shorted": "short", "ramp": "ramp", "hold": "hold"}
-    most = 1.0 - 2.0**-31
-    return {
-        **{f"stop.{command}": Category(category) for command, category in stops.commands.items()},
-        **{f"stop.{field}": FaultSet(stops.answered(category)) for field, category in names.items()},
-        "stop.short_speed": to.of(FRAC32, "speed of the short", min(short_speed(axis) / s.speed, most), _HOLD),
-        "stop.short_current": to.at(FRAC16, "stop.short_current", 1.0 / s.i * (1.0 - 2.0**-15)),
-        "stop.ticks_most": to.ticks("stop.time_most"),
-        "stop.hold_ticks": to.ticks("stop.hold_time"),
-        "regeneration_speed": to.of(
-            FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, most), _HOLD
-        ),
-        "copper_current": to.at(FRAC16, "stop.copper_use", axis("limits.current") / s.i),
-    }
-
-
-def brake_constants(configuration: Configuration) -> Mapping[str, int]:
-    """Every field of the ``brake_config_t``.
-
-    Raises
-    ------
-    ConfigError
-        If one does not fit its format, or vanishes in it.
-    """
-    board, s = configuration.board, configuration.scales
-    energy, power = board("brake.energy"), board("brake.power")
-    heating = s.u_dc**2 / board("brake.resistance") * board.tick / energy
-
-    def volts(key: str) -> int:
-        return FRAC16.raw(f"board.{key}", board(key) / s.u_dc, "stay below the full scale of the ADC", board(key))
-
-    return {
-        "fitted": int(board.brake),
-        "on": volts("brake.on_voltage"),
-        "off": volts("brake.off_voltage"),
-        "heating": GAIN.raw("board.brake.energy", heating, "raise it, or brake.resistance", energy),
-        "cooling": FRAC32.raw("board.brake.power", power * board.tick / energy, "raise it, or lower energy", power),
-        "start": volts("regeneration.start_voltage"),
-        "full": volts("regeneration.full_voltage"),
-        "most_able": FRAC16.raw("board: end of the bus converter", BUS_END, "none"),
     }
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from tuning.assessment import Assessment
+from tuning.sensorless_constants import needs_observer
 from tuning.tuned import Tuned
 
 __all__ = ["findings"]
@@ -28,6 +29,9 @@ ARRIVAL_MOST: Final = 2.0
 ROUNDING_MOST: Final = 0.01
 """Part of a gain that may be lost by rounding it to an integer."""
 
+TORQUE_MOST: Final = 0.8
+"""Part of the start-up current's torque that the ramp and the friction should take."""
+
 _ENTRIES: Final = {
     "current d": "control.current_bandwidth",
     "current q": "control.current_bandwidth",
@@ -44,6 +48,7 @@ def findings(it: Tuned, figures: Assessment) -> list[str]:
         *_position(it, figures),
         *_reach(it, figures),
         *_rounding(it),
+        *_sensorless(it, figures),
     ]
 
 
@@ -98,3 +103,31 @@ def _rounding(it: Tuned) -> Iterator[str]:
         if lost > ROUNDING_MOST:
             value = f"{it.axis.name}: {row.name} = {row.designed:g} {row.unit}".rstrip()
             yield f"{value}: rounded to an integer it is off by {100.0 * lost:.0f} %; choose it larger"
+
+
+def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
+    found, start_up = figures.sensorless, it.sensorless.start_up
+    if found.trouble is not None:
+        yield f"{it.axis.name}.feedback: cannot do without its encoder: {found.trouble}"
+        return
+    if start_up.torque > TORQUE_MOST:
+        entry = _entry(it, "start_up.current_first")
+        yield f"{entry}: the start-up takes {100.0 * start_up.torque:.0f} % of the current's torque; raise start_up.swings"
+    for case in found.poles:
+        if any(abs(pole.z) >= 1.0 for pole in case.poles):
+            what = f"with R x {case.r_s:g} and L x {case.inductance:g} the observer's gains are unstable"
+            yield f"{it.axis.name}.observer at {case.speed:g} rad/s: {what}; lower observer.bandwidth"
+    if needs_observer(it.axis):
+        yield from _observed_speed(it, figures)
+
+
+def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
+    for lock in figures.sensorless.locks:
+        phase = lock.speed_margins.phase
+        if phase is not None and phase < PHASE_LEAST:
+            what = f"at {lock.speed:.3g} rad/s the speed loop has a phase margin of {phase:.1f} deg"
+            yield f"{_entry(it, 'observer.speed_part')}: {what}, less than {PHASE_LEAST:g}; lower it"
+    lock = figures.sensorless.locks[0]
+    if lock.back_emf < it.axis("emf_check.floor"):
+        what = f"{lock.speed:.3g} rad/s give {lock.back_emf:.2g} V, less than emf_check.floor leaves unexplained"
+        yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; raise it"

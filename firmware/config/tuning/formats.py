@@ -8,7 +8,7 @@ from typing import Final
 
 from tuning.errors import refused
 
-__all__ = ["FRAC16", "FRAC32", "GAIN", "INT16_Q8", "INT32_Q16", "UINT16", "Format"]
+__all__ = ["FRAC16", "FRAC32", "GAIN", "INT16_Q8", "INT32_Q16", "UINT16", "UINT16_Q14", "Format"]
 
 
 @dataclass(frozen=True)
@@ -69,4 +69,5 @@ FRAC16: Final = Format("frac16_t", 15, -(2**15), 2**15 - 1)
 FRAC32: Final = Format("frac32_t", 31, -(2**31), 2**31 - 1)
 INT16_Q8: Final = Format("int16_t with 8 fraction bits", 8, -(2**15), 2**15 - 1)
 UINT16: Final = Format("uint16_t", 0, 0, 2**16 - 1)
+UINT16_Q14: Final = Format("uint16_t with 14 fraction bits", 14, 0, 2**16 - 1)
 INT32_Q16: Final = Format("int32_t with 16 fraction bits", 16, 1, 2**31 - 1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from tuning.configuration import Axis, Board
 
-__all__ = ["Gains", "Pi"]
+__all__ = ["Gains", "Pi", "speed_pi"]
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Gains:
         return cls(
             current_d=_current(axis, axis("motor.l_d"), board),
             current_q=_current(axis, axis("motor.l_q"), board),
-            speed=_speed(axis, board),
+            speed=speed_pi(axis, board, axis("control.speed_bandwidth")),
             position=axis("control.position_gain"),
             # E40: a speed step v asks for at most v omega_n / e
             path_omega_n=math.e * acceleration / axis("limits.speed"),
@@ -84,8 +84,8 @@ def _current(axis: Axis, inductance: float, board: Board) -> Pi:
     return Pi(omega * inductance, omega * axis("motor.r_s") * board.period, axis("control.anti_windup"))
 
 
-def _speed(axis: Axis, board: Board) -> Pi:
-    """The open loop crosses 1 at the bandwidth; the integral part acts below bandwidth / speed_ratio."""
-    omega = 2.0 * math.pi * axis("control.speed_bandwidth")
+def speed_pi(axis: Axis, board: Board, bandwidth: float) -> Pi:
+    """The open loop crosses 1 at the bandwidth [Hz]; the integral part acts below bandwidth / speed_ratio."""
+    omega = 2.0 * math.pi * bandwidth
     kp = omega * axis("motor.inertia") / axis.torque_constant
     return Pi(kp, kp * omega / axis("control.speed_ratio") * board.tick, axis("control.anti_windup"))

@@ -21,6 +21,7 @@ __all__ = [
     "expm",
     "held",
     "margins",
+    "pole_of",
     "poles",
     "spectral_radius",
 ]
@@ -265,10 +266,11 @@ def poles(a: Matrix, dt: float, least: float = 0.02) -> tuple[Pole, ...]:
     """Eigenvalues of a discrete system, the slowest first, without those that are gone at once (|z| < `least`)."""
     found = [complex(z) for z in np.linalg.eigvals(a)]
     kept = sorted((z for z in found if z.imag >= 0.0 and abs(z) >= least), key=abs, reverse=True)
-    return tuple(_pole(z, dt) for z in kept)
+    return tuple(pole_of(z, dt) for z in kept)
 
 
-def _pole(z: complex, dt: float) -> Pole:
+def pole_of(z: complex, dt: float) -> Pole:
+    """A place in the z plane as a pole."""
     s = cmath.log(z) / dt
     size = abs(s)
     return Pole(z, size / (2.0 * math.pi), -s.real / size if size > 0.0 else 1.0, z.imag != 0.0)

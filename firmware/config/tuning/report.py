@@ -10,7 +10,8 @@ from typing import Any, Final
 from tuning.assessment import Assessment, assess
 from tuning.configuration import Configuration
 from tuning.findings import K_V_T_MOST, findings
-from tuning.linear import Margins
+from tuning.layout import factor, hertz, notes, phase, table
+from tuning.sensorless_report import sensorless_text
 from tuning.tuned import Tuned, tuned
 
 __all__ = ["AxisReport", "as_dict", "axis_reports", "text"]
@@ -76,26 +77,6 @@ def as_dict(reports: Iterable[AxisReport]) -> dict[str, Any]:
 # ---- for people -----------------------------------------------------------------------------------------------------
 
 
-def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Columns below their heads, the first to the left and the others to the right."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    for row in rows:
-        cells = (cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))
-        yield "  ".join(["   ", row[0].ljust(widths[0]), *cells]).rstrip()
-
-
-def _hertz(value: float | None) -> str:
-    return "never" if value is None else f"{value:.4g} Hz"
-
-
-def _phase(margins: Margins) -> str:
-    return "-" if margins.phase is None else f"{margins.phase:.1f} deg"
-
-
-def _factor(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f} ({20.0 * math.log10(value):.1f} dB)"
-
-
 def text(reports: Iterable[AxisReport]) -> str:
     """All figures as a page."""
     pages = ["\n".join(_axis(report)) for report in reports]
@@ -124,12 +105,13 @@ def _axis(report: AxisReport) -> Iterator[str]:
         yield from _inertias(figures, observed)
     yield "  speed loop while encoder edges are rare, M/T"
     yield from _edges(figures)
+    yield from sensorless_text(it, figures.sensorless)
 
 
 def _gains(it: Tuned) -> Iterator[str]:
     rows = [("", "designed", "as used", "", "integer")]
     rows += [(row.name, f"{row.designed:.6g}", f"{row.used:.6g}", row.unit, str(row.raw)) for row in it.rows()]
-    return _table(rows)
+    return table(rows)
 
 
 def _loops(figures: Assessment) -> Iterator[str]:
@@ -138,15 +120,15 @@ def _loops(figures: Assessment) -> Iterator[str]:
         rows.append(
             (
                 loop.name,
-                _hertz(loop.wanted),
-                _hertz(loop.margins.crossover),
-                _phase(loop.margins),
-                _factor(loop.margins.gain),
-                _hertz(loop.tracking.bandwidth),
+                hertz(loop.wanted),
+                hertz(loop.margins.crossover),
+                phase(loop.margins),
+                factor(loop.margins.gain),
+                hertz(loop.tracking.bandwidth),
                 f"{loop.tracking.peak:.3f}",
             )
         )
-    return _table(rows)
+    return table(rows)
 
 
 def _poles(figures: Assessment, name: str) -> Iterator[str]:
@@ -155,8 +137,8 @@ def _poles(figures: Assessment, name: str) -> Iterator[str]:
         if loop.name == name:
             for pole in loop.poles:
                 z = f"{pole.z.real:.4f} +- {pole.z.imag:.4f}i" if pole.pair else f"{pole.z.real:.4f}"
-                rows.append((z, f"{abs(pole.z):.4f}", _hertz(pole.frequency), f"{pole.damping:.3f}"))
-    return _table(rows)
+                rows.append((z, f"{abs(pole.z):.4f}", hertz(pole.frequency), f"{pole.damping:.3f}"))
+    return table(rows)
 
 
 def _rule(figures: Assessment) -> Iterator[str]:
@@ -171,7 +153,7 @@ def _rule(figures: Assessment) -> Iterator[str]:
         ("K_v chosen", f"{rule.k_v:.4g} 1/s", most),
         ("K_v T", f"{rule.k_v_t:.3f}", verdict),
     ]
-    return _notes(rows)
+    return notes(rows)
 
 
 def _moves(it: Tuned, figures: Assessment) -> Iterator[str]:
@@ -193,13 +175,7 @@ def _moves(it: Tuned, figures: Assessment) -> Iterator[str]:
         ("stiffness", f"{load.stiffness:.3g} N m/rad", f"back within a tenth after {1e3 * load.recovery:.0f} ms"),
         ("on after reset", "", feature or "nothing"),
     ]
-    return _notes(rows)
-
-
-def _notes(rows: Sequence[tuple[str, str, str]]) -> Iterator[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(2)]
-    for name, value, note in rows:
-        yield f"    {name.ljust(widths[0])}  {value.rjust(widths[1])}  {note}".rstrip()
+    return notes(rows)
 
 
 def _inertias(figures: Assessment, observed: bool) -> Iterator[str]:
@@ -207,15 +183,15 @@ def _inertias(figures: Assessment, observed: bool) -> Iterator[str]:
     for case in (case for case in figures.inertias if case.observed == observed):
         rest = ("UNSTABLE", "-", "-")
         if case.stable and case.overshoot is not None:
-            rest = (_phase(case.margins), _factor(case.margins.gain), f"{100.0 * case.overshoot:.1f} %")
-        rows.append((f"x {case.factor:g}", _hertz(case.margins.crossover), *rest))
-    return _table(rows)
+            rest = (phase(case.margins), factor(case.margins.gain), f"{100.0 * case.overshoot:.1f} %")
+        rows.append((f"x {case.factor:g}", hertz(case.margins.crossover), *rest))
+    return table(rows)
 
 
 def _edges(figures: Assessment) -> Iterator[str]:
     rows = [("speed", "phase margin", "gain margin")]
     for speed, margins in figures.edges:
         steady = margins.phase is not None and margins.phase > 0.0
-        rest = (_phase(margins), _factor(margins.gain)) if steady else ("none: it hunts", "-")
+        rest = (phase(margins), factor(margins.gain)) if steady else ("none: it hunts", "-")
         rows.append((f"{speed:g} rad/s", *rest))
-    return _table(rows)
+    return table(rows)

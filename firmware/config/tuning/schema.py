@@ -45,6 +45,10 @@ class Entry:
         Whether it counts something.
     most : float
         Largest value that makes sense.
+    signed : bool
+        Whether it may be negative.
+    optional : bool
+        Whether it may be left out.
     """
 
     unit: str
@@ -52,6 +56,8 @@ class Entry:
     zero: bool = False
     whole: bool = False
     most: float = math.inf
+    signed: bool = False
+    optional: bool = False
 
     def check(self, name: str, value: object) -> float:
         """The value as a number.
@@ -70,9 +76,10 @@ class Entry:
             number = math.inf
         if not math.isfinite(number):
             raise refused(name, number, "not a finite number", f"write {wanted}")
-        if number < LEAST and not (number == 0.0 and self.zero):
+        size = abs(number) if self.signed else number
+        if size < LEAST and not (size == 0.0 and self.zero):
             raise refused(name, number, "too small", f"write {wanted}")
-        if number > min(self.most, MOST):
+        if size > min(self.most, MOST):
             raise refused(name, number, "too large", f"write {wanted}")
         if self.whole and number % 1.0 != 0.0:
             raise refused(name, number, "not a whole number", f"write {wanted}")
@@ -80,7 +87,7 @@ class Entry:
 
     def _wanted(self) -> str:
         kind = "a whole number" if self.whole else "a number"
-        least = "from 0" if self.zero else "above 0"
+        least = "of either sign" if self.signed else "from 0" if self.zero else "above 0"
         most = f" up to {self.most:g}" if math.isfinite(self.most) else ""
         unit = f" [{self.unit}]" if self.unit else ""
         return f"{kind} {least}{most}{unit}: {self.meaning}"
@@ -168,6 +175,48 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "follow_flux": Entry("", "part of the flux of a rotor that follows; more has moved", most=1.0),
         "time_most": Entry("s", "for the whole search"),
     },
+    "observer": {
+        "bandwidth": Entry("Hz", "of the poles, beyond half the decay of a current", optional=True),
+        "damping": Entry("", "of that", most=10.0, optional=True),
+        "k_1": Entry("1/s", "K1 of the slide, below 0, instead of bandwidth and damping", signed=True, optional=True),
+        "k_2": Entry("V/(A s)", "K2 of the slide, above 0; together with k_1", signed=True, optional=True),
+        "pll_i": Entry("", "number in the rule of the slide for the I gain, 1506742"),
+        "pll_damping": Entry("", "of the phase-locked loop", most=10.0),
+        "pll_torque": Entry(
+            "", "part of the acceleration by the current that the phase-locked loop is told", True, most=2
+        ),
+        "pll_load": Entry("", "acceleration that it learns from the angle, per time, over omega_n^3", True, most=1.0),
+        "speed_part": Entry("", "speed loop of a sensorless axis, part of control.speed_bandwidth", most=1.0),
+    },
+    "reliability": {
+        "period": Entry("", "slow ticks between two of the 64 speeds", whole=True),
+        "variance_threshold": Entry("", "part of the squared mean up to which the variance is that of a good speed"),
+        "hysteresis": Entry("", "bad tests in a row that are a fault", whole=True),
+    },
+    "emf_check": {
+        "floor": Entry("V", "by which the back-EMF may be off at any speed: dead time"),
+        "resistance": Entry("", "part by which r_s may be off", True, most=2.0),
+        "part": Entry("", "part of the back-EMF by which it may be off", most=1.0),
+        "spin_time": Entry("s", "of that until a sensorless axis has lost its rotor"),
+        "check_time": Entry("s", "of that until encoder and observer disagree"),
+    },
+    "start_up": {
+        "current_first": Entry("", "FIRST_I_STARTUP, part of limits.current", most=1.0),
+        "current_final": Entry("", "FINAL_I_STARTUP, part of limits.current", most=1.0),
+        "current_time": Entry("s", "I_START_UP_DURATION: from the first to the final current"),
+        "speed_final": Entry("", "FINAL_START_UP_SPEED, part of limits.speed", most=1.0),
+        "swings": Entry("", "FREQ_START_UP_DURATION in periods of the rotor's swing about the turning current"),
+        "speed_time": Entry("s", "FREQ_START_UP_DURATION, instead of swings", optional=True),
+        "wait_most": Entry("s", "after that ramp until the start-up has failed"),
+        "consecutive_tests": Entry("", "NB_CONSECUTIVE_TESTS", whole=True),
+        "minimum_speed": Entry("", "MINIMUM_SPEED_RPM, part of limits.speed", most=1.0),
+        "mean_least": Entry("", "part of the forced speed that the observed mean must reach", most=1.0),
+        "mean_most": Entry("", "part of the forced speed that it must not pass", most=3.9),
+        "swing_damping": Entry("", "of the swing about the turning current, by the current across it", True, most=2.0),
+        "swing_current": Entry("", "part of the final current that this may take", True, most=1.0),
+        "catch_time": Entry("s", "to see whether the shaft turns already"),
+        "fade_time": Entry("s", "from the current limit to 0, for the rest of the start-up current"),
+    },
     "timing": {
         "settle": Entry("s", "in INIT"),
         "stop_acceleration": Entry("rad/s^2", "least ramp of a stop"),
@@ -226,7 +275,7 @@ def _check_names(where: str, names: Iterable[str], known: Collection[str]) -> No
         if name not in known:
             raise unknown_name(f"{where}.{name}", name, known)
     for name in known:
-        if name not in given:
+        if name not in given and not (isinstance(known, Mapping) and known[name].optional):
             raise ConfigError(f"{where}.{name} is missing; add it to [{where}]")
 
 
@@ -254,7 +303,7 @@ def check_group(where: str, group: str, value: object, places: Mapping[str, str]
     entries, known = check_table(where, value), SCHEMA[group]
     _check_names(where, entries, known)
     names = {key: f"{where}.{key}" for key in known} | dict(places or {})
-    return {key: entry.check(names[key], entries[key]) for key, entry in known.items()}
+    return {key: entry.check(names[key], entries[key]) for key, entry in known.items() if key in entries}
 
 
 def check_switches(where: str, value: object, names: Collection[str]) -> dict[str, bool]:

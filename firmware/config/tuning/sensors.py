@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tuning.linear import Matrix, Omega
+from tuning.linear import Matrix, Omega, held
 
-__all__ = ["EdgeDelay", "MtSpeed", "Observer", "SpeedSensor", "edge_delay"]
+__all__ = ["EdgeDelay", "MtSpeed", "Observer", "PllSpeed", "SpeedSensor", "edge_delay"]
 
 
 class SpeedSensor(Protocol):
@@ -89,6 +89,40 @@ class Observer:
             unexplained - self.l_acceleration * ahead / tick**2,
         )
         return corrected[1], corrected
+
+
+@dataclass(frozen=True)
+class PllSpeed:
+    """The phase-locked loop on the observed back-EMF, as long as it is locked: its integral part.
+
+    It knows the torque of the current, and learns from the angle what torque it does not know.
+
+    The observer before it and the period of the fast loop are short against it.
+
+    Attributes
+    ----------
+    omega_n, damping : float
+        At the speed at which the shaft turns [rad/s].
+    acceleration : float
+        Per q current that it is told [rad/s^2/A].
+    load : float
+        What it learns per angle and time, over omega_n^3.
+    """
+
+    omega_n: float
+    damping: float
+    acceleration: float
+    load: float
+    states: int = 3
+
+    def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
+        behind, speed, unknown = x  # angle of the shaft less its own, speed, acceleration
+        kp, ki = 2.0 * self.damping * self.omega_n, self.omega_n**2
+        f, g = held(np.array([[-kp, -1.0], [ki, 0.0]]), np.array([[1.0], [0.0]]), tick)
+        unknown = unknown + self.load * self.omega_n**3 * tick * behind
+        told = speed + tick * (self.acceleration * reference + unknown)
+        behind, speed = f @ np.vstack([behind, told]) + g @ (moved[None, :] / tick)
+        return speed, (behind, speed, unknown)
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from tuning.configuration import Axis, Board, Configuration, Scales
-from tuning.constants import OBSERVER, PATH_OMEGA, AxisConstants, PiRaw, axis_constants
+from tuning.constants import OBSERVER, PATH_OMEGA, axis_constants
+from tuning.conversion import AxisConstants, PiRaw
+from tuning.errors import ConfigError
 from tuning.formats import FRAC32, GAIN
 from tuning.gains import Gains, Pi
 from tuning.linear import spectral_radius
 from tuning.loops import CurrentLoop, ShaftLoops
-from tuning.sensors import MtSpeed, Observer
+from tuning.sensorless import Sensorless
+from tuning.sensorless_constants import sensorless_constants, used_observer, used_pll
+from tuning.sensors import MtSpeed, Observer, PllSpeed
 
 __all__ = ["GainRow", "Tuned", "tuned"]
 
@@ -44,6 +48,12 @@ class Tuned:
         Of the decoupling, as the integer gives it [V s/rad].
     observer : Observer
         The speed observer, as the integers give it.
+    sensorless : Sensorless
+        Observer of the back-EMF, phase-locked loop and start-up, as the integers give them.
+    designed_sensorless : Sensorless
+        The same before rounding.
+    trouble : ConfigError or None
+        Why this motor cannot be observed, where the axis does without.
     """
 
     axis: Axis
@@ -53,6 +63,9 @@ class Tuned:
     constants: AxisConstants
     back_emf: float
     observer: Observer
+    sensorless: Sensorless
+    designed_sensorless: Sensorless
+    trouble: ConfigError | None
 
     def rows(self) -> Iterator[GainRow]:
         """Every gain."""
@@ -66,6 +79,27 @@ class Tuned:
             self.designed.named(), self.used.named(), raw, strict=True
         ):
             yield GainRow(name, unit, designed, used, integer)
+        if self.trouble is None:
+            yield from self._sensorless_rows()
+
+    def _sensorless_rows(self) -> Iterator[GainRow]:
+        period, designed, used = self.board.period, self.designed_sensorless, self.sensorless
+        k1, k2, speed = (self.constants[field] for field in ("observer.k1", "observer.k2", "observed_speed"))
+        kp, ki = self.constants["pll.kp"], self.constants["pll.ki"]
+        assert isinstance(k1, int)
+        assert isinstance(k2, int)
+        assert isinstance(kp, int)
+        assert isinstance(ki, int)
+        assert isinstance(speed, PiRaw)
+        top = self.axis("motor.pole_pairs") * self.axis("limits.speed")
+        gains = [2.0 * it.pll.damping * it.pll.omega_n(top) for it in (designed, used)]
+        squares = [it.pll.rate * top for it in (designed, used)]
+        yield GainRow("observer K1", "1/s", designed.observer.k1 / period, used.observer.k1 / period, k1)
+        yield GainRow("observer K2", "V/(A s)", designed.observer.k2 / period, used.observer.k2 / period, k2)
+        yield GainRow("PLL Kp at the speed limit", "1/s", *gains, kp)
+        yield GainRow("PLL Ki at the speed limit", "1/s^2", *squares, ki)
+        yield GainRow("sensorless speed Kp", "A s/rad", designed.speed.kp, used.speed.kp, speed.kp)
+        yield GainRow("sensorless speed Kp Ki Ts", "A s/rad", designed.speed.ki, used.speed.ki, speed.ki)
 
     def current_loop(self, which: str) -> CurrentLoop:
         """The loop of the ``d`` or ``q`` axis."""
@@ -91,6 +125,14 @@ class Tuned:
         whole = inertia * self.axis("motor.inertia")
         return ShaftLoops(self.axis, self.board, self.used, self.back_emf, whole, sensor)
 
+    def sensorless_shaft(self, speed: float, inertia: float = 1.0) -> ShaftLoops:
+        """Speed loop without an encoder around a mechanical speed [rad/s]; `inertia` as in `shaft`."""
+        pll = self.sensorless.pll
+        omega_n = pll.omega_n(self.axis("motor.pole_pairs") * speed)
+        sensor = PllSpeed(omega_n, pll.damping, pll.acceleration, pll.load)
+        gains = replace(self.used, speed=self.sensorless.speed)
+        return ShaftLoops(self.axis, self.board, gains, self.back_emf, inertia * self.axis("motor.inertia"), sensor)
+
 
 def tuned(axis: Axis, configuration: Configuration) -> Tuned:
     """Gains and integers of one axis.
@@ -101,7 +143,9 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
         If a number does not fit its format, or a loop is unstable.
     """
     designed = Gains.of(axis, configuration.board)
-    constants = axis_constants(axis, designed, configuration)
+    sensorless = Sensorless.of(axis, configuration.board)
+    observed, trouble = sensorless_constants(axis, sensorless, configuration)
+    constants = {**axis_constants(axis, designed, configuration), **observed}
     used = _Used(constants, configuration.scales)
     result = Tuned(
         axis=axis,
@@ -111,6 +155,9 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
         constants=constants,
         back_emf=GAIN.value(used.integer("current_loop.omega_psi")) * used.scales.u_s / used.scales.speed,
         observer=used.observer(axis, configuration.board),
+        sensorless=sensorless if trouble else used.sensorless(axis, configuration.board, sensorless),
+        designed_sensorless=sensorless,
+        trouble=trouble,
     )
     _refuse_unstable(result)
     return result
@@ -152,6 +199,14 @@ class _Used:
         torque = per_amp / board.tick**2 * 2.0 * math.pi / axis.counts
         return Observer(torque, position, speed, acceleration)
 
+    def sensorless(self, axis: Axis, board: Board, design: Sensorless) -> Sensorless:
+        return Sensorless(
+            observer=used_observer(self.constants, design.observer, self.scales),
+            pll=used_pll(self.constants, axis, board, self.scales),
+            start_up=design.start_up,
+            speed=self.pi("observed_speed", self.scales.i / self.scales.speed),
+        )
+
 
 def _refuse_unstable(it: Tuned) -> None:
     current = max(spectral_radius(it.current_loop(which).closed.a) for which in "dq")
@@ -161,6 +216,10 @@ def _refuse_unstable(it: Tuned) -> None:
         speed = "control.observer_bandwidth" if observed else "control.speed_bandwidth"
         _refuse_radius(it, speed, spectral_radius(shaft.speed_alone), how)
         _refuse_radius(it, "control.position_gain", spectral_radius(shaft.position.a), how)
+    if it.trouble is None:
+        for speed in (it.sensorless.start_up.minimum_speed, it.axis("limits.speed")):
+            radius = spectral_radius(it.sensorless_shaft(speed).speed_alone)
+            _refuse_radius(it, "observer.speed_part", radius, f"at {speed:.3g} rad/s the speed loop without an encoder")
 
 
 def _refuse_radius(it: Tuned, path: str, radius: float, how: str) -> None:

@@ -13,12 +13,7 @@
 
 #include <string.h>
 
-/* A segment, and a frame without its last one, are not longer than this: as much of the currents' time constant, of the
- * rotor's turn, and a time that pays [s]. */
-#define OF_TIME_CONSTANT 0.03
-#define OF_TURN 0.015 /* [rad] */
-#define LONGEST 16e-6
-#define SHORTEST 2e-6
+#define LONGEST 16e-6 /* segment [s] */
 #define SPLITS 24 /* parts of one segment */
 
 typedef double pair_t __attribute__((vector_size(16)));
@@ -44,11 +39,11 @@ static inline pair_t product(const plant_vector_t column[2], pair_t x)
 /* The shaft is far from standing still and from its end stops: whatever the currents do meanwhile. */
 static inline bool runs_freely(const bridge_t *b)
 {
-    const double time = 2.0 * LONGEST;
-    const double most = fabs(b->i.alpha) + fabs(b->i.beta) + time * b->u * (b->inv_l_mean + fabs(b->inv_l_half));
+    const double most =
+        fabs(b->i.alpha) + fabs(b->i.beta) + (2.0 * LONGEST) * b->u * (b->inv_l_mean + fabs(b->inv_l_half));
     const double torque = b->k_torque * (b->psi_m + fabs(b->l_d - b->l_q) * most) * most + fabs(b->load) + b->friction;
-    const double reach = 2.0 * time * fabs(b->omega);
-    return fabs(b->omega) > 2.0 * time * torque * b->inv_inertia && b->theta - reach > b->low &&
+    const double reach = (4.0 * LONGEST) * fabs(b->omega);
+    return fabs(b->omega) > (4.0 * LONGEST) * torque * b->inv_inertia && b->theta - reach > b->low &&
            b->theta + reach < b->high;
 }
 
@@ -59,13 +54,7 @@ bool bridge_frame(bridge_t *b, double u)
         return false;
     }
     const double w = b->pole_pairs * b->omega;
-    double longest = (10.0 * OF_TIME_CONSTANT) * b->longest;
-    longest = (longest < LONGEST) ? longest : LONGEST;
-    longest = (longest * fabs(w) < OF_TURN) ? longest : OF_TURN / fabs(w);
-    if (longest < SHORTEST) {
-        return false;
-    }
-    const double x = w * (0.5 * longest);
+    const double x = w * (0.5 * LONGEST);
     const double c = b->cosine * (1.0 - 0.5 * x * x) - b->sine * x;
     const double s = b->sine * (1.0 - 0.5 * x * x) + b->cosine * x;
     const bridge_matrix_t m = inverse_of(b, c, s);
@@ -73,7 +62,6 @@ bool bridge_frame(bridge_t *b, double u)
     const double along = 0.5 * (b->l_d - b->l_q) * (c * c - s * s);
     const bridge_matrix_t l = {l_mean + along, (b->l_d - b->l_q) * c * s, l_mean - along};
     bridge_frame_t *f = &b->frame;
-    f->longest = longest;
     f->inverse[0] = (plant_vector_t){m.aa, m.ab};
     f->inverse[1] = (plant_vector_t){m.ab, m.bb};
     f->drift[0] = (plant_vector_t){-b->r * m.aa + w * (m.aa * l.ab - m.ab * l.aa),
@@ -252,7 +240,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
         if (!b->begun && !((b->framed || bridge_frame(b, u)) && bridge_frame_begin(b, u))) {
             return drawn;
         }
-        double t = (*rest < b->frame.longest) ? *rest : b->frame.longest;
+        double t = (*rest < LONGEST) ? *rest : LONGEST;
         double phase[3];
         int zero = -1;
         int sign = 0;
@@ -283,7 +271,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
             b->phase[zero] = 0.0;
         }
         b->begun = false;
-        if (b->frame_time > 0.99 * b->frame.longest) {
+        if (b->frame_time > 0.5 * LONGEST) {
             bridge_settle(b);
         }
     }

@@ -1,0 +1,40 @@
+"""Parts of the report: tables and numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from tuning.linear import Margins
+
+__all__ = ["factor", "hertz", "notes", "phase", "table"]
+
+
+def table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Columns below their heads, the first to the left and the others to the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows:
+        cells = (cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))
+        yield "  ".join(["   ", row[0].ljust(widths[0]), *cells]).rstrip()
+
+
+def hertz(value: float | None) -> str:
+    """A frequency."""
+    return "never" if value is None else f"{value:.4g} Hz"
+
+
+def phase(margins: Margins) -> str:
+    """A phase margin."""
+    return "-" if margins.phase is None else f"{margins.phase:.1f} deg"
+
+
+def factor(value: float | None) -> str:
+    """A gain margin."""
+    return "-" if value is None else f"{value:.2f} ({20.0 * math.log10(value):.1f} dB)"
+
+
+def notes(rows: Sequence[tuple[str, str, str]]) -> Iterator[str]:
+    """Names, values and what there is to say about them."""
+    widths = [max(len(row[k]) for row in rows) for k in range(2)]
+    for name, value, note in rows:
+        yield f"    {name.ljust(widths[0])}  {value.rjust(widths[1])}  {note}".rstrip()

@@ -1,0 +1,276 @@
+"""Without an encoder: the Luenberger observer of the back-EMF, the loop that locks on it, and the start-up. SI units.
+
+The observer is that of the ST slides in the frame of DRM E11..E15, with L = (L_d + L_q) / 2 and vectors as complex numbers:
+
+    L di/dt = v - R i - e,  de/dt = j omega e,  e = j omega psi_m exp(j theta)
+
+One period T, a = exp(-R T / L), b = (1 - a) / R: the estimate is corrected by ``error = i_estimated - i``, K1 times that for
+the current and K2 times for the back-EMF, and goes on, ``i = a i + b (v - e)``, ``e = e exp(j omega T)``. K1 and K2 per
+second are those of the slide's differential equations.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tuning.configuration import Axis, Board
+from tuning.gains import Pi, speed_pi
+
+__all__ = [
+    "BackEmfObserver",
+    "Pll",
+    "Sensorless",
+    "StartUp",
+    "angle_error",
+    "inductance",
+    "slide_damping",
+]
+
+SLIDE_I_PER_SPEED: Final = 60.0 / 2.0**19
+"""omega_n^2 / omega_e per number of the slide's rule (ST slide "PLL 闭环系数计算").
+
+The library computes ``P err / 2^14 + sum(I err) / 2^18`` in parts of 2^16 of a turn per period, with err = 2^15 sin(delta)
+where the back-EMF has the size of that at f_max, and I = 1506742 f_max / f_s^2 with f_max in electrical turns per minute.
+f_max and f_s go out: omega_n^2 = 172.4 omega_e for any motor.
+"""
+
+SLIDE_P: Final = 532.0 * 60.0 / 2.0**15
+"""Proportional gain of the slide's rule over omega_e, likewise: 0.974."""
+
+
+def inductance(axis: Axis) -> float:
+    """The one inductance that the observer knows [H]."""
+    return 0.5 * (axis("motor.l_d") + axis("motor.l_q"))
+
+
+def slide_damping(omega_e: float) -> float:
+    """Damping of the loop with both of the slide's gains, at an electrical speed [rad/s]."""
+    return 0.5 * SLIDE_P * math.sqrt(omega_e / (1506742.0 * SLIDE_I_PER_SPEED))
+
+
+@dataclass(frozen=True)
+class BackEmfObserver:
+    """The observer with its gains.
+
+    Attributes
+    ----------
+    r_s, inductance : float
+        Of the winding that it believes in [ohm], [H].
+    k1 : float
+        Correction of the current per error and period.
+    k2 : float
+        Correction of the back-EMF per error and period [V/A].
+    period : float
+        Of the samples [s].
+    """
+
+    r_s: float
+    inductance: float
+    k1: float
+    k2: float
+    period: float
+
+    @property
+    def a(self) -> float:
+        """Part of a current that is left after a period."""
+        return math.exp(-self.r_s * self.period / self.inductance)
+
+    @property
+    def b(self) -> float:
+        """Current per voltage of a period [A/V]."""
+        return -math.expm1(-self.r_s * self.period / self.inductance) / self.r_s
+
+    def matrix(self, omega_e: float) -> NDArray[np.complex128]:
+        """From the errors of current and back-EMF to those a period later, at an electrical speed [rad/s]."""
+        turn = cmath.exp(1j * omega_e * self.period)
+        a, b, left = self.a, self.b, 1.0 + self.k1
+        return np.array([[a * left, -b * left], [turn * self.k2 * a, turn * (1.0 - b * self.k2)]])
+
+    def poles(self, omega_e: float) -> tuple[complex, complex]:
+        """Eigenvalues of that, the slower first."""
+        slow, fast = sorted((complex(z) for z in np.linalg.eigvals(self.matrix(omega_e))), key=abs, reverse=True)
+        return slow, fast
+
+    def radius(self, omega_e: float) -> float:
+        """Magnitude of the slower pole."""
+        return abs(self.poles(omega_e)[0])
+
+    def winding(self, r_s: float = 1.0, inductance: float = 1.0) -> BackEmfObserver:
+        """The same gains with so many times the resistance and inductance."""
+        return BackEmfObserver(self.r_s * r_s, self.inductance * inductance, self.k1, self.k2, self.period)
+
+    @classmethod
+    def of(cls, axis: Axis, board: Board) -> BackEmfObserver:
+        """From K1 and K2, or from the bandwidth beyond the winding's own decay.
+
+        Both poles lie at half the decay of a current and the bandwidth, ``s = -R / 2L - 2 pi f`` with damping 1, so that
+        ``p1 p2 = a (1 + K1)`` keeps K1 below 0 for any winding; ``(1 - p1) (1 - p2) = b K2``.
+        """
+        r_s, l_s, period = axis("motor.r_s"), inductance(axis), board.period
+        if axis.given("observer.k_1"):
+            return cls(r_s, l_s, axis("observer.k_1") * period, axis("observer.k_2") * period, period)
+        omega = 2.0 * math.pi * axis("observer.bandwidth")
+        k1 = math.expm1(-2.0 * axis("observer.damping") * omega * period)
+        bare = cls(r_s, l_s, k1, 0.0, period)
+        product = bare.a * (1.0 + k1)
+        half = math.sqrt(product) * _cosh(omega * period, axis("observer.damping"))
+        return cls(r_s, l_s, k1, (1.0 + product - 2.0 * half) / bare.b, period)
+
+
+def _cosh(step: float, damping: float) -> float:
+    """Mean of two poles over the root of their product."""
+    return cmath.cosh(step * cmath.sqrt(damping**2 - 1.0)).real
+
+
+@dataclass(frozen=True)
+class Pll:
+    """The loop that locks on the back-EMF: ``omega += omega_n^2 delta``, ``theta += omega + 2 zeta omega_n delta``.
+
+    Attributes
+    ----------
+    rate : float
+        omega_n^2 over the electrical speed [1/s].
+    damping : float
+        At every speed.
+    acceleration : float
+        Mechanical acceleration per q current that it is told [rad/s^2/A].
+    load : float
+        Acceleration that it learns from the angle that is missing, per time, over omega_n^3.
+    """
+
+    rate: float
+    damping: float
+    acceleration: float
+    load: float
+
+    def omega_n(self, omega_e: float) -> float:
+        """Natural frequency at an electrical speed [rad/s]."""
+        return math.sqrt(self.rate * abs(omega_e))
+
+    @classmethod
+    def of(cls, axis: Axis) -> Pll:
+        rate = axis("observer.pll_i") * SLIDE_I_PER_SPEED
+        per_current = axis("observer.pll_torque") * axis.torque_constant / axis("motor.inertia")
+        return cls(rate, axis("observer.pll_damping"), per_current, axis("observer.pll_load"))
+
+
+@dataclass(frozen=True)
+class StartUp:
+    """Ramps of the turning current vector.
+
+    Attributes
+    ----------
+    current_first, current_final : float
+        Length of the vector, before and after its ramp [A].
+    current_time : float
+        Of that ramp [s].
+    speed_final : float
+        Mechanical, at the end of the ramp of the speed [rad/s].
+    speed_time : float
+        Of that ramp [s].
+    time_most : float
+        Until the start-up has failed [s].
+    minimum_speed : float
+        Mean of the observed speed that it takes [rad/s].
+    swing : float
+        Angular frequency of the rotor's swing about the final vector [rad/s].
+    damping : float
+        Current across the vector per back-EMF across it [A/V].
+    torque : float
+        Largest part of the vector's torque that friction and acceleration take.
+    """
+
+    current_first: float
+    current_final: float
+    current_time: float
+    speed_final: float
+    speed_time: float
+    time_most: float
+    minimum_speed: float
+    swing: float
+    damping: float
+    torque: float
+
+    @property
+    def acceleration(self) -> float:
+        """Of the ramp, mechanical [rad/s^2]."""
+        return self.speed_final / self.speed_time
+
+    @classmethod
+    def of(cls, axis: Axis) -> StartUp:
+        p, inertia, k_t = axis("motor.pole_pairs"), axis("motor.inertia"), axis.torque_constant
+        first, final = (axis("limits.current") * axis(f"start_up.current_{key}") for key in ("first", "final"))
+        swing = math.sqrt(p * k_t * final / inertia)
+        period = 2.0 * math.pi / swing
+        ramp = axis("start_up.speed_time") if axis.given("start_up.speed_time") else axis("start_up.swings") * period
+        speed, current_time = axis("limits.speed") * axis("start_up.speed_final"), axis("start_up.current_time")
+
+        def needed(time: float) -> float:
+            turning = speed * min(time / ramp, 1.0)
+            load = inertia * speed / ramp + axis("friction.coulomb") + axis("friction.viscous") * turning
+            return load / (k_t * (first + (final - first) * min(time / current_time, 1.0)))
+
+        return cls(
+            current_first=first,
+            current_final=final,
+            current_time=current_time,
+            speed_final=speed,
+            speed_time=ramp,
+            time_most=ramp + axis("start_up.wait_most"),
+            minimum_speed=axis("limits.speed") * axis("start_up.minimum_speed"),
+            swing=swing,
+            damping=2.0 * axis("start_up.swing_damping") * swing * inertia / (p * k_t * axis("motor.psi_m")),
+            torque=max(needed(time) for time in (0.0, min(current_time, ramp), ramp)),
+        )
+
+
+@dataclass(frozen=True)
+class Sensorless:
+    """All of it for one axis.
+
+    Attributes
+    ----------
+    observer, pll, start_up
+        As above.
+    speed : Pi
+        The speed controller that goes with it, rad/s to ampere, per slow loop.
+    """
+
+    observer: BackEmfObserver
+    pll: Pll
+    start_up: StartUp
+    speed: Pi
+
+    @classmethod
+    def of(cls, axis: Axis, board: Board) -> Sensorless:
+        bandwidth = axis("observer.speed_part") * axis("control.speed_bandwidth")
+        speed = speed_pi(axis, board, bandwidth)
+        return cls(BackEmfObserver.of(axis, board), Pll.of(axis), StartUp.of(axis), speed)
+
+
+def angle_error(axis: Axis, omega_e: float, i_q: float, r_s: float = 1.0, inductance_: float = 1.0) -> float:
+    """Steady error of the observed angle when the winding differs from the belief, at i_d = 0 [rad].
+
+    The observer sees ``e + (R - R^) i + j omega (L_q - L^) i``, whatever K1 and K2 are: R changes its size, only L turns it.
+
+    Parameters
+    ----------
+    axis : Axis
+        What is believed.
+    omega_e : float
+        Electrical speed [rad/s].
+    i_q : float
+        Current [A].
+    r_s, inductance_ : float
+        What is really there over what is believed.
+    """
+    more_l = inductance_ * axis("motor.l_q") - inductance(axis)
+    more_r = (r_s - 1.0) * axis("motor.r_s")
+    psi = axis("motor.psi_m")
+    return math.atan2(more_l * i_q, psi + more_r * i_q / omega_e)

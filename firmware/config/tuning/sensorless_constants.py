@@ -1,0 +1,232 @@
+"""The integers of the sensorless part of ``axis_config_t``, and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+from tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
+from tuning.conversion import TICKS, AxisConstants, Converter, Field, PiRaw, pi_raw
+from tuning.errors import ConfigError
+from tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, Format
+from tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
+
+__all__ = ["F2", "needs_observer", "sensorless_constants", "used_observer", "used_pll"]
+
+F2: Final = 11
+"""Fraction bits of the observed back-EMF beyond 15; F1 of the observed current is at most the same."""
+F1_LEAST: Final = 6
+
+LOSS: Final = Format("1 - a below 1/2, 32 fraction bits", 32, 1, 2**31 - 1)
+DRIVE: Final = Format("int32_t with 32 fraction bits", 32, 1, 2**31 - 1)
+K1: Final = Format("-1 .. 0 with 31 fraction bits", 31, -(2**31), -1)
+K2: Final = Format("int32_t with 28 fraction bits", 28, 1, 2**31 - 1)
+STEP: Final = Format("half a turn per PWM period", 32, 1, 2**31 - 1)
+SPEED_PER_STEP: Final = Format("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
+TURN_COUNTS: Final = Format("int32_t counts with 16 fraction bits", 16, 1, 2**31 - 1)
+THRESHOLD: Final = Format("uint16_t with 16 fraction bits", 16, 1, 2**16 - 1)
+PART: Final = Format("uint16_t with 15 fraction bits", 15, 1, 2**16 - 1)
+SOME_TICKS: Final = Format(TICKS.name, 0, 1, TICKS.high)
+SLEW: Final = Format(FRAC32.name, 31, -(2**31), 2**31 - 1)
+
+_WINDING: Final = "correct motor.r_s, motor.l_d or motor.l_q"
+_SLOWER: Final = "lower observer.bandwidth"
+_MOTOR: Final = "correct motor.psi_m or motor.pole_pairs"
+
+
+def needs_observer(axis: Axis) -> bool:
+    """Whether the axis cannot do without after reset."""
+    return axis.feedback == "observer" or axis.features.get("angle_check", False)
+
+
+def sensorless_constants(
+    axis: Axis, design: Sensorless, configuration: Configuration
+) -> tuple[AxisConstants, ConfigError | None]:
+    """Fields of ``axis_config_t``, and why they are all 0 if this motor cannot be observed and need not be.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be observed, and the configuration asks for it.
+    """
+    to = Converter(axis, configuration.board, configuration.scales)
+    try:
+        return _constants(to, design), None
+    except ConfigError as trouble:
+        if needs_observer(axis):
+            raise
+        return _off(axis), trouble
+
+
+def _constants(to: Converter, design: Sensorless) -> dict[str, Field]:
+    return {
+        **_observer(to, design.observer),
+        **_pll(to, design),
+        **_reliability(to),
+        **_start_up(to, design.start_up),
+        "feedback": FEEDBACKS.index(to.axis.feedback),
+        "observed_speed": pi_raw(
+            to.axis, "sensorless speed controller", design.speed, to.s.speed / to.s.i, "lower observer.speed_part"
+        ),
+    }
+
+
+def _off(axis: Axis) -> dict[str, Field]:
+    """Without an observer: nothing that could be taken for an angle."""
+    fields: dict[str, Field] = dict.fromkeys(FIELDS, 0)
+    return fields | {"feedback": FEEDBACKS.index(axis.feedback), "observed_speed": PiRaw(0, 0, 0)}
+
+
+def _observer(to: Converter, it: BackEmfObserver) -> dict[str, Field]:
+    admittance = to.s.u_s / to.s.i
+    loss = to.of(LOSS, "R T / L of the observer", 1.0 - it.a, f"the current is gone between two samples: {_WINDING}")
+    f1 = min(F2, math.ceil(F2 - 1 - math.log2(it.b * admittance)) - 1)  # the largest that leaves the factor below 1/2
+    if f1 < F1_LEAST:
+        name = f"{to.axis.name}: current of full voltage in a period"
+        raise ConfigError(f"{name} = {it.b * admittance:g} full scales: the observer cannot follow; {_WINDING}")
+    return {
+        "observer.f1": f1,
+        "observer.f2": F2,
+        "observer.loss": loss,
+        "observer.drive": to.of(DRIVE, "T / L of the observer", math.ldexp(it.b * admittance, f1 - F2), _WINDING),
+        "observer.k1": to.of(K1, "observer K1 T", it.k1, _SLOWER),
+        "observer.k2": to.of(K2, "observer K2 T", math.ldexp(it.k2 / admittance, F2 - f1), _SLOWER),
+    }
+
+
+def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
+    axis, board, s, pll = to.axis, to.board, to.s, design.pll
+    p = axis("motor.pole_pairs")
+    omega_n = pll.omega_n(s.u_s / axis("motor.psi_m"))  # where the back-EMF has the full scale
+    turn = p * s.speed * board.period / (2.0 * math.pi)  # at full-scale speed
+    quicker = "raise observer.pll_i"
+    acceleration = pll.acceleration * s.i * p * board.tick * board.period / (2.0 * math.pi)
+    e_least = 0.5 * p * axis("motor.psi_m") * design.start_up.minimum_speed / s.u_s
+    return {
+        "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), "lower observer.pll_i"),
+        "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), quicker),
+        "pll.e_least": to.of(
+            FRAC16, "half the back-EMF at start_up.minimum_speed", e_least, f"raise that, or {_MOTOR}"
+        ),
+        "pll.step_most": to.of(STEP, "turn per period beyond the full speed", 1.25 * turn, "fewer motor.pole_pairs"),
+        "pll.speed_per_step": to.of(SPEED_PER_STEP, "speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
+        "pll.step_per_speed": to.of(STEP, "turn per period at full speed", turn, "fewer motor.pole_pairs"),
+        "pll.counts_per_turn": to.of(TURN_COUNTS, "counts per electrical turn", axis.counts / p, _MOTOR),
+        "pll.acceleration": STEP_GAIN.raw(
+            axis.entry("observer.pll_torque") + ": turn per period gained in a tick",
+            acceleration,
+            "lower it, or correct motor.inertia or motor.psi_m",
+        ),
+        "pll.load": LOAD.raw(
+            axis.entry("observer.pll_load") + ": learnt in a tick",
+            pll.load * omega_n**3 * _steps_per_acceleration(board) * board.tick,
+            "lower it",
+        ),
+    }
+
+
+LOAD: Final = Format("int32_t", 0, 0, 2**31 - 1)
+
+
+def _steps_per_acceleration(board: Board) -> float:
+    """Of the angle per PWM period, 2^32 a turn, gained in a slow tick per rad/s^2."""
+    return math.ldexp(board.tick * board.period / (2.0 * math.pi), 32)
+
+
+STEP_GAIN: Final = Format("int32_t, 2^32 a turn", 32, 0, 2**31 - 1)
+
+
+def _pll_gain(radians: float) -> float:
+    """Step per error: 2^32 is a turn, and errors have 14 + F2 fraction bits."""
+    return math.ldexp(radians / (2.0 * math.pi), 32 - 14 - F2)
+
+
+def _reliability(to: Converter) -> dict[str, Field]:
+    axis, s = to.axis, to.s
+    resistance = axis("emf_check.resistance") * axis("motor.r_s") * s.i / s.u_s
+    return {
+        "reliability.period": to.at(UINT16, "reliability.period", 1.0),
+        "reliability.variance_threshold": to.at(THRESHOLD, "reliability.variance_threshold", 1.0),
+        "reliability.hysteresis": to.at(UINT16, "reliability.hysteresis", 1.0),
+        "emf_check.floor": to.at(FRAC16, "emf_check.floor", 1.0 / s.u_s, "write volts, some 0.4"),
+        "emf_check.resistance": to.of(GAIN, "resistance of the back-EMF check", resistance, "correct motor.r_s"),
+        "emf_check.part": to.at(PART, "emf_check.part", 1.0),
+        "emf_check.ticks_spin": to.ticks("emf_check.spin_time"),
+        "emf_check.ticks_check": to.ticks("emf_check.check_time"),
+    }
+
+
+def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
+    axis, board, s = to.axis, to.board, to.s
+    slew = (it.current_final - it.current_first) / s.i * board.tick / it.current_time
+    speed_step = it.speed_final / s.speed * board.tick / it.speed_time
+    across = it.current_final * axis("start_up.swing_current") / s.i
+    fade = axis("limits.current") / s.i * board.tick / axis("start_up.fade_time")
+    current, ramp = "write a part of limits.current", "write a shorter ramp of the speed"
+    gentler = "lower start_up.swing_damping"
+    return {
+        "startup.first_current": to.of(FRAC16, "start_up.current_first", it.current_first / s.i, current),
+        "startup.final_current": to.of(FRAC16, "start_up.current_final", it.current_final / s.i, current),
+        "startup.current_step": to.of(
+            SLEW, "change of the start-up current per slow tick", slew, "correct current_time"
+        ),
+        "startup.final_speed": to.of(FRAC32, "start_up.speed_final", it.speed_final / s.speed, "correct limits.speed"),
+        "startup.speed_step": to.of(FRAC32, "change of the forced speed per slow tick", speed_step, ramp),
+        "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", it.time_most / board.tick, ramp),
+        "startup.tests": to.at(UINT16, "start_up.consecutive_tests", 1.0),
+        "startup.minimum_speed": to.of(FRAC32, "start_up.minimum_speed", it.minimum_speed / s.speed, "raise it"),
+        "startup.mean_least": to.at(UINT16_Q14, "start_up.mean_least", 1.0),
+        "startup.mean_most": to.at(UINT16_Q14, "start_up.mean_most", 1.0),
+        "startup.damping": to.of(GAIN, "damping of the swing", it.damping * s.u_s / s.i, gentler),
+        "startup.damping_limit": to.of(FRAC16, "start_up.swing_current", across, "write a part of the final current"),
+        "startup.catch_ticks": to.ticks("start_up.catch_time"),
+        "startup.fade_step": to.of(SLEW, "start_up.fade_time: current per slow tick", fade, "write a longer time"),
+    }
+
+
+FIELDS: Final = (
+    *(f"observer.{key}" for key in ("f1", "f2", "loss", "drive", "k1", "k2")),
+    *(
+        f"pll.{key}"
+        for key in ("kp", "ki", "e_least", "step_most", "speed_per_step", "step_per_speed", "counts_per_turn")
+    ),
+    "pll.acceleration",
+    "pll.load",
+    *(f"reliability.{key}" for key in ("period", "variance_threshold", "hysteresis")),
+    *(f"emf_check.{key}" for key in ("floor", "resistance", "part", "ticks_spin", "ticks_check")),
+    *(f"startup.{key}" for key in ("first_current", "final_current", "current_step", "final_speed", "speed_step")),
+    *(f"startup.{key}" for key in ("duration_ticks", "tests", "minimum_speed", "mean_least", "mean_most")),
+    *(f"startup.{key}" for key in ("damping", "damping_limit", "catch_ticks", "fade_step")),
+)
+"""What is 0 without an observer."""
+
+
+def _integer(constants: Mapping[str, Field], field: str) -> int:
+    raw = constants[field]
+    assert isinstance(raw, int), field
+    return raw
+
+
+def used_observer(constants: Mapping[str, Field], design: BackEmfObserver, scales: Scales) -> BackEmfObserver:
+    """The observer as the integers make it."""
+    raw = {key: _integer(constants, f"observer.{key}") for key in ("f1", "f2", "loss", "drive", "k1", "k2")}
+    admittance = scales.u_s / scales.i
+    a = 1.0 - LOSS.value(raw["loss"])
+    b = math.ldexp(DRIVE.value(raw["drive"]), raw["f2"] - raw["f1"]) / admittance
+    r_s = (1.0 - a) / b
+    k2 = math.ldexp(K2.value(raw["k2"]), raw["f1"] - raw["f2"]) * admittance
+    return BackEmfObserver(r_s, -r_s * design.period / math.log(a), K1.value(raw["k1"]), k2, design.period)
+
+
+def used_pll(constants: Mapping[str, Field], axis: Axis, board: Board, scales: Scales) -> Pll:
+    """The phase-locked loop as the integers make it."""
+    full = scales.u_s / axis("motor.psi_m")
+    kp, ki = (
+        math.ldexp(GAIN.value(_integer(constants, f"pll.{key}")), 14 + F2 - 32) * 2.0 * math.pi for key in ("kp", "ki")
+    )
+    omega_n = math.sqrt(ki) / board.period
+    gained = STEP_GAIN.value(_integer(constants, "pll.acceleration"))
+    per_current = gained * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
+    learnt = _integer(constants, "pll.load") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
+    return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, learnt)

@@ -1,0 +1,27 @@
+#include "control/pll.h"
+
+void pll_reset(pll_t *pll, uint32_t angle, int32_t step)
+{
+    pll->angle = angle;
+    pll->integral = step;
+    pll->step = step;
+    pll->kp = 0;
+    pll->root = 0;
+    pll->load = 0;
+    pll->backwards = step < 0;
+}
+
+void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf)
+{
+    pll->root = f16_sqrt(f32_from_f16((emf > config->e_least) ? emf : config->e_least));
+    const int32_t over = (INT32_C(1) << 30) / ((pll->root > 0) ? pll->root : 1); /* 15 fraction bits */
+    pll->kp = sat32(asr64((int64_t)config->kp * over, 15));
+}
+
+void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, frac16_t e_d)
+{
+    const int32_t error = (pll->backwards ? e_d : -(int32_t)e_d) * (int32_t)pll->root; /* 30 fraction bits */
+    pll->load = sat32(pll->load + asr64((int64_t)error * config->load, 30));
+    const int64_t gained = asr64((int64_t)i_q * config->acceleration, 15) + pll->load;
+    pll->integral = f32_limit(pll->integral + gained, config->step_most);
+}

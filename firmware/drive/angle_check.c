@@ -1,0 +1,52 @@
+#include "drive/angle_check.h"
+
+#include "drive/axis.h"
+
+/* Without its compensation the dead time would look like an angle. */
+#define NEEDED (FEATURE_ANGLE_CHECK | FEATURE_DEAD_TIME)
+
+void angle_check_start(axis_t *axis)
+{
+    axis->fast = LOOP_FAST;
+    estimate_stop(axis);
+}
+
+static uint32_t encoder_angle(const axis_t *axis) { return (uint32_t)(uint16_t)axis->feedback.theta_e << 16; }
+
+/* While there is little back-EMF the PLL goes with the encoder. */
+static void guide_pll(axis_t *axis, int32_t step)
+{
+    estimate_t *estimate = &axis->estimate;
+    if (estimate->size < estimate_emf_at(axis, axis->config->startup.minimum_speed)) {
+        estimate_set(axis, encoder_angle(axis) + (uint32_t)step, step);
+        pll_adapt(&estimate->pll, &axis->config->pll, estimate->size);
+    }
+    estimate->pll.backwards = estimate->pll.integral < 0;
+}
+
+void angle_check_step(axis_t *axis)
+{
+    estimate_t *estimate = &axis->estimate;
+    const int32_t step = pll_step_of(&axis->config->pll, axis->feedback.speed);
+    if ((axis->features & NEEDED) != NEEDED || !axis_observable(axis)) {
+        axis->fast = LOOP_FAST;
+        estimate_stop(axis);
+        return;
+    }
+    if (!estimate->runs) {
+        axis->fast = LOOP_OBSERVED;
+        estimate_start(axis, encoder_angle(axis), step);
+        return;
+    }
+    estimate_step(axis);
+    observer_turn(&estimate->observer, step);
+    /* The back-EMF is the mean of the period after the sample that the angle is from. */
+    const frac16_t middle = pll_upper(encoder_angle(axis) + (uint32_t)asr32(step, 1));
+    const dq_t emf = park(estimate->emf, sin_cos(middle));
+    const bool deviates = emf_check_deviates(&axis->config->emf_check, emf, estimate_emf_at(axis, axis->feedback.speed),
+                                             axis->current_loop.current.q);
+    if (emf_check_lasts(&estimate->check, deviates, axis->config->emf_check.ticks_check)) {
+        axis_raise(axis, FAULT_ANGLE_MISMATCH);
+    }
+    guide_pll(axis, step);
+}

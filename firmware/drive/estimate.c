@@ -1,0 +1,66 @@
+#include "drive/estimate.h"
+
+#include "drive/axis.h"
+
+void estimate_start(axis_t *axis, uint32_t angle, int32_t step)
+{
+    estimate_t *estimate = &axis->estimate;
+    observer_reset(&estimate->observer, &axis->config->observer, (ab_t){0, 0});
+    speed_reliability_reset(&estimate->reliability);
+    emf_check_reset(&estimate->check);
+    estimate->emf = (ab_t){0, 0};
+    estimate->size = 0;
+    estimate->turned = 0;
+    estimate->angle = angle;
+    estimate->deviates = true;
+    estimate->runs = true;
+    estimate_set(axis, angle, step);
+}
+
+void estimate_stop(axis_t *axis)
+{
+    axis->estimate.runs = false;
+    axis->estimate.speed = 0;
+    axis->estimate.size = 0;
+}
+
+void estimate_set(axis_t *axis, uint32_t angle, int32_t step)
+{
+    pll_reset(&axis->estimate.pll, angle, step);
+    axis->estimate.speed = pll_speed_of(&axis->config->pll, step);
+}
+
+frac16_t estimate_emf_at(const axis_t *axis, frac32_t speed)
+{
+    return f16_from_f32(f32_gain(speed, axis->config->current_loop.omega_psi));
+}
+
+static frac16_t length(dq_t x) { return f16_sqrt(f32_add(f32_mul16(x.d, x.d), f32_mul16(x.q, x.q))); }
+
+void estimate_step(axis_t *axis)
+{
+    estimate_t *estimate = &axis->estimate;
+    pll_t *pll = &estimate->pll;
+    estimate->emf = observer_emf(&estimate->observer, &axis->config->observer);
+    const dq_t emf = park(estimate->emf, sin_cos(pll_theta_of_emf(pll)));
+    estimate->size = length(emf);
+    estimate->along = emf.d;
+    estimate->speed = pll_speed_of(&axis->config->pll, pll->integral);
+    estimate->turned = (int32_t)(pll->angle - estimate->angle);
+    estimate->angle = pll->angle;
+    pll_adapt(pll, &axis->config->pll, estimate->size);
+    observer_turn(&estimate->observer, pll->integral);
+
+    speed_reliability_add(&estimate->reliability, &axis->config->reliability, estimate->speed);
+    const dq_t smooth = emf_check_filter(&estimate->check, emf);
+    estimate->deviates = emf_check_deviates(&axis->config->emf_check, smooth, estimate_emf_at(axis, estimate->speed),
+                                            axis->current_loop.current.q);
+}
+
+bool estimate_reliable(const axis_t *axis)
+{
+    const estimate_t *estimate = &axis->estimate;
+    const frac32_t mean = f32_abs(speed_reliability_mean(&estimate->reliability));
+    return estimate->runs && !estimate->deviates && mean >= axis->config->startup.minimum_speed &&
+           speed_reliability_holds(&estimate->reliability, &axis->config->reliability);
+}

@@ -1,0 +1,42 @@
+/* estimate.h - observer and PLL of an axis, whatever they are used for: its feedback, or the check of its encoder. */
+#ifndef SERVO_DRIVE_ESTIMATE_H
+#define SERVO_DRIVE_ESTIMATE_H
+
+#include "control/pll.h"
+#include "sensing/emf_check.h"
+#include "sensing/speed_reliability.h"
+
+struct axis;
+
+typedef struct {
+    observer_t observer;
+    pll_t pll;
+    speed_reliability_t reliability;
+    emf_check_t check;
+    ab_t emf;         /* in the last slow tick, stator frame */
+    frac16_t size;    /* its length */
+    frac16_t along;   /* what of it lies along the rotor */
+    frac32_t speed;   /* mechanical */
+    uint32_t angle;   /* of the last slow tick, 2^32 is a turn */
+    int32_t turned;   /* angle between the last two */
+    bool deviates;    /* the back-EMF, over some time, fits neither angle nor speed */
+    bool runs;
+} estimate_t;
+
+/* From rest, with the rotor believed at `angle`, turning by `step` per period. */
+void estimate_start(struct axis *axis, uint32_t angle, int32_t step);
+void estimate_stop(struct axis *axis);
+
+/* The PLL goes on from an angle known from elsewhere. */
+void estimate_set(struct axis *axis, uint32_t angle, int32_t step);
+
+/* One slow tick. */
+void estimate_step(struct axis *axis);
+
+/* Back-EMF, as in the last slow tick, that belongs to a speed. */
+frac16_t estimate_emf_at(const struct axis *axis, frac32_t speed);
+
+/* Angle and speed can be believed. */
+bool estimate_reliable(const struct axis *axis);
+
+#endif

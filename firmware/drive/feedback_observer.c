@@ -1,0 +1,60 @@
+/* feedback_observer.c - angle and speed of an axis without an encoder. */
+#include "drive/axis.h"
+
+static void observer_source_reset(axis_t *axis)
+{
+    estimate_stop(axis);
+    axis->observed_position = (observer_feedback_t){axis->feedback.position, 0};
+    axis->feedback.speed = 0;
+    axis->feedback.mean_speed = 0;
+    axis->feedback.still = true;
+}
+
+static void observer_source_fast(axis_t *axis) { axis->feedback.theta_e = pll_theta(&axis->estimate.pll); }
+
+/* An encoder that is there all the same keeps its interrupt to itself. */
+static void observer_source_edge(axis_t *axis)
+{
+    edge_capture_t capture;
+    (void)hal_capture_take(axis->hal, axis->index, &capture);
+}
+
+/* Counts of the encoder that is not there, 16 fraction bits. */
+static int32_t counts_of(const axis_t *axis, int32_t angle)
+{
+    return (int32_t)asr64((int64_t)angle * axis->config->pll.counts_per_turn, 32);
+}
+
+static bool observer_source_slow(axis_t *axis)
+{
+    feedback_t *feedback = &axis->feedback;
+    feedback->still = !axis->estimate.runs;
+    if (!axis->estimate.runs) {
+        feedback->speed = 0;
+        feedback->mean_speed = 0;
+        return true;
+    }
+    estimate_step(axis);
+    const int32_t moved = counts_of(axis, axis->estimate.turned);
+    const uint32_t rest = (uint32_t)axis->observed_position.rest + ((uint32_t)moved & UINT32_C(0xFFFF));
+    axis->observed_position.rest = (uint16_t)(rest & UINT32_C(0xFFFF));
+    axis->observed_position.counts =
+        i32_add_wrap(axis->observed_position.counts, asr32(moved, 16) + (int32_t)(rest >> 16));
+    feedback->position = axis->observed_position.counts;
+    feedback->speed = axis->estimate.speed;
+    feedback->mean_speed = sat32(asr64((int64_t)moved * axis->config->speed_per_path_step, 16));
+    return true;
+}
+
+static void observer_source_resync(axis_t *axis) { (void)axis; }
+
+static void observer_source_align(axis_t *axis, frac16_t theta_e)
+{
+    (void)axis;
+    (void)theta_e;
+}
+
+const feedback_source_t observer_feedback = {
+    observer_source_reset, observer_source_fast,   observer_source_slow,
+    observer_source_edge,  observer_source_resync, observer_source_align,
+};

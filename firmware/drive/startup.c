@@ -1,0 +1,235 @@
+#include "drive/startup.h"
+
+#include "drive/current_drive.h"
+#include "drive/motion.h"
+
+#define QUARTER_TURN INT16_C(16384)
+#define SETTLE_TICKS 6  /* slow ticks until the observer knows the back-EMF of a turning shaft */
+#define TRACK_TICKS 160 /* slow ticks in which the PLL locks, and 64 speeds are taken */
+#define RATIO_BITS 14
+
+static frac32_t turned(frac32_t speed, bool backwards) { return backwards ? -speed : speed; }
+
+static void enter(startup_t *startup, startup_phase_t phase)
+{
+    startup->phase = phase;
+    startup->ticks = 0;
+    startup->passed = 0;
+}
+
+void startup_begin(axis_t *axis, bool backwards)
+{
+    startup_t *startup = &axis->startup;
+    *startup = (startup_t){0};
+    startup->backwards = backwards;
+    enter(startup, STARTUP_CATCH);
+    estimate_start(axis, 0, 0);
+}
+
+/* ---- the fast loop ------------------------------------------------------------------------------------------------ */
+
+/* Stator frame, no current: what the windings need is the back-EMF, and the observer knows it before an integral part
+ * would. */
+static void hold_current_off(axis_t *axis)
+{
+    const ab_t emf = observer_emf(&axis->estimate.observer, &axis->config->observer);
+    axis->current_loop.d.integral = pi_sum_of(f32_from_f16(emf.alpha));
+    axis->current_loop.q.integral = pi_sum_of(f32_from_f16(emf.beta));
+    drive_observed(axis, 0);
+}
+
+static void follow(axis_t *axis)
+{
+    pll_t *pll = &axis->estimate.pll;
+    if (axis->startup.locked) {
+        pll_step(pll, &axis->config->pll, axis->estimate.observer.e);
+    } else {
+        pll->angle += (uint32_t)pll->step;
+    }
+}
+
+void startup_fast(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    if (startup->phase == STARTUP_RAMP) {
+        drive_observed(axis, pll_upper(startup->angle));
+        startup->angle += (uint32_t)startup->step;
+    } else {
+        hold_current_off(axis);
+    }
+    follow(axis);
+}
+
+/* ---- a shaft that turns already ------------------------------------------------------------------------------------- */
+
+static frac16_t least_emf(const axis_t *axis) { return estimate_emf_at(axis, axis->config->startup.minimum_speed); }
+
+static void begin_ramp(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    enter(startup, STARTUP_RAMP);
+    startup->locked = false;
+    startup->angle = 0;
+    startup->step = 0;
+    startup->speed = 0;
+    startup->current = f32_from_f16(axis->config->startup.first_current);
+    pi_reset(&axis->current_loop.d, 0);
+    pi_reset(&axis->current_loop.q, 0);
+}
+
+/* Two directions of the back-EMF, a slow tick apart, tell the speed; the PLL need not look for it. */
+static void begin_track(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    const ab_t now = axis->estimate.emf;
+    const frac16_t to = f16_angle(now.alpha, now.beta);
+    const frac16_t from = f16_angle(startup->emf.alpha, startup->emf.beta);
+    const frac16_t turn = f16_sub_wrap(to, from);
+    const frac16_t rotor = f16_add_wrap(to, (turn < 0) ? QUARTER_TURN : -QUARTER_TURN);
+    const int32_t step = (int32_t)turn * (INT32_C(65536) / AXIS_SLOW_PERIODS);
+    enter(startup, STARTUP_TRACK);
+    startup->locked = true;
+    speed_reliability_reset(&axis->estimate.reliability);
+    emf_check_reset(&axis->estimate.check);
+    estimate_set(axis, ((uint32_t)(uint16_t)rotor << 16) + (uint32_t)asr32(step, 1), step);
+}
+
+static void seek(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    if (startup->ticks > SETTLE_TICKS && axis->estimate.size >= least_emf(axis)) {
+        begin_track(axis);
+    } else if (startup->ticks >= axis->config->startup.catch_ticks) {
+        begin_ramp(axis);
+    }
+    startup->emf = axis->estimate.emf;
+}
+
+static bool track(axis_t *axis)
+{
+    if (estimate_reliable(axis)) {
+        return true;
+    }
+    axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
+    if (axis->startup.ticks > TRACK_TICKS) {
+        begin_ramp(axis);
+    }
+    return false;
+}
+
+/* ---- the ramps ------------------------------------------------------------------------------------------------------ */
+
+/* The swing about the vector shows as back-EMF across it that the speed of the vector does not explain. */
+static frac16_t damping_current(const axis_t *axis, frac32_t speed)
+{
+    const startup_t *startup = &axis->startup;
+    const frac16_t angle = pll_upper(startup->angle - (uint32_t)asr32(startup->step, 1));
+    const dq_t emf = park(axis->estimate.emf, sin_cos(angle));
+    const int32_t swing = (int32_t)emf.q - estimate_emf_at(axis, speed);
+    const frac32_t current = f32_gain(f32_from_f16(sat16(-swing)), axis->config->startup.damping);
+    return f16_limit(asr32(current, 16), axis->config->startup.damping_limit);
+}
+
+/* While the back-EMF is too small the PLL goes with the vector, which the rotor trails by less than a quarter turn. */
+static void lock(axis_t *axis, int32_t before)
+{
+    startup_t *startup = &axis->startup;
+    if (startup->locked) {
+        axis->estimate.pll.integral += startup->step - before;
+    } else if (axis->estimate.size >= least_emf(axis) && startup->speed >= axis->config->startup.minimum_speed) {
+        startup->locked = true;
+        pll_adapt(&axis->estimate.pll, &axis->config->pll, axis->estimate.size);
+        speed_reliability_reset(&axis->estimate.reliability);
+        emf_check_reset(&axis->estimate.check);
+    } else {
+        estimate_set(axis, startup->angle, startup->step);
+    }
+    axis->estimate.pll.backwards = startup->backwards;
+}
+
+static void ramp(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    const startup_config_t *config = &axis->config->startup;
+    const int32_t before = startup->step;
+    startup->speed += f32_clip(config->final_speed - startup->speed, config->speed_step);
+    const frac32_t missing = f32_from_f16(config->final_current) - startup->current;
+    startup->current += f32_clip(missing, f32_abs(config->current_step));
+    const frac32_t speed = turned(startup->speed, startup->backwards);
+    startup->step = pll_step_of(&axis->config->pll, speed);
+    lock(axis, before);
+    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(speed));
+    axis->current_ref = (dq_t){f16_from_f32(startup->current), damping_current(axis, speed)};
+}
+
+/* The slide's criterion; the upper bound has a tolerance, because at the end of the ramp the mean is the forced speed. */
+static bool converged(const axis_t *axis)
+{
+    const startup_config_t *config = &axis->config->startup;
+    const frac32_t forced = axis->startup.speed;
+    const frac32_t mean = turned(speed_reliability_mean(&axis->estimate.reliability), axis->startup.backwards);
+    const int64_t ratio = (int64_t)mean * (INT32_C(1) << RATIO_BITS);
+    return axis->startup.locked && estimate_reliable(axis) && ratio >= (int64_t)forced * config->mean_least &&
+           ratio <= (int64_t)forced * config->mean_most;
+}
+
+static startup_result_t test(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    startup->passed = converged(axis) ? (uint16_t)(startup->passed + 1U) : 0U;
+    if (startup->passed >= axis->config->startup.tests) {
+        return STARTUP_DONE;
+    }
+    return (startup->ticks >= axis->config->startup.duration_ticks) ? STARTUP_FAILED : STARTUP_RUNS;
+}
+
+startup_result_t startup_slow(axis_t *axis)
+{
+    axis->startup.ticks++;
+    switch (axis->startup.phase) {
+    case STARTUP_CATCH:
+        seek(axis);
+        return STARTUP_RUNS;
+    case STARTUP_TRACK:
+        return track(axis) ? STARTUP_DONE : STARTUP_RUNS;
+    default:
+        ramp(axis);
+        return test(axis);
+    }
+}
+
+/* ---- the hand-over -------------------------------------------------------------------------------------------------- */
+
+static dq_t rotate(dq_t x, uint32_t angle)
+{
+    const ab_t turned_x = park_inverse(x, sin_cos(pll_upper(angle)));
+    return (dq_t){turned_x.alpha, turned_x.beta};
+}
+
+void startup_hand_over(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    const pll_t *pll = &axis->estimate.pll;
+    const bool ramped = startup->phase == STARTUP_RAMP;
+    /* The current was taken at the last sample. The voltage of the ramp runs ahead of the vector as it will run ahead of
+     * the rotor; the one of the stator frame does not. */
+    const uint32_t between = ramped ? startup->angle - pll->angle : (uint32_t)0 - pll->angle;
+    const uint32_t at_sample = ramped ? between : between + (uint32_t)pll->step;
+    const dq_t current = rotate(axis->current_loop.current, at_sample);
+    const dq_t voltage = rotate(axis->current_loop.voltage, between);
+    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
+    current_loop_take_over(&axis->current_loop, &axis->config->current_loop, current, voltage);
+    startup->fade = f32_from_f16(current.d);
+    axis->feedback.theta_e = pll_theta(pll);
+    axis->feedback.speed = axis->estimate.speed;
+    axis->feedback.mean_speed = axis->estimate.speed;
+    motion_start_turning(axis, current.q);
+    axis->current_ref = current;
+}
+
+frac16_t startup_fade(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    startup->fade -= f32_clip(startup->fade, axis->config->startup.fade_step);
+    return f16_from_f32(startup->fade);
+}

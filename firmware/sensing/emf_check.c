@@ -1,0 +1,42 @@
+#include "sensing/emf_check.h"
+
+#define FILTER_SHIFT 5
+#define FILTER_BITS 8
+
+void emf_check_reset(emf_check_t *check) { *check = (emf_check_t){0}; }
+
+/* Length of a vector, at most 12 % too long. */
+static int32_t length(int32_t x, int32_t y)
+{
+    const int32_t a = (x < 0) ? -x : x;
+    const int32_t b = (y < 0) ? -y : y;
+    return (a > b) ? a + b / 2 : b + a / 2;
+}
+
+bool emf_check_deviates(const emf_check_config_t *config, dq_t emf, frac16_t expected, frac16_t current)
+{
+    const int32_t by_resistance = asr32(f32_gain(f32_from_f16(f16_abs(current)), config->resistance), 16);
+    const int32_t by_size = asr32(f16_abs(expected) * (int32_t)config->part, 15);
+    return length(emf.d, (int32_t)emf.q - expected) > config->floor + by_resistance + by_size;
+}
+
+static frac16_t smoothed(int32_t *state, frac16_t x)
+{
+    *state += asr32(x * (INT32_C(1) << FILTER_BITS) - *state, FILTER_SHIFT);
+    return sat16_asr(*state, FILTER_BITS);
+}
+
+dq_t emf_check_filter(emf_check_t *check, dq_t emf)
+{
+    return (dq_t){smoothed(&check->d, emf.d), smoothed(&check->q, emf.q)};
+}
+
+bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t most)
+{
+    if (deviates) {
+        check->ticks++;
+    } else if (check->ticks > 0U) {
+        check->ticks--;
+    }
+    return check->ticks > most;
+}

@@ -1,0 +1,37 @@
+/* emf_check.h - does the back-EMF fit the angle and the speed that somebody claims?
+ *
+ * In the frame of the true rotor it is (0, omega psi_m). An angle that is wrong turns it, a speed that is wrong gives it
+ * another length. So it tells a wrong encoder offset and a dead encoder, and a rotor that only swings where the observer
+ * believes that it turns: the variance of the observed speed, ST's criterion, does not see that one.
+ */
+#ifndef SERVO_SENSING_EMF_CHECK_H
+#define SERVO_SENSING_EMF_CHECK_H
+
+#include "control/transforms.h"
+
+typedef struct {
+    frac16_t floor;      /* what dead time and switches leave unexplained at any speed */
+    gain_t resistance;   /* error of the resistance that is tolerated, full-scale current over full-scale voltage */
+    uint16_t part;       /* deviation over the back-EMF that is expected, 15 fraction bits */
+    uint16_t ticks_spin; /* slow ticks that the observer of a sensorless axis may deviate, after the filter */
+    uint16_t ticks_check; /* slow ticks that an encoder may */
+} emf_check_config_t;
+
+typedef struct {
+    int32_t d; /* filtered back-EMF, 8 bits more */
+    int32_t q;
+    uint16_t ticks; /* slow ticks of deviation */
+} emf_check_t;
+
+void emf_check_reset(emf_check_t *check);
+
+/* True while `emf`, in the frame of an angle, is too far from (0, expected) with a current of this size. */
+bool emf_check_deviates(const emf_check_config_t *config, dq_t emf, frac16_t expected, frac16_t current);
+
+/* Back-EMF over some periods of a swing: time constant 32 slow ticks. */
+dq_t emf_check_filter(emf_check_t *check, dq_t emf);
+
+/* One slow tick: true after `most` ticks of deviation, less those without. */
+bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t most);
+
+#endif
