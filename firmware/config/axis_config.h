@@ -11,7 +11,11 @@
 #include "control/friction.h"
 #include "control/observer.h"
 #include "control/pll.h"
+#include "drive/brake.h"
+#include "drive/heat_watch.h"
+#include "drive/phase_watch.h"
 #include "drive/startup.h"
+#include "drive/stop.h"
 #include "hal/hal.h"
 #include "sensing/emf_check.h"
 #include "sensing/encoder.h"
@@ -60,6 +64,9 @@ typedef struct {
     uint16_t offset_tolerance; /* ADC codes that an amplifier offset may lie off mid-scale */
     frac16_t offset_duty_least; /* shortest high side during which an offset sample is true */
 
+    phase_watch_config_t phases;
+    heat_watch_config_t heat;
+
     uint16_t settle_ticks; /* slow ticks in INIT until the bus filter has settled */
     frac32_t stop_acceleration; /* least ramp of a stop, whatever the host's limit: speed per slow tick */
     frac32_t runaway_margin; /* speed beyond the limit, or gained against the current, that is not tolerated */
@@ -69,10 +76,15 @@ typedef struct {
     uint16_t search_ticks_most; /* slow ticks that the rotor search may take */
     frac32_t stop_speed; /* below it a stop is over: hold, or coast */
     uint16_t stop_ticks_most; /* slow ticks after the ramp's end until the outputs go off at any speed */
+
+    stop_config_t stop;
+    frac32_t regeneration_speed; /* up to it the full current burns in the winding all that braking returns */
+    frac16_t copper_current; /* i_d at most against the flux while braking current is folded back: its losses brake too */
 } axis_config_t;
 
 typedef struct {
     axis_config_t axis[HAL_AXES];
+    brake_config_t brake;
     uint16_t host_timeout; /* default of the writable time-out, slow ticks */
 } servo_config_t;
 

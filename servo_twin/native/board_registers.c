@@ -20,6 +20,7 @@ struct board {
     uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
     bool booted, starting;
     uint32_t breaks;
+    uint32_t stall_clocks; /* that the next handler takes longer */
     bool tripped[BOARD_AXES];
     bool swapped[BOARD_AXES]; /* lines A and B of the encoder */
     bool up;        /* the port has started: there is a servo to run */
@@ -42,6 +43,7 @@ static const chip_wiring_t wiring = {
 static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN('C', 4)},
                                                     {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
 static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
+static const unsigned brake_pin = CHIP_PIN('G', 6);
 
 /* Analogue pins ANA0-7, ANB0-7. Phase b is on both converters, so that any two phases can be sampled together. */
 typedef enum { NOTHING, CURRENT, BUS, SINK } analog_kind_t;
@@ -94,6 +96,9 @@ static void events(void *context)
 static void gates(void *context, unsigned module, unsigned submodule, unsigned levels)
 {
     board_t *board = (board_t *)context;
+    if (submodule >= 3u) {
+        return; /* the monitor outputs drive no inverter */
+    }
     switching_edge(&board->plant, (int)module, (int)submodule, (switching_leg_t)levels);
 }
 
@@ -112,6 +117,15 @@ static uint16_t convert(void *context, unsigned channel)
     }
 }
 
+/* The switch of the brake resistor follows its pin, as software has left it. */
+static void follow_brake(board_t *board)
+{
+    const bool on = chip_pin_level(&board->chip, brake_pin);
+    if (on != board->plant.supply.braking) {
+        switching_brake(&board->plant, on);
+    }
+}
+
 static void boot(void *context)
 {
     board_t *board = (board_t *)context;
@@ -120,6 +134,7 @@ static void boot(void *context)
     board->hal.chip = &board->chip;
     board->hal.baud = (uint32_t)(board->chip.config.baud + 0.5); /* both ends of the line are told the same */
     board->up = port_init(&board->hal, &board->servo);
+    follow_brake(board);
 }
 
 static uint32_t interrupt(void *context, unsigned vector)
@@ -129,6 +144,12 @@ static uint32_t interrupt(void *context, unsigned vector)
     const bool slow = board->servo.slow_tick;
     const uint32_t tick = board->servo.snapshot.tick;
     port_isr(&board->hal, (uint16_t)vector);
+    follow_brake(board);
+    const uint32_t stall = board->stall_clocks;
+    board->stall_clocks = 0;
+    if (stall > 0u) {
+        return stall;
+    }
     switch (vector) {
     case 85: /* PWMA_CMP1 */
         return board->servo.slow_tick ? core->m1_slow : core->m1;
@@ -348,7 +369,11 @@ void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&
 void board_inject(board_t *board, const board_harm_t *harm)
 {
     boot_once(board);
-    switching_harm(&board->plant, harm, false);
+    if (harm->kind == BOARD_STALLED_CORE) {
+        board->stall_clocks = (uint32_t)(harm->seconds * 1e9 / CLOCK_NS);
+    } else {
+        switching_harm(&board->plant, harm, false);
+    }
 }
 
 void board_heal(board_t *board, const board_harm_t *harm) { switching_harm(&board->plant, harm, true); }

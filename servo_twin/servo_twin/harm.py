@@ -1,8 +1,9 @@
 """What can go wrong with the hardware of a virtual board, for `Board.inject` and `Board.heal`.
 
-Each class is one kind of damage; its values say where and how much. The physics is the plant's: an open phase carries no
-current and leaves the other two in series, a short lets the over-current comparator open the switches without software,
-a stuck encoder line leaves the decoder one count back and forth. Phases are ``"a"``, ``"b"``, ``"c"``; axes count from 0.
+Each class is one kind of damage; its values say where and how much. The physics is the plant's: an open phase carries
+no current and leaves the other two in series, a short lets the over-current comparator open the switches without
+software, a stuck encoder line leaves the decoder one count back and forth. Phases are ``"a"``, ``"b"``, ``"c"``; axes
+count from 0.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ __all__ = [
     "OpenPhase",
     "RawHarm",
     "ShortedPhase",
+    "StalledCore",
     "StuckConverter",
     "StuckLine",
     "SupplyDip",
@@ -174,6 +176,16 @@ class EncoderGlitches:
 
 
 @dataclass(frozen=True)
+class StalledCore:
+    """The software stands still for some time [s], or until the watchdog resets the board."""
+
+    seconds: float
+
+    def raw(self) -> RawHarm:
+        return RawHarm("BOARD_STALLED_CORE", seconds=_amount(self.seconds, "time"))
+
+
+@dataclass(frozen=True)
 class HotPowerStage:
     """The power stage of an axis is at a temperature and stays there [deg C]."""
 
@@ -195,5 +207,6 @@ Harm = (
     | BusNoise
     | EncoderGlitches
     | HotPowerStage
+    | StalledCore
 )
 """Anything that can go wrong."""
