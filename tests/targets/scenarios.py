@@ -395,7 +395,12 @@ def sensorless_lost(rig: Rig) -> None:
     rig.until("axis 1 cleared", lambda: rig.places()[0] == "STOP")
     rig.set("cmd.enable", 1, 0)
     rig.until("axis 1 waits", lambda: rig.places()[0] == "READY")
+    rig.motor(0, False)  # what does not change makes a short recording
     rig.set("cmd.speed", 100.0, 0.0)
+    for _ in range(10):
+        rig.run(0.15)
+        rig.set("cmd.mode", SPEED)
+    rig.motor(0, True)
     rig.until("no start-up", lambda: rig.faults(0) == ["START_UP"])
 
 
@@ -441,7 +446,7 @@ SCENARIOS: Final = (
     Scenario("forward", _plant(), forward),
     Scenario("soft-limits", _plant(), soft_limits),
     Scenario("sensorless", _plant(capacitance=0.05), sensorless),
-    Scenario("sensorless-lost", _plant(i_noise=0.0), sensorless_lost),
+    Scenario("sensorless-lost", _plant(i_noise=0.0).with_bus(u_noise=0.0), sensorless_lost),
     Scenario("slipped-encoder", _plant(capacitance=0.05), slipped),
     Scenario("server", _plant(), server),
 )
