@@ -11,6 +11,11 @@ PORT ?=
 BAUD ?=
 # Parameters of the board, each NAME=VALUE, separated by spaces.
 SET ?=
+# How closely virtual boards are modelled: ideal or registers; else $SERVO_TWIN_LEVEL, or ideal.
+LEVEL ?=
+ifneq ($(LEVEL),)
+export SERVO_TWIN_LEVEL := $(LEVEL)
+endif
 # Tests publish commands: they keep away from the nodes of whoever runs them.
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 90 + 10 )))
 
@@ -31,7 +36,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
-	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200, SET='NAME=VALUE ...' for parameters of the board (up); PYTHON=python3.12 (setup); PYTEST_ARGS=..., MARKS='not slow' (test); TARGETS_ARGS='--seed 2' (targets)"
+	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200, SET='NAME=VALUE ...' for parameters of the board (up); LEVEL=registers (demo, up, experiments, test); PYTHON=python3.12 (setup); PYTEST_ARGS=..., MARKS='not slow' (test); TARGETS_ARGS='--seed 2' (targets)"
 
 setup: $(VENV)/.native ## virtual environment with everything that runs
 	@echo "ready: $(BIN)"

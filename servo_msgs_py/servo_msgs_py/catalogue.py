@@ -283,7 +283,9 @@ class Catalogue:
         }
         enums = {name: dict(entries) for name, entries in table.get("enums", {}).items()}
         flags = {
-            name: tuple(Flag(n, e["bit"], e["cause"], e.get("remedy", ""), e.get("always", False)) for n, e in entries.items())
+            name: tuple(
+                Flag(n, e["bit"], e["cause"], e.get("remedy", ""), e.get("always", False)) for n, e in entries.items()
+            )
             for name, entries in table.get("flags", {}).items()
         }
         bits = {name: dict(entries) for name, entries in table.get("bits", {}).items()}

@@ -39,7 +39,9 @@ def contract_header(catalogue: Catalogue) -> str:
         prefix = name.removesuffix("s").upper()
         digits = 8 if any(v.flags == name and v.element_size == 4 for v in catalogue.variables.values()) else 4
         kind = f"UINT{4 * digits}_C"
-        lines.append("".join(f"#define {prefix}_{f.name} {kind}(0x{f.mask:0{digits}X}) /* {f.cause} */\n" for f in flags))
+        lines.append(
+            "".join(f"#define {prefix}_{f.name} {kind}(0x{f.mask:0{digits}X}) /* {f.cause} */\n" for f in flags)
+        )
         always = sum(f.mask for f in flags if f.always)
         if always:
             lines.append(f"#define {prefix}S_ALWAYS {kind}(0x{always:0{digits}X}) /* nobody can switch them off */\n")

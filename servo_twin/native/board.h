@@ -126,8 +126,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth);
 void board_set_load(board_t *board, int axis, double torque); /* external load torque [N m], opposes nothing: signed */
 void board_set_supply(board_t *board, double volts); /* new open-circuit supply voltage */
 void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft held fast */
-int board_obstruct_shaft(board_t *board, int axis, double below,
-                         double above); /* stops so far from here [rad]; -1: none here */
+void board_obstruct_shaft(board_t *board, int axis, double below, double above); /* stops so far from here [rad] */
 void board_set_encoder(board_t *board, int axis, int connected); /* 0: encoder lines dead */
 void board_cut_encoder(board_t *board, int axis, int line); /* one line dead, 0: A, 1: B; board_set_encoder repairs */
 void board_reverse_encoder(board_t *board, int axis); /* swap the lines A and B */

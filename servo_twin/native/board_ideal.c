@@ -104,10 +104,9 @@ void board_set_shaft(board_t *board, int axis, int locked)
     plant_motor_lock(&drive_of(board, axis)->motor, locked != 0);
 }
 
-int board_obstruct_shaft(board_t *board, int axis, double below, double above)
+void board_obstruct_shaft(board_t *board, int axis, double below, double above)
 {
     plant_motor_obstruct(&drive_of(board, axis)->motor, below, above);
-    return 0;
 }
 
 void board_reverse_encoder(board_t *board, int axis)

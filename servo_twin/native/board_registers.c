@@ -338,13 +338,9 @@ void board_reverse_encoder(board_t *board, int axis)
     }
 }
 
-int board_obstruct_shaft(board_t *board, int axis, double below, double above)
+void board_obstruct_shaft(board_t *board, int axis, double below, double above)
 {
-    (void)board;
-    (void)axis;
-    (void)below;
-    (void)above;
-    return -1; /* the plant at switching level has no end stops */
+    switching_obstruct(&board->plant, axis, below, above);
 }
 
 void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }

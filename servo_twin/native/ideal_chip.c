@@ -1,6 +1,6 @@
 #include "ideal_chip.h"
 
-#define QUARTERS (2 * PLANT_STEPS_PER_HALF)
+#define STEPS (2 * PLANT_STEPS_PER_HALF) /* of the plant, per period */
 #define SINK_FULL_SCALE 150.0 /* [deg C] at 3.3 V */
 #define DUTY_FULL (1.0 / 32767.0)
 
@@ -17,7 +17,7 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->bus_code = 0;
     chip->now_ns = 0;
     chip->grid_ns = 0;
-    chip->quarter = 0;
+    chip->step = 0;
     chip->scans = 0;
     chip->breaks = 0;
     chip->watchdog = 0;
@@ -90,16 +90,16 @@ static void grid(hal_t *chip)
             }
         }
     }
-    const unsigned quarter = chip->quarter;
-    chip->quarter = (quarter + 1u) % QUARTERS;
+    const unsigned step = chip->step;
+    chip->step = (step + 1u) % STEPS;
     chip->grid_ns += plant->step_ns;
     for (int i = 0; i < HAL_AXES; i++) {
         if (plant->axis[i].encoder.latched) {
             servo_edge_isr(chip->servo, (uint16_t)i);
         }
     }
-    if (quarter % PLANT_STEPS_PER_HALF == 0u) {
-        half_cycle(chip, (quarter == 0u) ? 0 : 1);
+    if (step % PLANT_STEPS_PER_HALF == 0u) {
+        half_cycle(chip, (step == 0u) ? 0 : 1);
     }
 }
 

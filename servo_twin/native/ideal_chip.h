@@ -4,7 +4,8 @@
  *   k even   low-side centre of axis 1, high-side centre of axis 2: currents of 1, offsets of 2, bus; servo_m1_isr
  *   k odd    the other way round: currents of 2, offsets of 1, bus; servo_m2_isr
  * Duties written in an interrupt are loaded at the next half cycle, so they act T/2 after their samples were taken and
- * hold for a whole period. Conversions and software take no time.
+ * hold for a whole period. Conversions and software take no time. Comparators and captured edges are looked at once per
+ * step of the plant, a half cycle.
  */
 #ifndef SERVO_TWIN_IDEAL_CHIP_H
 #define SERVO_TWIN_IDEAL_CHIP_H
@@ -34,7 +35,7 @@ struct hal {
     uint16_t bus_code;
     uint64_t now_ns;     /* what the software would see on a clock */
     uint64_t grid_ns;    /* next step of the plant ends here */
-    unsigned quarter;    /* of that step's end within the PWM period */
+    unsigned step;       /* number of that step within the PWM period */
     uint32_t scans;      /* M2 interrupts so far */
     uint32_t breaks;     /* times an over-current latch has tripped */
     uint16_t sink_code;  /* both heat sinks are as warm as the air */

@@ -34,7 +34,7 @@ except ImportError as error:
         "build it with `make build`, or `python setup.py build_ext --inplace` in the folder servo_twin"
     ) from error
 
-__all__ = ["Board", "BoardError", "BoardStats", "ChipError", "Level", "SimulationError", "Truth"]
+__all__ = ["Board", "BoardError", "BoardStats", "ChipError", "Level", "SimulationError", "Truth", "chosen_level"]
 
 Level = Literal["registers", "ideal"]
 """How closely the board is modelled."""
@@ -42,7 +42,7 @@ Level = Literal["registers", "ideal"]
 LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
 """Environment variable that names the level of boards for which nobody does."""
 
-_MODULES: Final[Mapping[str, Any]] = {"registers": _registers_module, "ideal": _ideal_module}
+_MODULES: Final[Mapping[Level, Any]] = {"registers": _registers_module, "ideal": _ideal_module}
 
 _ENTRY_SIZE: Final = 16
 _IDLE: Final = (1 << 64) - 1
@@ -53,6 +53,21 @@ _STATUS_TEXT: Final[Mapping[int, str]] = {
     0x87: "busy",
     0x89: "access denied: not inside one variable, or read-only",
 }
+
+
+def chosen_level(level: Level | None = None) -> Level:
+    """The level of a board for which `level` is asked: that, or what the environment names, or ``ideal``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such level.
+    """
+    name = level or os.environ.get(LEVEL_VARIABLE, "ideal")
+    for known in _MODULES:
+        if name == known:
+            return known
+    raise ValueError(f"level {name!r}: a board has the levels {', '.join(_MODULES)}")
 
 
 class BoardError(RuntimeError):
@@ -193,9 +208,7 @@ class Board:
             raise ValueError(f"seed {seed} is not within 0 .. 2^64 - 1")
         if not 100.0 <= baud <= 1e8:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
-        self.level = level or os.environ.get(LEVEL_VARIABLE, "ideal")
-        if self.level not in _MODULES:
-            raise ValueError(f"level {self.level!r}: a board has the levels {', '.join(_MODULES)}")
+        self.level = chosen_level(level)
         self._ffi, self._lib = _MODULES[self.level].ffi, _MODULES[self.level].lib
         self.plant = plant or PlantConfig.load()
         self.catalogue = catalogue or Catalogue.load()
@@ -494,15 +507,8 @@ class Board:
         self._lib.board_set_shaft(self._board, _axis_index(axis), int(locked))
 
     def obstruct_shaft(self, axis: int, below: float, above: float) -> None:
-        """End stops so far to both sides of where the shaft of an axis is now [rad]; infinite ones are none.
-
-        Raises
-        ------
-        BoardError
-            At the level ``registers``, whose plant knows no end stops.
-        """
-        if self._lib.board_obstruct_shaft(self._board, _axis_index(axis), below, above) != 0:
-            raise BoardError("a shaft has end stops at the level 'ideal' only")
+        """End stops so far to both sides of where the shaft of an axis is now [rad]; infinite ones are none."""
+        self._lib.board_obstruct_shaft(self._board, _axis_index(axis), below, above)
 
     def connect_encoder(self, axis: int, connected: bool = True) -> None:
         """Plug in the encoder of an axis, or pull its plug."""

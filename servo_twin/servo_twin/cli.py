@@ -13,7 +13,7 @@ from pathlib import Path
 
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.board import Board
+from servo_twin.board import LEVEL_VARIABLE, Board
 from servo_twin.experiments import command as experiment
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
@@ -29,26 +29,29 @@ def parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--seed", type=int, default=1, help="seed of every random number (default: %(default)s)")
     common.add_argument("--plant", type=Path, help="plant file (default: the packaged one)")
-    common.add_argument(
-        "--level", choices=("registers", "ideal"), help="how closely the board is modelled (default: ideal)"
+    levelled = argparse.ArgumentParser(add_help=False)
+    levelled.add_argument(
+        "--level",
+        choices=("registers", "ideal"),
+        help=f"how closely the board is modelled (default: ${LEVEL_VARIABLE}, or ideal)",
     )
     common.add_argument("--json", action="store_true", help="figures as JSON on standard output")
 
-    info = verbs.add_parser("info", parents=[common], help="what is really there: motors, inverter, bus")
+    info = verbs.add_parser("info", parents=[common, levelled], help="what is really there: motors, inverter, bus")
     info.set_defaults(run=_info)
 
-    mover = verbs.add_parser("move", parents=[common], help="find the rotors, move, measure")
+    mover = verbs.add_parser("move", parents=[common, levelled], help="find the rotors, move, measure")
     mover.add_argument("--turns", type=_finite, default=5.0, help="distance (default: %(default)s)")
     mover.add_argument("--axis", type=int, choices=range(1, AXES + 1), help="only this axis (default: both)")
     mover.add_argument("--time", type=_positive, help="length of the recording [s] (default: by the distance)")
     mover.add_argument("--plot", type=Path, metavar="FILE", help="draw position, speed and current to this file")
     mover.set_defaults(run=_move)
 
-    bench = verbs.add_parser("bench", parents=[common], help="real-time factor of one board with two axes")
+    bench = verbs.add_parser("bench", parents=[common, levelled], help="real-time factor of one board with two axes")
     bench.add_argument("--time", type=_positive, default=10.0, help="simulated time [s] (default: %(default)s)")
     bench.set_defaults(run=_bench)
 
-    experiment.add_parser(verbs, common)
+    experiment.add_parser(verbs, common, levelled)
     timing.add_parser(verbs, common)
     return result
 

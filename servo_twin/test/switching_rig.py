@@ -10,8 +10,7 @@ from servo_twin.plant import PlantConfig
 from switching_reference import Edge
 
 SWITCHING_CDEF = """
-typedef struct { double theta, omega, phase[3]; int sign[3]; ...; } bridge_t;
-typedef struct { double u; ...; } supply_t;
+typedef struct { double theta, omega, phase[3], low, high; int sign[3]; ...; } bridge_t;
 typedef struct { bridge_t bridge; ...; } switching_axis_t;
 typedef struct { switching_axis_t axis[2]; supply_t supply; ...; } switching_t;
 typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;
@@ -35,6 +34,7 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus);
 void switching_set_load(switching_t *plant, int axis, double torque);
 void switching_set_supply(switching_t *plant, double volts);
 void switching_lock(switching_t *plant, int axis, bool locked);
+void switching_obstruct(switching_t *plant, int axis, double below, double above);
 void switching_plug(switching_t *plant, int axis, bool plugged);
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level);
 void switching_brake(switching_t *plant, bool on);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -79,9 +80,10 @@ def test_a_duty_acts_half_a_period_after_its_samples(make: Callable[..., Chip], 
     sampled = PERIOD_NS if axis == 0 else PERIOD_NS + HALF_NS
     chip.run(sampled + HALF_NS)
     assert chip.motor(axis).i_d == pytest.approx(0.0, abs=1e-12)  # duty 0 on all phases until now
-    chip.run(sampled + HALF_NS + HALF_NS // 2)
-    expected = 0.15 * 24.0 * 2 / 3 / plant.axes[axis].l_d * 15.625e-6
-    assert chip.motor(axis).i_d == pytest.approx(expected, rel=0.02)
+    chip.run(sampled + 2 * HALF_NS)
+    motor = plant.axes[axis]
+    decay = 1.0 - math.exp(-motor.r_s / motor.l_d * HALF_NS * 1e-9)
+    assert chip.motor(axis).i_d == pytest.approx(0.15 * 24.0 * 2 / 3 / motor.r_s * decay, rel=0.01)
     assert chip.motor(1 - axis).i_d == 0.0
 
 
@@ -137,14 +139,14 @@ class TestOverCurrent:
         chip.switch_on(0, 32767, 0, 0)
         chip.switch_on(1, 16384, 16384, 16384)
         while not chip.calls(BREAK):
-            chip.run(chip.hal.now_ns + HALF_NS // 2)
+            chip.run(chip.hal.now_ns + HALF_NS)
             assert chip.hal.now_ns < 20 * PERIOD_NS
         return chip
 
     def test_opens_the_switches_without_software(self, make: Callable[..., Chip]) -> None:
         chip = self.trip(make)
         current = max(map(abs, chip.motor(0).phase))
-        assert 5.0 < current < 5.0 + 16.0 / 0.403e-3 * 15.625e-6
+        assert 5.0 < current < 5.0 + 16.0 / 0.403e-3 * HALF_NS * 1e-9
         assert [(c.axis, c.time_ns) for c in chip.calls(BREAK)] == [(0, chip.hal.now_ns)]
         chip.run(chip.hal.now_ns + 5 * PERIOD_NS)  # the firmware goes on asking for current
         assert list(chip.motor(0).phase) == [0.0, 0.0, 0.0]
@@ -178,9 +180,9 @@ def test_edge_interrupt_follows_an_armed_capture_only(make: Callable[..., Chip])
     chip.run(3 * PERIOD_NS)
     edges = chip.calls(EDGE)
     assert [c.axis for c in edges] == [1]
-    # two counts per B edge at 100 rad/s are 31.4 us; the interrupt comes within a quarter period of its edge
+    # two counts per B edge at 100 rad/s are 31.4 us; the interrupt comes within half a period of its edge
     captured_ns = chip.servo.capture.time * 1280
-    assert PERIOD_NS < captured_ns <= edges[0].time_ns < captured_ns + 1280 + HALF_NS // 2
+    assert PERIOD_NS < captured_ns <= edges[0].time_ns < captured_ns + 1280 + HALF_NS
     age = chip.lib.hal_edge_age(chip.hal, 1)
     assert age == chip.hal.now_ns // 1280 - chip.servo.capture.time
     assert not chip.lib.hal_capture_take(chip.hal, 1, chip.ffi.new("edge_capture_t *"))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_twin.experiments import EXPERIMENTS, Experiment
+from servo_twin.experiments import EXPERIMENTS, Experiment, levels, rig
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.report import draw, summary, table, update_summary
 from servo_twin.plant import PlantConfig
@@ -55,9 +55,10 @@ class TestReport:
 
     def test_summary_keys(self) -> None:
         rows = summary([outcome("a", 0.5, math.inf)])
-        assert [set(row) for row in rows] == [{"name", "seed", "measured", "unit", "bound", "agrees"}] * 2
+        assert [set(row) for row in rows] == [{"name", "seed", "measured", "unit", "bound", "agrees", "level"}] * 2
         assert rows[0] == {
             "name": "a: figure 0", "seed": SEED, "measured": 0.5, "unit": "rpm", "bound": "<= 1", "agrees": True,
+            "level": "",
         }  # fmt: skip
         assert rows[1]["measured"] is None
         assert rows[1]["agrees"] is False
@@ -73,13 +74,30 @@ class TestReport:
         assert (tmp_path / "new" / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("words", [[], ["all"], *([name] for name in EXPERIMENTS)])
+class TestLevels:
+    @pytest.mark.parametrize(
+        ("bound", "reach"), [(Bound(most=2.0), 2.0), (Bound(1.0, 2.5), 1.5), (Bound(least=3.0), math.inf)]
+    )
+    def test_how_far_apart_values_may_be(self, bound: Bound, reach: float) -> None:
+        assert levels.reach(bound) == reach
+
+    @pytest.mark.parametrize(
+        ("ideal", "registers", "agrees"), [(0.5, 1.0, True), (0.5, 1.1, False), (-0.5, 1.0, False), (0.5, None, False)]
+    )
+    def test_agreement(self, ideal: float, registers: float | None, agrees: bool) -> None:
+        """With the bound at each level, and with each other."""
+        pair = levels.pairs(outcome("a", ideal), outcome("a", registers))[0]
+        assert pair.agrees is agrees
+        assert pair.difference == (None if registers is None else pytest.approx(registers - ideal))
+
+
+@pytest.mark.parametrize("words", [[], ["all"], ["levels"], *([name] for name in EXPERIMENTS)])
 def test_every_help_can_be_read(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(["experiment", *words, "--help"])
     assert end.value.code == 0
     text = capsys.readouterr().out
-    if words and words != ["all"]:
+    if words and words[0] in EXPERIMENTS:
         assert EXPERIMENTS[words[0]].help in text
 
 
@@ -115,6 +133,48 @@ class TestCommand:
         assert cli.main(["experiment", "good", "--json", "--plot", str(picture)]) == 0
         assert json.loads(capsys.readouterr().out)[0]["name"] == "good: figure 0"
         assert picture.is_file()
+
+    @pytest.mark.parametrize("chosen", ["registers", "ideal", None])
+    def test_level_of_the_boards(
+        self, chosen: str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    ) -> None:
+        """By the option, which the environment does not overrule; and it is written down."""
+        monkeypatch.setenv("SERVO_TWIN_LEVEL", "ideal" if chosen == "registers" else "registers")
+
+        def run(plant: PlantConfig, seed: int) -> Outcome:
+            with rig.fresh_board(plant, seed) as board:
+                return outcome("bad", float(board.level != (chosen or "registers")))
+
+        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))  # type: ignore[arg-type]
+        option = ["--level", chosen] if chosen else []
+        assert cli.main(["experiment", "bad", *option, "--out", str(tmp_path)]) == 0
+        assert {row["level"] for row in json.loads((tmp_path / "summary.json").read_text())} == {chosen or "registers"}
+        assert f"level {chosen or 'registers'}" in capsys.readouterr().out
+
+    def test_both_levels(
+        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    ) -> None:
+        def run(plant: PlantConfig, seed: int) -> Outcome:
+            return outcome("bad", *([0.25] if rig.level() == "ideal" else [0.75, 0.5]))
+
+        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))  # type: ignore[arg-type]
+        assert cli.main(["experiment", "levels", "--out", str(tmp_path)]) == 1
+        text = capsys.readouterr().out
+        assert "2 of 3 figures agree at both levels" in text
+        assert "does not agree: bad: figure 1\n" in text
+        rows = {row["name"]: row for row in json.loads((tmp_path / "levels.json").read_text())}
+        assert rows["bad: figure 0"] == {
+            "name": "bad: figure 0", "unit": "rpm", "difference": 0.5, "difference_most": 1.0, "agrees": True,
+            "ideal": {"measured": 0.25, "bound": "<= 1", "agrees": True},
+            "registers": {"measured": 0.75, "bound": "<= 1", "agrees": True},
+        }  # fmt: skip
+        assert rows["bad: figure 1"]["ideal"] is None
+        assert cli.main(["experiment", "levels", "--only", "good", "--out", str(tmp_path)]) == 0
+
+    def test_timing_has_no_choice_of_level(self, capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit):
+            cli.main(["timing", "--level", "ideal"])
+        assert "--level" in capsys.readouterr().err
 
     def test_help_says_what_is_shown(self, capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):

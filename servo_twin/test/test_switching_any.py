@@ -50,6 +50,7 @@ def test_currents_stay_sound_whatever_the_gates_do(switching_c: Native, seed: in
     hands = [
         lambda axis: lib.switching_set_load(c, axis, rnd.uniform(-0.1, 0.1)),
         lambda axis: lib.switching_lock(c, axis, rnd.random() < 0.5),
+        lambda axis: lib.switching_obstruct(c, axis, rnd.uniform(0.0, 0.01), rnd.choice([0.0, 0.005, math.inf])),
         lambda axis: lib.switching_plug(c, axis, rnd.random() < 0.8),
         lambda axis: lib.switching_brake(c, rnd.random() < 0.5),
         lambda axis: lib.switching_set_supply(c, rnd.uniform(0.0, 60.0)),
@@ -71,6 +72,7 @@ def test_currents_stay_sound_whatever_the_gates_do(switching_c: Native, seed: in
             assert all(map(math.isfinite, state))
             assert sum(truth.phase) == pytest.approx(0.0, abs=1e-9 * (1.0 + max(map(abs, truth.phase))))
             bridge = c.axis[index].bridge
+            assert bridge.low <= truth.theta <= bridge.high
             for sign, current in zip(bridge.sign, bridge.phase, strict=True):
                 assert sign * current >= -2e-3  # nobody flows against what its leg is taken to conduct
                 assert sign != 0 or current == 0.0

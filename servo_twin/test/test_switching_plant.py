@@ -130,8 +130,8 @@ class TestMeans:
         for n in range(60):
             edges = [e for axis in range(2) for e in centred_edges(n * PERIOD, PERIOD, duties[axis], DEAD, axis)]
             for index in range(2):
-                lib.plant_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u_dc)
-            for _ in range(4):
+                lib.plant_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u)
+            for _ in range(2):  # half cycles
                 lib.plant_step(averaged, clock)
                 clock += averaged.step_ns
             switching.run(sorted(edges), (n + 1) * PERIOD)
@@ -141,13 +141,13 @@ class TestMeans:
                 truth = switching.truth(index)  # low-side centre: ripple is zero there
                 motor = averaged.axis[index].motor
                 worst[index] = max(worst[index], *(abs(truth.phase[k] - motor.phase[k]) for k in range(3)))
-        assert max(worst) < 0.15
+        assert max(worst) < 0.16
         for index in range(2):
             truth, motor = switching.truth(index), averaged.axis[index].motor
             assert abs(truth.omega) > 20.0
-            assert truth.omega == pytest.approx(motor.omega, rel=0.01)
+            assert truth.omega == pytest.approx(motor.omega, rel=0.015)
             assert truth.theta == pytest.approx(motor.theta, abs=2e-3)
-        assert switching.bus.u_dc == pytest.approx(averaged.bus.u_dc, abs=0.01)
+        assert switching.bus.u_dc == pytest.approx(averaged.bus.u, abs=0.01)
 
     def test_mean_voltages(self, switching_c: Native) -> None:
         """Of a held axis with constant duties, over whole periods."""
@@ -330,6 +330,48 @@ class TestEncoder:
             switching.advance(200_000)
             runs.append([event for event in switching.events if event[2] == 0][5:])
         assert runs[0] == runs[1] != runs[2]
+
+
+class TestEndStops:
+    @pytest.mark.parametrize("omega", [150.0, -150.0])
+    def test_a_shaft_stops_there(self, switching_c: Native, omega: float) -> None:
+        switching = Switching(switching_c, plain(encoder_jitter=0.05, theta_start=0.001))
+        switching.spin(0, omega)
+        switching.lib.switching_obstruct(switching.c, 0, 0.0301, 0.0301)
+        switching.advance(400_000)
+        truth = switching.truth(0)
+        assert truth.theta == pytest.approx(0.001 + math.copysign(0.0301, omega), abs=1e-15)
+        assert truth.omega == 0.0
+        # an edge for every count on the way, and none beyond: half a count is more than jitter and duty error
+        assert len(switching.events) == pytest.approx(0.0301 / (2 * math.pi / 4000), abs=1.5)
+        assert switching.events[-1][0] <= 0.0301 / 150.0 / CLOCK + 1
+
+    def test_pressed_against_it_a_motor_stands_as_if_held(self, switching_c: Native) -> None:
+        results = []
+        for held in (False, True):
+            switching = Switching(switching_c, plain(theta_start=0.2, friction=2e-3))
+            switching.lib.switching_lock(switching.c, 0, held)
+            switching.lib.switching_obstruct(switching.c, 0, 0.01, 0.0)
+            switching.run(cycles([0], (0.45, 0.55, 0.50), 0, 20), 20 * PERIOD)
+            results.append(switching.truth(0))
+        assert results[0].torque > 0.01
+        assert (results[0].theta, list(results[0].phase)) == (results[1].theta, list(results[1].phase))
+
+    def test_driven_away_it_leaves(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain(theta_start=0.2))
+        switching.lib.switching_obstruct(switching.c, 0, 0.01, 0.0)
+        switching.run(cycles([0], (0.45, 0.55, 0.50), 0, 10), 10 * PERIOD)
+        switching.run(cycles([0], (0.55, 0.45, 0.50), 10 * PERIOD, 60), 60 * PERIOD)
+        truth = switching.truth(0)
+        assert truth.torque < -0.01
+        assert truth.theta == pytest.approx(0.19, abs=1e-15)  # and has come to the other one
+
+    def test_infinite_ones_are_none(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, plain(theta_start=0.2))
+        switching.spin(0, 100.0)
+        switching.lib.switching_obstruct(switching.c, 0, math.inf, math.inf)
+        switching.advance(100_000)
+        assert switching.truth(0).theta == pytest.approx(0.3, rel=1e-6)
 
 
 class TestOther:

@@ -21,7 +21,14 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parents[2]
 NATIVE: Final = ROOT / "servo_twin" / "native"
 SOURCE: Final = Path(__file__).parent / "plant" / "bench_plant.c"
-OPTIONS: Final = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-tree-vectorize")
+OPTIONS: Final = (
+    "-std=c99",
+    "-O3",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fno-tree-vectorize",
+)
 
 PERIOD_NS: Final = 62_500
 

@@ -76,7 +76,9 @@ class Call:
             name, count = _OUTPUTS[operation] if operation < len(_OUTPUTS) else (f"operation {operation}", 0)
             operands = [str(_signed(word) if name in ("duty", "preset") else word) for word in words[:count]]
             del words[:count]
-            texts.append(" ".join([name if name in ("serial", "watchdog", "brake") else f"axis{axis + 1} {name}", *operands]))
+            texts.append(
+                " ".join([name if name in ("serial", "watchdog", "brake") else f"axis{axis + 1} {name}", *operands])
+            )
         return texts
 
 

@@ -5,6 +5,13 @@
 #define CURVED 3e3 /* [1/s] */
 #define FRESH_TRIG 64u /* steps between two evaluations of sine and cosine; in between they are turned on */
 
+/* Where the rotor looks, from its angle. */
+static void face(bridge_t *b)
+{
+    plant_sincos(b->pole_pairs * b->theta, &b->sine, &b->cosine);
+    b->inverse = inverse_of(b, b->cosine, b->sine);
+}
+
 void bridge_init(bridge_t *bridge, const plant_axis_t *config)
 {
     *bridge = (bridge_t){
@@ -16,6 +23,8 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .l_q = config->l_q,
         .inv_l_d = 1.0 / config->l_d,
         .inv_l_q = 1.0 / config->l_q,
+        .inv_l_mean = 0.5 / config->l_d + 0.5 / config->l_q,
+        .inv_l_half = 0.5 / config->l_d - 0.5 / config->l_q,
         .psi_m = config->psi_m,
         .pole_pairs = config->pole_pairs,
         .k_torque = 1.5 * config->pole_pairs,
@@ -26,13 +35,17 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .longest = 0.1 * ((config->l_d < config->l_q) ? config->l_d : config->l_q) / (config->r_s + config->r_on),
         .tau = config->i_settle,
         .theta = config->theta_start,
+        .low = -INFINITY,
+        .high = INFINITY,
+        .moved = true,
+        .zeros = 7u,
     };
     const double x = (config->i_settle > 0.0) ? 1.0 / (BRIDGE_CLOCK_HZ * config->i_settle) : 800.0;
     for (int n = 0; n < BRIDGE_DECAY; n++) {
         bridge->decay_fine[n] = plant_decay(n * x);
         bridge->decay_coarse[n] = plant_decay(n * BRIDGE_DECAY * x);
     }
-    plant_sincos(bridge->pole_pairs * bridge->theta, &bridge->sine, &bridge->cosine);
+    face(bridge);
     bridge->psi.alpha = bridge->psi_m * bridge->cosine;
     bridge->psi.beta = bridge->psi_m * bridge->sine;
 }
@@ -46,38 +59,24 @@ static inline double decay(const bridge_t *b, double h)
                                              : 0.0;
 }
 
-/* First-order lag behind a straight line, exact. */
-static inline double lag_behind(double y, double from, double to, double tau_h, double left)
+double bridge_accept(bridge_t *b, double h, double u_h, const end_t *e)
 {
-    const double lag = tau_h * (to - from);
-    return to - lag + (y - from + lag) * left;
-}
-
-/* Take over the end of a step of length h > 0. Returns the charge taken out of the bus. */
-PLANT_INLINE double accept(bridge_t *b, double h, double u_h, const end_t *e)
-{
-    const double per_h = 1.0 / h;
-    const double left = decay(b, h);
-    const double tau_h = b->tau * per_h;
-    for (int k = 0; k < 3; k++) {
-        const double seen = (b->paths & LOWER(k)) ? 1.0 : 0.0;
-        b->amplifier[k] = lag_behind(b->amplifier[k], seen * b->phase[k], seen * e->phase[k], tau_h, left);
-    }
     const double charge = 1.5 * dot(b->a, e->charge);
     const double squares = (0.5 * h) * (dot(b->i, b->i) + dot(b->i, e->i) + dot(e->i, e->i)); /* 3/2 int i^2 */
+    filter(b, h, e->phase);
     b->e_copper += b->r_s * squares;
     b->e_switch += b->r_on * squares - 1.5 * dot(b->b, e->charge);
-    b->e_bus += charge * u_h * per_h;
+    b->e_bus += charge * u_h / h;
     b->charge.alpha += e->charge.alpha;
     b->charge.beta += e->charge.beta;
-    b->volt_seconds_0 += legs_at[PHASES(b->paths, UPPER(0))].mean * u_h +
-                         (2.0 * legs_at[PHASES(b->paths, RAISED(0))].mean - 1.0) * b->v_drop * h;
+    b->volt_seconds_0 += b->level * h;
     b->psi = e->psi;
     b->i = e->i;
     b->theta = e->theta;
     b->omega = e->omega;
     b->cosine = e->cosine;
     b->sine = e->sine;
+    b->inverse = e->inverse;
     b->torque = e->torque;
     b->phase[0] = e->phase[0];
     b->phase[1] = e->phase[1];
@@ -86,10 +85,7 @@ PLANT_INLINE double accept(bridge_t *b, double h, double u_h, const end_t *e)
     return charge;
 }
 
-static double accept_out(bridge_t *b, double h, double u_h, const end_t *e) { return accept(b, h, u_h, e); }
-
-/* Take the current of phase k out of i and psi; what is left of it is the error of a root. */
-static void remove_phase(bridge_t *b, int k)
+void bridge_remove_phase(bridge_t *b, int k)
 {
     const double i_k = dot(b->i, phase_axis[k]);
     b->i.alpha -= i_k * phase_axis[k].alpha;
@@ -104,7 +100,7 @@ static void remove_phase(bridge_t *b, int k)
     b->torque = 1.5 * b->pole_pairs * cross(b->psi, b->i);
 }
 
-static void remove_all(bridge_t *b)
+void bridge_remove_all(bridge_t *b)
 {
     b->i = (plant_vector_t){0.0, 0.0};
     b->psi.alpha = b->psi_m * b->cosine;
@@ -123,9 +119,9 @@ static void apply(bridge_t *b, const cut_t *cut)
     case CURRENT_ZERO:
         set_sign(b, cut->phase, 0);
         if (b->floating >= 0) {
-            remove_all(b);
+            bridge_remove_all(b);
         } else {
-            remove_phase(b, cut->phase);
+            bridge_remove_phase(b, cut->phase);
         }
         break;
     case CLAMPED:
@@ -135,6 +131,10 @@ static void apply(bridge_t *b, const cut_t *cut)
         break;
     case STOPPED:
         b->held = cut->after <= 0.0; /* it never left */
+        b->omega = 0.0;
+        break;
+    case ENDED:
+        b->theta = (cut->sign > 0) ? b->high : b->low; /* where a parabola has brought it to within rounding */
         b->omega = 0.0;
         break;
     case BROKE_LOOSE:
@@ -154,7 +154,7 @@ static double split_advance(bridge_t *b, double h, double u)
         const double part = (rest < b->longest) ? rest : b->longest;
         cut_t cut = {part, WHOLE, 0, 0};
         if (!b->begun) {
-            bridge_begin(b, u);
+            bridge_begin_anew(b, u);
         }
         if (n < most) {
             cut = bridge_step_to_change(b, part, u, &e);
@@ -162,7 +162,7 @@ static double split_advance(bridge_t *b, double h, double u)
             bridge_step(b, part, u, &e, &hold);
         }
         if (cut.after > 0.0) {
-            charge += accept_out(b, cut.after, u * cut.after, &e);
+            charge += bridge_accept(b, cut.after, u * cut.after, &e);
         }
         b->begun = false;
         apply(b, &cut);
@@ -174,18 +174,15 @@ static double split_advance(bridge_t *b, double h, double u)
 
 double bridge_advance(bridge_t *b, double h, double u_h)
 {
-    double charge;
-    if (b->floating < 0 && !b->dead && h <= b->longest && !may_cross(b, h)) {
-        end_t e;
-        const plant_vector_t drive = {u_h * b->a.alpha + h * b->b.alpha, u_h * b->a.beta + h * b->b.beta};
-        travel(b, h, drive, &e);
-        charge = (crossed(b, &e) || jerked(b, &e)) ? split_advance(b, h, u_h / h) : accept(b, h, u_h, &e);
-    } else {
-        charge = split_advance(b, h, u_h / h);
+    const double u = u_h / h;
+    double rest = h;
+    double charge = b->framed ? bridge_frame_advance(b, &rest, u) : 0.0;
+    if (rest > INSTANT) {
+        charge += split_advance(b, rest, u);
     }
     if (++b->steps >= FRESH_TRIG) {
         b->steps = 0;
-        plant_sincos(b->pole_pairs * b->theta, &b->sine, &b->cosine);
+        face(b);
     }
     return charge;
 }
@@ -203,6 +200,12 @@ double bridge_amplifier(const bridge_t *b, int k, double h)
 }
 
 double bridge_shunt(const bridge_t *b, int k) { return (b->paths & LOWER(k)) ? b->phase[k] : 0.0; }
+
+void bridge_gates(bridge_t *b, int k, bridge_gates_t gates)
+{
+    b->gates[k] = gates;
+    find_path(b, k);
+}
 
 /* Without current: true if none begins with the leg's other gates. */
 static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
@@ -255,6 +258,6 @@ void bridge_plug(bridge_t *b, bool plugged)
     b->unplugged = !plugged;
     b->begun = false;
     if (!plugged) {
-        remove_all(b);
+        bridge_remove_all(b);
     }
 }

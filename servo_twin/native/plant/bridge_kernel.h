@@ -20,12 +20,13 @@ static const plant_vector_t phase_axis[3] = {{1.0, 0.0}, {-0.5, HALF_SQRT3}, {-0
 typedef struct {
     plant_vector_t psi, i, charge; /* charge: integral of i */
     double theta, omega, cosine, sine;
+    bridge_matrix_t inverse;
     double phase[3];
     double torque;
 } end_t;
 
 /* Why a step ends early. */
-typedef enum { WHOLE, CURRENT_ZERO, CLAMPED, STOPPED, BROKE_LOOSE } reason_t;
+typedef enum { WHOLE, CURRENT_ZERO, CLAMPED, STOPPED, BROKE_LOOSE, ENDED } reason_t;
 
 typedef struct {
     double after; /* [s] */
@@ -68,12 +69,23 @@ static inline double dot(plant_vector_t x, plant_vector_t y) { return x.alpha * 
 
 static inline double cross(plant_vector_t x, plant_vector_t y) { return x.alpha * y.beta - x.beta * y.alpha; }
 
-/* Currents that belong to a flux at the rotor angle of cosine and sine. */
-static inline plant_vector_t current_of(const bridge_t *b, plant_vector_t psi, double c, double s)
+static inline plant_vector_t times(bridge_matrix_t m, plant_vector_t x)
 {
-    const double d = (psi.alpha * c + psi.beta * s - b->psi_m) * b->inv_l_d;
-    const double q = (psi.beta * c - psi.alpha * s) * b->inv_l_q;
-    return (plant_vector_t){d * c - q * s, d * s + q * c};
+    return (plant_vector_t){m.aa * x.alpha + m.ab * x.beta, m.ab * x.alpha + m.bb * x.beta};
+}
+
+/* Inverse inductance seen from the stator, for the rotor at cosine and sine. */
+static inline bridge_matrix_t inverse_of(const bridge_t *b, double c, double s)
+{
+    const double along = b->inv_l_half * (c * c - s * s);
+    return (bridge_matrix_t){b->inv_l_mean + along, 2.0 * b->inv_l_half * c * s, b->inv_l_mean - along};
+}
+
+/* Currents that belong to a flux at the rotor angle of cosine and sine. */
+static inline plant_vector_t current_of(const bridge_t *b, bridge_matrix_t inverse, plant_vector_t psi, double c,
+                                        double s)
+{
+    return times(inverse, (plant_vector_t){psi.alpha - b->psi_m * c, psi.beta - b->psi_m * s});
 }
 
 static inline void phases_of(plant_vector_t i, double phase[3])
@@ -85,23 +97,17 @@ static inline void phases_of(plant_vector_t i, double phase[3])
     phase[2] = half - side;
 }
 
-/* Change of a vector that stands still in the rotor, by L^-1: the inverse inductance in the stator frame. */
-static inline plant_vector_t per_inductance(const bridge_t *b, plant_vector_t v)
-{
-    const double d = (v.alpha * b->cosine + v.beta * b->sine) * b->inv_l_d;
-    const double q = (v.beta * b->cosine - v.alpha * b->sine) * b->inv_l_q;
-    return (plant_vector_t){d * b->cosine - q * b->sine, d * b->sine + q * b->cosine};
-}
-
 /* di/dt at the beginning of a segment where the flux changes by dpsi: i' = L^-1 (psi' - j w psi) + j w i, from
  * d/dt of e^{j theta} L^-1 (e^{-j theta} psi - psi_m). */
 static inline plant_vector_t slope_of(const bridge_t *b, plant_vector_t dpsi)
 {
     const double w = b->pole_pairs * b->omega;
     const plant_vector_t drive = {dpsi.alpha + w * b->psi.beta, dpsi.beta - w * b->psi.alpha};
-    const plant_vector_t rate = per_inductance(b, drive);
+    const plant_vector_t rate = times(b->inverse, drive);
     return (plant_vector_t){rate.alpha - w * b->i.beta, rate.beta + w * b->i.alpha};
 }
+
+static inline void find_path(bridge_t *b, int k) { b->path[k] = leg_paths[b->gates[k]][b->sign[k] + 1] << k; }
 
 /* Voltage of a leg whose current has the given sign. */
 static inline double leg_voltage(const bridge_t *b, int k, int sign, double u)
@@ -118,6 +124,15 @@ static inline void set_sign(bridge_t *b, int k, int sign)
 {
     b->sign[k] = sign;
     b->way[k] = sign;
+    b->zeros = (b->zeros & ~(1u << k)) | (unsigned)(sign == 0) << k;
+    find_path(b, k);
+}
+
+/* First-order lag behind a straight line, exact. */
+static inline double lag_behind(double y, double from, double to, double tau_h, double left)
+{
+    const double lag = tau_h * (to - from);
+    return to - lag + (y - from + lag) * left;
 }
 
 /* ---- one plain step ---------------------------------------------------------------------------------------------- */
@@ -133,6 +148,7 @@ PLANT_INLINE void turn(const bridge_t *b, double h, end_t *e)
     e->theta = b->theta + way;
     e->cosine = b->cosine * c - b->sine * s;
     e->sine = b->sine * c + b->cosine * s;
+    e->inverse = inverse_of(b, e->cosine, e->sine);
 }
 
 /* Speed at the end, once the currents are known there. */
@@ -144,25 +160,68 @@ PLANT_INLINE void turned_by_torque(const bridge_t *b, double h, end_t *e)
     e->omega = (b->direction != 0.0) ? b->omega + (impulse - drag) * b->inv_inertia : 0.0;
 }
 
-/* A step with the integral `drive` of the legs' voltage. */
+/* Charge and end of a step with the integral `drive` of the legs' voltage: first with a current that is straight, then with
+ * its bend, which changes flux and current in proportion. */
+PLANT_INLINE void straight_on(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
+{
+    e->charge = (plant_vector_t){h * (b->i.alpha + (0.5 * h) * b->di.alpha), h * (b->i.beta + (0.5 * h) * b->di.beta)};
+    e->psi.alpha = b->psi.alpha + drive.alpha - b->r * e->charge.alpha;
+    e->psi.beta = b->psi.beta + drive.beta - b->r * e->charge.beta;
+    e->i = current_of(b, e->inverse, e->psi, e->cosine, e->sine);
+}
+
+PLANT_INLINE void bend(const bridge_t *b, double h, end_t *e)
+{
+    const double third = THIRD * h;
+    const plant_vector_t more = {third * (e->i.alpha - b->i.alpha - h * b->di.alpha),
+                                 third * (e->i.beta - b->i.beta - h * b->di.beta)};
+    const plant_vector_t lost = {b->r * more.alpha, b->r * more.beta};
+    const plant_vector_t less = times(e->inverse, lost);
+    e->charge.alpha += more.alpha;
+    e->charge.beta += more.beta;
+    e->psi.alpha -= lost.alpha;
+    e->psi.beta -= lost.beta;
+    e->i.alpha -= less.alpha;
+    e->i.beta -= less.beta;
+}
+
 PLANT_INLINE void travel(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
 {
-    const double r = b->r;
-    const double half = 0.5 * h;
-    const double third = THIRD * h;
     turn(b, h, e);
-    const plant_vector_t bent = {half * b->di.alpha, half * b->di.beta};
-    const plant_vector_t free = {b->psi.alpha + drive.alpha, b->psi.beta + drive.beta};
-    const plant_vector_t guess = {free.alpha - r * h * (b->i.alpha + bent.alpha),
-                                  free.beta - r * h * (b->i.beta + bent.beta)};
-    const plant_vector_t i_guess = current_of(b, guess, e->cosine, e->sine);
-    e->charge.alpha = third * (2.0 * b->i.alpha + bent.alpha + i_guess.alpha);
-    e->charge.beta = third * (2.0 * b->i.beta + bent.beta + i_guess.beta);
-    e->psi.alpha = free.alpha - r * e->charge.alpha;
-    e->psi.beta = free.beta - r * e->charge.beta;
-    e->i = current_of(b, e->psi, e->cosine, e->sine);
+    straight_on(b, h, drive, e);
+    bend(b, h, e);
     phases_of(e->i, e->phase);
     turned_by_torque(b, h, e);
+}
+
+/* Take the current out of the axis `n`, whose voltage is free to do so; returns the voltage's integral. */
+PLANT_INLINE double hold_at_zero(plant_vector_t n, plant_vector_t per_n, double per_l, end_t *e)
+{
+    const double lift = -dot(n, e->i) * per_l;
+    e->i.alpha += lift * per_n.alpha;
+    e->i.beta += lift * per_n.beta;
+    e->psi.alpha += lift * n.alpha;
+    e->psi.beta += lift * n.beta;
+    return lift;
+}
+
+/* The same with one leg floating. Returns the mean of its voltage as an offset from what `drive` holds for it [V]. */
+PLANT_INLINE double travel_floating(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
+{
+    const int k = b->floating;
+    const plant_vector_t n = phase_axis[k];
+    turn(b, h, e);
+    const plant_vector_t per_n = times(e->inverse, n);
+    const double per_l = 1.0 / dot(n, per_n);
+    straight_on(b, h, drive, e);
+    double lift = hold_at_zero(n, per_n, per_l, e);
+    bend(b, h, e);
+    lift += hold_at_zero(n, per_n, per_l, e);
+    phases_of(e->i, e->phase);
+    e->phase[k] = 0.0;
+    e->phase[(k + 1) % 3] = -e->phase[(k + 2) % 3];
+    turned_by_torque(b, h, e);
+    return 1.5 * lift / h;
 }
 
 static inline bool crossed(const bridge_t *b, const end_t *e)
@@ -170,41 +229,31 @@ static inline bool crossed(const bridge_t *b, const end_t *e)
     return e->phase[0] * b->way[0] < 0.0 || e->phase[1] * b->way[1] < 0.0 || e->phase[2] * b->way[2] < 0.0;
 }
 
-/* The shaft stops, or breaks loose. */
+/* An end stop lets a resting shaft go one way only. */
+static inline bool open_way(const bridge_t *b, double way)
+{
+    return (way > 0.0) ? b->theta < b->high : b->theta > b->low;
+}
+
+/* The shaft stops, breaks loose, or has come to an end stop. */
 static inline bool jerked(const bridge_t *b, const end_t *e)
 {
-    return e->omega * b->direction < 0.0 ||
-           (b->direction == 0.0 && !b->locked && fabs(e->torque - b->load) > b->friction);
+    return e->omega * b->direction < 0.0 || e->theta > b->high || e->theta < b->low ||
+           (b->direction == 0.0 && !b->locked && fabs(e->torque - b->load) > b->friction &&
+            open_way(b, e->torque - b->load));
 }
 
-static inline bool may_cross(const bridge_t *b, double h)
+/* First root of the parabola with f(0) = f0 >= 0, f'(0) = d0 and f(h) = f1 < 0. */
+static inline double root_of(double f0, double d0, double f1, double h)
 {
-    double slope[3];
-    phases_of(b->di, slope);
-    return (b->phase[0] + h * slope[0]) * b->way[0] < 0.0 || (b->phase[1] + h * slope[1]) * b->way[1] < 0.0 ||
-           (b->phase[2] + h * slope[2]) * b->way[2] < 0.0;
-}
-
-/* A leg without current leaves one winding current: x along the direction across the leg's axis. What the flux along
- * the leg's own axis is then, and how it changes, needs the rotor's direction as seen from there. */
-typedef struct {
-    plant_vector_t along, across;
-    double x;
-} single_t;
-
-static inline single_t single_of(const bridge_t *b, int k)
-{
-    const plant_vector_t n = phase_axis[k];
-    const plant_vector_t m = {-n.beta, n.alpha};
-    return (single_t){n, m, dot(m, b->i)};
-}
-
-/* Inductance across, and flux of the leg's axis, for the rotor at cosine and sine. */
-static inline double inductance_across(const bridge_t *b, plant_vector_t m, double c, double s, double *d, double *q)
-{
-    *d = m.alpha * c + m.beta * s;
-    *q = m.beta * c - m.alpha * s;
-    return b->l_d * *d * *d + b->l_q * *q * *q;
+    const double c = (f1 - f0 - d0 * h) / (h * h);
+    if (f0 <= 0.0) {
+        return (d0 > 0.0 && c < 0.0) ? -d0 / c : 0.0;
+    }
+    const double square = d0 * d0 - 4.0 * c * f0;
+    const double sum = ((square > 0.0) ? sqrt(square) : 0.0) - d0;
+    const double t = (sum > 0.0) ? 2.0 * f0 / sum : h;
+    return (t < h) ? t : h;
 }
 
 /* ---- parts in other files ------------------------------------------------------------------------------------------- */
@@ -218,5 +267,92 @@ void bridge_step(const bridge_t *bridge, double h, double u, end_t *end, double 
 
 /* A step of at most h, ended where something changes. */
 cut_t bridge_step_to_change(const bridge_t *bridge, double h, double u, end_t *end);
+
+/* The end of a step of length h a very short time later (or earlier). */
+void bridge_shift(const bridge_t *bridge, double h, double t, end_t *end);
+
+/* bridge.c: take over the end of a step of length h > 0. Returns the charge taken out of the bus. */
+double bridge_accept(bridge_t *bridge, double h, double u_h, const end_t *end);
+
+/* Take the current of phase k out of i and psi; what is left of it is the error of a root. */
+void bridge_remove_phase(bridge_t *bridge, int k);
+
+/* Take away what is left of all currents. */
+void bridge_remove_all(bridge_t *bridge);
+
+/* bridge_legs.c: two legs or more without current: one leg alone has no way back, so nothing flows unless the back-EMF is
+ * above the bus. Returns the leg that is left without current then, -1 if that is all of them. */
+int bridge_leave_one(bridge_t *bridge, double u);
+
+/* Begin a segment of which everything is computed anew. */
+void bridge_begin_anew(bridge_t *bridge, double u);
+
+/* bridge_frame.c: make a frame, if nothing forbids it. */
+bool bridge_frame(bridge_t *bridge, double u);
+
+/* Begin a segment of the frame; false, and the frame is settled, if there is something unusual about it. */
+bool bridge_frame_begin(bridge_t *bridge, double u);
+
+/* Up to `rest` seconds as far as nothing unusual happens; `rest` becomes what is left. Returns the charge taken out of the
+ * bus. */
+double bridge_frame_advance(bridge_t *bridge, double *rest, double u);
+
+/* bridge_legs.c: the only leg without current, -1 if there is none, NO_CURRENT if there are more. */
+#define NO_CURRENT 3
+static inline int leg_at_zero(const bridge_t *b)
+{
+    static const int8_t leg[8] = {-1, 0, 1, NO_CURRENT, 2, NO_CURRENT, NO_CURRENT, NO_CURRENT};
+    return leg[b->zeros];
+}
+
+/* Leg k, taken to be at -V so far, goes to the voltage inside its interval that keeps its current at zero, or as near to
+ * it as it can: `per_n` is L^-1 along its axis, `per_l` 1 over the part of that along the axis. Returns what that adds
+ * along the leg's axis [V]. */
+static inline double settle_leg(bridge_t *b, int k, double u, plant_vector_t per_n, double per_l)
+{
+    const double low = lowest(b, k, u);
+    const double high = highest(b, k, u);
+    const double hold = -1.5 * dot(phase_axis[k], b->di) * per_l - b->v_drop;
+    b->hold = hold;
+    set_sign(b, k, (hold < low) ? 1 : (hold > high) ? -1 : 0);
+    b->floating = (b->sign[k] == 0) ? k : -1;
+    const double more = (2.0 / 3.0) * (plant_limit(hold, low, high) + b->v_drop);
+    b->di.alpha += more * per_n.alpha;
+    b->di.beta += more * per_n.beta;
+    return more;
+}
+
+static inline void find_level(bridge_t *b)
+{
+    b->level = b->u * legs_at[PHASES(b->paths, UPPER(0))].mean +
+               (2.0 * legs_at[PHASES(b->paths, RAISED(0))].mean - 1.0) * b->v_drop;
+}
+
+/* What conducts, and the vectors that belong to it. */
+static inline void find_paths(bridge_t *b)
+{
+    b->paths = b->path[0] | b->path[1] | b->path[2];
+    const double drop = 2.0 * b->v_drop; /* the legs are at plus or minus half of this */
+    const plant_vector_t raised = legs_at[PHASES(b->paths, RAISED(0))].v;
+    b->a = legs_at[PHASES(b->paths, UPPER(0))].v;
+    b->b = (plant_vector_t){drop * raised.alpha, drop * raised.beta};
+    find_level(b);
+}
+
+/* The amplifiers, `h` seconds on, behind currents that go straight to `phase`. */
+PLANT_INLINE void filter(bridge_t *b, double h, const double phase[3])
+{
+    const unsigned n = (unsigned)(int)(h * BRIDGE_CLOCK_HZ + 0.5);
+    const double left =
+        (n < BRIDGE_DECAY * BRIDGE_DECAY) ? b->decay_coarse[n / BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY] : 0.0;
+    const double tau_h = b->tau / h;
+    for (int k = 0; k < 3; k++) {
+        if ((b->paths & LOWER(k)) != 0u) {
+            b->amplifier[k] = lag_behind(b->amplifier[k], b->phase[k], phase[k], tau_h, left);
+        } else {
+            b->amplifier[k] *= left;
+        }
+    }
+}
 
 #endif

@@ -4,27 +4,6 @@
 #define STANDING 1e-9 /* slower is at rest [rad/s] */
 #define THRESHOLD 1e-9 /* a torque this close to the friction, relatively, may break loose if it grows */
 
-/* Voltage of leg k that keeps its current at zero while the other two legs have theirs; slope of the other current. */
-static double holding_voltage(const bridge_t *b, int k, double u, double *slope)
-{
-    const single_t single = single_of(b, k);
-    const double x = single.x;
-    const double w = b->pole_pairs * b->omega;
-    const double next = leg_voltage(b, (k + 1) % 3, b->sign[(k + 1) % 3], u);
-    const double last = leg_voltage(b, (k + 2) % 3, b->sign[(k + 2) % 3], u);
-    double d;
-    double q;
-    const double l = inductance_across(b, single.across, b->cosine, b->sine, &d, &q);
-    const double difference = b->l_d - b->l_q;
-    /* across k the voltage is (next - last) / sqrt(3), along it 2/3 (v_k - their mean) */
-    *slope = ((next - last) * (1.0 / PLANT_SQRT3) - b->r * x - w * q * (2.0 * difference * d * x + b->psi_m)) / l;
-    /* the flux along k is q ((l_d - l_q) d x + psi_m), with d' = w q and q' = -w d */
-    const double change = difference * (d * q * *slope + w * (q * q - d * d) * x) - w * d * b->psi_m;
-    return 1.5 * change + 0.5 * (next + last);
-}
-
-static int pulled(double hold, double low, double high) { return (hold < low) ? 1 : (hold > high) ? -1 : 0; }
-
 double bridge_excess(const bridge_t *b, double u, plant_vector_t psi, double omega, int *out, int *back)
 {
     const double w = b->pole_pairs * omega;
@@ -48,34 +27,20 @@ double bridge_excess(const bridge_t *b, double u, plant_vector_t psi, double ome
     return push - pull;
 }
 
-/* Decide on the legs without current. */
-static void decide(bridge_t *b, double u)
+int bridge_leave_one(bridge_t *b, double u)
 {
-    int zeros = 0;
-    int k = 0;
+    int out = 0;
+    int back = 0;
     for (int n = 0; n < 3; n++) {
-        if (b->sign[n] == 0) {
-            zeros++;
-            k = n;
-        }
+        set_sign(b, n, 0);
     }
-    if (zeros >= 2) { /* one leg alone has no way back: nothing flows yet */
-        int out = 0;
-        int back = 0;
-        for (int n = 0; n < 3; n++) {
-            set_sign(b, n, 0);
-        }
-        b->dead = b->unplugged || bridge_excess(b, u, b->psi, b->omega, &out, &back) <= 0.0 || out == back;
-        if (b->dead) {
-            return;
-        }
-        set_sign(b, out, 1);
-        set_sign(b, back, -1);
-        k = 3 - out - back;
+    b->dead = b->unplugged || bridge_excess(b, u, b->psi, b->omega, &out, &back) <= 0.0 || out == back;
+    if (b->dead) {
+        return -1;
     }
-    b->hold = holding_voltage(b, k, u, &b->single_slope);
-    set_sign(b, k, pulled(b->hold, lowest(b, k, u), highest(b, k, u)));
-    b->floating = (b->sign[k] == 0) ? k : -1;
+    set_sign(b, out, 1);
+    set_sign(b, back, -1);
+    return 3 - out - back;
 }
 
 /* Of motion, from rest. */
@@ -87,43 +52,41 @@ static double break_loose(const bridge_t *b)
     const double drive = b->torque - b->load;
     const double way = (drive > 0.0) ? 1.0 : -1.0;
     const double rest = drive * way - b->friction;
-    return (rest > 0.0 || (rest > -THRESHOLD * b->friction && b->dtorque * way > 0.0)) ? way : 0.0;
+    const bool goes = rest > 0.0 || (rest > -THRESHOLD * b->friction && b->dtorque * way > 0.0);
+    return (goes && open_way(b, way)) ? way : 0.0;
 }
 
-void bridge_begin(bridge_t *b, double u)
+void bridge_begin_anew(bridge_t *b, double u)
 {
     b->floating = -1;
     b->dead = false;
-    b->begun = true;
+    b->begun = b->moved = true;
     b->u = u;
-    if (b->sign[0] == 0 || b->sign[1] == 0 || b->sign[2] == 0) {
-        decide(b, u);
+    int k = leg_at_zero(b);
+    if (k == NO_CURRENT) {
+        k = bridge_leave_one(b, u);
     }
-    b->paths = leg_paths[b->gates[0]][b->sign[0] + 1] | leg_paths[b->gates[1]][b->sign[1] + 1] << 1 |
-               leg_paths[b->gates[2]][b->sign[2] + 1] << 2;
+    find_paths(b);
     if (b->dead) {
         b->a = b->b = b->di = (plant_vector_t){0.0, 0.0};
         b->dtorque = 0.0;
     } else {
-        const double drop = 2.0 * b->v_drop; /* the legs are at plus or minus half of this */
-        const plant_vector_t raised = legs_at[PHASES(b->paths, RAISED(0))].v;
-        b->a = legs_at[PHASES(b->paths, UPPER(0))].v;
-        b->b.alpha = drop * raised.alpha;
-        b->b.beta = drop * raised.beta;
-        if (b->floating >= 0) { /* the tables have it at -V */
-            const double more = (2.0 / 3.0) * (b->hold + b->v_drop);
-            b->b.alpha += more * phase_axis[b->floating].alpha;
-            b->b.beta += more * phase_axis[b->floating].beta;
+        plant_vector_t dpsi = {u * b->a.alpha + b->b.alpha - b->r * b->i.alpha,
+                               u * b->a.beta + b->b.beta - b->r * b->i.beta};
+        b->di = slope_of(b, dpsi);
+        if (k >= 0) {
+            const plant_vector_t per_n = times(b->inverse, phase_axis[k]);
+            const double more = settle_leg(b, k, u, per_n, 1.0 / dot(phase_axis[k], per_n));
+            const plant_vector_t lift = {more * phase_axis[k].alpha, more * phase_axis[k].beta};
+            dpsi.alpha += lift.alpha;
+            dpsi.beta += lift.beta;
+            find_paths(b);
+            if (b->floating >= 0) {
+                b->b.alpha += lift.alpha;
+                b->b.beta += lift.beta;
+            }
         }
-        const plant_vector_t dpsi = {u * b->a.alpha + b->b.alpha - b->r * b->i.alpha,
-                                     u * b->a.beta + b->b.beta - b->r * b->i.beta};
-        plant_vector_t di = slope_of(b, dpsi);
-        if (b->floating >= 0) {
-            const plant_vector_t n = phase_axis[b->floating];
-            di = (plant_vector_t){-n.beta * b->single_slope, n.alpha * b->single_slope};
-        }
-        b->di = di;
-        b->dtorque = b->k_torque * (cross(dpsi, b->i) + cross(b->psi, di));
+        b->dtorque = b->k_torque * (cross(dpsi, b->i) + cross(b->psi, b->di));
     }
     if (b->omega > STANDING) {
         b->direction = 1.0;
@@ -140,4 +103,11 @@ void bridge_begin(bridge_t *b, double u)
     }
     b->accel = (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
     b->jerk = b->dtorque * b->inv_inertia;
+}
+
+void bridge_begin(bridge_t *b, double u)
+{
+    if (!((b->framed || bridge_frame(b, u)) && bridge_frame_begin(b, u))) {
+        bridge_begin_anew(b, u);
+    }
 }

@@ -18,36 +18,6 @@ static void coast(const bridge_t *b, double h, end_t *e)
     e->torque = 0.0;
 }
 
-/* The same with leg k floating: the only current is x across its axis, and no voltage of the leg acts there. Returns the
- * mean of the leg's voltage as an offset from what `drive` holds for it [V]. */
-static double travel_floating(const bridge_t *b, double h, plant_vector_t drive, end_t *e)
-{
-    const single_t single = single_of(b, b->floating);
-    const double r = b->r;
-    const double third = THIRD * h;
-    const double bent = 0.5 * h * b->single_slope;
-    double d;
-    double q;
-    turn(b, h, e);
-    const double per_l = 1.0 / inductance_across(b, single.across, e->cosine, e->sine, &d, &q);
-    const double free = dot(single.across, b->psi) + dot(single.across, drive);
-    const double guess = (free - r * h * (single.x + bent) - b->psi_m * d) * per_l;
-    const double charge = third * (2.0 * single.x + bent + guess);
-    const double psi_across = free - r * charge;
-    const double x = (psi_across - b->psi_m * d) * per_l;
-    const double psi_along = q * ((b->l_d - b->l_q) * d * x + b->psi_m);
-    const plant_vector_t n = single.along;
-    const plant_vector_t m = single.across;
-    e->psi = (plant_vector_t){psi_across * m.alpha + psi_along * n.alpha, psi_across * m.beta + psi_along * n.beta};
-    e->i = (plant_vector_t){x * m.alpha, x * m.beta};
-    e->charge = (plant_vector_t){charge * m.alpha, charge * m.beta};
-    e->phase[b->floating] = 0.0;
-    e->phase[(b->floating + 1) % 3] = HALF_SQRT3 * x;
-    e->phase[(b->floating + 2) % 3] = -HALF_SQRT3 * x;
-    turned_by_torque(b, h, e);
-    return 1.5 * (psi_along - dot(n, b->psi) - dot(n, drive)) / h;
-}
-
 void bridge_step(const bridge_t *b, double h, double u, end_t *e, double *hold)
 {
     const plant_vector_t drive = {h * (u * b->a.alpha + b->b.alpha), h * (u * b->a.beta + b->b.beta)};
@@ -61,19 +31,6 @@ void bridge_step(const bridge_t *b, double h, double u, end_t *e, double *hold)
 }
 
 /* ---- where a step has to end early -------------------------------------------------------------------------------- */
-
-/* First root of the parabola with f(0) = f0 >= 0, f'(0) = d0 and f(h) = f1 < 0. */
-static double root_of(double f0, double d0, double f1, double h)
-{
-    const double c = (f1 - f0 - d0 * h) / (h * h);
-    if (f0 <= 0.0) {
-        return (d0 > 0.0 && c < 0.0) ? -d0 / c : 0.0;
-    }
-    const double square = d0 * d0 - 4.0 * c * f0;
-    const double sum = ((square > 0.0) ? sqrt(square) : 0.0) - d0;
-    const double t = (sum > 0.0) ? 2.0 * f0 / sum : h;
-    return (t < h) ? t : h;
-}
 
 static void sooner(cut_t *cut, double after, reason_t reason, int phase, int sign)
 {
@@ -120,8 +77,7 @@ static double to_zero(const bridge_t *b, const end_t *e, double h, int expected,
     return nearest;
 }
 
-/* The end of a step of length h a very short time later (or earlier). */
-static void shift(const bridge_t *b, double h, double t, end_t *e)
+void bridge_shift(const bridge_t *b, double h, double t, end_t *e)
 {
     const double per_h = 1.0 / h;
     const double u_alpha = (e->psi.alpha - b->psi.alpha + b->r * e->charge.alpha) * per_h; /* mean voltage */
@@ -135,16 +91,21 @@ static void shift(const bridge_t *b, double h, double t, end_t *e)
     e->charge.beta += e->i.beta * t;
     e->psi.alpha += (u_alpha - b->r * e->i.alpha) * t;
     e->psi.beta += (u_beta - b->r * e->i.beta) * t;
-    e->i = current_of(b, e->psi, e->cosine, e->sine);
+    e->inverse = inverse_of(b, e->cosine, e->sine);
+    e->i = current_of(b, e->inverse, e->psi, e->cosine, e->sine);
     phases_of(e->i, e->phase);
     e->torque = b->k_torque * cross(e->psi, e->i);
     e->omega += b->accel * t;
 }
 
-/* Moment at which the shaft stops or breaks loose. */
+/* Moment at which the shaft stops, breaks loose or meets an end stop. */
 static void find_jerk(const bridge_t *b, double h, const end_t *e, cut_t *cut)
 {
-    if (e->omega * b->direction < 0.0) {
+    if (e->theta > b->high) {
+        sooner(cut, root_of(b->high - b->theta, -b->omega, b->high - e->theta, h), ENDED, 0, 1);
+    } else if (e->theta < b->low) {
+        sooner(cut, root_of(b->theta - b->low, b->omega, e->theta - b->low, h), ENDED, 0, -1);
+    } else if (e->omega * b->direction < 0.0) {
         const double way = b->direction;
         sooner(cut, root_of(b->omega * way, b->accel * way, e->omega * way, h), STOPPED, 0, 0);
     } else if (!b->held) {
@@ -212,7 +173,7 @@ cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
         } else {
             more = (t + more > 0.0) ? more : 0.0;
             if (b->floating < 0) {
-                shift(b, t, more, e);
+                bridge_shift(b, t, more, e);
                 t += more;
             }
             cut = (cut_t){t, CURRENT_ZERO, phase, 0};

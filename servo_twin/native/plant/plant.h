@@ -15,7 +15,7 @@
 #include "plant/supply.h"
 #include "plant/thermal.h"
 
-#define PLANT_STEPS_PER_HALF 2 /* steps per half cycle of the PWM */
+#define PLANT_STEPS_PER_HALF 1 /* steps per half cycle of the PWM */
 #define PLANT_HALVES_PER_WARMTH 32u /* half cycles per step of the temperatures */
 
 typedef struct {

@@ -8,6 +8,7 @@
 #define CLOCK (1.0 / SWITCHING_CLOCK_HZ) /* [s] */
 #define NEVER UINT64_MAX
 #define SAMPLE_NEAR 50u /* a sample so soon after an edge is taken from the slope [clocks] */
+#define EDGE_HORIZON (2.0 * SWITCHING_HORIZON * CLOCK) /* edges are looked for so far ahead [s] */
 #define THERMAL_STEP UINT64_C(100000) /* [clocks] */
 #define COPPER 3.93e-3 /* rise of its resistance [1/K] */
 
@@ -98,13 +99,16 @@ static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axi
 static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
 {
     axis->edge_clock = NEVER;
+    if (axis->encoder.target > axis->bridge.high || axis->encoder.target < axis->bridge.low) {
+        return; /* beyond an end stop */
+    }
     /* An edge drawn on the other side of the shaft is behind it, however far it has gone since: that is passed at once. */
     const double way = axis->encoder.target - axis->course.theta;
     if ((axis->encoder.upwards ? way : -way) > axis->course.range) {
         return;
     }
-    const double t = quadrature_time(&axis->encoder, &axis->course);
-    if (t < SWITCHING_HORIZON * CLOCK) {
+    const double t = quadrature_time(&axis->encoder, &axis->course) - axis->bridge.frame_time;
+    if (t < EDGE_HORIZON) {
         axis->edge_clock = clock_after(plant, axis, (t > 0.0) ? t : 0.0);
     }
 }
@@ -139,9 +143,11 @@ void switching_look_around(switching_t *plant)
             bridge_begin(b, plant->supply.u);
             axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
             axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
-            axis->course =
-                quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, SWITCHING_HORIZON * CLOCK);
-            find_edge(plant, axis);
+            if (b->moved) {
+                b->moved = false;
+                axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, EDGE_HORIZON);
+                find_edge(plant, axis);
+            }
             const double square = b->i.alpha * b->i.alpha + b->i.beta * b->i.beta;
             axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
             find_next(axis);
@@ -217,6 +223,7 @@ static void warm_up(switching_t *plant)
         switching_axis_t *axis = &plant->axis[i];
         bridge_t *b = &axis->bridge;
         advance_axis(plant, i);
+        bridge_settle(b);
         thermal_advance(&axis->winding, h, b->e_copper - axis->e_copper);
         if (!axis->harm.heated) {
             thermal_advance(&axis->sink, h, b->e_switch - axis->e_switch);
@@ -316,7 +323,7 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
         b->begun = false;
         plant->stale = true;
     }
-    b->gates[phase] = gates;
+    bridge_gates(b, phase, gates);
     watch_short(plant, i, phase, leg);
 }
 
@@ -358,6 +365,7 @@ static switching_t here(const switching_t *plant, int axis)
     switching_look_around(&copy);
     advance_supply(&copy);
     advance_axis(&copy, axis);
+    bridge_settle(&copy.axis[axis].bridge);
     return copy;
 }
 
@@ -403,6 +411,7 @@ void switching_mean(switching_t *plant, int i)
     switching_axis_t *axis = &plant->axis[i];
     switching_look_around(plant);
     advance_axis(plant, i);
+    bridge_settle(&axis->bridge);
     axis->mean_clock = plant->now;
     axis->mean_psi = axis->bridge.psi;
     axis->mean_charge = axis->bridge.charge;
@@ -425,10 +434,13 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus)
 static bridge_t *touch(switching_t *plant, int i)
 {
     switching_look_around(plant);
+    bridge_t *bridge = &plant->axis[i].bridge;
     advance_axis(plant, i);
-    plant->axis[i].bridge.begun = false;
+    bridge_settle(bridge);
+    bridge->begun = false;
+    bridge->moved = true;
     plant->stale = true;
-    return &plant->axis[i].bridge;
+    return bridge;
 }
 
 void switching_set_load(switching_t *plant, int axis, double torque) { touch(plant, axis)->load = torque; }
@@ -438,6 +450,13 @@ void switching_lock(switching_t *plant, int axis, bool locked)
     bridge_t *bridge = touch(plant, axis);
     bridge->locked = locked;
     bridge->omega = locked ? 0.0 : bridge->omega;
+}
+
+void switching_obstruct(switching_t *plant, int axis, double below, double above)
+{
+    bridge_t *bridge = touch(plant, axis);
+    bridge->low = bridge->theta - below;
+    bridge->high = bridge->theta + above;
 }
 
 void switching_plug(switching_t *plant, int axis, bool plugged) { bridge_plug(touch(plant, axis), plugged); }

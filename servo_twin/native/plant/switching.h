@@ -182,6 +182,8 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus);
 void switching_set_load(switching_t *plant, int axis, double torque);
 void switching_set_supply(switching_t *plant, double volts);
 void switching_lock(switching_t *plant, int axis, bool locked);
+/* End stops so far from here [rad]. */
+void switching_obstruct(switching_t *plant, int axis, double below, double above);
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level); /* encoder line stuck at a level */
 void switching_brake(switching_t *plant, bool on); /* brake resistor across the bus */

@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from servo_twin.experiments import EXPERIMENTS
+from servo_twin.board import Level, chosen_level
+from servo_twin.experiments import EXPERIMENTS, levels
 from servo_twin.experiments.ability import differences
 from servo_twin.experiments.outcome import Bound, Outcome, Row
 from servo_twin.experiments.report import draw, summary, table, update_summary
+from servo_twin.experiments.rig import at_level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -22,7 +24,7 @@ __all__ = ["add_parser", "run_experiments"]
 _OUT: Final = Path("out/experiments")
 
 
-def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
+def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
     """Add ``experiment`` with one command per experiment to the commands of ``servo-sim``.
 
     Parameters
@@ -31,13 +33,15 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         Where to add it.
     common : ArgumentParser
         Parent with ``--seed``, ``--plant`` and ``--json``.
+    levelled : ArgumentParser
+        Parent with ``--level``.
     """
     experiment = verbs.add_parser("experiment", help="repeat the experiments of the reference design")
     names = experiment.add_subparsers(dest="experiment", required=True, metavar="NAME")
     for entry in EXPERIMENTS.values():
         parser = names.add_parser(
             entry.name,
-            parents=[common],
+            parents=[common, levelled],
             help=_first_sentence(entry.help).replace("%", "%%"),
             description=entry.help,
             formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -45,11 +49,23 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the picture to this file")
         parser.add_argument("--out", type=Path, metavar="FOLDER", help="table, picture and summary to this folder")
         parser.set_defaults(run=_run, names=[entry.name])
-    everything = names.add_parser("all", parents=[common], help="all of them, one after the other")
+    everything = names.add_parser("all", parents=[common, levelled], help="all of them, one after the other")
     everything.add_argument(
         "--out", type=Path, default=_OUT, metavar="FOLDER", help="tables, pictures, summary (default: %(default)s)"
     )
     everything.set_defaults(run=_run, names=list(EXPERIMENTS), plot=None)
+    both = names.add_parser(
+        "levels",
+        parents=[common],
+        help="all of them at both levels of the board, and how these differ",
+        description=levels.HELP,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    both.add_argument(
+        "--only", nargs="+", choices=list(EXPERIMENTS), default=list(EXPERIMENTS), metavar="NAME", help="only these"
+    )
+    both.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="for levels.json (default: %(default)s)")
+    both.set_defaults(run=_run_levels)
 
 
 def _first_sentence(text: str) -> str:
@@ -58,7 +74,12 @@ def _first_sentence(text: str) -> str:
 
 
 def run_experiments(
-    names: Sequence[str], plant: PlantConfig, seed: int, folder: Path | None, quiet: bool = False
+    names: Sequence[str],
+    plant: PlantConfig,
+    seed: int,
+    folder: Path | None = None,
+    quiet: bool = False,
+    level: Level | None = None,
 ) -> list[Outcome]:
     """Run experiments one after the other, print their tables and fill the folder as they finish.
 
@@ -74,12 +95,16 @@ def run_experiments(
         Where tables, pictures and ``summary.json`` go.
     quiet : bool
         Print no tables.
+    level : {"registers", "ideal"}, optional
+        Of the boards; by default as in `Board`.
     """
     outcomes: list[Outcome] = []
-    notes = _differences(plant, seed)
+    with at_level(level):
+        notes = _differences(plant, seed)
     for name in names:
-        attempt = _attempt(name, plant, seed)
-        outcome = dataclasses.replace(attempt, notes=attempt.notes + notes)
+        with at_level(level):
+            attempt = _attempt(name, plant, seed)
+        outcome = dataclasses.replace(attempt, notes=attempt.notes + notes, level=chosen_level(level))
         outcomes.append(outcome)
         if not quiet:
             print(table(outcome), flush=True)
@@ -110,7 +135,7 @@ def _attempt(name: str, plant: PlantConfig, seed: int) -> Outcome:
 
 def _run(args: argparse.Namespace) -> int:
     plant = PlantConfig.load(args.plant)
-    outcomes = run_experiments(args.names, plant, args.seed, args.out, quiet=args.json)
+    outcomes = run_experiments(args.names, plant, args.seed, args.out, quiet=args.json, level=args.level)
     if args.plot is not None:
         draw(outcomes[0], args.plot)
     if args.json:
@@ -121,3 +146,22 @@ def _run(args: argparse.Namespace) -> int:
         print(f"{len(rows) - len(wrong)} of {len(rows)} figures agree with the reference design")
         print("".join(f"  does not agree: {name}\n" for name in wrong), end="")
     return 0 if all(outcome.agrees for outcome in outcomes) else 1
+
+
+def _run_levels(args: argparse.Namespace) -> int:
+    plant = PlantConfig.load(args.plant)
+    pairs: list[levels.Pair] = []
+    for name in args.only:
+        ideal, registers = (
+            run_experiments([name], plant, args.seed, quiet=True, level=level)[0] for level in levels.LEVELS
+        )
+        pairs.extend(levels.pairs(ideal, registers))
+        if not args.json:
+            print(levels.table(name, pairs), flush=True)
+    path = levels.write(args.out, pairs)
+    if args.json:
+        print(path.read_text(encoding="utf-8"), end="")
+    else:
+        print(f"{sum(pair.agrees for pair in pairs)} of {len(pairs)} figures agree at both levels, and with each other")
+        print("".join(f"  does not agree: {pair.name}\n" for pair in pairs if not pair.agrees), end="")
+    return 0 if all(pair.agrees for pair in pairs) else 1

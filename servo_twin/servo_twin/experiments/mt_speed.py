@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
-from servo_twin.board import Board
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, features, watch
+from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, features, fresh_board, watch
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "mt-speed"
@@ -115,7 +114,7 @@ class Methods:
 def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> Recording:
     """Turn the shaft of a motor that is off from outside: `speed_at` gives the speed after each slow tick [rad/s]."""
     axis = plant.axes[AXIS]
-    with Board(plant, seed=seed) as board:
+    with fresh_board(plant, seed) as board:
         board.run(0.03)
         features(board, AXIS, ENHANCED_MT=enhanced)
 

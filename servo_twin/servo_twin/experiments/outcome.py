@@ -66,7 +66,7 @@ class Row:
     def agrees(self) -> bool:
         return self.bound.holds(self.measured)
 
-    def as_dict(self, experiment: str) -> dict[str, Any]:
+    def as_dict(self, experiment: str, level: str = "") -> dict[str, Any]:
         """Entry of ``summary.json``."""
         usable = self.measured is not None and math.isfinite(self.measured)
         return {
@@ -76,6 +76,7 @@ class Row:
             "unit": self.unit,
             "bound": str(self.bound),
             "agrees": self.agrees,
+            "level": level,
         }
 
 
@@ -115,12 +116,15 @@ class Outcome:
         Its picture.
     notes : tuple of str
         What else there is to know: conditions, figures without a bound.
+    level : str
+        Of the boards that it ran on.
     """
 
     name: str
     rows: tuple[Row, ...]
     panels: tuple[Panel, ...]
     notes: tuple[str, ...] = ()
+    level: str = ""
 
     @property
     def agrees(self) -> bool:

@@ -35,7 +35,7 @@ def table(outcome: Outcome) -> str:
         ),
     ]
     widths = [max(len(line[k]) for line in lines) for k in range(len(_HEAD) - 1)]
-    text = [outcome.name, ""]
+    text = [f"{outcome.name}, level {outcome.level}" if outcome.level else outcome.name, ""]
     for line in lines:
         cells = "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=False))
         wrapped = textwrap.wrap(line[-1], _WIDTH) or [""]
@@ -47,7 +47,7 @@ def table(outcome: Outcome) -> str:
 
 def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Every row of every outcome, machine-readable."""
-    return [row.as_dict(outcome.name) for outcome in outcomes for row in outcome.rows]
+    return [row.as_dict(outcome.name, outcome.level) for outcome in outcomes for row in outcome.rows]
 
 
 def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:

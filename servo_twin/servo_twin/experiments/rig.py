@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.board import Board
+from servo_twin.board import Board, Level, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError, enable
 
@@ -22,11 +23,14 @@ __all__ = [
     "TICK",
     "TICK_NS",
     "Recording",
+    "at_level",
     "choose_mode",
     "command_position",
     "command_speed",
     "features",
     "flag_mask",
+    "fresh_board",
+    "level",
     "position_of",
     "set_axis",
     "spinning",
@@ -98,10 +102,33 @@ class Recording:
 SETTLED: Final = 0.1  # after the rotor search, whose last vector has moved the shaft [s]
 
 
+_level: Final[ContextVar[Level | None]] = ContextVar("level", default=None)
+
+
+@contextmanager
+def at_level(level: Level | None) -> Iterator[None]:
+    """Let all boards made on this bench meanwhile be of one level; None: of the one that a board has anyway."""
+    token = _level.set(level)
+    try:
+        yield
+    finally:
+        _level.reset(token)
+
+
+def level() -> Level:
+    """The level of the boards on this bench."""
+    return chosen_level(_level.get())
+
+
+def fresh_board(plant: PlantConfig, seed: int) -> Board:
+    """A board of the level of this bench, just switched on."""
+    return Board(plant, seed=seed, level=level())
+
+
 @contextmanager
 def spinning(plant: PlantConfig, seed: int) -> Iterator[Board]:
     """A fresh board with both axes in SPIN, holding where they are, at rest."""
-    with Board(plant, seed=seed) as board:
+    with fresh_board(plant, seed) as board:
         enable(board)
         board.run(SETTLED)
         yield board

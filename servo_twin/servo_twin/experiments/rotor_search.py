@@ -14,7 +14,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import COUNT, TICK, TICK_NS
+from servo_twin.experiments.rig import COUNT, TICK, TICK_NS, fresh_board
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "rotor-search"
@@ -173,7 +173,7 @@ def find(
         Also keep the angle of the current vector, which only the plant knows.
     """
     harmed = tuple(axes) if harm is not None else ()
-    with Board(plant, seed=seed) as board:
+    with fresh_board(plant, seed) as board:
         board.advance(BOOT_NS)
         board.write("cmd.enable", [1] * AXES)
         logs: list[bytes] = []

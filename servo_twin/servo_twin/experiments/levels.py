@@ -1,0 +1,128 @@
+"""Every figure of the experiments at both levels of the board, side by side."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from servo_twin.board import Level
+from servo_twin.experiments.outcome import Bound, Outcome, Row
+
+__all__ = ["FILE", "HELP", "LEVELS", "Pair", "pairs", "table", "write"]
+
+HELP: Final = """\
+All experiments on the ideal chip with the averaged plant, and again on the registers with the switching plant.
+A figure agrees when it lies within its bound at each level, and when the levels differ by no more than that bound
+allows: from one end of it to the other, or its size where it has only one end."""
+
+LEVELS: Final[tuple[Level, Level]] = ("ideal", "registers")
+FILE: Final = "levels.json"
+_HEAD: Final = ("figure", *LEVELS, "difference", "unit", "bound", "agrees")
+
+
+def reach(bound: Bound) -> float:
+    """How far apart two values may be that agree with a bound."""
+    if bound.least is not None and bound.most is not None:
+        return bound.most - bound.least
+    return math.inf if bound.most is None else abs(bound.most)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A figure at both levels.
+
+    Attributes
+    ----------
+    name : str
+        Experiment and figure.
+    ideal, registers : Row or None
+        What was measured; None if the experiment could not be run there.
+    """
+
+    name: str
+    ideal: Row | None
+    registers: Row | None
+
+    @property
+    def difference(self) -> float | None:
+        """Registers less ideal."""
+        first = self.ideal.measured if self.ideal is not None else None
+        second = self.registers.measured if self.registers is not None else None
+        return None if first is None or second is None else second - first
+
+    @property
+    def most(self) -> float | None:
+        """How large the difference may be: a bound of the plant's own imperfections is wider where it has them."""
+        rows = [row for row in (self.ideal, self.registers) if row is not None]
+        return max(reach(row.bound) for row in rows) if len(rows) == len(LEVELS) else None
+
+    @property
+    def agrees(self) -> bool:
+        rows = (self.ideal, self.registers)
+        difference, most = self.difference, self.most
+        if difference is None or most is None:
+            return False
+        return all(row is not None and row.agrees for row in rows) and abs(difference) <= most
+
+    def as_dict(self) -> dict[str, Any]:
+        """Entry of ``levels.json``."""
+
+        def side(row: Row | None) -> dict[str, Any] | None:
+            if row is None:
+                return None
+            return {"measured": _finite(row.measured), "bound": str(row.bound), "agrees": row.agrees}
+
+        return {
+            "name": self.name,
+            "unit": next((row.unit for row in (self.ideal, self.registers) if row is not None), ""),
+            "ideal": side(self.ideal),
+            "registers": side(self.registers),
+            "difference": _finite(self.difference),
+            "difference_most": _finite(self.most),
+            "agrees": self.agrees,
+        }
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def pairs(ideal: Outcome, registers: Outcome) -> list[Pair]:
+    """Figures of one experiment at both levels, matched by their names."""
+    first, second = ({row.name: row for row in outcome.rows} for outcome in (ideal, registers))
+    names = [*first, *(name for name in second if name not in first)]
+    return [Pair(f"{ideal.name}: {name}", first.get(name), second.get(name)) for name in names]
+
+
+def _cells(pair: Pair) -> tuple[str, ...]:
+    rows = (pair.ideal, pair.registers)
+    values = [_text(row.measured if row is not None else None) for row in rows]
+    bounds = dict.fromkeys(str(row.bound) if row is not None else "none" for row in rows)
+    unit = next((row.unit for row in rows if row is not None), "")
+    agrees = "yes" if pair.agrees else "NO"
+    return pair.name.partition(": ")[2], *values, _text(pair.difference), unit, "; ".join(bounds), agrees
+
+
+def _text(value: float | None) -> str:
+    return "never" if value is None or not math.isfinite(value) else f"{value:.4g}"
+
+
+def table(name: str, every: Sequence[Pair]) -> str:
+    """Figures of one experiment for people; where each level has its own bound, that of the ideal one comes first."""
+    lines = [_HEAD, *(_cells(pair) for pair in every if pair.name.startswith(f"{name}: "))]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(_HEAD))]
+    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    return "\n".join([name, "", *(f"  {row}" for row in rows)]) + "\n"
+
+
+def write(folder: Path, every: Sequence[Pair]) -> Path:
+    """Write ``levels.json``; returns where it is."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / FILE
+    text = json.dumps([pair.as_dict() for pair in every], indent=2, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
