@@ -56,27 +56,51 @@ CHECK(40, SIZE(estimate.axis[0].speed) == 4);
 CHECK(41, SIZE(estimate.axis[0].theta_e) == 2);
 CHECK(42, SIZE(estimate.axis[0].emf) == 2);
 CHECK(43, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(44, SIZE(belief.torque_constant[0]) == 2);
-CHECK(45, SIZE(snapshot.axis[1].position) == 4);
-CHECK(46, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(47, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(48, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(49, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(50, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(51, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(52, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(53, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(54, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(55, SIZE(snapshot.axis[1].state) == 2);
-CHECK(56, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(57, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(58, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(59, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(60, SIZE(estimate.axis[1].speed) == 4);
-CHECK(61, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(62, SIZE(estimate.axis[1].emf) == 2);
-CHECK(63, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(64, SIZE(belief.torque_constant[1]) == 2);
+CHECK(44, SIZE(record[0].pending) == 4);
+CHECK(45, SIZE(record[0].tick) == 4);
+CHECK(46, SIZE(record[0].code) == 2);
+CHECK(47, SIZE(record[0].state) == 2);
+CHECK(48, SIZE(record[0].substate) == 2);
+CHECK(49, SIZE(record[0].next) == 2);
+CHECK(50, SIZE(record[0].size) == 2);
+CHECK(51, SIZE(record[0].i_d) == 128);
+CHECK(52, SIZE(record[0].i_q) == 128);
+CHECK(53, SIZE(record[0].theta_e) == 128);
+CHECK(54, SIZE(record[0].u_dc) == 128);
+CHECK(55, SIZE(record[0].speed) == 128);
+CHECK(56, SIZE(belief.torque_constant[0]) == 2);
+CHECK(57, SIZE(snapshot.axis[1].position) == 4);
+CHECK(58, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(59, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(60, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(61, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(62, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(63, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(64, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(65, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(66, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(67, SIZE(snapshot.axis[1].state) == 2);
+CHECK(68, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(69, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(70, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(71, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(72, SIZE(estimate.axis[1].speed) == 4);
+CHECK(73, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(74, SIZE(estimate.axis[1].emf) == 2);
+CHECK(75, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(76, SIZE(record[1].pending) == 4);
+CHECK(77, SIZE(record[1].tick) == 4);
+CHECK(78, SIZE(record[1].code) == 2);
+CHECK(79, SIZE(record[1].state) == 2);
+CHECK(80, SIZE(record[1].substate) == 2);
+CHECK(81, SIZE(record[1].next) == 2);
+CHECK(82, SIZE(record[1].size) == 2);
+CHECK(83, SIZE(record[1].i_d) == 128);
+CHECK(84, SIZE(record[1].i_q) == 128);
+CHECK(85, SIZE(record[1].theta_e) == 128);
+CHECK(86, SIZE(record[1].u_dc) == 128);
+CHECK(87, SIZE(record[1].speed) == 128);
+CHECK(88, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -173,6 +197,18 @@ static const char strings[] =
     "axis1.estimate_theta_e\0"
     "axis1.estimate_emf\0"
     "axis1.estimate_reliable\0"
+    "axis1.pending\0"
+    "axis1.fault.tick\0"
+    "axis1.fault.code\0"
+    "axis1.fault.state\0"
+    "axis1.fault.substate\0"
+    "axis1.fault.next\0"
+    "axis1.fault.size\0"
+    "axis1.fault.i_d\0"
+    "axis1.fault.i_q\0"
+    "axis1.fault.theta_e\0"
+    "axis1.fault.u_dc\0"
+    "axis1.fault.speed\0"
     "axis1.torque_constant\0"
     "axis2.position\0"
     "axis2.position_ref\0"
@@ -193,6 +229,18 @@ static const char strings[] =
     "axis2.estimate_theta_e\0"
     "axis2.estimate_emf\0"
     "axis2.estimate_reliable\0"
+    "axis2.pending\0"
+    "axis2.fault.tick\0"
+    "axis2.fault.code\0"
+    "axis2.fault.state\0"
+    "axis2.fault.substate\0"
+    "axis2.fault.next\0"
+    "axis2.fault.size\0"
+    "axis2.fault.i_d\0"
+    "axis2.fault.i_q\0"
+    "axis2.fault.theta_e\0"
+    "axis2.fault.u_dc\0"
+    "axis2.fault.speed\0"
     "axis2.torque_constant\0";
 
 static const tsa_entry_t entries[] = {
@@ -281,27 +329,51 @@ static const tsa_entry_t entries[] = {
     {1021, 474, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
     {1044, 474, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
     {1063, 467, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1087, 474, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1109, 489, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1124, 489, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1143, 501, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1155, 501, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1171, 474, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1181, 474, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1191, 474, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1205, 474, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1215, 474, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1225, 474, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1239, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1251, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1266, 422, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1279, 467, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1297, 467, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1310, 501, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1331, 474, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1354, 474, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1373, 467, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1397, 474, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {1087, 422, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1101, 422, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
+    {1118, 467, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
+    {1135, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
+    {1153, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
+    {1174, 467, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
+    {1191, 467, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
+    {1208, 474, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
+    {1224, 474, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
+    {1240, 474, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
+    {1260, 474, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
+    {1277, 474, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
+    {1295, 474, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1317, 489, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1332, 489, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1351, 501, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1363, 501, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1379, 474, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1389, 474, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1399, 474, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1413, 474, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1423, 474, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1433, 474, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1447, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1459, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1474, 422, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1487, 467, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1505, 467, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1518, 501, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1539, 474, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1562, 474, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1581, 467, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1605, 422, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1619, 422, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
+    {1636, 467, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
+    {1653, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
+    {1671, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
+    {1692, 467, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
+    {1709, 467, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
+    {1726, 474, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
+    {1742, 474, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
+    {1758, 474, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
+    {1778, 474, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
+    {1795, 474, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
+    {1813, 474, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x715BB03E)
+#define CATALOGUE_HASH UINT32_C(0xD38A2B69)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -61,24 +61,18 @@ typedef enum {
 #define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002) /* DC bus below the under-voltage limit */
 #define FAULT_OVER_CURRENT UINT32_C(0x00000004) /* hardware over-current latch tripped */
 #define FAULT_CURRENT_OFFSET UINT32_C(0x00000008) /* current amplifier offset far from mid-scale during calibration */
-#define FAULT_ROTOR_SEARCH                                                                                             \
-    UINT32_C(0x00000010) /* full current does not move the shaft while the rotor is searched, or not far enough */
+#define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* full current does not move the shaft while the rotor is searched, or not far enough */
 #define FAULT_ENCODER UINT32_C(0x00000020) /* encoder count and emulated index disagree */
 #define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no valid frame from the host within the time-out */
 #define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement: shaft held fast, or encoder dead */
 #define FAULT_RUNAWAY UINT32_C(0x00000100) /* the shaft gains speed against the full current or beyond its limit */
 #define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns and the encoder does not count */
-#define FAULT_FOLLOWING_ERROR                                                                                          \
-    UINT32_C(0x00000400) /* the shaft is farther from its shaped set-point than param.following_error */
+#define FAULT_FOLLOWING_ERROR UINT32_C(0x00000400) /* the shaft is farther from its shaped set-point than param.following_error */
 #define FAULT_OVER_SPEED UINT32_C(0x00000800) /* the shaft turns faster than param.over_speed */
-#define FAULT_ENCODER_REVERSED                                                                                         \
-    UINT32_C(                                                                                                          \
-        0x00001000) /* the shaft runs away from where the rotor search holds it: it turns one way and the encoder counts the other */
+#define FAULT_ENCODER_REVERSED UINT32_C(0x00001000) /* the shaft runs away from where the rotor search holds it: it turns one way and the encoder counts the other */
 #define FAULT_OVER_TEMPERATURE UINT32_C(0x00002000) /* the heat sink of the inverter is hotter than its limit */
 #define FAULT_START_UP UINT32_C(0x00004000) /* the sensorless start-up did not reach a reliable speed in time */
-#define FAULT_SPEED_FEEDBACK                                                                                           \
-    UINT32_C(                                                                                                          \
-        0x00008000) /* the speed that the observer gives is not reliable: the rotor stands, oscillates or is lost */
+#define FAULT_SPEED_FEEDBACK UINT32_C(0x00008000) /* the speed that the observer gives is not reliable: the rotor stands, oscillates or is lost */
 #define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* encoder and observer disagree about the rotor's angle */
 #define FAULT_PHASE_LOST UINT32_C(0x00020000) /* a phase of the motor carries no current although voltage asks for it */
 #define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the code of a current converter is stuck or off scale */
@@ -105,8 +99,7 @@ typedef enum {
 #define FEATURE_POSITION_LIMITS UINT16_C(0x0080) /* soft limits param.position_min and param.position_max */
 #define FEATURE_FOLLOWING_ERROR UINT16_C(0x0100) /* a fault when the shaft is too far from its shaped set-point */
 #define FEATURE_OVER_SPEED UINT16_C(0x0200) /* a fault when the shaft turns too fast */
-#define FEATURE_SPEED_OBSERVER                                                                                         \
-    UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
+#define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
 #define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* a fault when encoder and observer disagree about the rotor's angle */
 
 #define COMMAND_QUICK_STOP 1

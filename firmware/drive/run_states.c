@@ -167,10 +167,19 @@ static void align_fast(axis_t *axis)
     }
 }
 
+/* A shaft that does not move, or is not pulled at all. */
+static fault_set_t search_failure(const axis_t *axis)
+{
+    const int32_t silent = axis->config->phases.silent;
+    const bool asked = axis->current_ref.d > 2 * silent;
+    return (asked && f16_abs(axis->current_loop.current.d) < silent) ? FAULT_PHASE_LOST : FAULT_ROTOR_SEARCH;
+}
+
 static void align_slow(axis_t *axis)
 {
     track_offsets(axis);
     const bool driven = rotor_search_drives(&axis->search);
+    const fault_set_t failure = search_failure(axis);
     rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
@@ -181,7 +190,7 @@ static void align_slow(axis_t *axis)
     } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
         axis_raise(axis, FAULT_ENCODER_REVERSED);
     } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {
-        axis_raise(axis, FAULT_ROTOR_SEARCH);
+        axis_raise(axis, failure);
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
         align_spin(axis);
     } else if (driven && !rotor_search_drives(&axis->search)) {
@@ -259,7 +268,7 @@ static void startup_slow_state(axis_t *axis)
         startup_spin(axis);
         break;
     case STARTUP_FAILED:
-        axis_raise(axis, FAULT_START_UP);
+        axis_raise(axis, startup_fault(axis));
         break;
     default:
         break;

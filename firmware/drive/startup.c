@@ -187,6 +187,12 @@ startup_result_t startup_slow(axis_t *axis)
     }
 }
 
+fault_set_t startup_fault(const axis_t *axis)
+{
+    const bool starved = axis->current_loop.current.d < axis->config->startup.first_current / 4;
+    return starved ? FAULT_PHASE_LOST : FAULT_START_UP;
+}
+
 /* ---- the hand-over -------------------------------------------------------------------------------------------------- */
 
 static dq_t rotate(dq_t x, uint32_t angle)

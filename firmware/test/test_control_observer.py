@@ -77,7 +77,7 @@ def test_no_signal_leaves_the_range(core: Core, signs: list[tuple[int, int, int,
 @pytest.mark.parametrize("omega", [40.0, -40.0, 200.0, 730.0, -730.0])
 @pytest.mark.parametrize("i_q", [0.0, 2.0])
 def test_back_emf_has_no_bias(core: Core, omega: float, i_q: float) -> None:
-    """Angle and size of the back-EMF, at any speed and current, in the frame of DRM E13: e = j omega psi exp(j theta)."""
+    """Angle and size at any speed and current, in the frame of DRM E13: e = j omega psi exp(j theta)."""
     rig = Rig(core)
     rig.estimator.start(0.3, omega)
 
@@ -97,8 +97,10 @@ def test_back_emf_has_no_bias(core: Core, omega: float, i_q: float) -> None:
 
 @pytest.mark.parametrize(("r", "l_s", "most"), [(0.5, 1.0, 1.0), (1.5, 1.0, 1.0), (1.0, 0.5, 4.0), (1.0, 1.5, 4.0)])
 def test_wrong_belief_turns_the_angle_as_on_paper(core: Core, r: float, l_s: float, most: float) -> None:
-    """ST slide "控制性能介绍": low sensitivity to R_s, moderate to L_s. With i_d = 0, R changes only the size of e, and L
-    turns it by delta_L i_q / psi."""
+    """ST slide "控制性能介绍": low sensitivity to R_s, moderate to L_s.
+
+    With i_d = 0, R changes only the size of e, and L turns it by delta_L i_q / psi.
+    """
     rig = Rig(core, R * r, L * l_s)
     omega, i_q = 300.0, 2.0
     rig.estimator.start(0.0, omega)

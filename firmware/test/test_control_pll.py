@@ -111,8 +111,10 @@ def test_known_torque_is_followed_at_once(core: Core) -> None:
 
 
 def test_load_is_learnt(core: Core) -> None:
-    """Half an ampere against a load at constant speed: what the current should gain and does not is the load, and neither
-    speed nor angle is off for it."""
+    """Half an ampere against a load at constant speed: what it does not gain is the load.
+
+    Neither speed nor angle is off for it.
+    """
     ideal = Ideal(core)
     ideal.estimator.start(0.0, 200.0)
     errors = [ideal.step(lambda t: 200.0 * t, lambda _: 200.0, 0.5) for _ in range(round(0.8 / T))]

@@ -118,7 +118,7 @@ def test_set_point_from_before_the_enable_does_not_count(bench: Bench) -> None:
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_ramps_of_the_slide(bench: Bench, direction: int) -> None:
-    """No back-EMF: after the catch the vector turns, its current and its speed on their ramps, the way that is wanted."""
+    """No back-EMF: after the catch the vector turns the way that is wanted, current and speed on their ramps."""
     config = bench.axis(0).config.startup
     to_ready(bench)
     bench.write(0, speed=speed(direction * 100.0))
@@ -141,7 +141,7 @@ def test_ramps_of_the_slide(bench: Bench, direction: int) -> None:
 
 
 def test_failure_has_a_name(bench: Bench) -> None:
-    """Nothing but noise answers: after START_UP_DURATION the outputs go off, and the drive is not asked for any more."""
+    """Nothing answers: after START_UP_DURATION the outputs go off, and the drive is not asked for any more."""
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
     bench.to_substate(0, STARTUP, 3)

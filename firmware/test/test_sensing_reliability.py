@@ -143,7 +143,7 @@ def test_deviation_has_to_last(core: Core) -> None:
     assert check.ticks == 0
 
 
-# ---- the known blind spot of the seed (ST slide "转子堵转检测") ---------------------------------------------------------
+# ---- the known blind spot of the seed (ST slide "转子堵转检测") ------------------------------------------
 
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])

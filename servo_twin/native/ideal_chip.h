@@ -38,9 +38,10 @@ struct hal {
     unsigned step;       /* number of that step within the PWM period */
     uint32_t scans;      /* M2 interrupts so far */
     uint32_t breaks;     /* times an over-current latch has tripped */
-    uint16_t sink_code;  /* both heat sinks are as warm as the air */
     uint16_t monitor[HAL_MONITORS];
-    bool brake;          /* the switch of the brake resistor */
+    uint16_t late;       /* loops that came too late */
+    uint64_t stalled_ns; /* until then the core does nothing */
+    uint64_t served_ns;  /* last service of the watchdog */
     bool bitten;         /* the watchdog has reset the board */
     uint32_t watchdog;   /* times the watchdog was serviced */
 };

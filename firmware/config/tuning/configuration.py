@@ -11,6 +11,7 @@ from servo_msgs_py.catalogue import Catalogue
 
 from tuning.errors import ConfigError, refused
 from tuning.schema import AXIS_GROUPS, check_group, check_switches, check_table, unknown_name
+from tuning.temperature import Temperature
 
 __all__ = ["FEEDBACKS", "Axis", "Board", "Configuration", "Scales"]
 
@@ -55,6 +56,7 @@ class Board:
     """The group [board]; ``board("dead_time")`` is one of its values."""
 
     values: Mapping[str, float]
+    temperature: Temperature
 
     def __call__(self, key: str) -> float:
         return self.values[key]
@@ -83,7 +85,9 @@ class Board:
         ConfigError
             If an entry is missing, unknown or cannot make sense.
         """
-        return cls(check_group("board", "board", table))
+        entries = dict(check_table("board", table))
+        temperature = Temperature.of(entries.pop("temperature", {}))
+        return cls(check_group("board", "board", entries), temperature)
 
     def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
         """Error about one entry of the group."""
