@@ -219,7 +219,8 @@ static fault_set_t watch_encoder(axis_t *axis)
 /* Before the controllers of this tick move on: currents, set-points and angle belong to the last period. */
 static void watch_slowly(axis_t *axis)
 {
-    fault_set_t faults = phase_watch_converters(axis, hal_adc_offsets(axis->hal, axis->index));
+    axis->idle_codes = hal_adc_offsets(axis->hal, axis->index);
+    fault_set_t faults = phase_watch_converters(axis, axis->idle_codes);
     if (axis->sm.state != STATE_RUN) {
         look_around(axis);
     }
@@ -258,8 +259,7 @@ static void take_requests(axis_t *axis)
     }
     if (command->clear_faults && axis->sm.state == STATE_FAULT) {
         hal_break_clear(axis->hal, axis->index);
-        axis->faults = axis->record->pending & (axis->faults_enabled);
-        axis->faults |= present_faults(axis);
+        axis->faults = (axis->record->pending & FAULT_CURRENT_SENSE & axis->faults_enabled) | present_faults(axis);
         axis->first_fault = fault_code(axis->faults);
         if (axis->faults == 0U) {
             axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT_CLEAR);

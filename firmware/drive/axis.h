@@ -123,6 +123,7 @@ typedef struct axis {
     frac32_t u_dc_now;    /* bus voltage of this period */
     frac32_t u_dc_filter;
     frac16_t u_dc; /* filtered bus voltage */
+    adc_pair_t idle_codes; /* without current, of this slow tick */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;

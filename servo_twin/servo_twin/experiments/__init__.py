@@ -13,6 +13,7 @@ from typing import Final
 from servo_twin.experiments import (
     anti_windup,
     bus_ripple,
+    fault_matrix,
     feed_forward,
     friction,
     low_speed,
@@ -58,5 +59,6 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         speed_observer,
         soft_limits,
         supervision,
+        fault_matrix,
     )
 }
