@@ -176,7 +176,7 @@ static bool in(const axis_t *axis, substate_t substate)
 /* Another pair of converters each time: all three say something within three ticks, whatever nobody asks of them. */
 static void look_around(axis_t *axis)
 {
-    axis->sense.pair = (phase_pair_t)((axis->sense.pair + 1U) % SENSE_PHASES);
+    axis->sense.pair = (axis->sense.pair == PHASE_PAIR_CA) ? PHASE_PAIR_AB : (phase_pair_t)(axis->sense.pair + 1);
     hal_adc_select(axis->hal, axis->index, axis->sense.pair);
 }
 

@@ -48,8 +48,8 @@ WAIT: Final = 0.7  # for a fault, in the state itself [s]
 PROVOKED: Final = 3.0  # for a fault when the axis is asked to move [s]
 NAMED: Final = 0.15  # until the name of a first fault is final [s]
 GAIN: Final = 2.0  # speed that may still come after the outputs are off: what the winding holds [rad/s]
-SOON: Final = 570
-"""PWM periods within which a fault that shows in a turning motor has to be off: an electrical turn at 100 rad/s, 4 ms."""
+SOON: Final = 1005
+"""PWM periods within which a fault that shows in a turning motor has to be off: a turn at 100 rad/s."""
 
 BREAK: Final = 20
 """PWM periods for what the hardware switches off and the software names."""
