@@ -36,71 +36,64 @@ CHECK(20, SIZE(parameter.feedback) == 4);
 CHECK(21, SIZE(parameter.faults_enabled) == 8);
 CHECK(22, SIZE(parameter.monitor) == 4);
 CHECK(23, SIZE(parameter.host_timeout) == 2);
-CHECK(24, SIZE(monitor_value) == 4);
-CHECK(25, SIZE(snapshot.axis[0].position) == 4);
-CHECK(26, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(27, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(28, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(29, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(30, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(31, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(32, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(33, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(34, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(35, SIZE(snapshot.axis[0].state) == 2);
-CHECK(36, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(37, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(38, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(39, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(40, SIZE(estimate.axis[0].speed) == 4);
-CHECK(41, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(42, SIZE(estimate.axis[0].emf) == 2);
-CHECK(43, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(44, SIZE(record[0].pending) == 4);
-CHECK(45, SIZE(record[0].tick) == 4);
-CHECK(46, SIZE(record[0].code) == 2);
-CHECK(47, SIZE(record[0].state) == 2);
-CHECK(48, SIZE(record[0].substate) == 2);
-CHECK(49, SIZE(record[0].next) == 2);
-CHECK(50, SIZE(record[0].size) == 2);
-CHECK(51, SIZE(record[0].i_d) == 128);
-CHECK(52, SIZE(record[0].i_q) == 128);
-CHECK(53, SIZE(record[0].theta_e) == 128);
-CHECK(54, SIZE(record[0].u_dc) == 128);
-CHECK(55, SIZE(record[0].speed) == 128);
-CHECK(56, SIZE(belief.torque_constant[0]) == 2);
-CHECK(57, SIZE(snapshot.axis[1].position) == 4);
-CHECK(58, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(59, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(60, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(61, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(62, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(63, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(64, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(65, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(66, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(67, SIZE(snapshot.axis[1].state) == 2);
-CHECK(68, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(69, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(70, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(71, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(72, SIZE(estimate.axis[1].speed) == 4);
-CHECK(73, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(74, SIZE(estimate.axis[1].emf) == 2);
-CHECK(75, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(76, SIZE(record[1].pending) == 4);
-CHECK(77, SIZE(record[1].tick) == 4);
-CHECK(78, SIZE(record[1].code) == 2);
-CHECK(79, SIZE(record[1].state) == 2);
-CHECK(80, SIZE(record[1].substate) == 2);
-CHECK(81, SIZE(record[1].next) == 2);
-CHECK(82, SIZE(record[1].size) == 2);
-CHECK(83, SIZE(record[1].i_d) == 128);
-CHECK(84, SIZE(record[1].i_q) == 128);
-CHECK(85, SIZE(record[1].theta_e) == 128);
-CHECK(86, SIZE(record[1].u_dc) == 128);
-CHECK(87, SIZE(record[1].speed) == 128);
-CHECK(88, SIZE(belief.torque_constant[1]) == 2);
+CHECK(24, SIZE(snapshot.axis[0].position) == 4);
+CHECK(25, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(26, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(27, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(28, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(29, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(30, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(31, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(32, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(33, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(34, SIZE(snapshot.axis[0].state) == 2);
+CHECK(35, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(36, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(37, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(38, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(39, SIZE(snapshot.monitor[0]) == 2);
+CHECK(40, SIZE(record[0].pending) == 4);
+CHECK(41, SIZE(record[0].tick) == 4);
+CHECK(42, SIZE(record[0].code) == 2);
+CHECK(43, SIZE(record[0].state) == 2);
+CHECK(44, SIZE(record[0].substate) == 2);
+CHECK(45, SIZE(record[0].next) == 2);
+CHECK(46, SIZE(record[0].size) == 2);
+CHECK(47, SIZE(record[0].i_d) == 128);
+CHECK(48, SIZE(record[0].i_q) == 128);
+CHECK(49, SIZE(record[0].theta_e) == 128);
+CHECK(50, SIZE(record[0].u_dc) == 128);
+CHECK(51, SIZE(record[0].speed) == 128);
+CHECK(52, SIZE(belief.torque_constant[0]) == 2);
+CHECK(53, SIZE(snapshot.axis[1].position) == 4);
+CHECK(54, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(55, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(56, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(57, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(58, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(59, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(60, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(61, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(62, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(63, SIZE(snapshot.axis[1].state) == 2);
+CHECK(64, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(65, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(66, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(67, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(68, SIZE(snapshot.monitor[1]) == 2);
+CHECK(69, SIZE(record[1].pending) == 4);
+CHECK(70, SIZE(record[1].tick) == 4);
+CHECK(71, SIZE(record[1].code) == 2);
+CHECK(72, SIZE(record[1].state) == 2);
+CHECK(73, SIZE(record[1].substate) == 2);
+CHECK(74, SIZE(record[1].next) == 2);
+CHECK(75, SIZE(record[1].size) == 2);
+CHECK(76, SIZE(record[1].i_d) == 128);
+CHECK(77, SIZE(record[1].i_q) == 128);
+CHECK(78, SIZE(record[1].theta_e) == 128);
+CHECK(79, SIZE(record[1].u_dc) == 128);
+CHECK(80, SIZE(record[1].speed) == 128);
+CHECK(81, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -176,8 +169,6 @@ static const char strings[] =
     "param.faults_enabled\0"
     "param.monitor\0"
     "param.host_timeout\0"
-    "monitor.value\0"
-    "\xF1\0"
     "axis1.position\0"
     "axis1.position_ref\0"
     "axis1.speed\0"
@@ -193,10 +184,7 @@ static const char strings[] =
     "axis1.faults\0"
     "axis1.first_fault\0"
     "axis1.limits\0"
-    "axis1.estimate_speed\0"
-    "axis1.estimate_theta_e\0"
-    "axis1.estimate_emf\0"
-    "axis1.estimate_reliable\0"
+    "axis1.monitor\0"
     "axis1.pending\0"
     "axis1.fault.tick\0"
     "axis1.fault.code\0"
@@ -225,10 +213,7 @@ static const char strings[] =
     "axis2.faults\0"
     "axis2.first_fault\0"
     "axis2.limits\0"
-    "axis2.estimate_speed\0"
-    "axis2.estimate_theta_e\0"
-    "axis2.estimate_emf\0"
-    "axis2.estimate_reliable\0"
+    "axis2.monitor\0"
     "axis2.pending\0"
     "axis2.fault.tick\0"
     "axis2.fault.code\0"
@@ -309,71 +294,64 @@ static const tsa_entry_t entries[] = {
     {729, 422, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
     {750, 165, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
     {764, 467, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {783, 797, AT(monitor_value), SIZE(monitor_value), TSA_KIND_RO}, /* monitor.value */
-    {799, 489, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {814, 489, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {833, 501, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {845, 501, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {861, 474, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {871, 474, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {881, 474, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {895, 474, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {905, 474, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {915, 474, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {929, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {941, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {956, 422, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {969, 467, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {987, 467, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1000, 501, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1021, 474, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1044, 474, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1063, 467, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1087, 422, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1101, 422, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
-    {1118, 467, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
-    {1135, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
-    {1153, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
-    {1174, 467, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
-    {1191, 467, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
-    {1208, 474, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
-    {1224, 474, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
-    {1240, 474, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
-    {1260, 474, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
-    {1277, 474, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
-    {1295, 474, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1317, 489, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1332, 489, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1351, 501, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1363, 501, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1379, 474, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1389, 474, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1399, 474, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1413, 474, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1423, 474, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1433, 474, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1447, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1459, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1474, 422, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1487, 467, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1505, 467, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1518, 501, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1539, 474, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1562, 474, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1581, 467, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1605, 422, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1619, 422, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
-    {1636, 467, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
-    {1653, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
-    {1671, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
-    {1692, 467, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
-    {1709, 467, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
-    {1726, 474, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
-    {1742, 474, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
-    {1758, 474, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
-    {1778, 474, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
-    {1795, 474, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
-    {1813, 474, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {783, 489, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {798, 489, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {817, 501, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {829, 501, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {845, 474, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {855, 474, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {865, 474, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {879, 474, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {889, 474, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {899, 474, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {913, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {925, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {940, 422, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {953, 467, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {971, 467, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {984, 474, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {998, 422, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1012, 422, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
+    {1029, 467, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
+    {1046, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
+    {1064, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
+    {1085, 467, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
+    {1102, 467, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
+    {1119, 474, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
+    {1135, 474, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
+    {1151, 474, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
+    {1171, 474, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
+    {1188, 474, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
+    {1206, 474, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1228, 489, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1243, 489, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1262, 501, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1274, 501, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1290, 474, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1300, 474, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1310, 474, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1324, 474, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1334, 474, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1344, 474, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1358, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1370, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1385, 422, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1398, 467, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1416, 467, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1429, 474, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {1443, 422, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1457, 422, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
+    {1474, 467, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
+    {1491, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
+    {1509, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
+    {1530, 467, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
+    {1547, 467, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
+    {1564, 474, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
+    {1580, 474, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
+    {1596, 474, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
+    {1616, 474, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
+    {1633, 474, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
+    {1651, 474, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

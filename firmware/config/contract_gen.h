@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xD38A2B69)
+#define CATALOGUE_HASH UINT32_C(0x410278F4)
 
 typedef enum {
     STATE_FAULT = 0,
