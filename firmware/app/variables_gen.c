@@ -33,67 +33,78 @@ CHECK(17, SIZE(parameter.position_max) == 8);
 CHECK(18, SIZE(parameter.following_error) == 8);
 CHECK(19, SIZE(parameter.over_speed) == 8);
 CHECK(20, SIZE(parameter.feedback) == 4);
-CHECK(21, SIZE(parameter.faults_enabled) == 8);
-CHECK(22, SIZE(parameter.monitor) == 4);
-CHECK(23, SIZE(parameter.host_timeout) == 2);
-CHECK(24, SIZE(snapshot.axis[0].position) == 4);
-CHECK(25, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(26, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(27, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(28, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(29, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(30, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(31, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(32, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(33, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(34, SIZE(snapshot.axis[0].state) == 2);
-CHECK(35, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(36, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(37, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(38, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(39, SIZE(snapshot.monitor[0]) == 2);
-CHECK(40, SIZE(record[0].pending) == 4);
-CHECK(41, SIZE(record[0].tick) == 4);
-CHECK(42, SIZE(record[0].code) == 2);
-CHECK(43, SIZE(record[0].state) == 2);
-CHECK(44, SIZE(record[0].substate) == 2);
-CHECK(45, SIZE(record[0].next) == 2);
-CHECK(46, SIZE(record[0].size) == 2);
-CHECK(47, SIZE(record[0].i_d) == 128);
-CHECK(48, SIZE(record[0].i_q) == 128);
-CHECK(49, SIZE(record[0].theta_e) == 128);
-CHECK(50, SIZE(record[0].u_dc) == 128);
-CHECK(51, SIZE(record[0].speed) == 128);
-CHECK(52, SIZE(belief.torque_constant[0]) == 2);
-CHECK(53, SIZE(snapshot.axis[1].position) == 4);
-CHECK(54, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(55, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(56, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(57, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(58, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(59, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(60, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(61, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(62, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(63, SIZE(snapshot.axis[1].state) == 2);
-CHECK(64, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(65, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(66, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(67, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(68, SIZE(snapshot.monitor[1]) == 2);
-CHECK(69, SIZE(record[1].pending) == 4);
-CHECK(70, SIZE(record[1].tick) == 4);
-CHECK(71, SIZE(record[1].code) == 2);
-CHECK(72, SIZE(record[1].state) == 2);
-CHECK(73, SIZE(record[1].substate) == 2);
-CHECK(74, SIZE(record[1].next) == 2);
-CHECK(75, SIZE(record[1].size) == 2);
-CHECK(76, SIZE(record[1].i_d) == 128);
-CHECK(77, SIZE(record[1].i_q) == 128);
-CHECK(78, SIZE(record[1].theta_e) == 128);
-CHECK(79, SIZE(record[1].u_dc) == 128);
-CHECK(80, SIZE(record[1].speed) == 128);
-CHECK(81, SIZE(belief.torque_constant[1]) == 2);
+CHECK(21, SIZE(parameter.on_disable) == 4);
+CHECK(22, SIZE(parameter.on_quick_stop) == 4);
+CHECK(23, SIZE(parameter.faults_enabled) == 8);
+CHECK(24, SIZE(parameter.monitor) == 4);
+CHECK(25, SIZE(parameter.host_timeout) == 2);
+CHECK(26, SIZE(parameter.brake) == 2);
+CHECK(27, SIZE(snapshot.axis[0].position) == 4);
+CHECK(28, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(29, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(30, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(31, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(32, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(33, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(34, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(35, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(36, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(37, SIZE(snapshot.axis[0].state) == 2);
+CHECK(38, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(39, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(40, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(41, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(42, SIZE(snapshot.monitor[0]) == 2);
+CHECK(43, SIZE(estimate.axis[0].speed) == 4);
+CHECK(44, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(45, SIZE(estimate.axis[0].emf) == 2);
+CHECK(46, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(47, SIZE(record[0].pending) == 4);
+CHECK(48, SIZE(record[0].tick) == 4);
+CHECK(49, SIZE(record[0].code) == 2);
+CHECK(50, SIZE(record[0].state) == 2);
+CHECK(51, SIZE(record[0].substate) == 2);
+CHECK(52, SIZE(record[0].next) == 2);
+CHECK(53, SIZE(record[0].size) == 2);
+CHECK(54, SIZE(record[0].i_d) == 128);
+CHECK(55, SIZE(record[0].i_q) == 128);
+CHECK(56, SIZE(record[0].theta_e) == 128);
+CHECK(57, SIZE(record[0].u_dc) == 128);
+CHECK(58, SIZE(record[0].speed) == 128);
+CHECK(59, SIZE(belief.torque_constant[0]) == 2);
+CHECK(60, SIZE(snapshot.axis[1].position) == 4);
+CHECK(61, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(62, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(63, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(64, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(65, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(66, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(67, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(68, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(69, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(70, SIZE(snapshot.axis[1].state) == 2);
+CHECK(71, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(72, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(73, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(74, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(75, SIZE(snapshot.monitor[1]) == 2);
+CHECK(76, SIZE(estimate.axis[1].speed) == 4);
+CHECK(77, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(78, SIZE(estimate.axis[1].emf) == 2);
+CHECK(79, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(80, SIZE(record[1].pending) == 4);
+CHECK(81, SIZE(record[1].tick) == 4);
+CHECK(82, SIZE(record[1].code) == 2);
+CHECK(83, SIZE(record[1].state) == 2);
+CHECK(84, SIZE(record[1].substate) == 2);
+CHECK(85, SIZE(record[1].next) == 2);
+CHECK(86, SIZE(record[1].size) == 2);
+CHECK(87, SIZE(record[1].i_d) == 128);
+CHECK(88, SIZE(record[1].i_q) == 128);
+CHECK(89, SIZE(record[1].theta_e) == 128);
+CHECK(90, SIZE(record[1].u_dc) == 128);
+CHECK(91, SIZE(record[1].speed) == 128);
+CHECK(92, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -117,6 +128,11 @@ static const char strings[] =
     "feedback_kind_t\0"
     "ENCODER\0"
     "OBSERVER\0"
+    "stop_category_t\0"
+    "COAST\0"
+    "SHORT\0"
+    "RAMP\0"
+    "HOLD\0"
     "monitor_t\0"
     "NONE\0"
     "U_DC\0"
@@ -166,9 +182,12 @@ static const char strings[] =
     "param.following_error\0"
     "param.over_speed\0"
     "param.feedback\0"
+    "param.on_disable\0"
+    "param.on_quick_stop\0"
     "param.faults_enabled\0"
     "param.monitor\0"
     "param.host_timeout\0"
+    "param.brake\0"
     "axis1.position\0"
     "axis1.position_ref\0"
     "axis1.speed\0"
@@ -185,6 +204,10 @@ static const char strings[] =
     "axis1.first_fault\0"
     "axis1.limits\0"
     "axis1.monitor\0"
+    "axis1.estimate_speed\0"
+    "axis1.estimate_theta_e\0"
+    "axis1.estimate_emf\0"
+    "axis1.estimate_reliable\0"
     "axis1.pending\0"
     "axis1.fault.tick\0"
     "axis1.fault.code\0"
@@ -214,6 +237,10 @@ static const char strings[] =
     "axis2.first_fault\0"
     "axis2.limits\0"
     "axis2.monitor\0"
+    "axis2.estimate_speed\0"
+    "axis2.estimate_theta_e\0"
+    "axis2.estimate_emf\0"
+    "axis2.estimate_reliable\0"
     "axis2.pending\0"
     "axis2.fault.tick\0"
     "axis2.fault.code\0"
@@ -248,110 +275,126 @@ static const tsa_entry_t entries[] = {
     {132, 8, 0, 2, TSA_KIND_NONE}, /* feedback_kind_t */
     {148, 21, 0, 0, TSA_KIND_NONE}, /* ENCODER */
     {156, 21, 1, 0, TSA_KIND_NONE}, /* OBSERVER */
-    {165, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
-    {175, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {180, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
-    {185, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
-    {195, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
-    {205, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
-    {219, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
-    {229, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
-    {239, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
-    {253, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
-    {265, 21, 9, 0, TSA_KIND_NONE}, /* AXIS1_SPEED_REF */
-    {281, 21, 10, 0, TSA_KIND_NONE}, /* AXIS1_POSITION */
-    {296, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
-    {306, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
-    {316, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
-    {330, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
-    {340, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
-    {350, 21, 16, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
-    {364, 21, 17, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {376, 21, 18, 0, TSA_KIND_NONE}, /* AXIS2_SPEED_REF */
-    {392, 21, 19, 0, TSA_KIND_NONE}, /* AXIS2_POSITION */
-    {407, 422, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {424, 433, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {435, 422, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {440, 422, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {453, 467, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {469, 474, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {476, 489, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {491, 501, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {503, 474, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {511, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {520, 467, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {531, 467, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {546, 467, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {563, 501, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {581, 501, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {606, 474, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {622, 467, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {637, 489, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {656, 489, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {675, 489, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {697, 501, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {714, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {729, 422, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {750, 165, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {764, 467, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {783, 489, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {798, 489, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {817, 501, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {829, 501, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {845, 474, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {855, 474, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {865, 474, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {879, 474, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {889, 474, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {899, 474, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {913, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {925, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {940, 422, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {953, 467, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {971, 467, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {984, 474, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {998, 422, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1012, 422, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
-    {1029, 467, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
-    {1046, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
-    {1064, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
-    {1085, 467, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
-    {1102, 467, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
-    {1119, 474, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
-    {1135, 474, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
-    {1151, 474, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
-    {1171, 474, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
-    {1188, 474, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
-    {1206, 474, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1228, 489, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1243, 489, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1262, 501, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1274, 501, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1290, 474, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1300, 474, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1310, 474, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1324, 474, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1334, 474, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1344, 474, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1358, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1370, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1385, 422, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1398, 467, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1416, 467, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1429, 474, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {1443, 422, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1457, 422, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
-    {1474, 467, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
-    {1491, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
-    {1509, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
-    {1530, 467, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
-    {1547, 467, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
-    {1564, 474, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
-    {1580, 474, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
-    {1596, 474, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
-    {1616, 474, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
-    {1633, 474, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
-    {1651, 474, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {165, 8, 0, 2, TSA_KIND_NONE}, /* stop_category_t */
+    {181, 21, 0, 0, TSA_KIND_NONE}, /* COAST */
+    {187, 21, 1, 0, TSA_KIND_NONE}, /* SHORT */
+    {193, 21, 2, 0, TSA_KIND_NONE}, /* RAMP */
+    {198, 21, 3, 0, TSA_KIND_NONE}, /* HOLD */
+    {203, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
+    {213, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {218, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
+    {223, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
+    {233, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
+    {243, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
+    {257, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
+    {267, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
+    {277, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
+    {291, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
+    {303, 21, 9, 0, TSA_KIND_NONE}, /* AXIS1_SPEED_REF */
+    {319, 21, 10, 0, TSA_KIND_NONE}, /* AXIS1_POSITION */
+    {334, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
+    {344, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
+    {354, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
+    {368, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
+    {378, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
+    {388, 21, 16, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
+    {402, 21, 17, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
+    {414, 21, 18, 0, TSA_KIND_NONE}, /* AXIS2_SPEED_REF */
+    {430, 21, 19, 0, TSA_KIND_NONE}, /* AXIS2_POSITION */
+    {445, 460, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {462, 471, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {473, 460, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {478, 460, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {491, 505, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {507, 512, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {514, 527, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {529, 539, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {541, 512, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {549, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {558, 505, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {569, 505, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {584, 505, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {601, 539, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {619, 539, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {644, 512, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {660, 505, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {675, 527, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {694, 527, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {713, 527, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {735, 539, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {752, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {767, 165, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {784, 165, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {804, 460, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {825, 203, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {839, 505, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {858, 505, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {870, 527, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {885, 527, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {904, 539, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {916, 539, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {932, 512, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {942, 512, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {952, 512, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {966, 512, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {976, 512, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {986, 512, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1000, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1012, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1027, 460, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1040, 505, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1058, 505, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1071, 512, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1085, 539, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1106, 512, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1129, 512, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1148, 505, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1172, 460, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1186, 460, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
+    {1203, 505, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
+    {1220, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
+    {1238, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
+    {1259, 505, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
+    {1276, 505, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
+    {1293, 512, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
+    {1309, 512, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
+    {1325, 512, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
+    {1345, 512, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
+    {1362, 512, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
+    {1380, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1402, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1417, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1436, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1448, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1464, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1474, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1484, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1498, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1508, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1518, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1532, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1544, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1559, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1572, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1590, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1603, 512, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {1617, 539, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1638, 512, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1661, 512, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1680, 505, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1704, 460, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1718, 460, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
+    {1735, 505, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
+    {1752, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
+    {1770, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
+    {1791, 505, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
+    {1808, 505, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
+    {1825, 512, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
+    {1841, 512, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
+    {1857, 512, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
+    {1877, 512, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
+    {1894, 512, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
+    {1912, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

@@ -76,7 +76,9 @@ def _signs(axis: Axis, board: Board) -> None:
     k1, k2, rate = axis("observer.k_1"), axis("observer.k_2"), board("pwm_frequency")
     if k1 >= 0.0:
         reason = "not below 0: the estimated current would leave the measured one"
-        raise axis.refused("observer.k_1", reason, f"write -{0.3 * rate:.0f} .. -{0.1 * rate:.0f}, or observer.bandwidth")
+        raise axis.refused(
+            "observer.k_1", reason, f"write -{0.3 * rate:.0f} .. -{0.1 * rate:.0f}, or observer.bandwidth"
+        )
     if k1 < -rate:
         reason = f"beyond -{rate:g} 1/s the estimated current jumps past the measured one with every sample"
         raise axis.refused("observer.k_1", reason, "write a smaller one, or observer.bandwidth")
@@ -100,13 +102,17 @@ def _poles(axis: Axis, board: Board, locked: float) -> None:
         if radius > slowest and (typed or omega_e == 0.0):
             reason = f"at {where} a pole of the observer has the magnitude {radius:.4f}, too near to the unit circle"
             way = f"above {slowest:.4f} it is slower than {FASTER:g} times the phase-locked loop's {locked:.3g} Hz"
-            remedy = "raise it, or k_1 in size, or write observer.bandwidth" if typed else "lower it, or raise bandwidth"
+            remedy = (
+                "raise it, or k_1 in size, or write observer.bandwidth" if typed else "lower it, or raise bandwidth"
+            )
             raise axis.refused(entry, f"{reason}: {way}", remedy)
 
 
 def _pll(axis: Axis, board: Board, pll: Pll, start_up: StartUp) -> None:
     if 2.0 * pll.damping * pll.omega_n(_top(axis)) * board.period >= 0.5:
-        reason = f"at limits.speed the loop has {pll.omega_n(_top(axis)) / 2.0 / math.pi:.4g} Hz, too fast for its samples"
+        reason = (
+            f"at limits.speed the loop has {pll.omega_n(_top(axis)) / 2.0 / math.pi:.4g} Hz, too fast for its samples"
+        )
         raise axis.refused("observer.pll_i", reason, "write 1506742, the slide's")
     if pll.load >= pll.damping:
         reason = f"with observer.pll_damping = {pll.damping:g} the loop swings, and from twice that on for ever"
@@ -114,7 +120,7 @@ def _pll(axis: Axis, board: Board, pll: Pll, start_up: StartUp) -> None:
     p = axis("motor.pole_pairs")
     lag = p * start_up.acceleration / pll.omega_n(p * start_up.speed_final) ** 2
     if lag > LAG_MOST:
-        reason = f"the loop would trail the start-up by {math.degrees(min(lag, 1e3)):.3g} degrees, {LAG_MOST:.2g} rad at most"
+        reason = f"the loop would trail the start-up by {math.degrees(min(lag, 1e3)):.3g} degrees"
         raise axis.refused("observer.pll_i", reason, "raise it, or start_up.swings")
 
 

@@ -106,7 +106,9 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     return {
         "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), "lower observer.pll_i"),
         "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), quicker),
-        "pll.e_least": to.of(FRAC16, "half the back-EMF at start_up.minimum_speed", e_least, f"raise that, or {_MOTOR}"),
+        "pll.e_least": to.of(
+            FRAC16, "half the back-EMF at start_up.minimum_speed", e_least, f"raise that, or {_MOTOR}"
+        ),
         "pll.step_most": to.of(STEP, "turn per period beyond the full speed", 1.25 * turn, "fewer motor.pole_pairs"),
         "pll.speed_per_step": to.of(SPEED_PER_STEP, "speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
         "pll.step_per_speed": to.of(STEP, "turn per period at full speed", turn, "fewer motor.pole_pairs"),
@@ -148,6 +150,7 @@ def _reliability(to: Converter) -> dict[str, Field]:
         "reliability.variance_threshold": to.at(THRESHOLD, "reliability.variance_threshold", 1.0),
         "reliability.hysteresis": to.at(UINT16, "reliability.hysteresis", 1.0),
         "emf_check.floor": to.at(FRAC16, "emf_check.floor", 1.0 / s.u_s, "write volts, some 0.4"),
+        "emf_check.floor_spin": to.at(FRAC16, "emf_check.spin_floor", 1.0 / s.u_s, "write volts, some 0.1"),
         "emf_check.resistance": to.of(GAIN, "resistance of the back-EMF check", resistance, "correct motor.r_s"),
         "emf_check.part": to.at(PART, "emf_check.part", 1.0),
         "emf_check.ticks_spin": to.ticks("emf_check.spin_time"),
@@ -166,7 +169,9 @@ def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
     return {
         "startup.first_current": to.of(FRAC16, "start_up.current_first", it.current_first / s.i, current),
         "startup.final_current": to.of(FRAC16, "start_up.current_final", it.current_final / s.i, current),
-        "startup.current_step": to.of(SLEW, "change of the start-up current per slow tick", slew, "correct current_time"),
+        "startup.current_step": to.of(
+            SLEW, "change of the start-up current per slow tick", slew, "correct current_time"
+        ),
         "startup.final_speed": to.of(FRAC32, "start_up.speed_final", it.speed_final / s.speed, "correct limits.speed"),
         "startup.speed_step": to.of(FRAC32, "change of the forced speed per slow tick", speed_step, ramp),
         "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", it.time_most / board.tick, ramp),
@@ -190,7 +195,7 @@ FIELDS: Final = (
     "pll.acceleration",
     "pll.load",
     *(f"reliability.{key}" for key in ("period", "variance_threshold", "hysteresis")),
-    *(f"emf_check.{key}" for key in ("floor", "resistance", "part", "ticks_spin", "ticks_check")),
+    *(f"emf_check.{key}" for key in ("floor", "floor_spin", "resistance", "part", "ticks_spin", "ticks_check")),
     *(f"startup.{key}" for key in ("first_current", "final_current", "current_step", "final_speed", "speed_step")),
     *(f"startup.{key}" for key in ("duration_ticks", "tests", "minimum_speed", "mean_least", "mean_most")),
     *(f"startup.{key}" for key in ("damping", "damping_limit", "catch_ticks", "fade_step")),
