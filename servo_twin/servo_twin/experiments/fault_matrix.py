@@ -47,7 +47,7 @@ OTHER_OFF: Final = 15.0
 WAIT: Final = 0.7  # for a fault, in the state itself [s]
 PROVOKED: Final = 3.0  # for a fault when the axis is asked to move [s]
 NAMED: Final = 0.15  # until the name of a first fault is final [s]
-GAIN: Final = 2.0  # speed that may still come after the outputs are off: what the winding holds [rad/s]
+GAIN: Final = 0.5  # of that, and what the load of the friction or an end of a count may give [rad/s]
 SOON: Final = 1005
 """PWM periods within which a fault that shows in a turning motor has to be off: a turn at 100 rad/s."""
 
@@ -223,6 +223,13 @@ def damages(plant: PlantConfig) -> list[Damage]:
 
 
 # ---- one case
+def _gain(plant: PlantConfig) -> float:
+    """Speed that the largest current gives while the bus takes it back: half of torque times decay, over inertia."""
+    axis = plant.axes[0]
+    torque = 1.5 * axis.pole_pairs * axis.psi_m * axis.i_break
+    return 0.5 * torque * axis.l_q * axis.i_break / plant.bus.u_source / axis.inertia + GAIN
+
+
 @dataclass(frozen=True)
 class Case:
     """What one damage did in one state.
@@ -237,6 +244,8 @@ class Case:
         PWM periods from the cause to the fault, None if the axis had to be asked to move, or there was none.
     gained : float
         Speed that the shaft gained after the outputs were off [rad/s].
+    gain_most : float
+        What the current that is left in the winding may give it [rad/s].
     other : bool
         Axis 2 did what it should.
     """
@@ -246,6 +255,7 @@ class Case:
     name: str
     periods: int | None
     gained: float
+    gain_most: float
     other: bool
 
     @property
@@ -254,7 +264,7 @@ class Case:
 
     @property
     def agrees(self) -> bool:
-        return self.named and self.gained <= GAIN and self.other
+        return self.named and self.gained <= self.gain_most and self.other
 
 
 def _names(board: Board, axis: int) -> set[str]:
@@ -303,7 +313,7 @@ def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
         other = _names(board, 1)
         error = abs(board.truth(1).omega_m - OTHER_SPEED)
         fine = other == {name} if name in EVERYTHING else not other and error < OTHER_OFF
-        return Case(damage, state, name, periods, most - speed if found else 0.0, fine)
+        return Case(damage, state, name, periods, most - speed if found else 0.0, _gain(plant), fine)
 
 
 # ---- all of them
@@ -337,7 +347,7 @@ def judge(found: Sequence[Case]) -> Outcome:
         mine = [c for c in found if c.damage == damage]
         wanted = " or ".join(damage.faults) or "no fault"
         rows.append(_share(f"{damage.name}: {wanted}", [c.named for c in mine]))
-        rows.append(_share(f"{damage.name}: no motion after", [c.gained <= GAIN for c in mine]))
+        rows.append(_share(f"{damage.name}: no motion after", [c.gained <= c.gain_most for c in mine]))
         rows.append(_share(f"{damage.name}: axis 2 as it should", [c.other for c in mine]))
         turning = [c.periods for c in mine if c.state in TURNING and c.periods is not None]
         if damage.most is not None and NOTHING not in damage.faults and turning:
