@@ -57,6 +57,7 @@ def configure(bench: Bench, **masks: int) -> Any:
     config = bench.core.ffi.new("axis_config_t *", bench.axis(0).config[0])
     for name, value in masks.items():
         setattr(config.stop, name, value)
+    bench.kept.append(config)
     bench.axis(0).config = config
     return config
 
