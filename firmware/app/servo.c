@@ -87,7 +87,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->parameter.brake = servo_config.brake.fitted ? 1U : 0U;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = &servo_config.axis[i];
-        axis_init(&servo->axis[i], config, hal, i);
+        axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
         servo->parameter.speed_limit[i] = config->speed_limit;
         servo->parameter.acceleration_limit[i] = config->acceleration_limit;
         servo->parameter.i_q_limit[i] = config->i_q_limit;
@@ -109,6 +109,10 @@ void servo_init(servo_t *servo, hal_t *hal)
     brake_init(&servo->brake);
     servo->tick = 0;
     servo->slow_tick = false;
+    servo->m2_awaited = false;
+    servo->lateness = 0;
+    servo->late_loops = hal_late_loops(hal);
+    servo->monitoring = false;
     servo->applied_tick = 0;
     servo->applied_count = 0;
     servo->held = false;
@@ -116,6 +120,10 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->host_requests = 0;
     servo->host_silence = 0;
     servo->host_seen = false;
+
+    for (uint16_t i = 0; i < HAL_AXES && hal_reset_by_watchdog(hal); i++) {
+        axis_raise(&servo->axis[i], FAULT_WATCHDOG);
+    }
 
     const freemaster_app_t app = {
         .context = servo,
@@ -212,6 +220,10 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
 static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
 {
     const estimate_t *estimate = &axis->estimate;
+    if (!estimate->runs) {
+        *view = (axis_estimate_t){0};
+        return;
+    }
     view->speed = estimate->speed;
     view->theta_e = pll_upper(estimate->pll.angle - (uint32_t)estimate->pll.step);
     view->emf = estimate->size;
@@ -234,16 +246,53 @@ static void publish_snapshot(servo_t *servo)
     }
 }
 
+/* ---- the loops themselves --------------------------------------------------------------------------------------------- */
+
+/* One loop that is late, or left out, is made up for by the next one; a port starts its sequence anew after a lost
+ * trigger. More than two within 64 ms are a fault. */
+#define LATE UINT16_C(64)
+#define LATENESS_MOST UINT16_C(128)
+
+static void come_late(servo_t *servo, uint16_t loops)
+{
+    servo->lateness =
+        (loops > LATENESS_MOST) ? (uint16_t)(LATENESS_MOST + 1U) : (uint16_t)(servo->lateness + loops * LATE);
+    if (servo->lateness <= LATENESS_MOST) {
+        return;
+    }
+    servo->lateness = 0;
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        axis_raise(&servo->axis[i], FAULT_LATE_LOOP);
+    }
+}
+
+/* One slow tick. */
+static void supervise_loops(servo_t *servo)
+{
+    const uint16_t loops = hal_late_loops(servo->hal);
+    const uint16_t fresh = (uint16_t)(loops - servo->late_loops);
+    servo->late_loops = loops;
+    servo->lateness = (uint16_t)(servo->lateness - ((servo->lateness > 0U) ? 1U : 0U));
+    if (fresh != 0U) {
+        come_late(servo, fresh);
+    }
+}
+
 /* ---- the timing diagram (DRM F34) --------------------------------------------------------------------------------------- */
 
 /* t0 the ADC has taken the currents of motor 1 and the offsets of motor 2; t1: */
 void servo_m1_isr(servo_t *servo)
 {
     servo->tick++;
+    if (servo->m2_awaited) {
+        come_late(servo, 1); /* M2 has been left out */
+    }
+    servo->m2_awaited = true;
     servo->slow_tick = (servo->tick % SERVO_SLOW_PERIODS) == 0U;
     if (servo->slow_tick) {
         latch_commands(servo);
         supervise_host(servo);
+        supervise_loops(servo);
         watch_bus(servo);
         axis_slow(&servo->axis[MOTOR_2]);
     }
@@ -253,11 +302,19 @@ void servo_m1_isr(servo_t *servo)
 /* t2 the ADC has taken the currents of motor 2 and the offsets of motor 1; t3: */
 void servo_m2_isr(servo_t *servo)
 {
+    if (!servo->m2_awaited) {
+        come_late(servo, 1); /* M1 has been left out */
+    }
+    servo->m2_awaited = false;
     if (servo->slow_tick) {
         axis_slow(&servo->axis[MOTOR_1]);
     }
     axis_fast(&servo->axis[MOTOR_2]);
+    if (servo->monitoring) {
+        monitor_step(servo);
+    }
     if (servo->slow_tick) {
+        servo->monitoring = monitor_wanted(&servo->parameter);
         publish_snapshot(servo);
         hal_watchdog_service(servo->hal);
         servo->slow_tick = false; /* until M1 says so again: without M1 the watchdog starves */

@@ -8,6 +8,7 @@
 
 #include "app/blocks.h"
 #include "app/latch.h"
+#include "app/monitor.h"
 #include "comm/freemaster.h"
 #include "drive/axis.h"
 #include "hal/hal.h"
@@ -15,11 +16,12 @@
 /* PWM periods per slow loop: 0.5 ms (DRM 2.3.2). */
 #define SERVO_SLOW_PERIODS AXIS_SLOW_PERIODS
 
-typedef struct {
+typedef struct servo {
     uint32_t catalogue_hash;
     snapshot_t snapshot;
     command_block_t command;
     parameter_block_t parameter;
+    fault_record_t record[HAL_AXES];
     int16_t monitor_value[HAL_MONITORS];
     belief_block_t belief;
     estimate_block_t estimate;
@@ -29,6 +31,10 @@ typedef struct {
     brake_t brake;
     uint32_t tick; /* PWM periods since reset */
     bool slow_tick;
+    bool m2_awaited;     /* M1 has run, M2 has not */
+    uint16_t lateness;   /* of the loops, forgotten with time */
+    uint16_t late_loops; /* hal_late_loops() of the last slow tick */
+    bool monitoring;     /* a monitor output shows something */
     uint32_t applied_tick;
     uint16_t applied_count;
     volatile bool held; /* the server is copying: neither latch commands nor publish a snapshot */

@@ -12,6 +12,8 @@
 #include "control/observer.h"
 #include "control/pll.h"
 #include "drive/brake.h"
+#include "drive/heat_watch.h"
+#include "drive/phase_watch.h"
 #include "drive/startup.h"
 #include "drive/stop.h"
 #include "hal/hal.h"
@@ -61,6 +63,9 @@ typedef struct {
     frac16_t u_dc_least; /* under-voltage */
     uint16_t offset_tolerance; /* ADC codes that an amplifier offset may lie off mid-scale */
     frac16_t offset_duty_least; /* shortest high side during which an offset sample is true */
+
+    phase_watch_config_t phases;
+    heat_watch_config_t heat;
 
     uint16_t settle_ticks; /* slow ticks in INIT until the bus filter has settled */
     frac32_t stop_acceleration; /* least ramp of a stop, whatever the host's limit: speed per slow tick */

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x75DA3F99)
+#define CATALOGUE_HASH UINT32_C(0x6A403F24)
 
 typedef enum {
     STATE_FAULT = 0,

@@ -67,6 +67,9 @@ static inline int32_t pll_step_of(const pll_config_t *config, frac32_t speed)
     return (int32_t)asr64((int64_t)speed * config->step_per_speed, 31);
 }
 
+/* Go on at the same speed. */
+static inline void pll_coast(pll_t *pll) { pll->angle += (uint32_t)pll->step; }
+
 /* A sample was taken, and the observer has made its step. */
 static inline void pll_step(pll_t *pll, const pll_config_t *config, observer_ab_t e)
 {
@@ -75,7 +78,7 @@ static inline void pll_step(pll_t *pll, const pll_config_t *config, observer_ab_
     const int32_t error = pll->backwards ? across : -across;
     pll->integral = f32_clip(pll->integral + f32_gain(error, config->ki), config->step_most);
     pll->step = f32_clip(f32_add(pll->integral, f32_gain(error, pll->kp)), config->step_most);
-    pll->angle += (uint32_t)pll->step;
+    pll_coast(pll);
 }
 
 #endif

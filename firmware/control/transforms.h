@@ -46,6 +46,23 @@ static inline ab_t clarke(abc_t x)
  * and needs no more than 32 bits. */
 static inline frac16_t rotated(int32_t sum) { return sat16_asr(sum + INT32_C(0x4000), 15); }
 
+/* The way back; the third is minus the other two. */
+static inline abc_t clarke_inverse(ab_t x)
+{
+    const int32_t half = asr32((int32_t)x.beta * INT32_C(28378) + INT32_C(0x4000), 15); /* sqrt 3 / 2 beta */
+    const int32_t b = half - asr32(x.alpha, 1);
+    const abc_t result = {x.alpha, b, -x.alpha - b};
+    return result;
+}
+
+/* Length of a vector, at most 12 % too long. */
+static inline int32_t length_about(int32_t x, int32_t y)
+{
+    const int32_t a = (x < 0) ? -x : x;
+    const int32_t b = (y < 0) ? -y : y;
+    return (a > b) ? a + b / 2 : b + a / 2;
+}
+
 /* Stator frame to rotor frame and back; `at` is the rotor angle (E16). */
 static inline dq_t park(ab_t x, sin_cos_t at)
 {

@@ -36,6 +36,7 @@ void angle_check_step(axis_t *axis)
     if (!estimate->runs) {
         axis->fast = LOOP_OBSERVED;
         estimate_start(axis, encoder_angle(axis), step);
+        estimate->locked = true;
         return;
     }
     estimate_step(axis);
@@ -43,8 +44,10 @@ void angle_check_step(axis_t *axis)
     /* The back-EMF is the mean of the period after the sample that the angle is from. */
     const frac16_t middle = pll_upper(encoder_angle(axis) + (uint32_t)asr32(step, 1));
     const dq_t emf = park(estimate->emf, sin_cos(middle));
-    const bool deviates = emf_check_deviates(&axis->config->emf_check, emf, estimate_emf_at(axis, axis->feedback.speed),
-                                             axis->current_loop.current.q);
+    const frac16_t expected = estimate_emf_at(axis, axis->feedback.speed);
+    const bool deviates =
+        emf_check_deviates(&axis->config->emf_check, axis->config->emf_check.floor, emf_check_deviation(emf, expected),
+                           expected, axis->current_loop.current.q);
     if (emf_check_lasts(&estimate->check, deviates, axis->config->emf_check.ticks_check)) {
         axis_raise(axis, FAULT_ANGLE_MISMATCH);
     }

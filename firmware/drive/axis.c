@@ -7,8 +7,15 @@
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
 
-void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index)
+void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index, fault_record_t *record,
+               const uint32_t *clock)
 {
+    *record = (fault_record_t){0};
+    axis->record = record;
+    axis->clock = clock;
+    phase_watch_start(&axis->phases);
+    encoder_watch_start(&axis->encoder_watch);
+    heat_watch_start(&axis->heat);
     axis->config = config;
     axis->hal = hal;
     axis->index = index;
@@ -63,12 +70,41 @@ static void choose_source(axis_t *axis)
     }
 }
 
+/* An over-current trips sooner than anything else is seen: it comes first only if nothing is found to be its cause. */
+static fault_set_t root_of(const axis_t *axis, fault_set_t faults)
+{
+    if ((faults & FAULT_OVER_CURRENT) == 0U) {
+        return faults;
+    }
+    const fault_set_t suspects = phase_watch_suspects(&axis->phases) | encoder_watch_suspects(axis);
+    return (suspects != 0U) ? suspects & axis->faults_enabled : faults;
+}
+
+/* A converter that repeats itself shows within 50 ms, sometimes only after what it has led to. */
+#define SECOND_THOUGHTS UINT32_C(2048)
+
+/* Faults that are concluded from currents. */
+#define CONCLUSIONS                                                                                                    \
+    (FAULT_CURRENT_OFFSET | FAULT_ROTOR_SEARCH | FAULT_ENCODER_LOST | FAULT_ENCODER_REVERSED | FAULT_ANGLE_MISMATCH |  \
+     FAULT_PHASE_LOST | FAULT_SPEED_FEEDBACK | FAULT_START_UP)
+
 static void capture(axis_t *axis, fault_set_t faults)
 {
-    if (axis->faults == 0U) {
-        axis->first_fault = fault_code(faults);
+    const fault_set_t fresh = faults & ~axis->faults;
+    if (fresh == 0U) {
+        return;
     }
-    axis->faults |= faults;
+    if (axis->faults == 0U) {
+        const fault_set_t root = root_of(axis, fresh);
+        fault_record_first(axis->record, axis, (root != 0U) ? root : fresh);
+        axis->faults = root;
+    } else if ((fresh & FAULT_CURRENT_SENSE) != 0U && *axis->clock - axis->record->tick < SECOND_THOUGHTS &&
+               (axis->faults & (CONCLUSIONS | FAULT_OVER_CURRENT)) != 0U) {
+        axis->record->code = fault_code(FAULT_CURRENT_SENSE); /* the controller has been lied to, and so were we */
+        axis->faults &= ~CONCLUSIONS;
+    }
+    axis->first_fault = axis->record->code;
+    axis->faults |= fresh;
 }
 
 void axis_raise(axis_t *axis, fault_set_t faults)
@@ -113,6 +149,9 @@ static fault_set_t present_faults(const axis_t *axis)
     if (axis->u_dc > axis->u_dc_most) {
         faults |= FAULT_OVER_VOLTAGE;
     }
+    if (axis->heat.hot) {
+        faults |= FAULT_OVER_TEMPERATURE;
+    }
     if (axis->u_dc < axis->config->u_dc_least && axis->sm.state != STATE_INIT) {
         faults |= FAULT_UNDER_VOLTAGE; /* in INIT the filter still settles */
     }
@@ -132,8 +171,77 @@ static bool suspicious(const axis_t *axis)
 static void watch(axis_t *axis)
 {
     capture(axis, present_faults(axis));
+    if (axis->sm.state != STATE_FAULT && axis->faults != 0U) {
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT);
+    }
+}
+
+/* ---- what is watched in the slow loop ---------------------------------------------------------------------------- */
+
+static bool in(const axis_t *axis, substate_t substate)
+{
+    return axis->sm.state == STATE_RUN && axis->substate == substate;
+}
+
+/* Another pair of converters each time: all three say something within three ticks, whatever nobody asks of them. */
+static void look_around(axis_t *axis)
+{
+    axis->sense.pair = (phase_pair_t)((axis->sense.pair + 1U) % SENSE_PHASES);
+    hal_adc_select(axis->hal, axis->index, axis->sense.pair);
+}
+
+/* Of the vector in the last period. */
+static frac16_t startup_theta(const axis_t *axis)
+{
+    const startup_t *startup = &axis->startup;
+    return (startup->phase == STARTUP_RAMP) ? pll_upper(startup->angle - (uint32_t)startup->step) : 0;
+}
+
+static fault_set_t watch_phases(axis_t *axis)
+{
+    if (in(axis, SUBSTATE_ALIGN)) {
+        return rotor_search_drives(&axis->search) ? phase_watch_currents(axis, rotor_search_angle(&axis->search)) : 0U;
+    }
+    if (in(axis, SUBSTATE_SPIN)) {
+        return phase_watch_currents(axis, axis->feedback.theta_e);
+    }
+    if (in(axis, SUBSTATE_STARTUP)) {
+        return phase_watch_currents(axis, startup_theta(axis));
+    }
+    phase_watch_restart(&axis->phases);
+    return 0;
+}
+
+static fault_set_t watch_encoder(axis_t *axis)
+{
+    if (axis->sensorless) {
+        return 0;
+    }
+    fault_set_t faults = encoder_watch_count(axis);
+    if (in(axis, SUBSTATE_SPIN)) {
+        faults |= encoder_watch_voltage(axis);
+    } else if (in(axis, SUBSTATE_READY)) {
+        faults |= encoder_watch_short(axis);
+    }
+    return faults;
+}
+
+/* Before the controllers of this tick move on: currents, set-points and angle belong to the last period. */
+static void watch_slowly(axis_t *axis)
+{
+    fault_set_t faults = phase_watch_converters(axis, hal_adc_offsets(axis->hal, axis->index));
+    if (axis->sm.state != STATE_RUN) {
+        look_around(axis);
+    }
+    heat_watch_step(&axis->heat, &axis->config->heat, hal_adc_temperature(axis->hal, axis->index));
+    const fault_set_t standing = faults | present_faults(axis);
     if (axis->sm.state != STATE_FAULT) {
-        axis_raise(axis, axis->faults);
+        faults |= watch_phases(axis) | watch_encoder(axis);
+    }
+    axis->record->pending = standing;
+    axis_raise(axis, faults | (axis->heat.hot ? FAULT_OVER_TEMPERATURE : 0U));
+    if (axis->faults == 0U) {
+        fault_record_sample(axis->record, axis);
     }
 }
 
@@ -167,7 +275,8 @@ static void take_requests(axis_t *axis)
     }
     if (command->clear_faults && axis->sm.state == STATE_FAULT) {
         hal_break_clear(axis->hal, axis->index);
-        axis->faults = present_faults(axis);
+        axis->faults = axis->record->pending & (axis->faults_enabled);
+        axis->faults |= present_faults(axis);
         axis->first_fault = fault_code(axis->faults);
         if (axis->faults == 0U) {
             axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT_CLEAR);
@@ -181,6 +290,7 @@ void axis_slow(axis_t *axis)
     if (!axis->source->slow(axis)) {
         axis_raise(axis, FAULT_ENCODER);
     }
+    watch_slowly(axis);
     take_requests(axis);
     choose_source(axis);
     if (axis->sensorless && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {

@@ -9,9 +9,12 @@
 #include "config/axis_config.h"
 #include "control/path.h"
 #include "drive/current_sense.h"
+#include "drive/encoder_watch.h"
 #include "drive/estimate.h"
 #include "drive/faults.h"
 #include "drive/feedback.h"
+#include "drive/heat_watch.h"
+#include "drive/phase_watch.h"
 #include "drive/startup.h"
 #include "drive/state_machine.h"
 #include "drive/stop.h"
@@ -134,10 +137,17 @@ typedef struct axis {
     dq_t current_ref;
     motion_state_t motion;
     supervision_t supervision;
+    phase_watch_t phases;
+    encoder_watch_t encoder_watch;
+    heat_watch_t heat;
+    fault_record_t *record; /* of the first fault; the owner's */
+    const uint32_t *clock;  /* PWM periods since reset; the owner's */
     uint16_t path_omega_n_ts; /* omega_n Ts of the path filter under the present limits, 16 fraction bits */
 } axis_t;
 
-void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index);
+/* `record` and `clock` belong to the caller and live as long as the axis. */
+void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t index, fault_record_t *record,
+               const uint32_t *clock);
 
 /* Every PWM period, after the conversions of this axis. */
 void axis_fast(axis_t *axis);

@@ -13,6 +13,7 @@ void estimate_start(axis_t *axis, uint32_t angle, int32_t step)
     estimate->turned = 0;
     estimate->angle = angle;
     estimate->deviates = true;
+    estimate->locked = false;
     estimate->runs = true;
     estimate_set(axis, angle, step);
 }
@@ -52,9 +53,10 @@ void estimate_step(axis_t *axis)
     observer_turn(&estimate->observer, pll->integral);
 
     speed_reliability_add(&estimate->reliability, &axis->config->reliability, estimate->speed);
-    const dq_t smooth = emf_check_filter(&estimate->check, emf);
-    estimate->deviates = emf_check_deviates(&axis->config->emf_check, smooth, estimate_emf_at(axis, estimate->speed),
-                                            axis->current_loop.current.q);
+    const frac16_t expected = estimate_emf_at(axis, estimate->speed);
+    const dq_t smooth = emf_check_filter(&estimate->check, emf_check_deviation(emf, expected));
+    estimate->deviates = emf_check_deviates(&axis->config->emf_check, axis->config->emf_check.floor_spin, smooth,
+                                            expected, axis->current_loop.current.q);
 }
 
 bool estimate_reliable(const axis_t *axis)

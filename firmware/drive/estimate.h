@@ -20,6 +20,7 @@ typedef struct {
     uint32_t angle;   /* of the last slow tick, 2^32 is a turn */
     int32_t turned;   /* angle between the last two */
     bool deviates;    /* the back-EMF, over some time, fits neither angle nor speed */
+    bool locked;      /* the PLL follows the back-EMF; otherwise it goes on as it was set */
     bool runs;
 } estimate_t;
 

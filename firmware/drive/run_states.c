@@ -174,10 +174,19 @@ static void align_fast(axis_t *axis)
     }
 }
 
+/* A shaft that does not move, or is not pulled at all. */
+static fault_set_t search_failure(const axis_t *axis)
+{
+    const int32_t silent = axis->config->phases.silent;
+    const bool asked = axis->current_ref.d > 2 * silent;
+    return (asked && f16_abs(axis->current_loop.current.d) < silent) ? FAULT_PHASE_LOST : FAULT_ROTOR_SEARCH;
+}
+
 static void align_slow(axis_t *axis)
 {
     track_offsets(axis);
     const bool driven = rotor_search_drives(&axis->search);
+    const fault_set_t failure = search_failure(axis);
     rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
@@ -188,7 +197,7 @@ static void align_slow(axis_t *axis)
     } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
         axis_raise(axis, FAULT_ENCODER_REVERSED);
     } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {
-        axis_raise(axis, FAULT_ROTOR_SEARCH);
+        axis_raise(axis, failure);
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
         align_spin(axis);
     } else if (driven && !rotor_search_drives(&axis->search)) {
@@ -200,11 +209,7 @@ static void align_slow(axis_t *axis)
 
 static void spin_fast(axis_t *axis) { drive_current(axis, axis->feedback.theta_e); }
 
-static void spin_observed_fast(axis_t *axis)
-{
-    drive_observed(axis, axis->feedback.theta_e);
-    pll_step(&axis->estimate.pll, &axis->config->pll, axis->estimate.observer.e);
-}
+static void spin_observed_fast(axis_t *axis) { drive_observed(axis, axis->feedback.theta_e); }
 
 /* Sensorless: the speed has come down to where the observer ends. The current goes first, then the outputs. */
 static void leave_slowly(axis_t *axis)
@@ -258,7 +263,7 @@ static void spin_slow(axis_t *axis)
     motion_step(axis);
     if (axis->sensorless) {
         spin_sensorless(axis);
-    } else {
+    } else if (axis->estimate.runs || (axis->features & FEATURE_ANGLE_CHECK) != 0U) {
         angle_check_step(axis);
     }
     if (axis->current_loop.limited) {
@@ -285,7 +290,7 @@ static void startup_slow_state(axis_t *axis)
         startup_spin(axis);
         break;
     case STARTUP_FAILED:
-        axis_raise(axis, FAULT_START_UP);
+        axis_raise(axis, startup_fault(axis));
         break;
     default:
         break;

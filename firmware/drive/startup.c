@@ -38,16 +38,6 @@ static void hold_current_off(axis_t *axis)
     drive_observed(axis, 0);
 }
 
-static void follow(axis_t *axis)
-{
-    pll_t *pll = &axis->estimate.pll;
-    if (axis->startup.locked) {
-        pll_step(pll, &axis->config->pll, axis->estimate.observer.e);
-    } else {
-        pll->angle += (uint32_t)pll->step;
-    }
-}
-
 void startup_fast(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
@@ -57,7 +47,6 @@ void startup_fast(axis_t *axis)
     } else {
         hold_current_off(axis);
     }
-    follow(axis);
 }
 
 /* ---- a shaft that turns already ------------------------------------------------------------------------------------- */
@@ -68,7 +57,7 @@ static void begin_ramp(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     enter(startup, STARTUP_RAMP);
-    startup->locked = false;
+    axis->estimate.locked = false;
     startup->angle = 0;
     startup->step = 0;
     startup->speed = 0;
@@ -88,7 +77,7 @@ static void begin_track(axis_t *axis)
     const frac16_t rotor = f16_add_wrap(to, (turn < 0) ? QUARTER_TURN : -QUARTER_TURN);
     const int32_t step = (int32_t)turn * (INT32_C(65536) / AXIS_SLOW_PERIODS);
     enter(startup, STARTUP_TRACK);
-    startup->locked = true;
+    axis->estimate.locked = true;
     speed_reliability_reset(&axis->estimate.reliability);
     emf_check_reset(&axis->estimate.check);
     estimate_set(axis, ((uint32_t)(uint16_t)rotor << 16) + (uint32_t)asr32(step, 1), step);
@@ -134,10 +123,10 @@ static frac16_t damping_current(const axis_t *axis, frac32_t speed)
 static void lock(axis_t *axis, int32_t before)
 {
     startup_t *startup = &axis->startup;
-    if (startup->locked) {
+    if (axis->estimate.locked) {
         axis->estimate.pll.integral += startup->step - before;
     } else if (axis->estimate.size >= least_emf(axis) && startup->speed >= axis->config->startup.minimum_speed) {
-        startup->locked = true;
+        axis->estimate.locked = true;
         pll_adapt(&axis->estimate.pll, &axis->config->pll, axis->estimate.size);
         speed_reliability_reset(&axis->estimate.reliability);
         emf_check_reset(&axis->estimate.check);
@@ -169,7 +158,7 @@ static bool converged(const axis_t *axis)
     const frac32_t forced = axis->startup.speed;
     const frac32_t mean = turned(speed_reliability_mean(&axis->estimate.reliability), axis->startup.backwards);
     const int64_t ratio = (int64_t)mean * (INT32_C(1) << RATIO_BITS);
-    return axis->startup.locked && estimate_reliable(axis) && ratio >= (int64_t)forced * config->mean_least &&
+    return axis->estimate.locked && estimate_reliable(axis) && ratio >= (int64_t)forced * config->mean_least &&
            ratio <= (int64_t)forced * config->mean_most;
 }
 
@@ -196,6 +185,12 @@ startup_result_t startup_slow(axis_t *axis)
         ramp(axis);
         return test(axis);
     }
+}
+
+fault_set_t startup_fault(const axis_t *axis)
+{
+    const bool starved = axis->current_loop.current.d < axis->config->startup.first_current / 4;
+    return starved ? FAULT_PHASE_LOST : FAULT_START_UP;
 }
 
 /* ---- the hand-over -------------------------------------------------------------------------------------------------- */

@@ -9,6 +9,7 @@
 #define SERVO_DRIVE_STARTUP_H
 
 #include "control/transforms.h"
+#include "drive/faults.h"
 
 struct axis;
 
@@ -40,7 +41,6 @@ typedef struct {
     uint16_t ticks; /* slow ticks in this phase */
     uint16_t passed; /* tests of the criterion in a row */
     bool backwards;
-    bool locked; /* the back-EMF is large enough for the PLL */
     uint32_t angle; /* of the vector at the next sample, 2^32 is a turn */
     int32_t step; /* per PWM period */
     frac32_t speed; /* mechanical, of the vector; without sign */
@@ -63,6 +63,9 @@ void startup_fast(struct axis *axis);
 
 /* One slow tick. */
 startup_result_t startup_slow(struct axis *axis);
+
+/* A start-up that has failed: because no current flows, or for another reason. */
+fault_set_t startup_fault(const struct axis *axis);
 
 /* The rotor is taken over from the vector: currents and voltages stay what they are. */
 void startup_hand_over(struct axis *axis);

@@ -110,6 +110,9 @@ bool hal_serial_get(hal_t *hal, uint8_t *byte);
 /* Hand one byte to the transmitter; false when it is still busy. */
 bool hal_serial_put(hal_t *hal, uint8_t byte);
 
+/* Loops since reset that came so late that the carrier had passed the load of their duties, modulo 65536. */
+uint16_t hal_late_loops(hal_t *hal);
+
 /* True when it was the watchdog that has reset the board. */
 bool hal_reset_by_watchdog(hal_t *hal);
 

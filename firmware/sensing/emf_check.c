@@ -13,11 +13,12 @@ static int32_t length(int32_t x, int32_t y)
     return (a > b) ? a + b / 2 : b + a / 2;
 }
 
-bool emf_check_deviates(const emf_check_config_t *config, dq_t emf, frac16_t expected, frac16_t current)
+bool emf_check_deviates(const emf_check_config_t *config, frac16_t floor, dq_t deviation, frac16_t expected,
+                        frac16_t current)
 {
     const int32_t by_resistance = asr32(f32_gain(f32_from_f16(f16_abs(current)), config->resistance), 16);
     const int32_t by_size = asr32(f16_abs(expected) * (int32_t)config->part, 15);
-    return length(emf.d, (int32_t)emf.q - expected) > config->floor + by_resistance + by_size;
+    return length(deviation.d, deviation.q) > floor + by_resistance + by_size;
 }
 
 static frac16_t smoothed(int32_t *state, frac16_t x)
@@ -26,9 +27,9 @@ static frac16_t smoothed(int32_t *state, frac16_t x)
     return sat16_asr(*state, FILTER_BITS);
 }
 
-dq_t emf_check_filter(emf_check_t *check, dq_t emf)
+dq_t emf_check_filter(emf_check_t *check, dq_t deviation)
 {
-    return (dq_t){smoothed(&check->d, emf.d), smoothed(&check->q, emf.q)};
+    return (dq_t){smoothed(&check->d, deviation.d), smoothed(&check->q, deviation.q)};
 }
 
 bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t most)

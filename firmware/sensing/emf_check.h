@@ -11,6 +11,7 @@
 
 typedef struct {
     frac16_t floor;      /* what dead time and switches leave unexplained at any speed */
+    frac16_t floor_spin; /* the same after the filter */
     gain_t resistance;   /* error of the resistance that is tolerated, full-scale current over full-scale voltage */
     uint16_t part;       /* deviation over the back-EMF that is expected, 15 fraction bits */
     uint16_t ticks_spin; /* slow ticks that the observer of a sensorless axis may deviate, after the filter */
@@ -18,18 +19,22 @@ typedef struct {
 } emf_check_config_t;
 
 typedef struct {
-    int32_t d; /* filtered back-EMF, 8 bits more */
+    int32_t d; /* filtered deviation, 8 bits more */
     int32_t q;
     uint16_t ticks; /* slow ticks of deviation */
 } emf_check_t;
 
 void emf_check_reset(emf_check_t *check);
 
-/* True while `emf`, in the frame of an angle, is too far from (0, expected) with a current of this size. */
-bool emf_check_deviates(const emf_check_config_t *config, dq_t emf, frac16_t expected, frac16_t current);
+/* What `emf`, in the frame of an angle, has more than (0, expected). */
+static inline dq_t emf_check_deviation(dq_t emf, frac16_t expected) { return (dq_t){emf.d, f16_sub(emf.q, expected)}; }
 
-/* Back-EMF over some periods of a swing: time constant 32 slow ticks. */
-dq_t emf_check_filter(emf_check_t *check, dq_t emf);
+/* True while a deviation is larger than `floor`, the size of what is expected and the current explain. */
+bool emf_check_deviates(const emf_check_config_t *config, frac16_t floor, dq_t deviation, frac16_t expected,
+                        frac16_t current);
+
+/* Deviation over some periods of a swing: time constant 32 slow ticks. */
+dq_t emf_check_filter(emf_check_t *check, dq_t deviation);
 
 /* One slow tick: true after `most` ticks of deviation, less those without. */
 bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t most);

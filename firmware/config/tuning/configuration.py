@@ -12,6 +12,7 @@ from servo_msgs_py.catalogue import Catalogue
 from tuning.errors import ConfigError, refused
 from tuning.schema import AXIS_GROUPS, BOARD_GROUPS, check_group, check_switches, check_table, unknown_name
 from tuning.stops import Stops
+from tuning.temperature import Temperature
 
 __all__ = ["FEEDBACKS", "Axis", "Board", "Configuration", "Scales"]
 
@@ -59,11 +60,14 @@ class Board:
     ----------
     values : mapping
         By key, or by group and key.
+    temperature : Temperature
+        Of the heat sinks.
     brake : bool
         Whether there is a brake resistor.
     """
 
     values: Mapping[str, float]
+    temperature: Temperature
     brake: bool
 
     def __call__(self, key: str) -> float:
@@ -94,13 +98,14 @@ class Board:
             If an entry is missing, unknown or cannot make sense.
         """
         plain = dict(check_table("board", table))
+        temperature = Temperature.of(plain.pop("temperature", {}))
         groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
         values = check_group("board", "board", plain)
         switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}
         for group, entries in groups.items():
             checked = check_group(f"board.{group}", group, entries)
             values |= {f"{group}.{key}": value for key, value in checked.items()}
-        return cls(values, check_switches("board.brake", switch, ["fitted"])["fitted"])
+        return cls(values, temperature, check_switches("board.brake", switch, ["fitted"])["fitted"])
 
     def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
         """Error about one entry of the group."""

@@ -50,6 +50,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **_feed_forward(to),
         **_limits(to),
         **_supervision(to),
+        **_watches(to),
         **stop_constants(to),
     }
 
@@ -234,6 +235,23 @@ def _supervision(to: Converter) -> dict[str, Field]:
         "runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
         "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
         **{field: to.ticks(path) for field, path in times.items()},
+    }
+
+
+def _watches(to: Converter) -> dict[str, Field]:
+    """What the checks of phases, converters, encoder and heat sink compare with."""
+    axis, board, s = to.axis, to.board, to.s
+    sign = axis("sensing.sign_current") / s.i
+    dead = 0.5 * board("dead_time") / board.period * board("nominal_voltage")
+    floor = max(board("switch_drop") + dead, 0.5) / s.u_s
+    hot, cool = board.temperature.codes()
+    return {
+        "phases.silent": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
+        "phases.least": to.of(FRAC16, "least current of a direction", 1.5 * sign, "raise sensing.sign_current"),
+        "phases.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
+        "phases.emf_floor": to.of(FRAC16, "unexplained voltage", floor, "lower board.switch_drop"),
+        "heat.hot": hot,
+        "heat.cool": cool,
     }
 
 

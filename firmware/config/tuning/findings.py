@@ -112,7 +112,8 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
         return
     if start_up.torque > TORQUE_MOST:
         entry = _entry(it, "start_up.current_first")
-        yield f"{entry}: the start-up takes {100.0 * start_up.torque:.0f} % of the current's torque; raise start_up.swings"
+        share = f"{100.0 * start_up.torque:.0f} % of the current's torque"
+        yield f"{entry}: the start-up takes {share}; raise start_up.swings"
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
             what = f"with R x {case.r_s:g} and L x {case.inductance:g} the observer's gains are unstable"
@@ -128,6 +129,6 @@ def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
             what = f"at {lock.speed:.3g} rad/s the speed loop has a phase margin of {phase:.1f} deg"
             yield f"{_entry(it, 'observer.speed_part')}: {what}, less than {PHASE_LEAST:g}; lower it"
     lock = figures.sensorless.locks[0]
-    if lock.back_emf < it.axis("emf_check.floor"):
-        what = f"{lock.speed:.3g} rad/s give {lock.back_emf:.2g} V, less than emf_check.floor leaves unexplained"
+    if lock.back_emf < it.axis("emf_check.spin_floor"):
+        what = f"{lock.speed:.3g} rad/s give {lock.back_emf:.2g} V, less than emf_check.spin_floor leaves unexplained"
         yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; raise it"

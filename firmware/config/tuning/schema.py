@@ -195,6 +195,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
     },
     "emf_check": {
         "floor": Entry("V", "by which the back-EMF may be off at any speed: dead time"),
+        "spin_floor": Entry("V", "the same after the filter of a sensorless axis"),
         "resistance": Entry("", "part by which r_s may be off", True, most=2.0),
         "part": Entry("", "part of the back-EMF by which it may be off", most=1.0),
         "spin_time": Entry("s", "of that until a sensorless axis has lost its rotor"),

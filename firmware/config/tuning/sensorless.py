@@ -1,12 +1,12 @@
 """Without an encoder: the Luenberger observer of the back-EMF, the loop that locks on it, and the start-up. SI units.
 
-The observer is that of the ST slides in the frame of DRM E11..E15, with L = (L_d + L_q) / 2 and vectors as complex numbers:
+The observer is that of the ST slides in the frame of DRM E11..E15, with L = (L_d + L_q) / 2; vectors are complex:
 
     L di/dt = v - R i - e,  de/dt = j omega e,  e = j omega psi_m exp(j theta)
 
-One period T, a = exp(-R T / L), b = (1 - a) / R: the estimate is corrected by ``error = i_estimated - i``, K1 times that for
-the current and K2 times for the back-EMF, and goes on, ``i = a i + b (v - e)``, ``e = e exp(j omega T)``. K1 and K2 per
-second are those of the slide's differential equations.
+One period T, a = exp(-R T / L), b = (1 - a) / R: an estimate is corrected by ``error = i_estimated - i``, K1 times that
+for the current and K2 times for the back-EMF, and goes on, ``i = a i + b (v - e)``, ``e = e exp(j omega T)``. K1 and K2
+per second are those of the slide's differential equations.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ __all__ = [
 SLIDE_I_PER_SPEED: Final = 60.0 / 2.0**19
 """omega_n^2 / omega_e per number of the slide's rule (ST slide "PLL 闭环系数计算").
 
-The library computes ``P err / 2^14 + sum(I err) / 2^18`` in parts of 2^16 of a turn per period, with err = 2^15 sin(delta)
-where the back-EMF has the size of that at f_max, and I = 1506742 f_max / f_s^2 with f_max in electrical turns per minute.
-f_max and f_s go out: omega_n^2 = 172.4 omega_e for any motor.
+The library computes ``P err / 2^14 + sum(I err) / 2^18``, 2^16 a turn, per period, with err = 2^15 sin(delta) where the
+back-EMF has the size of that at f_max, and I = 1506742 f_max / f_s^2 with f_max in electrical turns per minute. Both go
+out: omega_n^2 = 172.4 omega_e for any motor.
 """
 
 SLIDE_P: Final = 532.0 * 60.0 / 2.0**15
@@ -109,8 +109,8 @@ class BackEmfObserver:
     def of(cls, axis: Axis, board: Board) -> BackEmfObserver:
         """From K1 and K2, or from the bandwidth beyond the winding's own decay.
 
-        Both poles lie at half the decay of a current and the bandwidth, ``s = -R / 2L - 2 pi f`` with damping 1, so that
-        ``p1 p2 = a (1 + K1)`` keeps K1 below 0 for any winding; ``(1 - p1) (1 - p2) = b K2``.
+        Both poles lie at half the decay of a current and the bandwidth, ``s = -R / 2L - 2 pi f`` with damping 1, so
+        that ``p1 p2 = a (1 + K1)`` keeps K1 below 0 for any winding; ``(1 - p1) (1 - p2) = b K2``.
         """
         r_s, l_s, period = axis("motor.r_s"), inductance(axis), board.period
         if axis.given("observer.k_1"):
@@ -257,7 +257,8 @@ class Sensorless:
 def angle_error(axis: Axis, omega_e: float, i_q: float, r_s: float = 1.0, inductance_: float = 1.0) -> float:
     """Steady error of the observed angle when the winding differs from the belief, at i_d = 0 [rad].
 
-    The observer sees ``e + (R - R^) i + j omega (L_q - L^) i``, whatever K1 and K2 are: R changes its size, only L turns it.
+    The observer sees ``e + (R - R^) i + j omega (L_q - L^) i``, whatever K1 and K2 are: R changes its size, and only
+    L turns it.
 
     Parameters
     ----------

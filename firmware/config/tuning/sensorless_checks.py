@@ -120,7 +120,7 @@ def _pll(axis: Axis, board: Board, pll: Pll, start_up: StartUp) -> None:
     p = axis("motor.pole_pairs")
     lag = p * start_up.acceleration / pll.omega_n(p * start_up.speed_final) ** 2
     if lag > LAG_MOST:
-        reason = f"the loop would trail the start-up by {math.degrees(min(lag, 1e3)):.3g} degrees, {LAG_MOST:.2g} rad at most"
+        reason = f"the loop would trail the start-up by {math.degrees(min(lag, 1e3)):.3g} degrees"
         raise axis.refused("observer.pll_i", reason, "raise it, or start_up.swings")
 
 

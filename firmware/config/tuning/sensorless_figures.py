@@ -22,6 +22,10 @@ SPEEDS: Final = (1.0, 2.0, 4.0, 8.0)
 """Of the minimum speed, as far as they lie below the limit, which comes last."""
 
 
+GONE: Final = 1e-9
+"""A pole so near to 0 has no time constant any more."""
+
+
 @dataclass(frozen=True)
 class ObserverPoles:
     """Poles of the sampled observer.
@@ -130,7 +134,7 @@ def _poles(it: Tuned) -> Iterator[ObserverPoles]:
     for r_s, inductance in WINDINGS:
         observer = it.sensorless.observer.winding(r_s, inductance)
         for speed in (0.0, top):
-            found = tuple(pole_of(z, it.board.period) for z in observer.poles(p * speed))
+            found = tuple(pole_of(z if abs(z) > GONE else GONE, it.board.period) for z in observer.poles(p * speed))
             yield ObserverPoles(r_s, inductance, speed, found)
 
 

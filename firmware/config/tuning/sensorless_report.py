@@ -55,10 +55,10 @@ def _size(pole: Pole) -> float:
 def _poles(figures: SensorlessFigures) -> Iterator[str]:
     rows = [("winding", "speed", "z", "|z|", "decays like", "z", "|z|", "decays like")]
     for entry in figures.poles:
-        columns = [column for pole in entry.poles for column in _pole(pole)]
-        state = [] if all(abs(pole.z) < 1.0 for pole in entry.poles) else ["UNSTABLE"]
+        slow, fast = (_pole(pole) for pole in entry.poles)
+        last = fast[2] if all(abs(pole.z) < 1.0 for pole in entry.poles) else "UNSTABLE"
         speed = f"{entry.speed:g} rad/s"
-        rows.append((_winding(entry.r_s, entry.inductance), speed, *columns[:5], *(state or columns[5:])))
+        rows.append((_winding(entry.r_s, entry.inductance), speed, *slow, *fast[:2], last))
     return table(rows)
 
 

@@ -96,8 +96,8 @@ class Tuned:
         squares = [it.pll.rate * top for it in (designed, used)]
         yield GainRow("observer K1", "1/s", designed.observer.k1 / period, used.observer.k1 / period, k1)
         yield GainRow("observer K2", "V/(A s)", designed.observer.k2 / period, used.observer.k2 / period, k2)
-        yield GainRow("PLL Kp at the speed limit", "1/s", *gains, kp)
-        yield GainRow("PLL Ki at the speed limit", "1/s^2", *squares, ki)
+        yield GainRow("PLL Kp at the speed limit", "1/s", gains[0], gains[1], kp)
+        yield GainRow("PLL Ki at the speed limit", "1/s^2", squares[0], squares[1], ki)
         yield GainRow("sensorless speed Kp", "A s/rad", designed.speed.kp, used.speed.kp, speed.kp)
         yield GainRow("sensorless speed Kp Ki Ts", "A s/rad", designed.speed.ki, used.speed.ki, speed.ki)
 
@@ -217,9 +217,10 @@ def _refuse_unstable(it: Tuned) -> None:
         _refuse_radius(it, speed, spectral_radius(shaft.speed_alone), how)
         _refuse_radius(it, "control.position_gain", spectral_radius(shaft.position.a), how)
     if it.trouble is None:
-        for speed in (it.sensorless.start_up.minimum_speed, it.axis("limits.speed")):
-            radius = spectral_radius(it.sensorless_shaft(speed).speed_alone)
-            _refuse_radius(it, "observer.speed_part", radius, f"at {speed:.3g} rad/s the speed loop without an encoder")
+        for turning in (it.sensorless.start_up.minimum_speed, it.axis("limits.speed")):
+            radius = spectral_radius(it.sensorless_shaft(turning).speed_alone)
+            how = f"at {turning:.3g} rad/s the speed loop without an encoder"
+            _refuse_radius(it, "observer.speed_part", radius, how)
 
 
 def _refuse_radius(it: Tuned, path: str, radius: float, how: str) -> None:

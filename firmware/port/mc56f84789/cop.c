@@ -9,6 +9,8 @@ void cop_start(hal_t *hal)
     REG_WRITE(hal, COP_CTRL, SET_COP_CTRL);
 }
 
+uint16_t hal_late_loops(hal_t *hal) { return hal->late; }
+
 bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
 
 void hal_watchdog_service(hal_t *hal)

@@ -58,12 +58,34 @@ static void sequence_lost(hal_t *hal)
 
 static void scope(hal_t *hal, uint16_t pins) { REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DR, pins); }
 
+/* Periods without M1, on the encoder's time stamps, which nothing holds up. */
+static void note_gap(hal_t *hal)
+{
+    const uint16_t now = REG_READ(hal, TMRA_BASE + TMR_CHANNEL(1U) + TMR_CNTR);
+    const uint16_t gap = (uint16_t)(now - hal->last);
+    hal->last = now;
+    if (gap > LATE_TIME_STAMPS && hal->running) {
+        hal->late = (uint16_t)(hal->late + gap / PERIOD_TIME_STAMPS);
+    }
+    hal->running = true;
+}
+
+/* New duties are loaded where the counter of their module passes zero. */
+static void note_late(hal_t *hal, uint16_t module)
+{
+    if ((REG_READ(hal, module + PWM_SM(1U) + PWM_CNT) & BIT(15)) == 0U) {
+        hal->late++;
+    }
+}
+
 void port_m1(hal_t *hal)
 {
     scope(hal, PIN_SCOPE_M1);
     REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_STS, PWM_STS_CMPF(M1_VAL));
+    note_gap(hal);
     if (adc_take_first(hal)) {
         servo_m1_isr(hal->servo);
+        note_late(hal, PWMA_BASE);
     } else {
         sequence_lost(hal);
     }
@@ -76,6 +98,7 @@ void port_m2(hal_t *hal)
     if (adc_take_second(hal)) {
         hal->losses = (uint16_t)(hal->losses - ((hal->losses > 0U) ? 1U : 0U));
         servo_m2_isr(hal->servo);
+        note_late(hal, PWMB_BASE);
         REG_WRITE(hal, ADC_STAT, ADC_STAT_EOSI0);
     } else {
         sequence_lost(hal);
@@ -98,6 +121,7 @@ static void state_init(hal_t *hal, servo_t *servo)
         axis->pair = PHASE_PAIR_AB;
         axis->currents = middle;
         axis->offsets = middle;
+        axis->others = 0;
         axis->sink = 0;
         axis->armed = false;
         axis->arms = 0;
@@ -106,6 +130,10 @@ static void state_init(hal_t *hal, servo_t *servo)
     hal->bitten = (REG_READ(hal, SIM_RSTAT) & (SIM_RSTAT_COP_LOR | SIM_RSTAT_COP_CPU)) != 0U;
     hal->losses = 0;
     hal->restarts = 0;
+    hal->late = 0;
+    hal->last = 0;
+    hal->running = false;
+    hal->monitoring = false;
 }
 
 /* Everything but the watchdog; outputs off. */

@@ -21,6 +21,7 @@ typedef struct {
     phase_pair_t pair; /* in the channel lists */
     adc_pair_t currents;
     adc_pair_t offsets;
+    uint16_t others;        /* bits of OUTEN that do not belong to the inverter */
     uint16_t sink;          /* code of the heat sink's temperature sensor */
     volatile bool armed;    /* for a B edge that nobody has taken yet */
     volatile uint16_t arms; /* times armed */
@@ -37,6 +38,10 @@ struct hal {
     bool bitten;     /* the watchdog has reset the board */
     uint16_t losses; /* of triggers, forgotten with time */
     uint32_t restarts; /* of the sequence, since reset */
+    uint16_t late;     /* loops that came after the load of their duties, modulo 65536 */
+    uint16_t last;     /* time stamp of the last M1, TIME_STAMP_DIVIDER clocks */
+    bool running;      /* M1 has run before */
+    bool monitoring;   /* the monitor outputs run */
 
     volatile uint8_t ring[PORT_RING];
     volatile uint16_t ring_in; /* bytes ever put in and taken out, modulo 65536 */

@@ -105,7 +105,7 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
 /* OUTEN acts at once, MASK would wait for a FORCE. */
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
 {
-    REG_WRITE(hal, hal->axis[axis].pwm + PWM_OUTEN, on ? SET_PWM_OUTEN : 0U);
+    REG_WRITE(hal, hal->axis[axis].pwm + PWM_OUTEN, (on ? SET_PWM_OUTEN : 0U) | hal->axis[axis].others);
 }
 
 bool hal_break_active(hal_t *hal, uint16_t axis)
@@ -121,11 +121,38 @@ void hal_break_clear(hal_t *hal, uint16_t axis)
     REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0);
 }
 
+/* The fourth submodule of PWMB has two outputs of its own: pulses that begin with the period, in the middle at first. */
+static void monitor_start(hal_t *hal)
+{
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_CTRL, SET_MONITOR_CTRL);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_INIT, SET_PWM_INIT);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL0, 0U);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL1, SET_PWM_VAL1);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL2, SET_PWM_INIT);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL3, 0U);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL4, SET_PWM_INIT);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL5, 0U);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_FRCTRL, 0U);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_OCTRL, 0U);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_INTEN, 0U);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_TCTRL, 0U);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP0, SET_MONITOR_DISMAP); /* no fault of the drive blinds it */
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP1, SET_MONITOR_DISMAP);
+    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_CTRL2, SET_MONITOR_CTRL2);
+    hal->axis[1].others = SET_MONITOR_OUTEN;
+    REG_WRITE(hal, PWMB_BASE + PWM_OUTEN, REG_READ(hal, PWMB_BASE + PWM_OUTEN) | SET_MONITOR_OUTEN);
+    hal->monitoring = true;
+}
+
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
 {
-    (void)hal;
-    (void)channel;
-    (void)value;
+    if (!hal->monitoring) {
+        monitor_start(hal);
+    }
+    const int16_t end = (int16_t)((int32_t)(((uint32_t)value * PWM_PERIOD) >> 16) - PWM_HALF_PERIOD);
+    const uint16_t run = REG_READ(hal, PWMB_BASE + PWM_MCTRL) & PWM_MCTRL_RUN_MASK;
+    write_sm(hal, PWMB_BASE, MONITOR_SM, (channel == 0U) ? PWM_VAL3 : PWM_VAL5, WORD(end));
+    REG_WRITE(hal, PWMB_BASE + PWM_MCTRL, run | PWM_MCTRL_RUN(BIT(MONITOR_SM)) | PWM_MCTRL_LDOK(BIT(MONITOR_SM)));
 }
 
 /* ---- over-current: the outputs are off already, the flag stays until the application clears it ------------------ */

@@ -637,6 +637,8 @@
 #define SIM_GPSGL_G1(v) FIELD(2, v)
 #define SIM_GPSGL_G2(v) FIELD(4, v)
 #define SIM_GPSGL_G3(v) FIELD(6, v)
+#define SIM_GPSGL_G4(v) FIELD(8, v)
+#define SIM_GPSGL_G5(v) FIELD(10, v)
 #define SIM_A0_ANA0 0U
 #define SIM_C0_EXTAL 0U
 #define SIM_C2_TB0 1U
@@ -655,6 +657,8 @@
 #define SIM_G1_PWMB_1A 0U
 #define SIM_G2_PWMB_0B 0U
 #define SIM_G3_PWMB_0A 0U
+#define SIM_G4_PWMB_3B 0U
+#define SIM_G5_PWMB_3A 0U
 
 /* ---- ports: register of a port at GPIO(port) + offset, one bit per pin ------------------------------------------ */
 

@@ -159,6 +159,13 @@ SETTINGS_CHECK(shortest_pulse_is_swallowed,
 #define SET_PWM_OCTRL (PWM_OCTRL_PWMAFS(PWM_FAULT_STATE_LOW) | PWM_OCTRL_PWMBFS(PWM_FAULT_STATE_LOW))
 #define SET_PWM_OUTEN (PWM_OUTEN_A(PWM_ALL) | PWM_OUTEN_B(PWM_ALL))
 
+/* Monitor outputs: submodule 3 of PWMB, both outputs by themselves, loaded at once. */
+#define MONITOR_SM 3U
+#define SET_MONITOR_CTRL (PWM_CTRL_FULL | PWM_CTRL_LDMOD)
+#define SET_MONITOR_CTRL2 (PWM_CTRL2_INDEP | PWM_CTRL2_INIT_SEL(PWM_INIT_SEL_LOCAL_SYNC))
+#define SET_MONITOR_DISMAP PWM_DISMAP_ONES
+#define SET_MONITOR_OUTEN (PWM_OUTEN_A(BIT(MONITOR_SM)) | PWM_OUTEN_B(BIT(MONITOR_SM)))
+
 /* The comparator is fault 0 of its module and switches A and B off without software; PWMX is not in use. */
 #define FAULT_INPUT BIT(0)
 #define SET_PWM_DISMAP0 (PWM_DISMAP_ONES | PWM_DISMAP_X_MASK | PWM_DISMAP_B(FAULT_INPUT) | PWM_DISMAP_A(FAULT_INPUT))
@@ -292,6 +299,9 @@ SETTINGS_CHECK(start_interrupt_has_time, PWM_HALF_PERIOD - START_COUNT >= (int32
 SETTINGS_CHECK(encoder_counts_fit_the_timer, ENCODER_COUNTS >= 4L && ENCODER_COUNTS <= 0x7FFFL);
 SETTINGS_CHECK(encoder_filter_can_be_set, ENCODER_FILTER_PERIOD >= 1UL && ENCODER_FILTER_PERIOD <= 255UL);
 SETTINGS_CHECK(encoder_filter_passes_the_speed, 4UL * ENCODER_FILTER_NS <= ENCODER_QUARTER_NS);
+#define PERIOD_TIME_STAMPS (PWM_PERIOD / TIME_STAMP_DIVIDER)
+#define LATE_TIME_STAMPS (PERIOD_TIME_STAMPS + PERIOD_TIME_STAMPS / 2UL)
+
 SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(TIME_STAMP_DIVIDER));
 
 /* ---- serial line ------------------------------------------------------------------------------------------------ */
@@ -338,13 +348,14 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
 #define SET_SIM_PCE2 SIM_PCE2_CYCADC
 #define SET_SIM_PCE3                                                                                                   \
     (SIM_PCE3_PWMA(0U) | SIM_PCE3_PWMA(1U) | SIM_PCE3_PWMA(2U) | SIM_PCE3_PWMB(0U) | SIM_PCE3_PWMB(1U) |               \
-     SIM_PCE3_PWMB(2U))
+     SIM_PCE3_PWMB(2U) | SIM_PCE3_PWMB(MONITOR_SM))
 #define SET_SIM_IPS0 0U /* faults and encoders come straight from their pins */
 
 /* Pin by pin; a peripheral owns a pin whose PER bit is set. JTAG on port D stays as after reset.
  *   motor 1    E0..E5 PWMA 0B 0A 1B 1A 2B 2A    E8 over-current    C3, C4 encoder A, B
  *   motor 2    G2 G3 PWMB 0B 0A, G0 G1 1B 1A, E6 E7 2B 2A    F14 over-current    C2, F8 encoder A, B
  *   host       C7 transmit, C8 receive    C0, C1 crystal
+ *   monitor    G5, G4 PWMB 3A, 3B: two variables as filtered pulses
  *   brake      G6 high switches the resistor on
  *   scope      F6, F7 high while M1, M2 runs (DRM F38) */
 #define PIN_BRAKE BIT(6)
@@ -363,7 +374,7 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
 #define SET_GPSFH (SIM_GPSFH_F8(SIM_F8_TB1) | SIM_GPSFH_F14(SIM_F14_PWMB_FAULT0))
 #define SET_GPSGL                                                                                                      \
     (SIM_GPSGL_G0(SIM_G0_PWMB_1B) | SIM_GPSGL_G1(SIM_G1_PWMB_1A) | SIM_GPSGL_G2(SIM_G2_PWMB_0B) |                      \
-     SIM_GPSGL_G3(SIM_G3_PWMB_0A))
+     SIM_GPSGL_G3(SIM_G3_PWMB_0A) | SIM_GPSGL_G4(SIM_G4_PWMB_3B) | SIM_GPSGL_G5(SIM_G5_PWMB_3A))
 
 #define CHANNEL_PIN(channel) BIT((channel) % 8U)
 #define SET_GPIOA_PER                                                                                                  \
@@ -375,7 +386,7 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
 #define SET_GPIOC_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(7) | BIT(8))
 #define SET_GPIOE_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(5) | BIT(6) | BIT(7) | BIT(8))
 #define SET_GPIOF_PER (BIT(8) | BIT(14))
-#define SET_GPIOG_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3))
+#define SET_GPIOG_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(5))
 #define SET_GPIOF_DDR (PIN_SCOPE_M1 | PIN_SCOPE_M2)
 #define SET_GPIOG_DDR PIN_BRAKE
 /* Pulled up: an unplugged encoder or host is quiet, a torn over-current line is an over-current. */

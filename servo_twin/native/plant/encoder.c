@@ -181,6 +181,15 @@ void plant_encoder_reverse(plant_encoder_t *encoder, double theta)
     encoder->edge = edges_at(encoder, theta);
 }
 
+void plant_encoder_restart(plant_encoder_t *encoder)
+{
+    encoder->count = 0;
+    encoder->index = 0;
+    encoder->oflag = false;
+    encoder->armed = false;
+    encoder->latched = false;
+}
+
 void plant_encoder_arm(plant_encoder_t *encoder)
 {
     encoder->armed = true;

@@ -69,6 +69,9 @@ void plant_encoder_glitch(plant_encoder_t *encoder, plant_line_t line, uint64_t 
 /* A and B swapped: from here on it counts the other way. */
 void plant_encoder_reverse(plant_encoder_t *encoder, double theta);
 
+/* The timers after a reset of the chip. */
+void plant_encoder_restart(plant_encoder_t *encoder);
+
 void plant_encoder_arm(plant_encoder_t *encoder);
 
 /* True once per latched edge. */

@@ -205,6 +205,8 @@ void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed)
     case BOARD_ENCODER_GLITCHES:
         axis->harm.glitches[harm->part] = healed ? 0.0 : harm->value;
         break;
+    case BOARD_STALLED_CORE:
+        break; /* nothing of the plant */
     case BOARD_HEAT:
         axis->harm.heated = !healed;
         axis->sink.t = healed ? axis->sink.t : harm->value;

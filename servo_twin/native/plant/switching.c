@@ -575,6 +575,8 @@ static void harm_sensor(switching_t *plant, const board_harm_t *harm, bool heale
     case BOARD_BUS_NOISE:
         plant->u_noise = healed ? plant->u_noise_whole : harm->value;
         break;
+    case BOARD_STALLED_CORE:
+        break; /* nothing of the plant */
     case BOARD_HEAT:
         axis->harm.heated = !healed;
         axis->sink.t = healed ? axis->sink.t : harm->value;

@@ -205,6 +205,12 @@ void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
+uint16_t hal_late_loops(hal_t *hal)
+{
+    (void)hal;
+    return 0;
+}
+
 bool hal_reset_by_watchdog(hal_t *hal)
 {
     (void)hal;

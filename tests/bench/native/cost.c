@@ -156,7 +156,7 @@ int main(void)
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         text_word("axis ", i, " ");
         text_word("", (uint16_t)servo.axis[i].substate, " ");
-        text_word("", servo.axis[i].faults, " ");
+        text_word("", (uint16_t)servo.axis[i].faults, " ");
         text_long("", (uint32_t)servo.axis[i].feedback.speed, " ");
         text_long("", (uint32_t)servo.axis[i].feedback.position, "\n");
     }

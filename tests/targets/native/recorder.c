@@ -266,6 +266,7 @@ bool __real_hal_serial_put(hal_t *hal, uint8_t byte);
 void __real_hal_watchdog_service(hal_t *hal);
 uint16_t __real_hal_adc_temperature(hal_t *hal, uint16_t axis);
 bool __real_hal_reset_by_watchdog(hal_t *hal);
+uint16_t __real_hal_late_loops(hal_t *hal);
 void __real_hal_brake(hal_t *hal, bool on);
 void __real_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value);
 
@@ -344,6 +345,13 @@ uint16_t __wrap_hal_adc_temperature(hal_t *hal, uint16_t axis)
     const uint16_t code = __real_hal_adc_temperature(hal, axis);
     in(code);
     return code;
+}
+
+uint16_t __wrap_hal_late_loops(hal_t *hal)
+{
+    const uint16_t loops = __real_hal_late_loops(hal);
+    in(loops);
+    return loops;
 }
 
 bool __wrap_hal_reset_by_watchdog(hal_t *hal)

@@ -122,6 +122,8 @@ uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
     return take(hal);
 }
 
+uint16_t hal_late_loops(hal_t *hal) { return take(hal); }
+
 bool hal_reset_by_watchdog(hal_t *hal) { return take(hal) != 0U; }
 
 void hal_brake(hal_t *hal, bool on)

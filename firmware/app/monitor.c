@@ -1,0 +1,62 @@
+#include "app/monitor.h"
+
+#include "app/servo.h"
+
+#define MIDDLE UINT16_C(0x8000)
+#define PER_AXIS (MONITOR_AXIS2_I_D - MONITOR_AXIS1_I_D) /* the quantities of both axes come in the same order */
+
+bool monitor_wanted(const parameter_block_t *parameter)
+{
+    bool wanted = false;
+    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+        wanted = wanted || parameter->monitor[i] != MONITOR_NONE;
+    }
+    return wanted;
+}
+
+static int16_t quantity_of(const axis_t *axis, uint16_t which)
+{
+    switch (which) {
+    case MONITOR_AXIS1_I_D:
+        return axis->current_loop.current.d;
+    case MONITOR_AXIS1_I_Q:
+        return axis->current_loop.current.q;
+    case MONITOR_AXIS1_I_Q_REF:
+        return axis->current_ref.q;
+    case MONITOR_AXIS1_U_D:
+        return axis->current_loop.voltage.d;
+    case MONITOR_AXIS1_U_Q:
+        return axis->current_loop.voltage.q;
+    case MONITOR_AXIS1_THETA_E:
+        return axis->feedback.theta_e;
+    case MONITOR_AXIS1_SPEED:
+        return f16_from_f32(axis->feedback.speed);
+    case MONITOR_AXIS1_SPEED_REF:
+        return f16_from_f32(axis->motion.speed_ref);
+    default: /* the lowest bits of the position: a saw tooth of 16 turns */
+        return (int16_t)(uint16_t)((uint32_t)axis->feedback.position & 0xFFFFU);
+    }
+}
+
+static int16_t value_of(const servo_t *servo, uint16_t which)
+{
+    if (which == MONITOR_U_DC) {
+        return servo->axis[0].u_dc;
+    }
+    if (which >= MONITOR_AXIS1_I_D && which < MONITOR_AXIS2_I_D) {
+        return quantity_of(&servo->axis[0], which);
+    }
+    if (which >= MONITOR_AXIS2_I_D && which < MONITOR_AXIS2_I_D + PER_AXIS) {
+        return quantity_of(&servo->axis[1], (uint16_t)(which - PER_AXIS));
+    }
+    return 0;
+}
+
+void monitor_step(servo_t *servo)
+{
+    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+        const int16_t value = value_of(servo, servo->parameter.monitor[i]);
+        servo->monitor_value[i] = value;
+        hal_monitor(servo->hal, i, (uint16_t)((uint16_t)value + MIDDLE));
+    }
+}

@@ -1,0 +1,131 @@
+#include "drive/encoder_watch.h"
+
+#include "drive/axis.h"
+
+#define REST_COUNTS 2     /* a shaft at rest may dither so far */
+#define CALM_TICKS ENCODER_CALM_TICKS
+#define WINDOW 32         /* slow ticks */
+#define TOGGLES_LEAST 12  /* changes of the count in it: 375 Hz, no shaft dithers so fast */
+#define WINDOWS_MOST 2
+#define TURNING_TICKS 8
+#define STILL_TICKS 60    /* of voltage that stays where it is */
+#define SHORT_TICKS 8
+#define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
+
+void encoder_watch_start(encoder_watch_t *watch) { *watch = (encoder_watch_t){0}; }
+
+/* A window of a count that does not leave its place. */
+static bool chatters(encoder_watch_t *w, bool changed)
+{
+    w->window++;
+    w->toggles = (uint16_t)(w->toggles + (changed ? 1U : 0U));
+    if (w->window < WINDOW) {
+        return false;
+    }
+    w->windows = (w->toggles >= TOGGLES_LEAST) ? (uint16_t)(w->windows + 1U) : 0U;
+    w->window = 0;
+    w->toggles = 0;
+    return w->windows >= WINDOWS_MOST;
+}
+
+static uint16_t size_of(int32_t moved)
+{
+    const uint32_t size = (moved < 0) ? 0U - (uint32_t)moved : (uint32_t)moved;
+    return (size > UINT16_MAX) ? UINT16_MAX : (uint16_t)size;
+}
+
+fault_set_t encoder_watch_count(axis_t *axis)
+{
+    encoder_watch_t *w = &axis->encoder_watch;
+    const int32_t position = axis->feedback.position;
+    const int32_t away = i32_sub_wrap(position, w->anchor);
+    const int32_t moved = i32_sub_wrap(position, w->last);
+    const bool changed = moved != 0;
+    w->last = position;
+    if (away > REST_COUNTS || away < -REST_COUNTS) {
+        *w = (encoder_watch_t){.anchor = position, .last = position, .pace = size_of(moved)};
+        return 0;
+    }
+    w->sudden = w->sudden || w->pace >= SUDDEN_COUNTS;
+    w->pace = 0;
+    if (w->calm < UINT16_MAX) {
+        w->calm++;
+    }
+    return chatters(w, changed) ? FAULT_ENCODER_LOST : 0U;
+}
+
+static frac16_t drop(frac16_t current, gain_t resistance)
+{
+    return f16_from_f32(f32_gain(f32_from_f16(current), resistance));
+}
+
+/* Voltage that the current does not need. */
+static dq_t unexplained(const axis_t *axis)
+{
+    const gain_t resistance = axis->config->phases.resistance;
+    const dq_t u = axis->current_loop.voltage;
+    const dq_t i = axis->current_loop.current;
+    const dq_t rest = {f16_sub(u.d, drop(i.d, resistance)), f16_sub(u.q, drop(i.q, resistance))};
+    return rest;
+}
+
+/* What half of the resistance, dead time and switches may account for. Nobody compensates these at small currents. */
+static int32_t tolerated(const axis_t *axis)
+{
+    const phase_watch_config_t *config = &axis->config->phases;
+    const dq_t i = axis->current_loop.current;
+    const int32_t size = length_about(i.d, i.q);
+    const bool exact = (axis->features & FEATURE_DEAD_TIME) != 0U && size > config->silent;
+    const int32_t half = asr32(f32_gain(size * INT32_C(32768), config->resistance), 16);
+    return (exact ? 1 : 2) * (int32_t)config->emf_floor + half;
+}
+
+static void note_voltage(encoder_watch_t *w, dq_t voltage)
+{
+    if (w->turning == 0U) {
+        w->emf = voltage;
+        w->turned = false;
+    }
+    const int32_t along = asr32((int32_t)voltage.d * w->emf.d, 1) + asr32((int32_t)voltage.q * w->emf.q, 1);
+    const int32_t across = asr32((int32_t)voltage.d * w->emf.q, 1) - asr32((int32_t)voltage.q * w->emf.d, 1);
+    w->turned = w->turned || along < across || along < -across; /* more than an eighth of a turn */
+    w->turning++;
+}
+
+/* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
+fault_set_t encoder_watch_voltage(axis_t *axis)
+{
+    encoder_watch_t *w = &axis->encoder_watch;
+    if (w->calm < CALM_TICKS) {
+        w->turning = 0;
+        w->in_vain = 0;
+        return 0;
+    }
+    const dq_t voltage = unexplained(axis);
+    const int32_t size = length_about(voltage.d, voltage.q);
+    if (size > tolerated(axis)) {
+        note_voltage(w, voltage);
+    } else if (w->turning > 0U) {
+        w->turning--;
+    }
+    w->in_vain = (size > 4 * (int32_t)axis->config->phases.emf_floor) ? (uint16_t)(w->in_vain + 1U) : 0U;
+    if (w->turning >= TURNING_TICKS && w->turned) {
+        return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST);
+    }
+    return (w->in_vain >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
+}
+
+fault_set_t encoder_watch_suspects(const axis_t *axis)
+{
+    const bool shorted = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_READY;
+    return (shorted && axis->encoder_watch.sudden) ? FAULT_ENCODER_LOST : 0U;
+}
+
+fault_set_t encoder_watch_short(axis_t *axis)
+{
+    encoder_watch_t *w = &axis->encoder_watch;
+    const dq_t i = axis->current_loop.current;
+    const bool flows = length_about(i.d, i.q) > 2 * (int32_t)axis->config->phases.silent;
+    w->turning = (w->calm >= CALM_TICKS && flows) ? (uint16_t)(w->turning + 1U) : 0U;
+    return (w->turning >= SHORT_TICKS) ? FAULT_ENCODER_LOST : 0U;
+}

@@ -1,0 +1,46 @@
+/* encoder_watch.h - an encoder that says less than the shaft does.
+ *
+ * One dead line leaves a count that goes one back and forth with the edges of the other one, faster than a shaft at rest
+ * can; two leave a count that stands while the voltage shows that the motor turns.
+ */
+#ifndef SERVO_DRIVE_ENCODER_WATCH_H
+#define SERVO_DRIVE_ENCODER_WATCH_H
+
+#include "control/transforms.h"
+#include "drive/faults.h"
+
+/* Slow ticks without movement after which the shaft is slower than any back-EMF that counts here. */
+#define ENCODER_CALM_TICKS 4
+
+typedef struct {
+    int32_t anchor;   /* position that the count has not left by more than two */
+    int32_t last;     /* position of the last tick */
+    uint16_t calm;    /* slow ticks that it has not */
+    uint16_t window;  /* slow ticks of the present window .. */
+    uint16_t toggles; /* .. and those in which the count has changed */
+    uint16_t windows; /* windows in a row with more changes than a resting shaft makes */
+    uint16_t pace;    /* counts of the last tick that moved the shaft */
+    bool sudden;      /* it has come to rest at once */
+    uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
+    uint16_t in_vain; /* slow ticks of much of it */
+    dq_t emf;         /* that voltage at first .. */
+    bool turned;      /* .. and it has pointed elsewhere since */
+} encoder_watch_t;
+
+struct axis;
+
+void encoder_watch_start(encoder_watch_t *watch);
+
+/* One slow tick, after the source; in every state that has an encoder. */
+fault_set_t encoder_watch_count(struct axis *axis);
+
+/* One slow tick of current control with the encoder's angle. */
+fault_set_t encoder_watch_voltage(struct axis *axis);
+
+/* What an over-current may really have been: windings shorted because the shaft seemed to rest. */
+fault_set_t encoder_watch_suspects(const struct axis *axis);
+
+/* One slow tick with shorted windings: what drives their current? */
+fault_set_t encoder_watch_short(struct axis *axis);
+
+#endif

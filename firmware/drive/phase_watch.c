@@ -1,0 +1,243 @@
+#include "drive/phase_watch.h"
+
+#include "drive/axis.h"
+
+#define SILENT_TICKS 8  /* 4 ms: longer than any phase is silent at a speed at which currents do not follow */
+#define NOTHING_TICKS 40
+#define SUSPECT_TICKS 2
+#define WINDOW 64       /* samples of a code */
+#define NOISE_LEAST 4   /* codes between the extremes of a window: less may be quiet by chance */
+#define SAME_SUSPECT 6  /* equal codes of a phase that seems silent: 1 in 10000 with a noise of two codes */
+#define WRONG_LEAST 32U /* codes off the offset: 16 times the usual noise */
+#define WRONG_TICKS 4
+#define FORGET_TICKS 16
+#define FADE_TICKS 128
+#define FAINT_MOST 14   /* of these ticks without enough current to tell directions */
+#define DIRECTIONS 6    /* of 8: a whole phase is silent in 4 of them at most, where it changes its sign */
+
+void phase_watch_start(phase_watch_t *watch) { *watch = (phase_watch_t){0}; }
+
+void phase_watch_restart(phase_watch_t *watch)
+{
+    for (uint16_t x = 0; x < SENSE_PHASES; x++) {
+        watch->silent[x] = 0;
+        watch->sectors[x] = 0;
+    }
+    watch->nothing = 0;
+}
+
+/* ---- converters --------------------------------------------------------------------------------------------------- */
+
+static const uint8_t first_of[SENSE_PHASES] = {0, 1, 2}; /* of phase_pair_t */
+static const uint8_t second_of[SENSE_PHASES] = {1, 2, 0};
+
+/* Does a window of codes show noise? */
+static void note_spread(phase_watch_t *w, uint16_t x, uint16_t code)
+{
+    if (w->samples[x] == 0U || code < w->least[x]) {
+        w->least[x] = code;
+    }
+    if (w->samples[x] == 0U || code > w->most[x]) {
+        w->most[x] = code;
+    }
+    w->samples[x]++;
+    if (w->samples[x] >= WINDOW) {
+        w->noisy[x] = (uint16_t)(w->most[x] - w->least[x]) >= NOISE_LEAST;
+        w->samples[x] = 0;
+    }
+}
+
+static bool others_noisy(const phase_watch_t *w, uint16_t x)
+{
+    return w->noisy[(x + 1U) % SENSE_PHASES] || w->noisy[(x + 2U) % SENSE_PHASES];
+}
+
+static bool frozen(const phase_watch_t *w, uint16_t x, uint16_t least)
+{
+    return w->same[x] >= least && others_noisy(w, x);
+}
+
+/* Something looks wrong already: what seems to be a fault of the motor may be one of its measurement. */
+static bool doubtful(const phase_watch_t *w)
+{
+    bool doubt = false;
+    for (uint16_t x = 0; x < SENSE_PHASES; x++) {
+        doubt = doubt || w->wrong[x] > 0U || frozen(w, x, SAME_SUSPECT);
+    }
+    return doubt;
+}
+
+fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault)
+{
+    return doubtful(watch) ? FAULT_CURRENT_SENSE : fault;
+}
+
+/* The high sides do conduct in turn. Open switches leave the current of a turning shaft in the diodes. */
+static bool switching(const axis_t *axis)
+{
+    return axis->sm.state == STATE_RUN && axis->substate != SUBSTATE_CALIB && axis->substate != SUBSTATE_FREEWHEEL;
+}
+
+/* One code without current; true if the converter is broken. */
+static bool broken(axis_t *axis, uint16_t x, uint16_t code)
+{
+    phase_watch_t *w = &axis->phases;
+    if (code != w->last[x]) {
+        w->same[x] = 0;
+        w->last[x] = code;
+    } else if (w->same[x] < UINT16_MAX) {
+        w->same[x]++;
+    }
+    note_spread(w, x, code);
+    const uint32_t offset = axis->sense.offset[x] >> SENSE_OFFSET_BITS;
+    const bool off = switching(axis) && (code > offset + WRONG_LEAST || code + WRONG_LEAST < offset);
+    w->wrong[x] = off ? (uint16_t)(w->wrong[x] + 1U) : 0U;
+    return w->wrong[x] >= WRONG_TICKS || frozen(w, x, WINDOW);
+}
+
+static bool sample_is_true(const axis_t *axis, uint16_t x)
+{
+    const frac16_t duty = (frac16_t)((x == 0U)   ? axis->sense.duty.a
+                                     : (x == 1U) ? axis->sense.duty.b
+                                                 : axis->sense.duty.c);
+    return duty >= axis->config->offset_duty_least;
+}
+
+fault_set_t phase_watch_converters(axis_t *axis, adc_pair_t codes)
+{
+    const uint16_t first = first_of[axis->sense.pair];
+    const uint16_t second = second_of[axis->sense.pair];
+    fault_set_t faults = 0;
+    if (sample_is_true(axis, first) && broken(axis, first, codes.first)) {
+        faults |= FAULT_CURRENT_SENSE;
+    }
+    if (sample_is_true(axis, second) && broken(axis, second, codes.second)) {
+        faults |= FAULT_CURRENT_SENSE;
+    }
+    return faults;
+}
+
+/* ---- phases ------------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    int32_t phase[SENSE_PHASES];
+} phases_t;
+
+static int32_t size_of(int32_t x) { return (x < 0) ? -x : x; }
+
+/* Sizes of the phase currents of a vector. */
+static phases_t sizes(dq_t vector, sin_cos_t at)
+{
+    const abc_t x = clarke_inverse(park_inverse(vector, at));
+    const phases_t result = {{size_of(x.a), size_of(x.b), size_of(x.c)}};
+    return result;
+}
+
+static int32_t larger(int32_t a, int32_t b) { return (a > b) ? a : b; }
+
+static uint16_t count_bits(uint16_t word)
+{
+    uint16_t bits = 0;
+    for (; word != 0U; word = (uint16_t)(word >> 1)) {
+        bits = (uint16_t)(bits + (word & 1U));
+    }
+    return bits;
+}
+
+/* Current is asked of a phase, the others have some, it has none. */
+static void note_silence(phase_watch_t *w, const phase_watch_config_t *config, uint16_t x, const phases_t *is,
+                         const phases_t *wanted)
+{
+    const int32_t others = larger(is->phase[(x + 1U) % SENSE_PHASES], is->phase[(x + 2U) % SENSE_PHASES]);
+    const int32_t some = 3 * (int32_t)config->silent;
+    if (is->phase[x] >= config->silent) {
+        w->silent[x] = 0;
+    } else if (wanted->phase[x] > some && others > some) {
+        w->silent[x]++;
+    }
+}
+
+/* In which directions of the rotor is a phase silent? Once it is not, everything before was by chance. */
+static void note_direction(phase_watch_t *w, const phase_watch_config_t *config, uint16_t x, const phases_t *is,
+                           frac16_t theta_e)
+{
+    const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)theta_e >> 13));
+    const int32_t others = larger(is->phase[(x + 1U) % SENSE_PHASES], is->phase[(x + 2U) % SENSE_PHASES]);
+    const bool some = others > config->least;
+    if (2 * is->phase[x] >= config->silent || (some && 3 * is->phase[x] >= others)) {
+        w->sectors[x] = 0;
+    } else if (some) {
+        w->sectors[x] = (uint16_t)(w->sectors[x] | bit);
+    } else {
+        w->faint[x]++;
+    }
+}
+
+/* What came once in a while, by chance, is no evidence. */
+static void forget(phase_watch_t *w)
+{
+    w->age++;
+    if (w->age % FORGET_TICKS != 0U) {
+        return;
+    }
+    for (uint16_t x = 0; x < SENSE_PHASES; x++) {
+        w->silent[x] = (uint16_t)(w->silent[x] - ((w->silent[x] > 0U && w->age % FADE_TICKS == 0U) ? 1U : 0U));
+        if (w->faint[x] > FAINT_MOST) {
+            w->sectors[x] = 0;
+        }
+        w->faint[x] = 0;
+    }
+}
+
+/* The current is where the controllers want it. */
+static bool follows(const axis_t *axis)
+{
+    const dq_t is = axis->current_loop.current;
+    const dq_t wanted = axis->current_ref;
+    return length_about(is.d - wanted.d, is.q - wanted.q) < axis->config->phases.least;
+}
+
+/* The current does not follow, and neither the windings nor the back-EMF are what holds it back. */
+static bool nothing_flows(const axis_t *axis)
+{
+    const phase_watch_config_t *config = &axis->config->phases;
+    const dq_t u = axis->current_loop.voltage;
+    const dq_t is = axis->current_loop.current;
+    const int32_t emf = asr32(f32_gain(axis->current_loop.omega_e, axis->config->current_loop.omega_psi), 16);
+    const int32_t drop = asr32(f32_gain((frac32_t)length_about(is.d, is.q) * 32768, config->resistance), 15);
+    return (axis->sensorless || axis->encoder_watch.calm < ENCODER_CALM_TICKS) && !follows(axis) &&
+           length_about(u.d, u.q - emf) > 2 * (int32_t)config->emf_floor + larger(emf, -emf) / 2 + 2 * drop;
+}
+
+fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
+{
+    phase_watch_t *w = &axis->phases;
+    const phase_watch_config_t *config = &axis->config->phases;
+    const sin_cos_t at = sin_cos(theta_e);
+    const phases_t is = sizes(axis->current_loop.current, at);
+    const phases_t wanted = sizes(axis->current_ref, at);
+    fault_set_t faults = 0;
+    for (uint16_t x = 0; x < SENSE_PHASES; x++) {
+        note_silence(w, config, x, &is, &wanted);
+        note_direction(w, config, x, &is, theta_e);
+        if (w->silent[x] >= SILENT_TICKS || count_bits(w->sectors[x]) >= DIRECTIONS) {
+            faults |= phase_watch_or(w, FAULT_PHASE_LOST);
+        }
+    }
+    forget(w);
+    w->nothing = nothing_flows(axis) ? (uint16_t)(w->nothing + 1U) : 0U;
+    if (w->nothing >= NOTHING_TICKS && axis->substate == SUBSTATE_SPIN) { /* the other states search */
+        faults |= phase_watch_or(w, FAULT_PHASE_LOST);
+    }
+    return faults;
+}
+
+fault_set_t phase_watch_suspects(const phase_watch_t *watch)
+{
+    for (uint16_t x = 0; x < SENSE_PHASES; x++) {
+        if (watch->silent[x] >= SUSPECT_TICKS && !doubtful(watch) && !frozen(watch, x, SUSPECT_TICKS)) {
+            return FAULT_PHASE_LOST;
+        }
+    }
+    return 0;
+}

@@ -1,0 +1,54 @@
+/* phase_watch.h - phases that carry no current, and current converters that say what cannot be.
+ *
+ * A lost phase is silent while the others are not: at rest although current is asked of it, turning in every direction of
+ * the rotor. A converter is broken when it says at the centre of the high side, where its shunt carries nothing, that
+ * there is current, or the same code again and again while its neighbours show noise.
+ */
+#ifndef SERVO_DRIVE_PHASE_WATCH_H
+#define SERVO_DRIVE_PHASE_WATCH_H
+
+#include "drive/current_sense.h"
+#include "drive/faults.h"
+
+typedef struct {
+    frac16_t silent;      /* less is no current */
+    frac16_t least;       /* largest phase current from which on the directions of silence are noted */
+    gain_t resistance;    /* full-scale current over full-scale voltage */
+    frac16_t emf_floor;   /* voltage that switches and dead time leave unexplained */
+} phase_watch_config_t;
+
+typedef struct {
+    uint16_t silent[SENSE_PHASES];  /* slow ticks without the current that is asked for */
+    uint16_t sectors[SENSE_PHASES]; /* eighths of an electrical turn in which the phase was silent, a bit each */
+    uint16_t faint[SENSE_PHASES];   /* recent slow ticks with too little current for that */
+    uint16_t age;                   /* slow ticks */
+    uint16_t nothing;               /* slow ticks without current in any phase */
+    uint16_t wrong[SENSE_PHASES];   /* samples without current that are off the offset */
+    uint16_t last[SENSE_PHASES];    /* the code before .. */
+    uint16_t same[SENSE_PHASES];    /* .. and how often it has come again */
+    uint16_t samples[SENSE_PHASES]; /* of the present window */
+    uint16_t least[SENSE_PHASES];
+    uint16_t most[SENSE_PHASES];
+    bool noisy[SENSE_PHASES];       /* in the last whole window */
+} phase_watch_t;
+
+struct axis;
+
+void phase_watch_start(phase_watch_t *watch);
+
+/* A new attempt: what is known of the phases is forgotten, what is known of the converters is not. */
+void phase_watch_restart(phase_watch_t *watch);
+
+/* One slow tick with the codes without current that have just been taken; in every state. */
+fault_set_t phase_watch_converters(struct axis *axis, adc_pair_t codes);
+
+/* One slow tick of current control with the d axis at `theta_e`. */
+fault_set_t phase_watch_currents(struct axis *axis, frac16_t theta_e);
+
+/* `fault`, or CURRENT_SENSE while a converter looks wrong: then nothing else can be believed. */
+fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault);
+
+/* What an over-current may really have been. */
+fault_set_t phase_watch_suspects(const phase_watch_t *watch);
+
+#endif

@@ -1,0 +1,142 @@
+"""The firmware's observer and PLL beside a motor in floating point, in volts, amperes and radians."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+from core_library import Core
+
+U_FS, I_FS = 24.2, 8.25
+FULL_SPEED: Final = 523.5987755982989  # rad/s mechanical
+T: Final = 62.5e-6
+SLOW: Final = 8
+PAIRS: Final = 2
+R, L, PSI = 0.55, 0.4575e-3, 0.0154
+"""What servo.toml believes of axis 1; the observer takes the mean of both inductances."""
+
+
+def frac16(x: float) -> int:
+    """Fraction of 15 bits, saturated."""
+    return min(max(round(x * 32768), -32768), 32767)
+
+
+def ab(x: complex, full_scale: float) -> dict[str, int]:
+    """A vector as the firmware holds it."""
+    return {"alpha": frac16(x.real / full_scale), "beta": frac16(x.imag / full_scale)}
+
+
+def wrapped(angle: float) -> float:
+    """Angle within -pi .. pi."""
+    return math.remainder(angle, 2.0 * math.pi)
+
+
+class Estimator:
+    """Observer and PLL of axis 1, stepped as the firmware steps them."""
+
+    def __init__(self, core: Core) -> None:
+        self.lib, self.ffi = core.lib, core.ffi
+        self.config: Any = core.lib.probe_config().axis[0]
+        self.observer: Any = core.ffi.new("observer_t *")
+        self.pll: Any = core.ffi.new("pll_t *")
+        self.lib.observer_reset(self.observer, self._observer, {"alpha": 0, "beta": 0})
+        self.start(0.0, 0.0)
+
+    @property
+    def _observer(self) -> Any:
+        return self.ffi.addressof(self.config, "observer")
+
+    @property
+    def _pll(self) -> Any:
+        return self.ffi.addressof(self.config, "pll")
+
+    def start(self, theta: float, omega: float) -> None:
+        """Set the PLL to an electrical angle and speed [rad, rad/s]."""
+        angle = round(theta / (2.0 * math.pi) * 2**32) & 0xFFFFFFFF
+        self.lib.pll_reset(self.pll, angle, round(omega * T / (2.0 * math.pi) * 2**32))
+        self.slow(push=None)
+
+    def fast(self, current: complex, voltage: complex) -> None:
+        """One sample and the voltage commanded from it."""
+        self.lib.observer_step(self.observer, self._observer, ab(current, I_FS), ab(voltage, U_FS))
+        self.lib.pll_step(self.pll, self._pll, self.observer.e)
+
+    def slow(self, push: float | None = 0.0) -> None:
+        """What a slow tick does; `push` is the current that the PLL is told of [A]."""
+        self.pll.backwards = self.pll.integral < 0
+        self.lib.observer_turn(self.observer, self.pll.integral)
+        self.lib.pll_adapt(self.pll, self._pll, frac16(abs(self.emf) / U_FS))
+        if push is not None:
+            self.lib.pll_push(self.pll, self._pll, frac16(push / I_FS), frac16(self.emf_dq.real / U_FS))
+
+    @property
+    def emf(self) -> complex:
+        """Back-EMF in the stator frame [V]."""
+        e = self.lib.observer_emf(self.observer, self._observer)
+        return complex(e.alpha, e.beta) / 32768 * U_FS
+
+    @property
+    def emf_dq(self) -> complex:
+        """The same in the frame of the PLL."""
+        return self.emf * cmath.exp(-1j * self.lib.pll_theta_of_emf(self.pll) * math.pi / 32768)
+
+    @property
+    def theta(self) -> float:
+        """Angle at the next sample [rad]."""
+        return float(self.pll.angle) / 2**32 * 2.0 * math.pi
+
+    @property
+    def omega(self) -> float:
+        """Electrical speed, the integral part of the PLL [rad/s]."""
+        return float(self.pll.integral) / 2**32 * 2.0 * math.pi / T
+
+    @property
+    def speed(self) -> int:
+        """Mechanical speed as the firmware counts it."""
+        return int(self.lib.pll_speed_of(self._pll, self.pll.integral))
+
+
+class Rig:
+    """A motor with constant inductance whose shaft moves as the test says; its current is controlled ideally.
+
+    The voltage of a sample is in force from half a period later, for a whole one, as that of the inverter.
+    """
+
+    def __init__(self, core: Core, r: float = R, l_s: float = L) -> None:
+        self.estimator = Estimator(core)
+        self.r, self.l_s = r, l_s
+        self.current = 0j
+        self.commands = [0j, 0j]
+        self.k = 0
+
+    def step(self, theta: Callable[[float], float], i_q: float = 0.0) -> None:
+        """One period: sample, command, and the motor until the next sample."""
+        now = self.k * T
+        wanted = 1j * i_q * cmath.exp(1j * theta(now))
+        later = 1j * i_q * cmath.exp(1j * theta(now + T))
+        flux = [PSI * cmath.exp(1j * theta(now + x * T)) for x in (0.5, 1.0, 1.5)]
+        # what drives the current to where it is wanted, and against the back-EMF of the period in which it is in force
+        command = self.r * later + self.l_s * (later - wanted) / T + (flux[2] - flux[0]) / T
+        command += 0.3 * self.l_s / T * (wanted - self.current)
+        self.commands = [self.commands[1], command]
+        self.estimator.fast(self.current, command)
+        if self.k % SLOW == 0:
+            self.estimator.slow()
+        self._move(theta, now)
+        self.k += 1
+
+    def _move(self, theta: Callable[[float], float], now: float) -> None:
+        parts = 8
+        h = T / parts
+        for j in range(parts):
+            v = self.commands[0] if j < parts // 2 else self.commands[1]
+            t = now + j * h
+            e = PSI * (cmath.exp(1j * theta(t + h)) - cmath.exp(1j * theta(t))) / h
+            a = math.exp(-self.r * h / self.l_s)
+            self.current = a * self.current + (1.0 - a) / self.r * (v - e)
+
+    def angle_error(self, theta: Callable[[float], float]) -> float:
+        """Observed less true angle at the next sample, electrical [rad]."""
+        return wrapped(self.estimator.theta - theta(self.k * T))

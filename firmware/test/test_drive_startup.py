@@ -1,0 +1,212 @@
+"""An axis without an encoder on the fake board: when it starts, when it waits, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from servo_bench import FAULT as FAULT_STATE
+from servo_bench import (
+    FREEWHEEL,
+    LIMIT_SETPOINT,
+    POSITION,
+    READY,
+    RUN,
+    SPEED,
+    SPIN,
+    STARTUP,
+    STOP,
+    TORQUE,
+    Bench,
+    amps,
+    speed,
+)
+
+OBSERVER, ENCODER = 1, 0
+START_UP, SPEED_FEEDBACK = 1 << 14, 1 << 15
+CATCH, TRACK, RAMP = range(3)
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    """Axis 0 without an encoder, axis 1 with one; both in STOP."""
+    b = Bench(core)
+    b.write_raw("param.feedback", [OBSERVER, ENCODER])
+    b.to_stop()
+    b.slow()
+    return b
+
+
+def to_ready(b: Bench) -> None:
+    b.write(0, mode=SPEED, enable=1)
+    b.to_substate(0, READY)
+
+
+def substate(b: Bench) -> tuple[int, int]:
+    return b.view(0).state, b.view(0).substate
+
+
+def test_source_changes_only_outside_run(bench: Bench) -> None:
+    assert bench.axis(0).sensorless
+    assert not bench.axis(1).sensorless
+    to_ready(bench)
+    bench.write_raw("param.feedback", [ENCODER, ENCODER])
+    bench.slow(50)
+    assert bench.axis(0).sensorless
+    bench.write(0, enable=0)
+    bench.until(lambda: bench.view(0).state == STOP, 20)
+    bench.slow(2)
+    assert not bench.axis(0).sensorless
+
+
+def test_motor_that_cannot_be_observed_keeps_its_encoder(core: Core) -> None:
+    b = Bench(core)
+    config = core.ffi.new("axis_config_t *", b.axis(0).config[0])
+    config.observer.drive = 0
+    b.axis(0).config = config
+    b.write_raw("param.feedback", [OBSERVER, ENCODER])
+    b.to_stop()
+    b.slow(2)
+    assert not b.axis(0).sensorless
+
+
+def test_waits_with_its_outputs_off(bench: Bench) -> None:
+    """READY of an encoder axis shorts the windings; a shaft that nobody sees may turn."""
+    to_ready(bench)
+    bench.slow(200)
+    assert substate(bench) == (RUN, READY)
+    assert not bench.hal.axis[0].outputs_on
+    assert bench.view(0).limits & LIMIT_SETPOINT == 0
+
+
+@pytest.mark.parametrize("mode", [POSITION, TORQUE])
+def test_what_it_cannot_do_moves_nothing(bench: Bench, mode: int) -> None:
+    bench.write(0, mode=mode, enable=1)
+    bench.to_substate(0, READY)
+    bench.write(0, position=1000, i_q=amps(1.0), speed=speed(100.0))
+    bench.slow(50)
+    assert substate(bench) == (RUN, READY)
+    assert bench.view(0).limits & LIMIT_SETPOINT
+    assert not bench.hal.axis[0].outputs_on
+
+
+def test_set_point_below_the_minimum_is_flagged(bench: Bench) -> None:
+    to_ready(bench)
+    bench.write(0, speed=speed(5.0))
+    bench.slow(20)
+    assert substate(bench) == (RUN, READY)
+    assert bench.view(0).limits & LIMIT_SETPOINT
+    bench.write(0, speed=0)
+    bench.slow(2)
+    assert bench.view(0).limits & LIMIT_SETPOINT == 0
+
+
+def test_set_point_from_before_the_enable_does_not_count(bench: Bench) -> None:
+    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.slow(5)
+    to_ready(bench)
+    bench.slow(20)
+    assert substate(bench) == (RUN, READY)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_ramps_of_the_slide(bench: Bench, direction: int) -> None:
+    """No back-EMF: after the catch the vector turns the way that is wanted, current and speed on their ramps."""
+    config = bench.axis(0).config.startup
+    to_ready(bench)
+    bench.write(0, speed=speed(direction * 100.0))
+    bench.to_substate(0, STARTUP, 3)
+    startup = bench.axis(0).startup
+    assert startup.phase == CATCH
+    assert bench.hal.axis[0].outputs_on
+    bench.until(lambda: startup.phase == RAMP, config.catch_ticks + 2)
+    assert bench.axis(0).current_ref.d == 0
+    bench.slow()
+    assert bench.axis(0).current_ref.d == pytest.approx(config.first_current, abs=200)
+    bench.slow(100)
+    assert startup.speed == 101 * config.speed_step
+    assert math.copysign(1, startup.step) == direction
+    bench.slow(100)
+    assert bench.axis(0).current_ref.d == pytest.approx(config.final_current, abs=1)
+    bench.slow(400)
+    assert startup.speed == config.final_speed
+    assert bench.view(0).position != 0
+
+
+def test_failure_has_a_name(bench: Bench) -> None:
+    """Nothing answers: after START_UP_DURATION the outputs go off, and the drive is not asked for any more."""
+    to_ready(bench)
+    bench.write(0, speed=speed(100.0))
+    bench.to_substate(0, STARTUP, 3)
+    most = bench.axis(0).config.startup.duration_ticks + bench.axis(0).config.startup.catch_ticks
+    ticks = bench.until(lambda: bench.view(0).state == FAULT_STATE, most + 20)
+    assert bench.view(0).faults == START_UP
+    assert ticks == pytest.approx(most, abs=4)
+    assert not bench.hal.axis[0].outputs_on
+    bench.slow(2)
+    bench.clear(0)
+    bench.slow(100)
+    assert bench.view(0).state == STOP
+
+
+@pytest.mark.parametrize("command", [{"enable": 0}, {"speed": 0}, {"mode": POSITION}, {"quick_stop": 1}])
+def test_start_up_is_given_up_when_it_is_not_wanted(bench: Bench, command: dict[str, int]) -> None:
+    to_ready(bench)
+    bench.write(0, speed=speed(100.0))
+    bench.to_substate(0, STARTUP, 3)
+    bench.slow(100)
+    bench.write(0, **command)
+    bench.until(lambda: substate(bench) != (RUN, STARTUP), 3)
+    assert not bench.hal.axis[0].outputs_on
+    bench.slow(5)
+    assert substate(bench) in ((STOP, READY), (RUN, READY))
+    assert FREEWHEEL != READY
+
+
+def test_soft_limit_forbids_the_start(bench: Bench) -> None:
+    bench.write_raw("param.position_max", [0, 0])
+    bench.switch_on(0, 1 << 7)
+    to_ready(bench)
+    bench.write(0, speed=speed(100.0))
+    bench.slow(50)
+    assert substate(bench) == (RUN, READY)
+    bench.write(0, speed=speed(-100.0))
+    bench.to_substate(0, STARTUP, 3)
+
+
+def test_both_axes_at_once(core: Core) -> None:
+    b = Bench(core)
+    b.write_raw("param.feedback", [OBSERVER, OBSERVER])
+    b.to_stop()
+    for axis in (0, 1):
+        b.write(axis, mode=SPEED, enable=1)
+    b.to_substate(0, READY)
+    b.to_substate(1, READY)
+    b.write(0, speed=speed(100.0))
+    b.write(1, speed=speed(-100.0))
+    b.slow(60)
+    assert [b.view(i).substate for i in (0, 1)] == [STARTUP, STARTUP]
+    assert b.axis(0).startup.step > 0 > b.axis(1).startup.step
+
+
+def test_spinning_axis_without_back_emf_is_found_out(bench: Bench) -> None:
+    """Put into SPIN by hand: no back-EMF answers, and the speed is not believed."""
+    to_ready(bench)
+    bench.write(0, speed=speed(100.0))
+    bench.to_substate(0, STARTUP, 3)
+    bench.slow(100)
+    axis = bench.axis(0)
+    axis.estimate.pll.integral = axis.config.pll.step_per_speed // 5
+    axis.estimate.speed = speed(100.0)
+    axis.estimate.locked = True
+    bench.core.lib.startup_hand_over(bench.core.ffi.addressof(axis))
+    axis.substate, axis.fast = SPIN, 2
+    bench.until(lambda: bench.view(0).state == FAULT_STATE, 400)
+    assert bench.view(0).faults == SPEED_FEEDBACK

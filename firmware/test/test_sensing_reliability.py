@@ -1,0 +1,193 @@
+"""Mean and variance of 64 speeds against exact fractions, the back-EMF check, and the rotor that only swings."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from observer_rig import FULL_SPEED, PAIRS, PSI, SLOW, U_FS, Rig, frac16
+
+SIZE = 64
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+class Reliability:
+    """The C statistics."""
+
+    def __init__(self, core: Core, threshold: int = 4096, period: int = 1, hysteresis: int = 5) -> None:
+        self.lib = core.lib
+        self.config: Any = core.ffi.new("speed_reliability_config_t *")
+        self.config.variance_threshold, self.config.period, self.config.hysteresis = threshold, period, hysteresis
+        self.state: Any = core.ffi.new("speed_reliability_t *")
+        self.lib.speed_reliability_reset(self.state)
+
+    def add(self, speed: int) -> bool:
+        """Add a raw speed of 15 fraction bits."""
+        return bool(self.lib.speed_reliability_add(self.state, self.config, speed * 65536))
+
+    @property
+    def holds(self) -> bool:
+        return bool(self.lib.speed_reliability_holds(self.state, self.config))
+
+    @property
+    def mean(self) -> int:
+        return int(self.lib.speed_reliability_mean(self.state))
+
+
+@settings(max_examples=200)
+@given(
+    speeds=st.lists(st.integers(-32768, 32767), min_size=SIZE, max_size=200),
+    threshold=st.integers(0, 65535),
+    near=st.booleans(),
+)
+def test_criterion_is_exact(core: Core, speeds: list[int], threshold: int, near: bool) -> None:
+    if near:
+        speeds = [9000 + speed // 8 for speed in speeds]  # where the criterion may hold
+    r = Reliability(core, threshold)
+    for speed in speeds:
+        r.add(speed)
+    last = speeds[-SIZE:]
+    mean = Fraction(sum(last), SIZE)
+    variance = sum((x - mean) ** 2 for x in last) / SIZE
+    assert r.holds == (variance <= mean**2 * Fraction(threshold, 65536))
+    assert r.mean == mean * 65536
+
+
+def test_nothing_holds_before_64_speeds(core: Core) -> None:
+    r = Reliability(core)
+    for k in range(SIZE):
+        assert not r.holds
+        assert r.state.failures == k
+        r.add(5000)
+    assert r.holds
+    assert r.state.failures == 0
+
+
+def test_one_speed_per_period(core: Core) -> None:
+    r = Reliability(core, period=3)
+    assert [r.add(5000) for _ in range(9)] == 3 * [False, False, True]
+    assert r.state.filled == 3
+
+
+def test_failures_in_a_row(core: Core) -> None:
+    r = Reliability(core)
+    for _ in range(SIZE):
+        r.add(5000)
+    for k in range(10):
+        r.add(-30000 if k % 2 else 30000)
+    assert r.state.failures == 10
+    for _ in range(SIZE):
+        r.add(5000)
+    assert r.state.failures == 0
+    r.state.failures = 0xFFFF
+    for _ in range(3):
+        r.add(30000)
+        r.add(-30000)
+    assert r.state.failures == 0xFFFF
+
+
+# ---- the back-EMF ----------------------------------------------------------------------------------------------------
+
+
+def deviates(core: Core, emf: complex, expected: float, current: float = 0.0) -> bool:
+    config = core.ffi.addressof(core.lib.probe_config().axis[0], "emf_check")
+    volts = frac16(expected / U_FS)
+    there = {"d": frac16(emf.real / U_FS), "q": frac16(emf.imag / U_FS)}
+    deviation = core.lib.emf_check_deviation(there, volts)
+    return bool(core.lib.emf_check_deviates(config, config.floor_spin, deviation, volts, frac16(current / 8.25)))
+
+
+def turned(volts: float, degrees: float) -> complex:
+    return 1j * volts * complex(math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
+
+
+@pytest.mark.parametrize("volts", [3.0, -3.0, 10.0])
+def test_back_emf_tells_a_wrong_angle(core: Core, volts: float) -> None:
+    assert not deviates(core, turned(volts, 0.0), volts)
+    assert not deviates(core, turned(volts, 20.0), volts)
+    assert not deviates(core, turned(volts, -20.0), volts)
+    for degrees in (45.0, -45.0, 90.0, 180.0):
+        assert deviates(core, turned(volts, degrees), volts)
+
+
+def test_back_emf_tells_a_wrong_size(core: Core) -> None:
+    assert deviates(core, turned(1.0, 0.0), 3.0)
+    assert deviates(core, turned(3.0, 0.0), 0.0), "the motor turns, and nobody knows"
+    assert not deviates(core, turned(2.5, 0.0), 3.0), "a magnet that is hot"
+
+
+def test_a_wrong_resistance_is_tolerated_with_its_current(core: Core) -> None:
+    off = turned(0.5 * 0.55 * 3.0, 0.0)
+    assert deviates(core, off, 0.0)
+    assert not deviates(core, off, 0.0, 3.0)
+    assert not deviates(core, -off, 0.0, -3.0)
+
+
+def test_deviation_has_to_last(core: Core) -> None:
+    check = core.ffi.new("emf_check_t *")
+    core.lib.emf_check_reset(check)
+    assert [core.lib.emf_check_lasts(check, True, 3) for _ in range(4)] == [False, False, False, True]
+    for _ in range(6):
+        core.lib.emf_check_lasts(check, False, 3)
+    assert check.ticks == 0
+
+
+# ---- the known blind spot of the seed (ST slide "转子堵转检测") ------------------------------------------
+
+
+@pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
+def test_a_rotor_that_swings_fools_the_variance_but_not_the_back_emf(
+    core: Core, amplitude: float, swing: float
+) -> None:
+    """A rotor that swings sinusoidally about where it is held: its back-EMF is the sum of two vectors that turn against
+    each other, the PLL follows one of them, at a speed that hardly varies. That speed would need far more of it."""
+    rig = Rig(core)
+    it = rig.estimator
+    it.start(0.0, swing)
+    reliability = Reliability(core)
+    smooth = core.ffi.new("emf_check_t *")
+    core.lib.emf_check_reset(smooth)
+    config = core.ffi.addressof(core.lib.probe_config().axis[0], "emf_check")
+    believed, seen = 0, 0
+    ticks = 400
+
+    def theta(t: float) -> float:
+        return amplitude * math.sin(swing * t)
+
+    for _ in range(ticks):
+        for _ in range(SLOW):
+            rig.step(theta)
+        reliability.add(round(it.speed / 65536))
+        expected = frac16(it.omega * PSI / U_FS)
+        emf = {"d": frac16(it.emf_dq.real / U_FS), "q": frac16(it.emf_dq.imag / U_FS)}
+        there = core.lib.emf_check_filter(smooth, core.lib.emf_check_deviation(emf, expected))
+        believed += reliability.holds
+        seen += bool(core.lib.emf_check_deviates(config, config.floor_spin, there, expected, 0))
+    assert abs(reliability.mean) / 2**31 * FULL_SPEED * PAIRS == pytest.approx(swing, rel=0.25)
+    assert believed > 0.9 * (ticks - SIZE), "the seed's criterion alone takes it for a shaft that turns"
+    assert seen > 0.8 * ticks, "the back-EMF does not fit"
+
+
+def test_a_rotor_that_turns_passes_both(core: Core) -> None:
+    rig = Rig(core)
+    it = rig.estimator
+    it.start(0.0, 60.0)
+    reliability = Reliability(core)
+    for _ in range(300):
+        for _ in range(SLOW):
+            rig.step(lambda t: 60.0 * t, 1.0)
+        reliability.add(round(it.speed / 65536))
+    assert reliability.holds
+    emf = np.round(it.emf_dq, 6)
+    assert not deviates(core, complex(emf), it.omega * PSI, 1.0)

@@ -1,0 +1,85 @@
+"""Fetches from the board what led to a fault, and hands it on: a sentence for the log, the samples for a topic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from functools import partial
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, Catalogue, Value
+from servo_msgs_py.fault_record import FaultRecord, record_variables
+
+__all__ = ["FaultRecords"]
+
+SECOND_LOOK: Final = 4000
+"""PWM periods after which the name of the first fault is final: the firmware may find a cause behind a symptom."""
+
+
+class FaultRecords:
+    """First faults of all axes, read when they come and once more when their names are final.
+
+    Parameters
+    ----------
+    read : callable
+        Starts to read a variable.
+    post : callable
+        Runs a function in the thread of the node.
+    changed : callable
+        Called with a record that is new or has another name than before.
+    """
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        read: Callable[[str], Future[Value]],
+        post: Callable[[Callable[[], None]], None],
+        changed: Callable[[FaultRecord], None],
+    ) -> None:
+        self._catalogue = catalogue
+        self._read = read
+        self._post = post
+        self._changed = changed
+        self._words = [0] * AXES
+        self._again: list[int | None] = [None] * AXES
+        self.records: list[FaultRecord | None] = [None] * AXES
+
+    def on_frame(self, tick: int, faults: Sequence[int]) -> None:
+        """Look at the fault words of a sample."""
+        for axis, word in enumerate(faults):
+            due = self._again[axis]
+            if word == 0:
+                self._again[axis] = None
+                self.records[axis] = None
+            elif self._words[axis] == 0:
+                self._again[axis] = tick + SECOND_LOOK
+                self._fetch(axis)
+            elif due is not None and tick >= due:
+                self._again[axis] = None
+                self._fetch(axis)
+            self._words[axis] = word
+
+    def link_lost(self) -> None:
+        """Nothing is known of the board any more."""
+        self._words = [0] * AXES
+        self._again = [None] * AXES
+        self.records = [None] * AXES
+
+    def _fetch(self, axis: int) -> None:
+        names = record_variables(axis)
+        futures = [self._read(name) for name in names]
+        # The link works in order: when the last one is done, all are.
+        futures[-1].add_done_callback(lambda _: self._post(partial(self._take, axis, names, futures)))
+
+    def _take(self, axis: int, names: Sequence[str], futures: Sequence[Future[Value]]) -> None:
+        try:
+            values = {name: future.result(0) for name, future in zip(names, futures, strict=True)}
+            record = FaultRecord.of(axis, values, self._catalogue)
+        except Exception:  # a lost link or a board without records; the fault itself is told anyway
+            return
+        before = self.records[axis]
+        if record.fault is None or self._words[axis] == 0:
+            return
+        self.records[axis] = record
+        if before is None or (before.fault, before.tick) != (record.fault, record.tick):
+            self._changed(record)

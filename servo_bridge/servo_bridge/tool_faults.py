@@ -1,0 +1,75 @@
+"""``servo-tool snapshot``: what the board has recorded of the first fault of its axes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.convert import flag_texts
+from servo_msgs_py.fault_record import COLUMNS, FaultRecord, record_variables
+
+from servo_bridge.tool_values import UsageError
+
+if TYPE_CHECKING:
+    from servo_bridge.tool_commands import Context
+
+__all__ = ["snapshot"]
+
+_HEADS = ("time [ms]", "i_a [A]", "i_b [A]", "i_d [A]", "i_q [A]", "theta_e [rad]", "u_dc [V]", "speed [rad/s]")
+
+
+def snapshot(context: Context) -> int:
+    """Print the first fault of each axis and the samples before it; exit status 1 without a fault."""
+    session = context.session
+    if session.mismatch is not None:
+        print(f"servo-tool: {session.mismatch}", file=sys.stderr)
+        return 1
+    axes = [int(context.args.axis) - 1] if context.args.axis else list(range(AXES))
+    values = {name: session.read(session.variables[name]) for axis in axes for name in record_variables(axis)}
+    records = [FaultRecord.of(axis, values, context.catalogue) for axis in axes]
+    found = [record for record in records if record.fault is not None]
+    if context.args.plot:
+        _plot(found, Path(context.args.plot))
+    if context.args.json:
+        print(json.dumps([record.plain() for record in found]))
+    else:
+        for record in records:
+            _print(record, context)
+    return 0 if found else 1
+
+
+def _print(record: FaultRecord, context: Context) -> None:
+    print(f"{axis_name(record.axis)}: {record.summary()}")
+    if record.fault is None:
+        return
+    print("  " + "; ".join(flag_texts(context.catalogue, "faults", record.fault.mask)))
+    print("  " + "".join(f"{head:>14}" for head in _HEADS))
+    for row in record.table.tolist():
+        numbers = [1e3 * row[0], *row[1:]]
+        print("  " + "".join(f"{number:>14.4f}" for number in numbers))
+
+
+def _plot(records: Sequence[FaultRecord], path: Path) -> None:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise UsageError("--plot needs matplotlib: pip install matplotlib") from None
+    figure = Figure(figsize=(10.0, 3.0 * max(len(records), 1)), layout="constrained")
+    grid = figure.subplots(max(len(records), 1), 3, squeeze=False)
+    curves = (("i_a", "i_b", "i_d", "i_q"), ("u_dc",), ("speed",))
+    units = ("A", "V", "rad/s")
+    for row, record in zip(grid, records, strict=False):
+        samples = dict(zip(COLUMNS, record.table.T, strict=True))
+        for place, names, unit in zip(row, curves, units, strict=True):
+            for name in names:
+                place.plot(1e3 * samples["time"], samples[name], label=name)
+            place.set_xlabel("ms")
+            place.set_ylabel(unit)
+            place.legend()
+        row[0].set_title(f"{axis_name(record.axis)}: {record.fault.name if record.fault else ''}")
+    figure.savefig(path)
+    print(f"wrote {path}", file=sys.stderr)

@@ -1,0 +1,117 @@
+"""What led to the first fault of an axis: the record that the firmware keeps (``fault.*`` of the catalogue). Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_msgs_py.catalogue import Catalogue, Flag, Value, axis_name
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+
+__all__ = ["COLUMNS", "FaultRecord", "record_variables"]
+
+_HEAD: Final = ("tick", "code", "state", "substate", "next", "size")
+_RINGS: Final = ("i_d", "i_q", "theta_e", "u_dc", "speed")
+_TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
+
+COLUMNS: Final = ("time", "i_a", "i_b", "i_d", "i_q", "theta_e", "u_dc", "speed")
+"""Columns of `FaultRecord.table`: time before the fault [s], phase currents and currents in the frame of the rotor [A],
+electrical angle [rad], bus [V], mechanical speed [rad/s]."""
+
+
+def record_variables(axis: int) -> list[str]:
+    """Names of all variables of the record of an axis."""
+    return [f"{axis_name(axis)}.fault.{name}" for name in (*_HEAD, *_RINGS)]
+
+
+@dataclass(frozen=True)
+class FaultRecord:
+    """The first fault of an axis and the 64 slow ticks before it.
+
+    Attributes
+    ----------
+    axis : int
+        Index of the axis.
+    fault : Flag or None
+        The fault that came first; None without one.
+    tick : int
+        PWM periods since reset.
+    place : str
+        State that it has ended, such as ``RUN/SPIN``.
+    table : ndarray
+        Samples by `COLUMNS`, oldest first; the last one is of the period of the fault.
+    """
+
+    axis: int
+    fault: Flag | None
+    tick: int
+    place: str
+    table: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, axis: int, values: Mapping[str, Value], catalogue: Catalogue) -> FaultRecord:
+        """Put a record together from the SI values of `record_variables`."""
+        prefix = f"{axis_name(axis)}.fault."
+        head = {name: _whole(values[prefix + name]) for name in _HEAD}
+        rings = {name: np.asarray(values[prefix + name], dtype=np.float64) for name in _RINGS}
+        flags = {flag.bit + 1: flag for flag in catalogue.flags["faults"]}
+        state = catalogue.label("state_t", head["state"])
+        place = f"RUN/{catalogue.label('substate_t', head['substate'])}" if state == "RUN" else state
+        return cls(axis, flags.get(head["code"]), head["tick"], place, _table(head, rings))
+
+    @property
+    def seconds(self) -> float:
+        """Time of the fault since the reset of the board [s]."""
+        return self.tick * PERIOD_NS * 1e-9
+
+    def summary(self) -> str:
+        """One sentence for people."""
+        if self.fault is None:
+            return "no fault"
+        text = f"first fault {self.fault.name} in {self.place}, {self.seconds:.4f} s after reset"
+        if not len(self.table):
+            return text
+        last = dict(zip(COLUMNS, self.table[-1].tolist(), strict=True))
+        current = math.hypot(last["i_d"], last["i_q"])
+        return f"{text}: {last['speed']:.1f} rad/s, {current:.2f} A, {last['u_dc']:.1f} V"
+
+    def plain(self) -> dict[str, Any]:
+        """The same as numbers and texts, for JSON."""
+        fault = self.fault
+        return {
+            "axis": axis_name(self.axis),
+            "fault": None if fault is None else fault.name,
+            "cause": None if fault is None else fault.cause,
+            "remedy": None if fault is None else fault.remedy,
+            "state": self.place,
+            "tick": self.tick,
+            "seconds": self.seconds,
+            "columns": list(COLUMNS),
+            "samples": self.table.tolist(),
+        }
+
+
+def _whole(value: Value) -> int:
+    if isinstance(value, (int, float)):
+        return int(value)
+    raise ValueError(f"{value!r} is not a single number")
+
+
+def _table(head: Mapping[str, int], rings: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    size = min(head["size"], len(rings["i_d"]))
+    order = (head["next"] - size + np.arange(size)) % len(rings["i_d"])
+    samples = {name: ring[order] for name, ring in rings.items()}
+    # The last sample is of the fault's own period, the one before of the last slow tick.
+    since_tick = (head["tick"] % SLOW_PERIODS or SLOW_PERIODS) * PERIOD_NS * 1e-9
+    time = -since_tick - _TICK * np.arange(size - 2, -2, -1.0)
+    time[-1:] = 0.0
+    d, q, theta = samples["i_d"], samples["i_q"], samples["theta_e"]
+    alpha, beta = d * np.cos(theta) - q * np.sin(theta), d * np.sin(theta) + q * np.cos(theta)
+    i_b = -0.5 * alpha + math.sqrt(0.75) * beta
+    columns = {"time": time, "i_a": alpha, "i_b": i_b, **samples}
+    return np.column_stack([columns[name] for name in COLUMNS])

@@ -1,0 +1,155 @@
+"""Lowest speed at which an axis without an encoder turns steadily."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.board import Board
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import RPM, TICK, command_speed
+from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, started, substate
+from servo_twin.plant import PlantConfig
+
+NAME: Final = "minimum-speed"
+HELP: Final = """\
+Speed control without an encoder, from a third of the speed limit downwards, step by step: without load, and with
+loads of a quarter and half of the current limit against the motion. The reference design says: the minimum speed is 5
+% of the maximum (slide on the control's performance). Measured: the lowest speed, in parts of the speed limit, that
+is held as the true one: its mean within 3 % of the set-point, and the shaft never stands still. Below, the axis has
+to switch itself off or to end in a fault, never to run away."""
+
+STEPS: Final = (0.3, 0.15, 0.1, 0.08, 0.07, 0.06, 0.05, 0.045, 0.04, 0.035, 0.03, 0.025, 0.02)
+"""Set-points, parts of the speed limit."""
+
+LOADS: Final = (0.0, 0.25, 0.5)
+"""Parts of the torque at the current limit."""
+
+SEED_MOST: Final = 5.0
+"""The reference design's minimum speed, in percent of the maximum."""
+
+MEAN_MOST: Final = 0.03
+"""Deviation of the true mean from the set-point, over it, at the most."""
+
+SETTLE: Final = 0.5  # after each step [s]
+MEASURED: Final = 0.75  # then [s]
+LOADING: Final = 0.4  # the load grows so slowly that the speed hardly falls [s]
+
+AWAY_MOST: Final = 1.5
+"""Largest speed at the end, over the highest set-point: it must not run away where it can no longer be observed."""
+
+
+@dataclass(frozen=True)
+class Descent:
+    """One axis on its way down.
+
+    Attributes
+    ----------
+    speeds : tuple of float
+        Speeds that were held [rad/s].
+    ripple : float
+        Standard deviation of the lowest of them, over it.
+    error : float
+        Largest error of the angle at that speed [deg].
+    end : str
+        What ended it.
+    fastest : float
+        Largest true speed in the direction of the set-point or against it [rad/s].
+    trace : Trace
+        The lowest speed that was held.
+    """
+
+    speeds: tuple[float, ...]
+    ripple: float
+    error: float
+    end: str
+    fastest: float
+    trace: Trace
+
+
+def loaded(board: Board, axis: int, torque: float) -> None:
+    """Let a load against positive motion grow."""
+    ticks = round(LOADING / TICK)
+    follow(board, [], LOADING, lambda k: board.set_load(axis, torque * (k + 1) / ticks))
+
+
+def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequence[float]) -> Descent:
+    """One axis with a load, as a part of what the current limit can move."""
+    motor = plant.axes[axis]
+    with started(plant, seed, {axis: 1.0}) as board:
+        limit, current = limits_of(board, axis)
+        command_speed(board, axis, steps[0] * limit)
+        follow(board, [], SETTLE)
+        loaded(board, axis, load * current * motor.torque_constant)
+        spin = substate(board, "SPIN")
+        held: list[float] = []
+        last, fastest, end = None, 0.0, ""
+        for part in steps:
+            speed = part * limit
+            command_speed(board, axis, speed)
+            trace = follow(board, [axis], SETTLE + MEASURED, lambda _: let_go(board, axis, spin))[axis]
+            fastest = max(fastest, float(np.abs(trace.omega).max()))
+            end = _ended(board, trace, spin, speed)
+            if end:
+                break
+            held.append(speed)
+            last = trace.part(SETTLE)
+        if last is None:
+            return Descent((), np.nan, np.nan, end, fastest, trace)
+        board.set_load(axis, 0.0)
+    ripple = float(last.omega.std()) / held[-1]
+    return Descent(tuple(held), ripple, float(np.abs(last.error).max()), end or "the last step", fastest, last)
+
+
+def let_go(board: Board, axis: int, spin: int) -> bool:
+    """Whether an axis has ended; its load, which would turn the shaft back, ends with it."""
+    if board.read_raw(f"{axis_name(axis)}.substate")[0] == spin and not board.read_raw(f"{axis_name(axis)}.faults")[0]:
+        return False
+    board.set_load(axis, 0.0)
+    return True
+
+
+def _ended(board: Board, trace: Trace, spin: int, speed: float) -> str:
+    """Why a speed is not held; empty when it is."""
+    if trace.faults.any():
+        return fault_names(board, int(trace.faults[-1]))
+    if (trace.substate != spin).any():
+        return "the axis has switched off"
+    omega = trace.part(SETTLE).omega
+    mean = float(omega.mean())
+    if abs(mean / speed - 1.0) > MEAN_MOST:
+        return f"a mean of {mean / RPM:.3g} rpm"
+    return "a shaft that stood" if float(omega.min()) <= 0.0 else ""
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """Both axes, every load."""
+    rows: list[Row] = []
+    notes: list[str] = []
+    panels: list[Panel] = []
+    for axis in range(AXES):
+        name = axis_name(axis)
+        curves: list[Curve] = []
+        for load in LOADS:
+            it = descend(plant, seed, axis, load, STEPS)
+            with_load = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
+            top = STEPS[0]
+            lowest = 100.0 * it.speeds[-1] / (it.speeds[0] / top) if it.speeds else None
+            rows.append(
+                Row(f"{with_load}, lowest speed", "5 % of the maximum", lowest, "% of limit", Bound(most=SEED_MOST))
+            )
+            if it.speeds:
+                away = it.fastest / it.speeds[0]
+                rows.append(Row(f"{with_load}, largest speed", "not shown", away, "", Bound(most=AWAY_MOST)))
+                notes.append(
+                    f"{with_load}: down to {it.speeds[-1] / RPM:.3g} rpm, ripple {100.0 * it.ripple:.2g} %, "
+                    f"angle error up to {it.error:.2g} deg; ended by {it.end}"
+                )
+                shown = it.trace
+                curves.append(Curve(f"load {100.0 * load:.0f} %", shown.time, shown.omega / RPM))
+        panels.append(Panel(f"{name}: true speed at the lowest set-points", "time [s]", "speed [rpm]", tuple(curves)))
+    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))

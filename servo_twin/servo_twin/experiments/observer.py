@@ -1,0 +1,233 @@
+"""Error of the observed angle over speed and current, with another winding, and with a dead time not made up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.board import Board
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import RPM, choose_mode, command_speed, features, spinning
+from servo_twin.experiments.sensorless import Trace, degrees, follow, limits_of, without_fault
+from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.simulation import SimulationError
+
+NAME: Final = "observer"
+HELP: Final = """\
+The observer runs beside the encoder, which alone moves the shaft: error of the observed angle from 200 rpm to the
+speed limit, without load and with a load that takes a quarter and half of the current limit. The reference design
+says: not very sensitive to Rs, moderately sensitive to Ls (slide on the control's performance). On paper, with i_d =
+0, a winding whose R is wrong changes the size of the observed back-EMF only, and (Lq - L) i_q / psi is the angle by
+which a wrong L turns it; shown with R and L of the plant at half and at one and a half times what they are. At 200
+rpm dead time and switches make an error as large as the back-EMF; shown with the compensation as it is, and on an
+inverter with twice the dead time and twice the drops, where it leaves as much as if there were none."""
+
+SPEEDS: Final = (1.0 / 15.0, 1.0 / 6.0, 1.0 / 3.0, 1.0)
+"""Parts of the speed limit: 200, 500, 1000 and 3000 rpm of the nominal one."""
+
+CURRENTS: Final = (0.0, 0.25, 0.5)
+"""Parts of the current limit that the load takes."""
+
+WINDINGS: Final = ((0.5, 1.0), (1.5, 1.0), (1.0, 0.5), (1.0, 1.5))
+"""Resistance and inductance of the plant, over what they are."""
+
+SENSITIVE: Final = (SPEEDS[1], SPEEDS[2], SPEEDS[3])
+"""Speeds at which another winding is tried: below, half of R takes the whole back-EMF at half of the current."""
+
+SENSITIVE_CURRENT: Final = 0.5
+
+ERROR_MOST: Final = 5.0
+"""Mean error at any point, beyond what the saliency of the rotor makes on paper [deg]: 0.4 % of the torque."""
+
+PAPER_MOST: Final = 2.0
+"""Between the change that another winding makes and that on paper, which knows no dead time [deg]."""
+
+RIPPLE: Final = 9.0
+"""Amplitude at 200 rpm where dead time and drops are made up, at the most [deg]: without, the motors have 9 to 15."""
+
+BETTER: Final = 2.0
+"""Amplitude where nothing is made up over that, at the least."""
+
+SETTLE: Final = 0.3  # at each point [s]
+MEASURED: Final = 0.3  # and then [s]
+
+
+@dataclass(frozen=True)
+class Point:
+    """One speed with one load.
+
+    Attributes
+    ----------
+    speed : float
+        [rad/s]
+    i_q : float
+        Mean of the true current [A].
+    mean, deviation, amplitude : float
+        Of the error of the observed angle: mean, standard deviation, largest distance from the mean [deg].
+    trace : Trace
+        What was measured.
+    """
+
+    speed: float
+    i_q: float
+    mean: float
+    deviation: float
+    amplitude: float
+    trace: Trace
+
+
+def beside(board: Board, axis: int) -> None:
+    """Let the observer run beside the encoder; what it says of it stops nothing."""
+    without_fault(board, axis, "ANGLE_MISMATCH")
+    features(board, axis, ANGLE_CHECK=True, DEAD_TIME=True)
+    choose_mode(board, axis, "SPEED")
+
+
+def offset(board: Board, axis: int) -> float:
+    """Of the angle that the encoder gives since the rotor search, against the truth, at standstill [deg]."""
+    name = axis_name(axis)
+    used = board.read(f"{name}.theta_e")
+    assert isinstance(used, float)
+    true = board.plant.axes[axis].pole_pairs * board.truth(axis).theta_m
+    return float(degrees(np.array([used - true]))[0])
+
+
+def measure(
+    plant: PlantConfig, seed: int, axis: int, speeds: tuple[float, ...], currents: tuple[float, ...]
+) -> Mapping[tuple[float, float], Point]:
+    """Every speed (part of the limit) with every load (part of the current limit).
+
+    Raises
+    ------
+    SimulationError
+        If the axis ends in a fault.
+    """
+    found: dict[tuple[float, float], Point] = {}
+    motor = plant.axes[axis]
+    with spinning(plant, seed) as board:
+        beside(board, axis)
+        rest = offset(board, axis)
+        limit, current = limits_of(board, axis)
+        for speed in speeds:
+            command_speed(board, axis, speed * limit)
+            follow(board, [], SETTLE)
+            for part in currents:
+                board.set_load(axis, part * current * motor.torque_constant)
+                follow(board, [], SETTLE)
+                trace = follow(board, [axis], MEASURED)[axis]
+                if trace.faults.any():
+                    raise SimulationError(f"{axis_name(axis)} ended in a fault at {speed * limit / RPM:.0f} rpm")
+                found[speed, part] = _point(trace, speed * limit, rest)
+            board.set_load(axis, 0.0)
+            follow(board, [], SETTLE)
+    return found
+
+
+def _point(trace: Trace, speed: float, rest: float) -> Point:
+    """Against the encoder, which is read at the same instant."""
+    error = degrees(trace.angle - trace.used + math.radians(rest))
+    mean = float(error.mean())
+    amplitude = float(np.abs(error - mean).max())
+    return Point(speed, float(trace.i_q.mean()), mean, float(error.std()), amplitude, trace)
+
+
+def paper(motor: AxisPlant, belief: AxisPlant, speed: float, i_q: float) -> float:
+    """Error of the observed angle [deg] of a motor that is believed to be another one."""
+    believed = 0.5 * (belief.l_d + belief.l_q)
+    emf = motor.psi_m + (motor.r_s - belief.r_s) * i_q / (motor.pole_pairs * speed)
+    return math.degrees(math.atan2((motor.l_q - believed) * i_q, emf))
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """Both axes."""
+    rows: list[Row] = []
+    notes: list[str] = []
+    panels: list[Panel] = []
+    for axis in range(AXES):
+        name = axis_name(axis)
+        points = measure(plant, seed, axis, SPEEDS, CURRENTS)
+        rows.append(_worst(name, plant.axes[axis], points))
+        notes.extend(_errors(name, points))
+        rows.extend(_sensitivity(plant, seed, axis, points))
+        slow, doubled = points[SPEEDS[0], 0.5], _uncompensated(plant, seed, axis)
+        rows.extend(_ripple(f"{name} at {slow.speed / RPM:.0f} rpm", slow, doubled))
+        notes.append(f"{name} at {slow.speed / RPM:.0f} rpm, not made up: amplitude {doubled.amplitude:.3g} deg")
+        panels.append(_over_speed(name, points))
+        panels.append(_ripple_panel(name, slow, doubled))
+    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+
+
+def _uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:
+    """200 rpm and half of the current on an inverter of which the compensation makes up a half."""
+    motor = plant.axes[axis]
+    worse = plant.with_axis(axis, dead_time=2.0 * motor.dead_time, v_drop=2.0 * motor.v_drop)
+    return measure(worse, seed, axis, SPEEDS[:1], (0.5,))[SPEEDS[0], 0.5]
+
+
+def _worst(name: str, motor: AxisPlant, points: Mapping[tuple[float, float], Point]) -> Row:
+    beyond = [abs(point.mean) - abs(paper(motor, motor, point.speed, point.i_q)) for point in points.values()]
+    return Row(f"{name}, largest mean error", "not shown", max(beyond), "deg", Bound(most=ERROR_MOST))
+
+
+def _errors(name: str, points: Mapping[tuple[float, float], Point]) -> Iterator[str]:
+    for point in points.values():
+        yield (
+            f"{name} at {point.speed / RPM:.0f} rpm, {point.i_q:.2f} A: mean error {point.mean:+.2f} deg, "
+            f"deviation {point.deviation:.2f} deg, amplitude {point.amplitude:.2g} deg"
+        )
+
+
+def _sensitivity(
+    plant: PlantConfig, seed: int, axis: int, nominal: Mapping[tuple[float, float], Point]
+) -> Iterator[Row]:
+    """Change of the mean error by another winding against that on paper."""
+    motor = plant.axes[axis]
+    for r_s, inductance in WINDINGS:
+        changes = {"r_s": r_s * motor.r_s, "l_d": inductance * motor.l_d, "l_q": inductance * motor.l_q}
+        other = plant.with_axis(axis, **changes)
+        points = measure(other, seed, axis, SENSITIVE, (SENSITIVE_CURRENT,))
+        away, largest = 0.0, 0.0
+        for (speed, part), point in points.items():
+            change = point.mean - nominal[speed, part].mean
+            expected = paper(other.axes[axis], motor, point.speed, point.i_q) - paper(
+                motor, motor, point.speed, nominal[speed, part].i_q
+            )
+            away, largest = max(away, abs(change - expected)), max(largest, abs(change))
+        what = f"Rs x {r_s:g}" if r_s != 1.0 else f"Ls x {inductance:g}"
+        says = "not very sensitive to Rs" if r_s != 1.0 else "moderately sensitive to Ls"
+        name = f"{axis_name(axis)}, {what}"
+        if r_s != 1.0:
+            yield Row(f"{name}, error changes by", says, largest, "deg", Bound(most=PAPER_MOST))
+        yield Row(f"{name}, change less that on paper", says, away, "deg", Bound(most=PAPER_MOST))
+
+
+def _ripple(name: str, compensated: Point, uncompensated: Point) -> Iterator[Row]:
+    ratio = uncompensated.amplitude / max(compensated.amplitude, 1e-9)
+    says = "not shown"
+    yield Row(f"{name}, amplitude, made up", says, compensated.amplitude, "deg", Bound(most=RIPPLE))
+    yield Row(f"{name}, amplitude, not made up over made up", says, ratio, "", Bound(least=BETTER))
+
+
+def _over_speed(name: str, points: Mapping[tuple[float, float], Point]) -> Panel:
+    curves: list[Curve] = []
+    for part in CURRENTS:
+        chosen = [points[speed, part] for speed in SPEEDS]
+        x = np.array([point.speed / RPM for point in chosen])
+        label = f"{np.mean([point.i_q for point in chosen]):.2g} A"
+        curves.append(Curve(f"mean, {label}", x, np.array([point.mean for point in chosen]), "o-"))
+        curves.append(Curve(f"deviation, {label}", x, np.array([point.deviation for point in chosen]), "x--"))
+    return Panel(f"{name}: error of the observed angle", "speed [rpm]", "error [deg]", tuple(curves), log_x=True)
+
+
+def _ripple_panel(name: str, compensated: Point, uncompensated: Point) -> Panel:
+    curves = tuple(
+        Curve(label, point.trace.time, degrees(point.trace.angle - point.trace.used) - point.mean)
+        for label, point in (("dead time made up", compensated), ("not made up", uncompensated))
+    )
+    title = f"{name} at {compensated.speed / RPM:.0f} rpm, {compensated.i_q:.2g} A: error less its mean"
+    return Panel(title, "time [s]", "error [deg]", curves)

@@ -1,0 +1,204 @@
+"""The bench of the experiments without an encoder: boards whose axes start on the observer, and what it sees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.board import Board
+from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+
+__all__ = [
+    "Trace",
+    "degrees",
+    "fault_names",
+    "follow",
+    "limits_of",
+    "observing",
+    "started",
+    "substate",
+    "without_fault",
+    "wrapped",
+]
+
+BOOT: Final = 0.03  # reset to STOP [s]
+START_MOST: Final = 3.0  # of a start-up [s]
+LOOK: Final = 0.01  # between two looks at the state [s]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One axis over time, one entry per slow tick.
+
+    Attributes
+    ----------
+    time : ndarray
+        Since the beginning [s].
+    theta_e, omega, i_d, i_q : ndarray
+        Truth of the plant: electrical angle [rad], mechanical speed [rad/s], currents [A].
+    angle, speed : ndarray
+        What the observer sees: electrical angle [rad], mechanical speed [rad/s].
+    used : ndarray
+        Electrical angle that the controllers use [rad].
+    speed_ref : ndarray
+        [rad/s]
+    reliable, substate, faults : ndarray
+        Words of the firmware.
+    """
+
+    time: NDArray[np.float64]
+    theta_e: NDArray[np.float64]
+    omega: NDArray[np.float64]
+    i_d: NDArray[np.float64]
+    i_q: NDArray[np.float64]
+    angle: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    used: NDArray[np.float64]
+    speed_ref: NDArray[np.float64]
+    reliable: NDArray[np.int64]
+    substate: NDArray[np.int64]
+    faults: NDArray[np.int64]
+
+    def part(self, start: float, end: float | None = None) -> Trace:
+        """Ticks after `start` and up to `end` [s]."""
+        ticks = slice(round(start / TICK), None if end is None else round(end / TICK))
+        return Trace(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
+
+    @property
+    def error(self) -> NDArray[np.float64]:
+        """Observed less true angle, electrical [deg]. The truth is half a period or a whole one younger."""
+        return degrees(self.angle - self.theta_e)
+
+
+def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles within half a turn."""
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles within half a turn, in degrees."""
+    return np.asarray(np.degrees(wrapped(angle)))
+
+
+def substate(board: Board, name: str) -> int:
+    """Number of a sub-state of RUN by its name."""
+    return board.catalogue.enums["substate_t"][name]
+
+
+def without_fault(board: Board, axis: int, name: str) -> None:
+    """Take a fault out of those that may stop an axis."""
+    mask = next(flag.mask for flag in board.catalogue.flags["faults"] if flag.name == name)
+    words = board.read_raw("param.faults_enabled")
+    words[axis] &= ~mask
+    board.write_raw("param.faults_enabled", words)
+
+
+def fault_names(board: Board, word: int) -> str:
+    """Faults of a word by their names; empty when there is none."""
+    return "+".join(fault.name for fault in board.catalogue.active("faults", word))
+
+
+@contextmanager
+def observing(plant: PlantConfig, seed: int) -> Iterator[Board]:
+    """A fresh board whose axes do without their encoders, enabled in speed mode: a set-point starts them."""
+    with Board(plant, seed=seed) as board:
+        board.run(BOOT)
+        observer = board.catalogue.enums["feedback_kind_t"]["OBSERVER"]
+        board.write_raw("param.feedback", [observer] * AXES)
+        for axis in range(AXES):
+            choose_mode(board, axis, "SPEED")
+        board.write("cmd.enable", [1] * AXES)
+        board.run(LOOK)
+        yield board
+
+
+@contextmanager
+def started(plant: PlantConfig, seed: int, speeds: Mapping[int, float]) -> Iterator[Board]:
+    """The same with some axes turning, at parts of a third of their speed limits; the sign says which way.
+
+    Raises
+    ------
+    SimulationError
+        If one of them does not start.
+    """
+    with observing(plant, seed) as board:
+        for axis, part in speeds.items():
+            command_speed(board, axis, part * limits_of(board, axis)[0] / 3.0)
+        spin = substate(board, "SPIN")
+        for _ in range(round(START_MOST / LOOK)):
+            board.run(LOOK)
+            for axis in speeds:
+                word = board.read_raw(f"{axis_name(axis)}.faults")[0]
+                if word:
+                    raise SimulationError(f"{axis_name(axis)} does not start: {fault_names(board, word)}")
+            if all(board.read_raw(f"{axis_name(axis)}.substate")[0] == spin for axis in speeds):
+                yield board
+                return
+        raise SimulationError(f"no start within {START_MOST:g} s")
+
+
+def follow(
+    board: Board, axes: Sequence[int], seconds: float, act: Callable[[int], bool | None] | None = None
+) -> dict[int, Trace]:
+    """Run slow tick by slow tick and keep what the observer says and what is true.
+
+    Parameters
+    ----------
+    board : Board
+        On a slow-tick boundary.
+    axes : sequence of int
+        Axes to follow (index).
+    seconds : float
+        Length [s].
+    act : callable, optional
+        Called with the number of the tick before each one; the run ends when it returns True.
+    """
+    start = board.time_ns
+    rows: list[bytes] = []
+    seen: dict[int, list[tuple[float, ...]]] = {axis: [] for axis in axes}
+    poles = {axis: board.plant.axes[axis].pole_pairs for axis in axes}
+    for k in range(round(seconds / TICK)):
+        if act is not None and act(k):
+            break
+        rows.append(board.record(start + (k + 1) * TICK_NS).tobytes())
+        for axis, kept in seen.items():
+            truth, name = board.truth(axis), axis_name(axis)
+            raw = [board.read_raw(f"{name}.estimate_{what}")[0] for what in ("theta_e", "speed", "reliable")]
+            kept.append((poles[axis] * truth.theta_m, truth.omega_m, truth.i_d, truth.i_q, *raw))
+    log = np.frombuffer(b"".join(rows), board.snapshot_dtype)
+    return {axis: _trace(board, log, axis, np.array(kept).reshape(-1, 7).T) for axis, kept in seen.items()}
+
+
+def _trace(board: Board, log: NDArray[np.void], axis: int, seen: NDArray[np.float64]) -> Trace:
+    name = axis_name(axis)
+    theta_e, omega, i_d, i_q, angle, speed, reliable = seen
+    return Trace(
+        time=TICK * np.arange(1, log.size + 1, dtype=np.float64),
+        theta_e=theta_e,
+        omega=omega,
+        i_d=i_d,
+        i_q=i_q,
+        angle=angle * float(board.catalogue[f"{name}.estimate_theta_e"].lsb),
+        speed=speed * float(board.catalogue[f"{name}.estimate_speed"].lsb),
+        used=log[f"{name}.theta_e"] * float(board.catalogue[f"{name}.theta_e"].lsb),
+        speed_ref=log[f"{name}.speed_ref"] * float(board.catalogue[f"{name}.speed_ref"].lsb),
+        reliable=reliable.astype(np.int64),
+        substate=log[f"{name}.substate"].astype(np.int64),
+        faults=log[f"{name}.faults"].astype(np.int64),
+    )
+
+
+def limits_of(board: Board, axis: int) -> tuple[float, float]:
+    """Limits of speed [rad/s] and current [A] after reset."""
+    speeds, currents = board.read("param.speed_limit"), board.read("param.i_q_limit")
+    assert isinstance(speeds, list)
+    assert isinstance(currents, list)
+    return float(speeds[axis]), float(currents[axis])

@@ -1,0 +1,235 @@
+"""Stall of an axis without an encoder: how soon it is noticed, also when the rotor oscillates, and false alarms."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.board import Board
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import RPM, TICK, command_speed
+from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, started, without_fault
+from servo_twin.plant import PlantConfig
+
+NAME: Final = "stall"
+HELP: Final = """\
+The shaft of an axis that runs without an encoder is caught: held fast at three speeds, and by a stiff spring whose
+other end swings to and fro, so that the rotor oscillates sinusoidally where it is caught. The reference design
+notices a stall by the variance of the observed speed over the last 64, and says that it cannot when the rotor
+oscillates sinusoidally at the stalled position (slide on stall detection). Measured: time from the stall to outputs
+off and the name of the fault; the notes say how long the variance alone would have taken, if nothing else watched.
+Then both axes run for a long time with random set-points and load steps: there must be no fault."""
+
+SPEEDS: Final = (0.06, 0.2, 0.8)
+"""Parts of the speed limit from which the shaft is stopped."""
+
+SWING: Final = math.radians(20.0)
+"""Amplitude of the oscillation, mechanical [rad]."""
+
+STIFF: Final = 80.0
+"""Frequency that the spring gives to the inertia [Hz]: the motor bends it by a few degrees only."""
+
+FREQUENCIES: Final = (4.0, 8.0, 16.0)
+"""Of the oscillation [Hz]."""
+
+SIZE: Final = 64  # observed speeds of the reference design's criterion
+THRESHOLD: Final = 0.0625  # VARIANCE_THRESHOLD of the drive
+HYSTERESIS: Final = 200  # RELIABILITY_HYSTERESYS of the drive, slow ticks
+
+NOTICED_MOST: Final = (SIZE + HYSTERESIS) * TICK
+"""What the reference design's own criterion takes when every test fails from the stall on [s]."""
+
+OSCILLATING_MOST: Final = 0.5
+"""The reference design does not notice at all; so long may a shaft with an encoder stand at full current [s]."""
+
+BEFORE: Final = 0.4  # the axis turns steadily for so long [s]
+WATCHED: Final = 2.0  # after the stall [s]
+
+LONG: Final = 60.0  # of random operation [s]
+HOLDS: Final = (0.05, 1.5)  # of one set-point [s]
+RANGE: Final = (0.06, 1.0)  # of the set-points, parts of the speed limit
+LOAD_STEP: Final = 0.25
+"""Largest load against the motion, over the torque at the current limit."""
+
+
+@dataclass(frozen=True)
+class Stall:
+    """A shaft that was caught.
+
+    Attributes
+    ----------
+    noticed : float or None
+        From the stall to outputs off [s].
+    faults : str
+        What the drive called it.
+    by_variance : float or None
+        When the variance of the observed speed would have told, had nothing else watched [s].
+    trace : Trace
+        Of the axis.
+    """
+
+    noticed: float | None
+    faults: str
+    by_variance: float | None
+    trace: Trace
+
+
+def variance_tells(trace: Trace, since: float) -> float | None:
+    """When so many tests of mean and variance in a row have failed after a stall [s]."""
+    speed = trace.speed
+    sums, squares = (np.concatenate([[0.0], np.cumsum(x)]) for x in (speed, speed**2))
+    mean = (sums[SIZE:] - sums[:-SIZE]) / SIZE
+    variance = (squares[SIZE:] - squares[:-SIZE]) / SIZE - mean**2
+    failed = variance >= mean**2 * THRESHOLD
+    row = 0
+    for k, bad in enumerate(failed):
+        row = row + 1 if bad else 0
+        if row > HYSTERESIS and (k + SIZE) * TICK > since:
+            return (k + SIZE) * TICK - since
+    return None
+
+
+def stall(plant: PlantConfig, seed: int, axis: int, part: float, frequency: float | None) -> Stall:
+    """Catch the shaft of an axis; with a frequency it oscillates.
+
+    A first run tells how soon the drive notices, a second one, in which it may not, what the variance says.
+    """
+    noticed = _caught(plant, seed, axis, part, frequency, stopped=True)
+    word = int(noticed.faults[-1])
+    time = float(noticed.time[-1]) - BEFORE if word else None
+    by_variance = variance_tells(_caught(plant, seed, axis, part, frequency, stopped=False), BEFORE)
+    return Stall(time, _names(word), by_variance, noticed)
+
+
+def _names(word: int) -> str:
+    with Board() as board:
+        return fault_names(board, word)
+
+
+def _caught(plant: PlantConfig, seed: int, axis: int, part: float, frequency: float | None, *, stopped: bool) -> Trace:
+    with started(plant, seed, {axis: 1.0}) as board:
+        if not stopped:
+            without_fault(board, axis, "SPEED_FEEDBACK")
+        command_speed(board, axis, part * limits_of(board, axis)[0])
+        follow(board, [], BEFORE)
+        caught = round(BEFORE / TICK)
+        spring = _Spring(board, axis, frequency)
+
+        def act(k: int) -> bool:
+            if k == caught and frequency is None:
+                board.lock_shaft(axis)
+            elif k >= caught and frequency is not None:
+                spring.pull((k - caught) * TICK)
+            return k > caught and board.read_raw(f"{axis_name(axis)}.faults")[0] != 0
+
+        return follow(board, [axis], BEFORE + WATCHED, act)[axis]
+
+
+class _Spring:
+    """Holds a shaft at an angle that swings, against friction of its own."""
+
+    def __init__(self, board: Board, axis: int, frequency: float | None) -> None:
+        self._board, self._axis = board, axis
+        self._omega = 2.0 * math.pi * (frequency or 0.0)
+        inertia, stiff = board.plant.axes[axis].inertia, 2.0 * math.pi * STIFF
+        self._stiffness, self._friction = inertia * stiff**2, 1.4 * inertia * stiff
+        self._middle: float | None = None
+
+    def pull(self, time: float) -> None:
+        """Set the torque for the time since the shaft was caught [s]."""
+        truth = self._board.truth(self._axis)
+        if self._middle is None:
+            self._middle = truth.theta_m
+        swing = SWING * math.sin(self._omega * time)
+        slope = SWING * self._omega * math.cos(self._omega * time)
+        torque = self._stiffness * (truth.theta_m - self._middle - swing) + self._friction * (truth.omega_m - slope)
+        self._board.set_load(self._axis, torque)
+
+
+def operate(plant: PlantConfig, seed: int, seconds: float) -> tuple[str, float]:
+    """Random set-points and loads on both axes; the faults that came, and the time that they ran [s]."""
+    source = random.Random(f"stall {seed}")
+    ways = (1.0, -1.0)
+    with started(plant, seed, dict(enumerate(ways))) as board:
+        follow(board, [], BEFORE)
+        acts = [_operator(board, axis, ways[axis], random.Random(source.random())) for axis in range(AXES)]
+        begun = board.time_ns
+        while (board.time_ns - begun) * 1e-9 < seconds:
+            pause = min(act(board.time_ns) for act in acts)
+            board.advance(pause)
+            words = [board.read_raw(f"{axis_name(axis)}.faults")[0] for axis in range(AXES)]
+            if any(words):
+                named = [f"{axis_name(axis)} {fault_names(board, word)}" for axis, word in enumerate(words) if word]
+                return ", ".join(named), (board.time_ns - begun) * 1e-9
+        return "", (board.time_ns - begun) * 1e-9
+
+
+def _operator(board: Board, axis: int, way: float, source: random.Random) -> Callable[[int], int]:
+    """Changes set-point and load of one axis when it is time; says when it wants to be asked again [ns]."""
+    limit, current = limits_of(board, axis)
+    torque = LOAD_STEP * current * board.plant.axes[axis].torque_constant
+    due = 0
+
+    def act(now: int) -> int:
+        nonlocal due
+        if now >= due:
+            speed = source.uniform(*RANGE)
+            command_speed(board, axis, way * speed * limit)
+            board.set_load(axis, way * torque * source.random() * min(speed / 0.2, 1.0))
+            due = now + round(source.uniform(*HOLDS) * 1e9)
+        return due
+
+    return act
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """Both axes: held fast, oscillating, and a long time without a stall."""
+    rows: list[Row] = []
+    notes: list[str] = []
+    panels: list[Panel] = []
+    for axis in range(AXES):
+        name = axis_name(axis)
+        fast = [stall(plant, seed, axis, part, None) for part in SPEEDS]
+        for part, it in zip(SPEEDS, fast, strict=True):
+            what = f"{name}, held fast from {100.0 * part:.0f} %"
+            rows.extend(_rows(what, "a fault by the variance", NOTICED_MOST, it))
+            notes.append(_note(what, it))
+        loose = [stall(plant, seed, axis, SPEEDS[1], frequency) for frequency in FREQUENCIES]
+        for frequency, it in zip(FREQUENCIES, loose, strict=True):
+            what = f"{name}, oscillating with {frequency:g} Hz"
+            rows.extend(_rows(what, "not noticed", OSCILLATING_MOST, it))
+            notes.append(_note(what, it))
+        panels.append(_panel(name, [fast[-1], *loose]))
+    faults, ran = operate(plant, seed, LONG)
+    rows.append(Row(f"false alarms in {LONG:g} s of both axes", "not shown", float(bool(faults)), "", Bound(most=0.0)))
+    notes.append(f"random operation: {faults or 'no fault'} in {ran:.3g} s")
+    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+
+
+def _rows(what: str, says: str, most: float, it: Stall) -> Iterator[Row]:
+    time = None if it.noticed is None else 1e3 * it.noticed
+    named = float(it.faults == "SPEED_FEEDBACK")
+    yield Row(f"{what}, outputs off after", says, time, "ms", Bound(most=1e3 * most))
+    yield Row(f"{what}, is called SPEED_FEEDBACK", "error on speed feedback", named, "", Bound(1.0, 1.0))
+
+
+def _note(what: str, it: Stall) -> str:
+    alone = f"nothing in {WATCHED:g} s" if it.by_variance is None else f"after {1e3 * it.by_variance:.0f} ms"
+    return f"{what}: {it.faults or 'nothing'}; the variance alone tells {alone}"
+
+
+def _panel(name: str, stalls: list[Stall]) -> Panel:
+    curves: list[Curve] = []
+    labels = ("held fast", *(f"{frequency:g} Hz" for frequency in FREQUENCIES))
+    for label, it in zip(labels, stalls, strict=True):
+        shown: NDArray[np.bool_] = it.trace.time > BEFORE - 0.05
+        time = 1e3 * (it.trace.time[shown] - BEFORE)
+        curves.append(Curve(f"observed, {label}", time, it.trace.speed[shown] / RPM))
+    return Panel(f"{name}: observed speed until the outputs are off", "time [ms]", "speed [rpm]", tuple(curves))

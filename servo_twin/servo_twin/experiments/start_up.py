@@ -1,0 +1,320 @@
+"""Start-up without an encoder: how soon the angle converges and the criterion is met, and how often it succeeds."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.board import Board
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import RPM, TICK, command_speed
+from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, observing, substate
+from servo_twin.plant import PlantConfig
+
+NAME: Final = "start-up"
+HELP: Final = """\
+A turning current vector draws the rotor along until mean and variance of the observed speed say that the observer has
+it. The reference design shows a start-up in which the angle converges within 150 ms and the criterion is met within
+500 ms (slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the
+vector begins; the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and
+in it. Then 1000 starts with random rotor angle, direction and set-point, with inertia, friction and load torque
+spread about the nominal ones, on all cores: how many of them end in a shaft that turns at the set-point."""
+
+STARTS: Final = 1000
+"""Random starts, two per board."""
+
+CONVERGED: Final = 15.0
+"""Error from which on the angle counts as converged [deg]; it costs 3.4 % of the torque."""
+
+ANGLE_MOST: Final = 0.150  # of the seed [s]
+CRITERION_MOST: Final = 0.500  # of the seed [s]
+
+INERTIA: Final = (0.5, 2.0)
+"""Spread of the inertia, a factor, even on a logarithmic scale."""
+
+FRICTION: Final = (0.5, 3.0)
+"""Spread of the friction, likewise."""
+
+LOAD: Final = 0.3
+"""Largest load torque against the motion, over that of half of the current limit: a fan, growing with the speed."""
+
+SET_POINTS: Final = (0.15, 0.9)
+"""Spread of the set-point, parts of the speed limit."""
+
+RATE_LEAST: Final = 99.0
+"""Of the random starts that have to succeed [%]: the reference design gives no figure."""
+
+NOMINAL: Final = 0.6  # length of the nominal start [s]
+LONGEST: Final = 2.5  # of a random one until its speed is judged [s]
+SETTLED: Final = 0.4  # the axis turns in closed loop for so long before its speed is judged [s]
+SPEED_MOST: Final = 0.1  # deviation of the true speed from the set-point then, over it
+SHOWN_EVERY: Final = 50  # boards
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start of one axis.
+
+    Attributes
+    ----------
+    criterion : float or None
+        From the beginning of the start-up to the closed loop [s].
+    converged : float or None
+        Until the error of the angle stays small [s].
+    end : str
+        What went wrong; empty when nothing did.
+    what : str
+        Conditions, for people.
+    """
+
+    criterion: float | None
+    converged: float | None
+    end: str
+    what: str = ""
+
+    @property
+    def succeeded(self) -> bool:
+        return not self.end
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Conditions of one start.
+
+    Attributes
+    ----------
+    inertia, friction : float
+        Over the nominal ones.
+    load : float
+        Torque at the set-point, over that of half of the current limit.
+    set_point : float
+        Part of the speed limit, with sign.
+    """
+
+    inertia: float
+    friction: float
+    load: float
+    set_point: float
+
+    def __str__(self) -> str:
+        return (
+            f"inertia x {self.inertia:.2f}, friction x {self.friction:.2f}, load {100.0 * self.load:.0f} %, "
+            f"set-point {100.0 * self.set_point:.0f} %"
+        )
+
+
+def draws(seed: int, boards: int) -> list[tuple[Draw, ...]]:
+    """Conditions of so many boards."""
+    source = random.Random(f"start-up {seed}")
+
+    def spread(low: float, high: float) -> float:
+        return math.exp(source.uniform(math.log(low), math.log(high)))
+
+    def one() -> Draw:
+        way = source.choice((-1.0, 1.0))
+        return Draw(spread(*INERTIA), spread(*FRICTION), source.uniform(0.0, LOAD), way * source.uniform(*SET_POINTS))
+
+    return [tuple(one() for _ in range(AXES)) for _ in range(boards)]
+
+
+def examine(trace: Trace, startup: int, spin: int) -> Start:
+    """What a trace says about its start-up."""
+    begun = np.nonzero(trace.substate == startup)[0]
+    done = np.nonzero(trace.substate == spin)[0]
+    if begun.size == 0:
+        return Start(None, None, "it does not begin")
+    if done.size == 0:
+        return Start(None, None, "no closed loop")
+    criterion = float(done[0] - begun[0]) * TICK
+    wrong = np.nonzero(np.abs(trace.error[begun[0] :]) > CONVERGED)[0]
+    converged = None
+    if wrong.size == 0:
+        converged = 0.0
+    elif wrong[-1] + 1 < trace.time.size - begun[0]:
+        converged = float(wrong[-1] + 1) * TICK
+    return Start(criterion, converged, "")
+
+
+def nominal(plant: PlantConfig, seed: int) -> dict[int, Trace]:
+    """Both axes as they are, to a third of the speed limit."""
+    with observing(plant, seed) as board:
+        for axis in range(AXES):
+            command_speed(board, axis, limits_of(board, axis)[0] / 3.0)
+        return follow(board, range(AXES), NOMINAL)
+
+
+def start(plant: PlantConfig, seed: int, drawn: tuple[Draw, ...]) -> tuple[Start, ...]:
+    """One board: both axes at once."""
+    for axis, draw in enumerate(drawn):
+        motor = plant.axes[axis]
+        friction = draw.friction * motor.friction
+        plant = plant.with_axis(axis, inertia=draw.inertia * motor.inertia, friction=friction)
+    with observing(plant, seed) as board:
+        speeds = [draw.set_point * limits_of(board, axis)[0] for axis, draw in enumerate(drawn)]
+        fans = [_fan(board, axis, draw, speeds[axis]) for axis, draw in enumerate(drawn)]
+        for axis, speed in enumerate(speeds):
+            command_speed(board, axis, speed)
+        watch = _Watch(board, fans)
+        traces = follow(board, range(AXES), LONGEST, watch)
+        startup, spin = (substate(board, name) for name in ("STARTUP", "SPIN"))
+        return tuple(
+            _judged(board, traces[axis], examine(traces[axis], startup, spin), speeds[axis], str(draw))
+            for axis, draw in enumerate(drawn)
+        )
+
+
+def _fan(board: Board, axis: int, draw: Draw, speed: float) -> float:
+    """Torque over the square of the speed [N m s^2]."""
+    torque = draw.load * 0.5 * limits_of(board, axis)[1] * board.plant.axes[axis].torque_constant
+    return torque / speed**2
+
+
+class _Watch:
+    """Loads of a fan, and the end of the run when every axis has turned long enough or has ended."""
+
+    def __init__(self, board: Board, fans: Sequence[float]) -> None:
+        self._board, self._fans = board, fans
+        self._spin = substate(board, "SPIN")
+        self._spinning = [0] * AXES
+
+    def __call__(self, _: int) -> bool:
+        over = True
+        for axis in range(AXES):
+            omega = self._board.truth(axis).omega_m
+            self._board.set_load(axis, self._fans[axis] * omega * abs(omega))
+            name = axis_name(axis)
+            ended = self._board.read_raw(f"{name}.faults")[0] != 0
+            self._spinning[axis] += self._board.read_raw(f"{name}.substate")[0] == self._spin
+            over = over and (ended or self._spinning[axis] * TICK >= SETTLED)
+        return over
+
+
+def _judged(board: Board, trace: Trace, start_: Start, speed: float, what: str) -> Start:
+    """A start, together with how it has ended."""
+    if trace.faults.any():
+        first = int(trace.faults[int(np.argmax(trace.faults != 0))])
+        return Start(start_.criterion, start_.converged, fault_names(board, first), what)
+    end = start_.end
+    mean = float(trace.omega[-round(0.05 / TICK) :].mean())
+    if not end and abs(mean / speed - 1.0) > SPEED_MOST:
+        end = f"{mean / RPM:.0f} rpm instead of {speed / RPM:.0f}"
+    if not end and start_.converged is None:
+        end = "a wrong angle"
+    return Start(start_.criterion, start_.converged, end, what)
+
+
+def many(plant: PlantConfig, seed: int, count: int) -> list[Start]:
+    """Random starts on all cores; the same seed gives the same ones, however many cores there are."""
+    boards = (count + AXES - 1) // AXES
+    jobs = [(plant, seed + 1 + k, drawn) for k, drawn in enumerate(draws(seed, boards))]
+    workers = min(os.cpu_count() or 1, boards)
+    results: list[Start] = []
+    for done, starts in enumerate(_run_all(jobs, workers), 1):
+        results.extend(starts)
+        if done % SHOWN_EVERY == 0 and done < boards:
+            print(f"{NAME}: {len(results)} of {count} starts", file=sys.stderr, flush=True)
+    return results[:count]
+
+
+def _run_all(jobs: Sequence[tuple[PlantConfig, int, tuple[Draw, ...]]], workers: int) -> Iterator[tuple[Start, ...]]:
+    if workers <= 1 or len(jobs) < SHOWN_EVERY:
+        yield from map(_run_one, jobs)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(_run_one, jobs, chunksize=4)
+
+
+def _run_one(job: tuple[PlantConfig, int, tuple[Draw, ...]]) -> tuple[Start, ...]:
+    return start(*job)
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """The nominal starts, then the random ones."""
+    rows: list[Row] = []
+    notes: list[str] = []
+    panels: list[Panel] = []
+    startup, spin = _substates(plant, seed)
+    for axis, trace in nominal(plant, seed).items():
+        name, found = axis_name(axis), examine(trace, startup, spin)
+        angle, criterion = (None if t is None else 1e3 * t for t in (found.converged, found.criterion))
+        within = Bound(most=1e3 * ANGLE_MOST), Bound(most=1e3 * CRITERION_MOST)
+        rows.append(Row(f"{name}, angle converges within", "150 ms on the waveforms", angle, "ms", within[0]))
+        rows.append(Row(f"{name}, criterion met within", "500 ms on the waveforms", criterion, "ms", within[1]))
+        panels.append(_panel(name, trace))
+    starts = many(plant, seed, STARTS)
+    rows.extend(_rates(starts))
+    notes.extend(_ends(starts))
+    panels.append(_histogram(starts))
+    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+
+
+def _substates(plant: PlantConfig, seed: int) -> tuple[int, int]:
+    with Board(plant, seed=seed) as board:
+        return substate(board, "STARTUP"), substate(board, "SPIN")
+
+
+def _rates(starts: Sequence[Start]) -> Iterator[Row]:
+    good = [start_ for start_ in starts if start_.succeeded]
+    rate = 100.0 * len(good) / len(starts)
+    yield Row(f"{len(starts)} random starts, success", "not shown", rate, "%", Bound(least=RATE_LEAST))
+    lost = sum(1 for start_ in starts if start_.end and start_.criterion is not None and not _fault(start_.end))
+    yield Row("of them turning wrongly without a fault", "not shown", float(lost), "", Bound(most=0.0))
+    for what, most, times in (
+        ("angle converges within", ANGLE_MOST, [start_.converged for start_ in good]),
+        ("criterion met within", CRITERION_MOST, [start_.criterion for start_ in good]),
+    ):
+        kept = [t for t in times if t is not None]
+        usual = 1e3 * float(np.median(kept)) if kept else None
+        yield Row(f"median, {what}", "as above", usual, "ms", Bound(most=1e3 * most))
+
+
+def _fault(end: str) -> bool:
+    return end.isupper()
+
+
+def _ends(starts: Sequence[Start]) -> Iterator[str]:
+    for label, times in (
+        ("angle", [s.converged for s in starts if s.succeeded]),
+        ("criterion", [s.criterion for s in starts if s.succeeded]),
+    ):
+        kept = np.array([1e3 * t for t in times if t is not None])
+        if kept.size:
+            tenth, half, most = (float(np.percentile(kept, q)) for q in (10, 50, 95))
+            yield f"{label}: 10 % within {tenth:.0f} ms, half within {half:.0f} ms, 95 % within {most:.0f} ms"
+    failed = [start_ for start_ in starts if not start_.succeeded]
+    for start_ in failed[:5]:
+        yield f"failed: {start_.end} ({start_.what})"
+    if len(failed) > 5:
+        yield f"and {len(failed) - 5} more"
+
+
+def _panel(name: str, trace: Trace) -> Panel:
+    time = 1e3 * trace.time
+    curves = (
+        Curve("error of the angle [deg]", time, trace.error),
+        Curve("true speed [rpm]", time, trace.omega / RPM),
+        Curve("observed speed [rpm]", time, trace.speed / RPM),
+    )
+    return Panel(f"{name}: start-up", "time [ms]", "", curves)
+
+
+def _histogram(starts: Sequence[Start]) -> Panel:
+    curves = []
+    for label, times in (
+        ("angle has converged", [s.converged for s in starts if s.succeeded]),
+        ("criterion is met", [s.criterion for s in starts if s.succeeded]),
+    ):
+        x: NDArray[np.float64] = np.sort(np.array([1e3 * t for t in times if t is not None]))
+        curves.append(Curve(label, x, 100.0 * np.arange(1, x.size + 1) / max(len(starts), 1)))
+    return Panel(f"{len(starts)} random starts", "time [ms]", "part of the starts [%]", tuple(curves))

@@ -1,0 +1,160 @@
+"""The experiments without an encoder: they agree with the drive as it is, and their figures notice when it is not."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from servo_twin.experiments import minimum_speed, observer, stall, start_up
+from servo_twin.experiments.observer import Point
+from servo_twin.experiments.outcome import Outcome
+from servo_twin.experiments.rig import TICK
+from servo_twin.experiments.sensorless import Trace, degrees
+from servo_twin.experiments.stall import variance_tells
+from servo_twin.experiments.start_up import CRITERION_MOST, draws, examine, many
+from servo_twin.plant import PlantConfig
+
+PLANT = PlantConfig.load()
+SEED = 4
+
+
+def run(module: ModuleType) -> Outcome:
+    outcome: Outcome = module.run(PLANT, SEED)
+    return outcome
+
+
+def wrong(outcome: Outcome) -> list[str]:
+    """Figures that do not agree."""
+    return [row.name for row in outcome.rows if not row.agrees]
+
+
+def trace(speed: np.ndarray[Any, np.dtype[np.float64]], **arrays: Any) -> Trace:
+    """A trace of an observed speed; the rest is still."""
+    still = {name: np.zeros(speed.size) for name in Trace.__dataclass_fields__}
+    time = TICK * np.arange(1, speed.size + 1)
+    return Trace(**(still | {"time": time, "speed": speed} | arrays))
+
+
+def test_angles_are_compared_within_half_a_turn() -> None:
+    assert degrees(np.array([math.radians(350.0), math.radians(-190.0)])) == pytest.approx([-10.0, 170.0])
+
+
+# ---- observer -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def short_observer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(observer, "SPEEDS", (1.0 / 15.0, 1.0 / 3.0))
+    monkeypatch.setattr(observer, "CURRENTS", (0.0, 0.5))
+    monkeypatch.setattr(observer, "SENSITIVE", (1.0 / 3.0,))
+    monkeypatch.setattr(observer, "WINDINGS", ((1.5, 1.0), (1.0, 0.5)))
+
+
+def test_observer_agrees(short_observer: None) -> None:
+    assert wrong(run(observer)) == []
+
+
+def test_observer_notices_errors_and_a_compensation_that_does_nothing(
+    short_observer: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    genuine = observer.measure
+
+    def shifted(*args: Any) -> dict[tuple[float, float], Point]:
+        return {k: dataclasses.replace(p, mean=p.mean + 7.0) for k, p in genuine(*args).items()}
+
+    monkeypatch.setattr(observer, "measure", shifted)
+    monkeypatch.setattr(observer, "paper", lambda *_: 0.0)
+    slow = (1.0 / 15.0,)
+    monkeypatch.setattr(observer, "_uncompensated", lambda *place: genuine(*place, slow, (0.5,))[slow[0], 0.5])
+    names = wrong(run(observer))
+    assert any("largest mean error" in name for name in names)
+    assert any("not made up over made up" in name for name in names)
+
+
+def test_angle_error_on_paper() -> None:
+    motor = PLANT.axes[0]
+    other = dataclasses.replace(motor, l_q=2.0 * motor.l_q)
+    expected = math.degrees(math.atan2((2.0 * 0.512e-3 - 0.4575e-3) * 2.0, 0.0154))
+    assert observer.paper(other, motor, 100.0, 2.0) == pytest.approx(expected, rel=1e-6)
+    hot = dataclasses.replace(motor, r_s=2.0 * motor.r_s)
+    assert 0.0 < observer.paper(hot, motor, 100.0, 2.0) < observer.paper(motor, motor, 100.0, 2.0)
+
+
+# ---- start-up -------------------------------------------------------------------------------------------------------
+
+
+def test_start_up_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start_up, "STARTS", 6)
+    outcome = run(start_up)
+    assert wrong(outcome) == []
+    assert outcome.row("6 random starts, success").measured == 100.0
+
+
+def test_start_up_notices_a_shaft_that_does_not_turn() -> None:
+    stuck = PLANT
+    for axis in range(2):
+        stuck = stuck.with_axis(axis, friction=10.0)
+    starts = many(stuck, SEED, 2)
+    assert [start.end for start in starts] == ["START_UP", "START_UP"]
+    assert not any(start.succeeded for start in starts)
+
+
+def test_random_starts_are_those_of_the_seed() -> None:
+    assert draws(1, 3) == draws(1, 5)[:3]
+    assert draws(1, 3) != draws(2, 3)
+    for draw in (draw for board in draws(1, 200) for draw in board):
+        assert 0.5 <= draw.inertia <= 2.0
+        assert 0.15 <= abs(draw.set_point) <= 0.9
+
+
+def test_times_count_from_the_beginning_of_the_start_up() -> None:
+    substates = np.array([1] * 10 + [5] * 100 + [3] * 50)
+    angle = np.where(np.arange(160) < 70, 1.0, 0.1)
+    found = examine(trace(np.zeros(160), substate=substates, angle=angle), 5, 3)
+    assert found.criterion == pytest.approx(100 * TICK)
+    assert found.converged == pytest.approx(60 * TICK)
+    assert found.criterion < CRITERION_MOST
+    never = examine(trace(np.zeros(160), substate=substates, angle=np.full(160, 2.0)), 5, 3)
+    assert never.converged is None
+    assert examine(trace(np.zeros(160), substate=np.where(substates == 3, 5, substates)), 5, 3).end == "no closed loop"
+
+
+# ---- minimum speed --------------------------------------------------------------------------------------------------
+
+
+def test_minimum_speed_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(minimum_speed, "LOADS", (0.25,))
+    monkeypatch.setattr(minimum_speed, "STEPS", (0.3, 0.08, 0.05, 0.02))
+    outcome = run(minimum_speed)
+    assert wrong(outcome) == []
+    assert outcome.row("axis1, load 25 %, lowest speed").measured == pytest.approx(5.0)
+
+
+def test_minimum_speed_notices_what_is_not_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(minimum_speed, "LOADS", (0.0,))
+    monkeypatch.setattr(minimum_speed, "STEPS", (0.3, 0.1))
+    assert wrong(run(minimum_speed)) == ["axis1, no load, lowest speed", "axis2, no load, lowest speed"]
+
+
+# ---- stall ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_variance_alone_tells_noise_and_not_a_steady_speed() -> None:
+    noise = np.random.default_rng(1).normal(0.0, 30.0, 3000)
+    told = variance_tells(trace(noise), 0.0)
+    assert told is not None
+    assert told == pytest.approx((stall.SIZE + stall.HYSTERESIS) * TICK, rel=0.1)
+    assert variance_tells(trace(np.full(3000, 20.0)), 0.0) is None
+    slow = 20.0 + 4.0 * np.sin(2.0 * np.pi * 4.0 * TICK * np.arange(3000))
+    assert variance_tells(trace(slow), 0.0) is None, "the blind spot of the reference design"
+
+
+def test_stall_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stall, "SPEEDS", (0.2, 0.8))
+    monkeypatch.setattr(stall, "FREQUENCIES", (4.0,))
+    monkeypatch.setattr(stall, "LONG", 2.0)
+    assert wrong(run(stall)) == []
