@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -42,14 +41,14 @@ def bench(core: Core) -> Bench:
 
 
 @pytest.fixture
-def turning(bench: Bench) -> Iterator[Bench]:
+def turning(bench: Bench) -> Bench:
     """Both axes follow a speed of 100 rad/s."""
     bench.to_spin(0, 1)
     for axis in range(2):
         bench.write(axis, mode=SPEED, speed=speed(100.0))
         bench.turn(axis, 100.0)
     bench.slow(100)
-    yield bench
+    return bench
 
 
 def configure(bench: Bench, **masks: int) -> Any:
@@ -57,6 +56,7 @@ def configure(bench: Bench, **masks: int) -> Any:
     config = bench.core.ffi.new("axis_config_t *", bench.axis(0).config[0])
     for name, value in masks.items():
         setattr(config.stop, name, value)
+    bench.kept.append(config)
     bench.axis(0).config = config
     return config
 
