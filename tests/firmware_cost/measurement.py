@@ -9,7 +9,7 @@ from typing import Any
 
 from targets.sources import Sources
 
-from firmware_cost.instructions import Counts, count, Setup
+from firmware_cost.instructions import Counts, Setup, count
 from firmware_cost.programs import OPTIMISATIONS, Programs, compiler
 from firmware_cost.sizes import Size, Sizes, sizes
 from firmware_cost.stages import Stages, stages
