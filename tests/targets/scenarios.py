@@ -35,6 +35,12 @@ _REFERENCE_DESIGN: Final = sum(
     _FEATURES[name] for name in ("ANTI_WINDUP", "ENHANCED_MT", "BUS_COMPENSATION", "DEAD_TIME")
 )
 _ALL_FAULTS: Final = sum(flag.mask for flag in Catalogue.load().flags["faults"])
+_BLIND: Final = sum(
+    flag.mask
+    for flag in Catalogue.load().flags["faults"]
+    if flag.name not in ("CURRENT_SENSE", "PHASE_LOST", "ENCODER_LOST")
+)
+"""Faults of an axis that shall bear senseless inputs."""
 _QUICK: Final = (0.0, math.pi / 4)
 """Rotor angles that are found soon [rad]."""
 
@@ -146,6 +152,7 @@ def random_inputs(rig: Rig) -> None:
     """Analogue inputs and edges that make no sense, a load that runs away, and in the end a host that falls silent."""
     _spin(rig)
     rig.set_raw("param.host_timeout", 0)  # below its limits
+    rig.set("param.faults_enabled", _BLIND)
     rig.set("cmd.mode", POSITION)
     rig.set("cmd.position", -50.0)
     rig.disturb(0, 1, one_in=4)
@@ -270,6 +277,7 @@ def over_current(rig: Rig) -> None:
     rig.run(0.002)
     rig.set("cmd.enable", 1)
     rig.set("cmd.i_q", 3.9, -3.9)
+    rig.set("param.faults_enabled", _BLIND)
     rig.disturb(0, 1, one_in=2)
     rig.until("over-current", lambda: all("OVER_CURRENT" in rig.faults(k) for k in (0, 1)))
     rig.calm()
