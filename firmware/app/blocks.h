@@ -30,6 +30,7 @@ typedef struct {
     uint32_t applied_tick;
     uint16_t applied_count;
     frac16_t u_dc;
+    int16_t monitor[HAL_MONITORS];
     axis_snapshot_t axis[HAL_AXES];
 } snapshot_t;
 

@@ -56,7 +56,7 @@ void monitor_step(servo_t *servo)
 {
     for (uint16_t i = 0; i < HAL_MONITORS; i++) {
         const int16_t value = value_of(servo, servo->parameter.monitor[i]);
-        servo->monitor_value[i] = value;
+        servo->monitor[i] = value;
         hal_monitor(servo->hal, i, (uint16_t)((uint16_t)value + MIDDLE));
     }
 }

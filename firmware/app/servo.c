@@ -104,7 +104,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     }
     for (uint16_t i = 0; i < HAL_MONITORS; i++) {
         servo->parameter.monitor[i] = MONITOR_NONE;
-        servo->monitor_value[i] = 0;
+        servo->monitor[i] = 0;
     }
     brake_init(&servo->brake);
     servo->tick = 0;
@@ -240,6 +240,9 @@ static void publish_snapshot(servo_t *servo)
     snapshot->applied_tick = servo->applied_tick;
     snapshot->applied_count = servo->applied_count;
     snapshot->u_dc = servo->axis[MOTOR_1].u_dc;
+    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+        snapshot->monitor[i] = servo->monitoring ? servo->monitor[i] : 0;
+    }
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         publish_axis(&servo->axis[i], &snapshot->axis[i]);
         publish_estimate(&servo->axis[i], &servo->estimate.axis[i]);

@@ -22,7 +22,6 @@ typedef struct servo {
     command_block_t command;
     parameter_block_t parameter;
     fault_record_t record[HAL_AXES];
-    int16_t monitor_value[HAL_MONITORS];
     belief_block_t belief;
     estimate_block_t estimate;
 
@@ -34,6 +33,7 @@ typedef struct servo {
     bool m2_awaited;     /* M1 has run, M2 has not */
     uint16_t lateness;   /* of the loops, forgotten with time */
     uint16_t late_loops; /* hal_late_loops() of the last slow tick */
+    int16_t monitor[HAL_MONITORS]; /* what the monitor outputs show */
     bool monitoring;     /* a monitor output shows something */
     uint32_t applied_tick;
     uint16_t applied_count;

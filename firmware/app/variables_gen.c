@@ -39,22 +39,22 @@ CHECK(23, SIZE(parameter.faults_enabled) == 8);
 CHECK(24, SIZE(parameter.monitor) == 4);
 CHECK(25, SIZE(parameter.host_timeout) == 2);
 CHECK(26, SIZE(parameter.brake) == 2);
-CHECK(27, SIZE(monitor_value) == 4);
-CHECK(28, SIZE(snapshot.axis[0].position) == 4);
-CHECK(29, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(30, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(31, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(32, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(33, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(34, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(35, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(36, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(37, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(38, SIZE(snapshot.axis[0].state) == 2);
-CHECK(39, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(40, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(41, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(42, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(27, SIZE(snapshot.axis[0].position) == 4);
+CHECK(28, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(29, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(30, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(31, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(32, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(33, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(34, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(35, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(36, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(37, SIZE(snapshot.axis[0].state) == 2);
+CHECK(38, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(39, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(40, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(41, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(42, SIZE(snapshot.monitor[0]) == 2);
 CHECK(43, SIZE(estimate.axis[0].speed) == 4);
 CHECK(44, SIZE(estimate.axis[0].theta_e) == 2);
 CHECK(45, SIZE(estimate.axis[0].emf) == 2);
@@ -87,23 +87,24 @@ CHECK(71, SIZE(snapshot.axis[1].substate) == 2);
 CHECK(72, SIZE(snapshot.axis[1].faults) == 4);
 CHECK(73, SIZE(snapshot.axis[1].first_fault) == 2);
 CHECK(74, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(75, SIZE(estimate.axis[1].speed) == 4);
-CHECK(76, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(77, SIZE(estimate.axis[1].emf) == 2);
-CHECK(78, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(79, SIZE(record[1].pending) == 4);
-CHECK(80, SIZE(record[1].tick) == 4);
-CHECK(81, SIZE(record[1].code) == 2);
-CHECK(82, SIZE(record[1].state) == 2);
-CHECK(83, SIZE(record[1].substate) == 2);
-CHECK(84, SIZE(record[1].next) == 2);
-CHECK(85, SIZE(record[1].size) == 2);
-CHECK(86, SIZE(record[1].i_d) == 128);
-CHECK(87, SIZE(record[1].i_q) == 128);
-CHECK(88, SIZE(record[1].theta_e) == 128);
-CHECK(89, SIZE(record[1].u_dc) == 128);
-CHECK(90, SIZE(record[1].speed) == 128);
-CHECK(91, SIZE(belief.torque_constant[1]) == 2);
+CHECK(75, SIZE(snapshot.monitor[1]) == 2);
+CHECK(76, SIZE(estimate.axis[1].speed) == 4);
+CHECK(77, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(78, SIZE(estimate.axis[1].emf) == 2);
+CHECK(79, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(80, SIZE(record[1].pending) == 4);
+CHECK(81, SIZE(record[1].tick) == 4);
+CHECK(82, SIZE(record[1].code) == 2);
+CHECK(83, SIZE(record[1].state) == 2);
+CHECK(84, SIZE(record[1].substate) == 2);
+CHECK(85, SIZE(record[1].next) == 2);
+CHECK(86, SIZE(record[1].size) == 2);
+CHECK(87, SIZE(record[1].i_d) == 128);
+CHECK(88, SIZE(record[1].i_q) == 128);
+CHECK(89, SIZE(record[1].theta_e) == 128);
+CHECK(90, SIZE(record[1].u_dc) == 128);
+CHECK(91, SIZE(record[1].speed) == 128);
+CHECK(92, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -187,8 +188,6 @@ static const char strings[] =
     "param.monitor\0"
     "param.host_timeout\0"
     "param.brake\0"
-    "monitor.value\0"
-    "\xF1\0"
     "axis1.position\0"
     "axis1.position_ref\0"
     "axis1.speed\0"
@@ -204,6 +203,7 @@ static const char strings[] =
     "axis1.faults\0"
     "axis1.first_fault\0"
     "axis1.limits\0"
+    "axis1.monitor\0"
     "axis1.estimate_speed\0"
     "axis1.estimate_theta_e\0"
     "axis1.estimate_emf\0"
@@ -236,6 +236,7 @@ static const char strings[] =
     "axis2.faults\0"
     "axis2.first_fault\0"
     "axis2.limits\0"
+    "axis2.monitor\0"
     "axis2.estimate_speed\0"
     "axis2.estimate_theta_e\0"
     "axis2.estimate_emf\0"
@@ -328,71 +329,72 @@ static const tsa_entry_t entries[] = {
     {825, 203, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
     {839, 505, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
     {858, 505, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {870, 884, AT(monitor_value), SIZE(monitor_value), TSA_KIND_RO}, /* monitor.value */
-    {886, 527, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {901, 527, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {920, 539, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {932, 539, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {948, 512, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {958, 512, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {968, 512, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {982, 512, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {992, 512, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {1002, 512, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1016, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1028, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1043, 460, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1056, 505, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1074, 505, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1087, 539, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1108, 512, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1131, 512, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1150, 505, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1174, 460, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1188, 460, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
-    {1205, 505, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
-    {1222, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
-    {1240, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
-    {1261, 505, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
-    {1278, 505, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
-    {1295, 512, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
-    {1311, 512, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
-    {1327, 512, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
-    {1347, 512, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
-    {1364, 512, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
-    {1382, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1404, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1419, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1438, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1450, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1466, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1476, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1486, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1500, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1510, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1520, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1534, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1546, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1561, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1574, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1592, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1605, 539, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1626, 512, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1649, 512, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1668, 505, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1692, 460, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1706, 460, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
-    {1723, 505, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
-    {1740, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
-    {1758, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
-    {1779, 505, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
-    {1796, 505, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
-    {1813, 512, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
-    {1829, 512, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
-    {1845, 512, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
-    {1865, 512, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
-    {1882, 512, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
-    {1900, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {870, 527, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {885, 527, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {904, 539, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {916, 539, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {932, 512, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {942, 512, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {952, 512, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {966, 512, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {976, 512, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {986, 512, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1000, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1012, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1027, 460, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1040, 505, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1058, 505, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1071, 512, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1085, 539, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1106, 512, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1129, 512, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1148, 505, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1172, 460, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1186, 460, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
+    {1203, 505, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
+    {1220, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
+    {1238, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
+    {1259, 505, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
+    {1276, 505, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
+    {1293, 512, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
+    {1309, 512, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
+    {1325, 512, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
+    {1345, 512, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
+    {1362, 512, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
+    {1380, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1402, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1417, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1436, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1448, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1464, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1474, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1484, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1498, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1508, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1518, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1532, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1544, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1559, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1572, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1590, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1603, 512, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {1617, 539, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1638, 512, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1661, 512, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1680, 505, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1704, 460, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1718, 460, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
+    {1735, 505, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
+    {1752, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
+    {1770, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
+    {1791, 505, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
+    {1808, 505, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
+    {1825, 512, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
+    {1841, 512, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
+    {1857, 512, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
+    {1877, 512, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
+    {1894, 512, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
+    {1912, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

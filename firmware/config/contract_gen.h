@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x6A403F24)
+#define CATALOGUE_HASH UINT32_C(0x24EAB492)
 
 typedef enum {
     STATE_FAULT = 0,

@@ -9,6 +9,7 @@ from typing import Any, Final
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.commands import Request
 from servo_msgs_py.catalogue import Catalogue
+from servo_twin.harm import Harm
 from servo_twin.plant import PlantConfig
 
 BAUD: Final = 1_000_000.0
@@ -180,6 +181,18 @@ class Rig:
     def motor(self, axis: int, connected: bool) -> None:
         """Connect or disconnect the cable of a motor."""
         self._lib.board_set_motor(self._board, axis, int(connected))
+
+    def inject(self, harm: Harm) -> None:
+        """Break something."""
+        self._lib.board_inject(self._board, self._harm(harm))
+
+    def heal(self, harm: Harm) -> None:
+        """Make it whole again."""
+        self._lib.board_heal(self._board, self._harm(harm))
+
+    def _harm(self, harm: Harm) -> Any:
+        kind, *where = harm.raw()
+        return self._ffi.new("board_harm_t *", (getattr(self._lib, kind), *where))
 
     def disturb(self, *axes: int, one_in: int, seed: int = 1) -> None:
         """Replace one in so many analogue inputs and edges of some axes (0, 1) by random ones."""

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from servo_bridge.freemaster import commands
 from servo_msgs_py.catalogue import Catalogue
+from servo_twin.harm import HotPowerStage, OpenPhase, StalledCore, StuckConverter, StuckLine
 from servo_twin.plant import PlantConfig
 
 from targets import server_requests
@@ -33,6 +34,7 @@ _FEATURES: Final = {flag.name: flag.mask for flag in Catalogue.load().flags["fea
 _REFERENCE_DESIGN: Final = sum(
     _FEATURES[name] for name in ("ANTI_WINDUP", "ENHANCED_MT", "BUS_COMPENSATION", "DEAD_TIME")
 )
+_ALL_FAULTS: Final = sum(flag.mask for flag in Catalogue.load().flags["faults"])
 _QUICK: Final = (0.0, math.pi / 4)
 """Rotor angles that are found soon [rad]."""
 
@@ -192,7 +194,7 @@ def searches(rig: Rig) -> None:
     rig.motor(0, False)
     rig.plug(1, False)
     rig.set("cmd.enable", 1)
-    rig.until("no current", lambda: rig.faults(0) == ["ROTOR_SEARCH"])
+    rig.until("no current", lambda: rig.faults(0) == ["PHASE_LOST"])
     rig.motor(0, True)
     rig.lock(0)
     rig.set("cmd.clear_faults", 1, 0)
@@ -333,6 +335,50 @@ def soft_limits(rig: Rig) -> None:
     rig.run(0.002)
 
 
+def broken_phases(rig: Rig) -> None:
+    """Phases lost while they turn and while they hold a load, a converter that repeats itself, one that says too much."""
+    _spin(rig)
+    rig.set("param.monitor", 3.0, 16.0)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 80.0, -80.0)
+    rig.run(0.06)
+    rig.inject(OpenPhase(0, "a"))
+    rig.until("phase lost", lambda: rig.faults(0) == ["PHASE_LOST"])
+    rig.set("param.monitor", 1.0, 0.0)
+    rig.inject(StuckConverter(1, "b", 2300))
+    rig.until("converter", lambda: "CURRENT_SENSE" in rig.faults(1))
+    rig.run(0.06)
+    rig.heal(OpenPhase(0, "a"))
+    rig.heal(StuckConverter(1, "b", 2300))
+    rig.lock(0)
+    rig.lock(1)
+    rig.set("cmd.clear_faults", 1)
+    rig.until("both axes cleared", lambda: rig.places() == ["STOP", "STOP"])
+
+
+def broken_encoders(rig: Rig) -> None:
+    """A line dead, both lines dead, and a core that stands still: once for a moment, once until the watchdog barks."""
+    _spin(rig)
+    rig.set("param.faults_enabled", _ALL_FAULTS)
+    rig.set("cmd.mode", SPEED, TORQUE)
+    rig.set("cmd.speed", 100.0, 0.0)
+    rig.set("cmd.i_q", 0.0, 0.3)
+    rig.run(0.05)
+    rig.inject(StuckLine(0, "A"))
+    rig.plug(1, False)
+    rig.until("lines missed", lambda: all("ENCODER_LOST" in rig.faults(k) for k in (0, 1)))
+    rig.inject(HotPowerStage(0, 120.0))
+    rig.until("heat", lambda: "OVER_TEMPERATURE" in rig.faults(0))
+    rig.set("cmd.clear_faults", 1)
+    rig.heal(HotPowerStage(0, 120.0))
+    rig.run(0.01)
+    rig.inject(StalledCore(0.001))
+    rig.until("late loops", lambda: "LATE_LOOP" in rig.faults(1))
+    rig.inject(StalledCore(0.2))
+    rig.run(0.06)
+    rig.until("watchdog", lambda: rig.faults(0) == ["WATCHDOG"])
+
+
 def braking(rig: Rig) -> None:
     """Braking current folded back on a small capacitor, in every mode."""
     _spin(rig)
@@ -430,6 +476,8 @@ SCENARIOS: Final = (
     Scenario("wrong-offset", _plant(i_offset=(0.0, 2.0, 0.0)), wrong_offset),
     Scenario("forward", _plant(), forward),
     Scenario("soft-limits", _plant(), soft_limits),
+    Scenario("broken-phases", _plant(), broken_phases),
+    Scenario("broken-encoders", _plant(), broken_encoders),
     Scenario("braking", _plant(capacitance=0.5e-3), braking),
     Scenario("resistor", _plant(), resistor),
     Scenario("shorted", _plant(), shorted),

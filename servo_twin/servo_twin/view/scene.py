@@ -84,6 +84,8 @@ QUANTITIES: Final = (
     Quantity("i_q", "current i_q", "A", "i_q", "i_q_ref"),
 )
 
+MONITOR: Final = Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point")
+
 RESIDUALS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 """Fields of the residual, board minus twin, and their units."""
 

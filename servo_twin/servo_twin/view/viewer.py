@@ -230,7 +230,7 @@ class Viewer:
         where = {name: k for k, name in enumerate(columns)}
         points: dict[str, NDArray[np.float64]] = {}
         for axis, _ in scene.axes():
-            for quantity in scene.QUANTITIES:
+            for quantity in (*scene.QUANTITIES, scene.MONITOR):
                 for curve in (scene.SET_POINT, source) if source == scene.BOARD else (source,):
                     if (column := where.get(quantity.column(curve, axis))) is not None:
                         points[scene.series_entity(axis, quantity.name, curve)] = table[:, column]
