@@ -282,8 +282,12 @@ class TestPlant:
             truth = board.truth(0)
             assert (truth.i_d, truth.i_q, truth.torque_e) == (0.0, 0.0, 0.0)
         assert abs(board.truth(1).theta_m - start) > 0.5
+        assert [fault.name for fault in board.catalogue.active("faults", board.read_raw("axis1.faults")[0])] == ["PHASE_LOST"]
         board.connect_motor(0)
-        board.run(0.01)
+        board.write("cmd.clear_faults", [1, 0])
+        board.run(0.05)
+        board.write("cmd.enable", [1, 1])
+        board.run(0.1)
         assert board.truth(0).torque_e != 0.0
 
     def test_another_plant(self) -> None:
