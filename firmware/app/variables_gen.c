@@ -60,51 +60,29 @@ CHECK(44, SIZE(estimate.axis[0].theta_e) == 2);
 CHECK(45, SIZE(estimate.axis[0].emf) == 2);
 CHECK(46, SIZE(estimate.axis[0].reliable) == 2);
 CHECK(47, SIZE(record[0].pending) == 4);
-CHECK(48, SIZE(record[0].tick) == 4);
-CHECK(49, SIZE(record[0].code) == 2);
-CHECK(50, SIZE(record[0].state) == 2);
-CHECK(51, SIZE(record[0].substate) == 2);
-CHECK(52, SIZE(record[0].next) == 2);
-CHECK(53, SIZE(record[0].size) == 2);
-CHECK(54, SIZE(record[0].i_d) == 128);
-CHECK(55, SIZE(record[0].i_q) == 128);
-CHECK(56, SIZE(record[0].theta_e) == 128);
-CHECK(57, SIZE(record[0].u_dc) == 128);
-CHECK(58, SIZE(record[0].speed) == 128);
-CHECK(59, SIZE(belief.torque_constant[0]) == 2);
-CHECK(60, SIZE(snapshot.axis[1].position) == 4);
-CHECK(61, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(62, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(63, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(64, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(65, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(66, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(67, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(68, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(69, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(70, SIZE(snapshot.axis[1].state) == 2);
-CHECK(71, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(72, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(73, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(74, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(75, SIZE(snapshot.monitor[1]) == 2);
-CHECK(76, SIZE(estimate.axis[1].speed) == 4);
-CHECK(77, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(78, SIZE(estimate.axis[1].emf) == 2);
-CHECK(79, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(80, SIZE(record[1].pending) == 4);
-CHECK(81, SIZE(record[1].tick) == 4);
-CHECK(82, SIZE(record[1].code) == 2);
-CHECK(83, SIZE(record[1].state) == 2);
-CHECK(84, SIZE(record[1].substate) == 2);
-CHECK(85, SIZE(record[1].next) == 2);
-CHECK(86, SIZE(record[1].size) == 2);
-CHECK(87, SIZE(record[1].i_d) == 128);
-CHECK(88, SIZE(record[1].i_q) == 128);
-CHECK(89, SIZE(record[1].theta_e) == 128);
-CHECK(90, SIZE(record[1].u_dc) == 128);
-CHECK(91, SIZE(record[1].speed) == 128);
-CHECK(92, SIZE(belief.torque_constant[1]) == 2);
+CHECK(48, SIZE(belief.torque_constant[0]) == 2);
+CHECK(49, SIZE(snapshot.axis[1].position) == 4);
+CHECK(50, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(51, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(52, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(53, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(54, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(55, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(56, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(57, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(58, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(59, SIZE(snapshot.axis[1].state) == 2);
+CHECK(60, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(61, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(62, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(63, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(64, SIZE(snapshot.monitor[1]) == 2);
+CHECK(65, SIZE(estimate.axis[1].speed) == 4);
+CHECK(66, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(67, SIZE(estimate.axis[1].emf) == 2);
+CHECK(68, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(69, SIZE(record[1].pending) == 4);
+CHECK(70, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -209,17 +187,7 @@ static const char strings[] =
     "axis1.estimate_emf\0"
     "axis1.estimate_reliable\0"
     "axis1.pending\0"
-    "axis1.fault.tick\0"
-    "axis1.fault.code\0"
-    "axis1.fault.state\0"
-    "axis1.fault.substate\0"
-    "axis1.fault.next\0"
-    "axis1.fault.size\0"
-    "axis1.fault.i_d\0"
-    "axis1.fault.i_q\0"
-    "axis1.fault.theta_e\0"
-    "axis1.fault.u_dc\0"
-    "axis1.fault.speed\0"
+    "axis1.fault_record\0"
     "axis1.torque_constant\0"
     "axis2.position\0"
     "axis2.position_ref\0"
@@ -242,17 +210,7 @@ static const char strings[] =
     "axis2.estimate_emf\0"
     "axis2.estimate_reliable\0"
     "axis2.pending\0"
-    "axis2.fault.tick\0"
-    "axis2.fault.code\0"
-    "axis2.fault.state\0"
-    "axis2.fault.substate\0"
-    "axis2.fault.next\0"
-    "axis2.fault.size\0"
-    "axis2.fault.i_d\0"
-    "axis2.fault.i_q\0"
-    "axis2.fault.theta_e\0"
-    "axis2.fault.u_dc\0"
-    "axis2.fault.speed\0"
+    "axis2.fault_record\0"
     "axis2.torque_constant\0";
 
 static const tsa_entry_t entries[] = {
@@ -350,51 +308,31 @@ static const tsa_entry_t entries[] = {
     {1129, 512, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
     {1148, 505, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
     {1172, 460, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1186, 460, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
-    {1203, 505, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
-    {1220, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
-    {1238, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
-    {1259, 505, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
-    {1276, 505, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
-    {1293, 512, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
-    {1309, 512, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
-    {1325, 512, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
-    {1345, 512, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
-    {1362, 512, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
-    {1380, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1402, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1417, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1436, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1448, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1464, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1474, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1484, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1498, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1508, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1518, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1532, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1544, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1559, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1572, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1590, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1603, 512, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {1617, 539, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1638, 512, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1661, 512, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1680, 505, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1704, 460, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1718, 460, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
-    {1735, 505, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
-    {1752, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
-    {1770, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
-    {1791, 505, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
-    {1808, 505, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
-    {1825, 512, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
-    {1841, 512, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
-    {1857, 512, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
-    {1877, 512, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
-    {1894, 512, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
-    {1912, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {1186, 471, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1205, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1227, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1242, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1261, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1273, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1289, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1299, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1309, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1323, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1333, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1343, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1357, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1369, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1384, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1397, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1415, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1428, 512, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {1442, 539, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1463, 512, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1486, 512, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1505, 505, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1529, 460, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1543, 471, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {1562, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

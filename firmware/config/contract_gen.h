@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x24EAB492)
+#define CATALOGUE_HASH UINT32_C(0xDF33E689)
 
 typedef enum {
     STATE_FAULT = 0,

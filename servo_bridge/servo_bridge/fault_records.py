@@ -8,7 +8,7 @@ from functools import partial
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Value
-from servo_msgs_py.fault_record import FaultRecord, record_variables
+from servo_msgs_py.fault_record import FaultRecord, record_variable
 
 __all__ = ["FaultRecords"]
 
@@ -66,15 +66,12 @@ class FaultRecords:
         self.records = [None] * AXES
 
     def _fetch(self, axis: int) -> None:
-        names = record_variables(axis)
-        futures = [self._read(name) for name in names]
-        # The link works in order: when the last one is done, all are.
-        futures[-1].add_done_callback(lambda _: self._post(partial(self._take, axis, names, futures)))
+        future = self._read(record_variable(axis))
+        future.add_done_callback(lambda done: self._post(partial(self._take, axis, done)))
 
-    def _take(self, axis: int, names: Sequence[str], futures: Sequence[Future[Value]]) -> None:
+    def _take(self, axis: int, done: Future[Value]) -> None:
         try:
-            values = {name: future.result(0) for name, future in zip(names, futures, strict=True)}
-            record = FaultRecord.of(axis, values, self._catalogue)
+            record = FaultRecord.of(axis, done.result(0), self._catalogue)
         except Exception:  # a lost link or a board without records; the fault itself is told anyway
             return
         before = self.records[axis]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import flag_texts
-from servo_msgs_py.fault_record import COLUMNS, FaultRecord, record_variables
+from servo_msgs_py.fault_record import COLUMNS, FaultRecord, record_variable
 
 from servo_bridge.tool_values import UsageError
 
@@ -29,8 +29,9 @@ def snapshot(context: Context) -> int:
         print(f"servo-tool: {session.mismatch}", file=sys.stderr)
         return 1
     axes = [int(context.args.axis) - 1] if context.args.axis else list(range(AXES))
-    values = {name: session.read(session.variables[name]) for axis in axes for name in record_variables(axis)}
-    records = [FaultRecord.of(axis, values, context.catalogue) for axis in axes]
+    records = [
+        FaultRecord.of(axis, session.read(session.variables[record_variable(axis)]), context.catalogue) for axis in axes
+    ]
     found = [record for record in records if record.fault is not None]
     if context.args.plot:
         _plot(found, Path(context.args.plot))

@@ -1,8 +1,9 @@
-"""What led to the first fault of an axis: the record that the firmware keeps (``fault.*`` of the catalogue). Pure."""
+"""What led to the first fault of an axis: the record that the firmware keeps (``fault_record`` of the catalogue). Pure."""
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -13,10 +14,12 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue, Flag, Value, axis_name
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-__all__ = ["COLUMNS", "FaultRecord", "record_variables"]
+__all__ = ["COLUMNS", "FaultRecord", "record_variable"]
 
-_HEAD: Final = ("tick", "code", "state", "substate", "next", "size")
-_RINGS: Final = ("i_d", "i_q", "theta_e", "u_dc", "speed")
+_HEAD: Final = struct.Struct("<II6H")  # pending, tick, code, state, substate, next, size, unused
+_SAMPLES: Final = 64
+_RINGS: Final = {"i_d": "current", "i_q": "current", "theta_e": "angle", "u_dc": "bus_voltage", "speed": "speed"}
+"""Rings of the record in the order of ``fault_record_t``, each of `_SAMPLES` int16, and their scales."""
 _TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
 
 COLUMNS: Final = ("time", "i_a", "i_b", "i_d", "i_q", "theta_e", "u_dc", "speed")
@@ -24,9 +27,9 @@ COLUMNS: Final = ("time", "i_a", "i_b", "i_d", "i_q", "theta_e", "u_dc", "speed"
 electrical angle [rad], bus [V], mechanical speed [rad/s]."""
 
 
-def record_variables(axis: int) -> list[str]:
-    """Names of all variables of the record of an axis."""
-    return [f"{axis_name(axis)}.fault.{name}" for name in (*_HEAD, *_RINGS)]
+def record_variable(axis: int) -> str:
+    """Name of the record of an axis."""
+    return f"{axis_name(axis)}.fault_record"
 
 
 @dataclass(frozen=True)
@@ -54,15 +57,24 @@ class FaultRecord:
     table: NDArray[np.float64]
 
     @classmethod
-    def of(cls, axis: int, values: Mapping[str, Value], catalogue: Catalogue) -> FaultRecord:
-        """Put a record together from the SI values of `record_variables`."""
-        prefix = f"{axis_name(axis)}.fault."
-        head = {name: _whole(values[prefix + name]) for name in _HEAD}
-        rings = {name: np.asarray(values[prefix + name], dtype=np.float64) for name in _RINGS}
+    def of(cls, axis: int, data: Value, catalogue: Catalogue) -> FaultRecord:
+        """Read the bytes of a record.
+
+        Raises
+        ------
+        ValueError
+            If they are none.
+        """
+        if not isinstance(data, bytes) or len(data) != _HEAD.size + 2 * _SAMPLES * len(_RINGS):
+            raise ValueError(f"{record_variable(axis)} is not a record of this version")
+        _, tick, code, state, substate, following, size, _ = _HEAD.unpack_from(data)
+        raw = np.frombuffer(data, "<i2", offset=_HEAD.size).reshape(len(_RINGS), _SAMPLES)
+        full = [catalogue.scales[scale].full_scale or 1.0 for scale in _RINGS.values()]
+        rings = {name: ring * scale / 2.0**15 for name, ring, scale in zip(_RINGS, raw, full, strict=True)}
         flags = {flag.bit + 1: flag for flag in catalogue.flags["faults"]}
-        state = catalogue.label("state_t", head["state"])
-        place = f"RUN/{catalogue.label('substate_t', head['substate'])}" if state == "RUN" else state
-        return cls(axis, flags.get(head["code"]), head["tick"], place, _table(head, rings))
+        label = catalogue.label("state_t", state)
+        place = f"RUN/{catalogue.label('substate_t', substate)}" if label == "RUN" else label
+        return cls(axis, flags.get(code), tick, place, _table(tick, following, size, rings))
 
     @property
     def seconds(self) -> float:
@@ -96,18 +108,12 @@ class FaultRecord:
         }
 
 
-def _whole(value: Value) -> int:
-    if isinstance(value, (int, float)):
-        return int(value)
-    raise ValueError(f"{value!r} is not a single number")
-
-
-def _table(head: Mapping[str, int], rings: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    size = min(head["size"], len(rings["i_d"]))
-    order = (head["next"] - size + np.arange(size)) % len(rings["i_d"])
+def _table(tick: int, following: int, size: int, rings: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    size = min(size, _SAMPLES)
+    order = (following - size + np.arange(size)) % _SAMPLES
     samples = {name: ring[order] for name, ring in rings.items()}
     # The last sample is of the fault's own period, the one before of the last slow tick.
-    since_tick = (head["tick"] % SLOW_PERIODS or SLOW_PERIODS) * PERIOD_NS * 1e-9
+    since_tick = (tick % SLOW_PERIODS or SLOW_PERIODS) * PERIOD_NS * 1e-9
     time = -since_tick - _TICK * np.arange(size - 2, -2, -1.0)
     time[-1:] = 0.0
     d, q, theta = samples["i_d"], samples["i_q"], samples["theta_e"]

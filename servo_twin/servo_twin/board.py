@@ -227,6 +227,7 @@ class Board:
             raise MemoryError("no memory for another board")
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._addresses: dict[str, int] | None = None
+        self._sizes: dict[str, int] = {}
         self._dtype: np.dtype[np.void] | None = None
         self._harms: list[Harm] = []
 
@@ -423,8 +424,8 @@ class Board:
             raise BoardError(f"writing {len(data)} bytes at {address:#x}: {_status_text(status)}", status)
 
     def _read_variable(self, variable: Variable) -> bytes:
-        size = variable.size or int(self._lib.board_snapshot_size())
-        return self.read_memory(self.address(variable.name), size)
+        address = self.address(variable.name)
+        return self.read_memory(address, variable.size or self._sizes[variable.name])
 
     def _write_bytes(self, name: str, data: bytes) -> None:
         try:
@@ -441,7 +442,9 @@ class Board:
             data = self.read_memory(entry, _ENTRY_SIZE)
             name, _, address, info = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4, 8, 12))
             if info & 3:  # not a type, a member or a constant
-                found[self._string(name)] = address
+                text = self._string(name)
+                found[text] = address
+                self._sizes[text] = info >> 2
         return found
 
     def _string(self, address: int) -> str:

@@ -163,7 +163,7 @@ def random_inputs(rig: Rig) -> None:
     rig.run(0.02)
     rig.calm()
     rig.set("cmd.i_q", 0.0)
-    rig.load(1, -0.2)
+    rig.load(1, -0.06)
     rig.until("the load runs away", lambda: "RUNAWAY" in rig.faults(1))
     rig.load(1, 0.0)
     rig.until("the host is missed", lambda: "HOST_SILENT" in rig.faults(0), silent=True)
@@ -550,7 +550,7 @@ def broken_encoders(rig: Rig) -> None:
     rig.until("late loops", lambda: "LATE_LOOP" in rig.faults(1))
     rig.inject(StalledCore(0.2))
     rig.run(0.06)
-    rig.until("watchdog", lambda: rig.faults(0) == ["WATCHDOG"])
+    rig.until("watchdog", lambda: "WATCHDOG" in rig.faults(0))
 
 
 def server(rig: Rig) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from servo_msgs_py.fault_record import FaultRecord, record_variable
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
@@ -295,7 +296,7 @@ def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
         found = _fault_within(board, WAIT)
         periods = None
         if found:
-            tick = _whole(board, "axis1.fault.tick")
+            tick = FaultRecord.of(0, board.read(record_variable(0)), board.catalogue).tick
             if isinstance(damage.harm, StalledCore):  # it has lost count
                 tick = board.time_ns // PERIOD_NS
             periods = max(tick - cause, 0)
