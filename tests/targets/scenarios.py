@@ -443,12 +443,12 @@ def braking(rig: Rig) -> None:
     rig.set("param.features", _features("FOLLOWING_ERROR"))
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 300.0, -300.0)
-    rig.run(0.025)
+    rig.run(0.02)
     rig.set("cmd.mode", POSITION, TORQUE)
     rig.set("cmd.i_q", 0.0, 3.0)
-    rig.run(0.015)
+    rig.run(0.01)
     rig.set("cmd.enable", 0)
-    rig.run(0.012)
+    rig.run(0.01)
 
 
 def resistor(rig: Rig) -> None:
@@ -468,10 +468,10 @@ def shorted(rig: Rig) -> None:
     rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
     rig.set_raw("param.on_disable", SHORT, 4)
     rig.set("cmd.mode", SPEED)
-    rig.set("cmd.speed", 60.0)
-    rig.run(0.02)
+    rig.set("cmd.speed", 20.0)
+    rig.run(0.01)
     rig.set("cmd.enable", 0)
-    rig.run(0.005)
+    rig.run(0.002)
     rig.set("cmd.enable", 1, 0)
     rig.until("ALIGN after a short", lambda: rig.places()[0] == "ALIGN")
 
@@ -493,24 +493,40 @@ def overloaded(rig: Rig) -> None:
 
 
 def held(rig: Rig) -> None:
-    """Too fast for a short; a position held without a drive; a quick stop that withdraws it."""
-    _spin(rig)
-    rig.set_raw("param.on_disable", SHORT, HOLD)
-    rig.set_raw("param.on_quick_stop", COAST, RAMP)
+    """A position held without a drive; a quick stop that withdraws it."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set_raw("param.on_disable", HOLD, RAMP)
+    rig.set_raw("param.on_quick_stop", RAMP, RAMP)
     rig.set("cmd.mode", SPEED)
-    rig.set("cmd.speed", 170.0, 60.0)
-    rig.run(0.045)
-    rig.set("cmd.enable", 0)
-    rig.run(0.022)
-    rig.set("cmd.enable", 0, 1)
-    rig.set("cmd.speed", 30.0)
-    rig.run(0.008)
-    rig.set("cmd.quick_stop", 1)
+    rig.set("cmd.speed", 40.0)
     rig.run(0.015)
+    rig.set("cmd.enable", 0)
+    rig.run(0.025)
+    rig.set("cmd.enable", 1, 0)
+    rig.set("cmd.speed", 40.0)
+    rig.run(0.015)
+    rig.set("cmd.quick_stop", 1)
+    rig.run(0.02)
+
+
+def too_fast_for_a_short(rig: Rig) -> None:
+    """The windings would carry too much: the axis coasts."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set_raw("param.on_quick_stop", COAST, COAST)
+    rig.set_raw("param.on_disable", SHORT, SHORT)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 170.0)
+    rig.run(0.05)
+    rig.set("cmd.enable", 0)
+    rig.run(0.002)
 
 
 def broken_phases(rig: Rig) -> None:
-    """Phases lost while they turn and while they hold a load, a converter that repeats itself, one that says too much."""
+    """Phases lost while they turn and while they hold a load; a converter that repeats itself, or says too much."""
     _spin(rig)
     rig.set("param.monitor", 3.0, 16.0)
     rig.set("cmd.mode", SPEED)
@@ -585,6 +601,7 @@ SCENARIOS: Final = (
     Scenario("shorted", _plant(), shorted),
     Scenario("overloaded", _plant(), overloaded),
     Scenario("held", _plant(), held),
+    Scenario("too-fast-for-a-short", _plant(), too_fast_for_a_short),
     Scenario("broken-phases", _plant(), broken_phases),
     Scenario("broken-encoders", _plant(), broken_encoders),
     Scenario("server", _plant(), server),
