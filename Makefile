@@ -57,7 +57,7 @@ bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; r
 bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
 
-bench-twin: $(VENV)/.native ## how fast a virtual board is, at both levels; where the time of the plant goes
+bench-twin: $(VENV)/.native ## how fast a virtual board is, at both levels; where its time goes; against motulator
 	@$(BIN)/python tests/bench/twin.py
 	@$(BIN)/python tests/bench/plant.py
 

@@ -50,6 +50,8 @@ typedef struct {
     frac16_t i_q_limit[HAL_AXES];
     uint16_t features[HAL_AXES];        /* FEATURE_ bits */
     uint16_t feedback[HAL_AXES];        /* feedback_kind_t */
+    uint16_t on_disable[HAL_AXES];      /* stop_category_t */
+    uint16_t on_quick_stop[HAL_AXES];   /* stop_category_t */
     int32_t position_min[HAL_AXES];     /* counts */
     int32_t position_max[HAL_AXES];     /* counts */
     int32_t following_error[HAL_AXES];  /* counts */
@@ -57,7 +59,7 @@ typedef struct {
     fault_set_t faults_enabled[HAL_AXES];
     uint16_t monitor[HAL_MONITORS];     /* monitor_t */
     uint16_t host_timeout; /* slow ticks */
-    uint16_t unused;       /* what follows has the same address on every machine */
+    uint16_t brake;        /* 1: there is a resistor */
 } parameter_block_t;
 
 /* What the observer sees; 0 where it does not run. From the same slow tick as the snapshot. */

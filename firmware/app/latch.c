@@ -82,6 +82,12 @@ static void apply_axis(const latch_marks_t *marks, command_block_t *block, axis_
     command->clipped = clipped;
 }
 
+/* A category that there is none of changes nothing. */
+static stop_category_t category(uint16_t written, stop_category_t before)
+{
+    return (written <= STOP_CATEGORY_HOLD) ? (stop_category_t)written : before;
+}
+
 static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
 {
     const uint16_t i = axis->index;
@@ -98,6 +104,8 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
     motion_limit(axis, limits);
     axis->features = parameter->features[i];
     axis->feedback_wanted = parameter->feedback[i];
+    axis->on_disable = category(parameter->on_disable[i], axis->on_disable);
+    axis->on_quick_stop = category(parameter->on_quick_stop[i], axis->on_quick_stop);
     axis->faults_enabled = parameter->faults_enabled[i] | FAULTS_ALWAYS;
     axis->command.clipped = axis->command.clipped || clipped;
 }

@@ -84,6 +84,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->estimate = (estimate_block_t){0};
     servo->command = (command_block_t){0};
     servo->parameter.host_timeout = servo_config.host_timeout;
+    servo->parameter.brake = servo_config.brake.fitted ? 1U : 0U;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = &servo_config.axis[i];
         axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
@@ -92,6 +93,8 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.i_q_limit[i] = config->i_q_limit;
         servo->parameter.features[i] = config->features;
         servo->parameter.feedback[i] = config->feedback;
+        servo->parameter.on_disable[i] = config->stop.disable;
+        servo->parameter.on_quick_stop[i] = config->stop.quick_stop;
         servo->parameter.faults_enabled[i] = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
         servo->parameter.position_min[i] = -config->position_limit;
         servo->parameter.position_max[i] = config->position_limit;
@@ -103,6 +106,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.monitor[i] = MONITOR_NONE;
         servo->monitor_value[i] = 0;
     }
+    brake_init(&servo->brake);
     servo->tick = 0;
     servo->slow_tick = false;
     servo->m2_awaited = false;
@@ -174,6 +178,23 @@ static void supervise_host(servo_t *servo)
         for (uint16_t i = 0; i < HAL_AXES; i++) {
             axis_stop_with(&servo->axis[i], FAULT_HOST_SILENT);
         }
+    }
+}
+
+/* The bus that both axes share: its resistor, and what it lets them do. */
+static void watch_bus(servo_t *servo)
+{
+    brake_t *brake = &servo->brake;
+    const bool was_on = brake->on;
+    brake_step(brake, &servo_config.brake, servo->parameter.brake == 1U, servo->axis[MOTOR_1].u_dc);
+    if (brake->on != was_on) {
+        hal_brake(servo->hal, brake->on);
+    }
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        axis_t *axis = &servo->axis[i];
+        axis->u_dc_most = brake->able ? servo_config.brake.most_able : axis->config->u_dc_most;
+        axis->bearable = brake->bearable;
+        axis->bus_limits = (brake->on || brake->spent) ? LIMIT_BRAKE : 0U;
     }
 }
 
@@ -272,6 +293,7 @@ void servo_m1_isr(servo_t *servo)
         latch_commands(servo);
         supervise_host(servo);
         supervise_loops(servo);
+        watch_bus(servo);
         axis_slow(&servo->axis[MOTOR_2]);
     }
     axis_fast(&servo->axis[MOTOR_1]);

@@ -28,6 +28,7 @@ typedef struct servo {
 
     hal_t *hal;
     axis_t axis[HAL_AXES];
+    brake_t brake;
     uint32_t tick; /* PWM periods since reset */
     bool slow_tick;
     bool m2_awaited;     /* M1 has run, M2 has not */

@@ -33,74 +33,77 @@ CHECK(17, SIZE(parameter.position_max) == 8);
 CHECK(18, SIZE(parameter.following_error) == 8);
 CHECK(19, SIZE(parameter.over_speed) == 8);
 CHECK(20, SIZE(parameter.feedback) == 4);
-CHECK(21, SIZE(parameter.faults_enabled) == 8);
-CHECK(22, SIZE(parameter.monitor) == 4);
-CHECK(23, SIZE(parameter.host_timeout) == 2);
-CHECK(24, SIZE(monitor_value) == 4);
-CHECK(25, SIZE(snapshot.axis[0].position) == 4);
-CHECK(26, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(27, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(28, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(29, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(30, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(31, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(32, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(33, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(34, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(35, SIZE(snapshot.axis[0].state) == 2);
-CHECK(36, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(37, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(38, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(39, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(40, SIZE(estimate.axis[0].speed) == 4);
-CHECK(41, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(42, SIZE(estimate.axis[0].emf) == 2);
-CHECK(43, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(44, SIZE(record[0].pending) == 4);
-CHECK(45, SIZE(record[0].tick) == 4);
-CHECK(46, SIZE(record[0].code) == 2);
-CHECK(47, SIZE(record[0].state) == 2);
-CHECK(48, SIZE(record[0].substate) == 2);
-CHECK(49, SIZE(record[0].next) == 2);
-CHECK(50, SIZE(record[0].size) == 2);
-CHECK(51, SIZE(record[0].i_d) == 128);
-CHECK(52, SIZE(record[0].i_q) == 128);
-CHECK(53, SIZE(record[0].theta_e) == 128);
-CHECK(54, SIZE(record[0].u_dc) == 128);
-CHECK(55, SIZE(record[0].speed) == 128);
-CHECK(56, SIZE(belief.torque_constant[0]) == 2);
-CHECK(57, SIZE(snapshot.axis[1].position) == 4);
-CHECK(58, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(59, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(60, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(61, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(62, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(63, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(64, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(65, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(66, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(67, SIZE(snapshot.axis[1].state) == 2);
-CHECK(68, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(69, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(70, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(71, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(72, SIZE(estimate.axis[1].speed) == 4);
-CHECK(73, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(74, SIZE(estimate.axis[1].emf) == 2);
-CHECK(75, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(76, SIZE(record[1].pending) == 4);
-CHECK(77, SIZE(record[1].tick) == 4);
-CHECK(78, SIZE(record[1].code) == 2);
-CHECK(79, SIZE(record[1].state) == 2);
-CHECK(80, SIZE(record[1].substate) == 2);
-CHECK(81, SIZE(record[1].next) == 2);
-CHECK(82, SIZE(record[1].size) == 2);
-CHECK(83, SIZE(record[1].i_d) == 128);
-CHECK(84, SIZE(record[1].i_q) == 128);
-CHECK(85, SIZE(record[1].theta_e) == 128);
-CHECK(86, SIZE(record[1].u_dc) == 128);
-CHECK(87, SIZE(record[1].speed) == 128);
-CHECK(88, SIZE(belief.torque_constant[1]) == 2);
+CHECK(21, SIZE(parameter.on_disable) == 4);
+CHECK(22, SIZE(parameter.on_quick_stop) == 4);
+CHECK(23, SIZE(parameter.faults_enabled) == 8);
+CHECK(24, SIZE(parameter.monitor) == 4);
+CHECK(25, SIZE(parameter.host_timeout) == 2);
+CHECK(26, SIZE(parameter.brake) == 2);
+CHECK(27, SIZE(monitor_value) == 4);
+CHECK(28, SIZE(snapshot.axis[0].position) == 4);
+CHECK(29, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(30, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(31, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(32, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(33, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(34, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(35, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(36, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(37, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(38, SIZE(snapshot.axis[0].state) == 2);
+CHECK(39, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(40, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(41, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(42, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(43, SIZE(estimate.axis[0].speed) == 4);
+CHECK(44, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(45, SIZE(estimate.axis[0].emf) == 2);
+CHECK(46, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(47, SIZE(record[0].pending) == 4);
+CHECK(48, SIZE(record[0].tick) == 4);
+CHECK(49, SIZE(record[0].code) == 2);
+CHECK(50, SIZE(record[0].state) == 2);
+CHECK(51, SIZE(record[0].substate) == 2);
+CHECK(52, SIZE(record[0].next) == 2);
+CHECK(53, SIZE(record[0].size) == 2);
+CHECK(54, SIZE(record[0].i_d) == 128);
+CHECK(55, SIZE(record[0].i_q) == 128);
+CHECK(56, SIZE(record[0].theta_e) == 128);
+CHECK(57, SIZE(record[0].u_dc) == 128);
+CHECK(58, SIZE(record[0].speed) == 128);
+CHECK(59, SIZE(belief.torque_constant[0]) == 2);
+CHECK(60, SIZE(snapshot.axis[1].position) == 4);
+CHECK(61, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(62, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(63, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(64, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(65, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(66, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(67, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(68, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(69, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(70, SIZE(snapshot.axis[1].state) == 2);
+CHECK(71, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(72, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(73, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(74, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(75, SIZE(estimate.axis[1].speed) == 4);
+CHECK(76, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(77, SIZE(estimate.axis[1].emf) == 2);
+CHECK(78, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(79, SIZE(record[1].pending) == 4);
+CHECK(80, SIZE(record[1].tick) == 4);
+CHECK(81, SIZE(record[1].code) == 2);
+CHECK(82, SIZE(record[1].state) == 2);
+CHECK(83, SIZE(record[1].substate) == 2);
+CHECK(84, SIZE(record[1].next) == 2);
+CHECK(85, SIZE(record[1].size) == 2);
+CHECK(86, SIZE(record[1].i_d) == 128);
+CHECK(87, SIZE(record[1].i_q) == 128);
+CHECK(88, SIZE(record[1].theta_e) == 128);
+CHECK(89, SIZE(record[1].u_dc) == 128);
+CHECK(90, SIZE(record[1].speed) == 128);
+CHECK(91, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -124,6 +127,11 @@ static const char strings[] =
     "feedback_kind_t\0"
     "ENCODER\0"
     "OBSERVER\0"
+    "stop_category_t\0"
+    "COAST\0"
+    "SHORT\0"
+    "RAMP\0"
+    "HOLD\0"
     "monitor_t\0"
     "NONE\0"
     "U_DC\0"
@@ -173,9 +181,12 @@ static const char strings[] =
     "param.following_error\0"
     "param.over_speed\0"
     "param.feedback\0"
+    "param.on_disable\0"
+    "param.on_quick_stop\0"
     "param.faults_enabled\0"
     "param.monitor\0"
     "param.host_timeout\0"
+    "param.brake\0"
     "monitor.value\0"
     "\xF1\0"
     "axis1.position\0"
@@ -263,117 +274,125 @@ static const tsa_entry_t entries[] = {
     {132, 8, 0, 2, TSA_KIND_NONE}, /* feedback_kind_t */
     {148, 21, 0, 0, TSA_KIND_NONE}, /* ENCODER */
     {156, 21, 1, 0, TSA_KIND_NONE}, /* OBSERVER */
-    {165, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
-    {175, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {180, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
-    {185, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
-    {195, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
-    {205, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
-    {219, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
-    {229, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
-    {239, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
-    {253, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
-    {265, 21, 9, 0, TSA_KIND_NONE}, /* AXIS1_SPEED_REF */
-    {281, 21, 10, 0, TSA_KIND_NONE}, /* AXIS1_POSITION */
-    {296, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
-    {306, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
-    {316, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
-    {330, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
-    {340, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
-    {350, 21, 16, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
-    {364, 21, 17, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {376, 21, 18, 0, TSA_KIND_NONE}, /* AXIS2_SPEED_REF */
-    {392, 21, 19, 0, TSA_KIND_NONE}, /* AXIS2_POSITION */
-    {407, 422, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {424, 433, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {435, 422, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {440, 422, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {453, 467, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {469, 474, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {476, 489, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {491, 501, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {503, 474, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {511, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {520, 467, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {531, 467, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {546, 467, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {563, 501, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {581, 501, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {606, 474, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {622, 467, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {637, 489, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {656, 489, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {675, 489, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {697, 501, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {714, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {729, 422, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {750, 165, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {764, 467, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {783, 797, AT(monitor_value), SIZE(monitor_value), TSA_KIND_RO}, /* monitor.value */
-    {799, 489, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {814, 489, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {833, 501, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {845, 501, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {861, 474, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {871, 474, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {881, 474, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {895, 474, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {905, 474, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {915, 474, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {929, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {941, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {956, 422, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {969, 467, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {987, 467, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1000, 501, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1021, 474, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1044, 474, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1063, 467, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1087, 422, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1101, 422, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
-    {1118, 467, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
-    {1135, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
-    {1153, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
-    {1174, 467, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
-    {1191, 467, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
-    {1208, 474, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
-    {1224, 474, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
-    {1240, 474, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
-    {1260, 474, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
-    {1277, 474, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
-    {1295, 474, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1317, 489, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1332, 489, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1351, 501, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1363, 501, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1379, 474, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1389, 474, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1399, 474, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1413, 474, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1423, 474, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1433, 474, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1447, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1459, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1474, 422, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1487, 467, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1505, 467, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1518, 501, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1539, 474, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1562, 474, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1581, 467, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1605, 422, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1619, 422, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
-    {1636, 467, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
-    {1653, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
-    {1671, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
-    {1692, 467, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
-    {1709, 467, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
-    {1726, 474, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
-    {1742, 474, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
-    {1758, 474, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
-    {1778, 474, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
-    {1795, 474, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
-    {1813, 474, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {165, 8, 0, 2, TSA_KIND_NONE}, /* stop_category_t */
+    {181, 21, 0, 0, TSA_KIND_NONE}, /* COAST */
+    {187, 21, 1, 0, TSA_KIND_NONE}, /* SHORT */
+    {193, 21, 2, 0, TSA_KIND_NONE}, /* RAMP */
+    {198, 21, 3, 0, TSA_KIND_NONE}, /* HOLD */
+    {203, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
+    {213, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {218, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
+    {223, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
+    {233, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
+    {243, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
+    {257, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
+    {267, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
+    {277, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
+    {291, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
+    {303, 21, 9, 0, TSA_KIND_NONE}, /* AXIS1_SPEED_REF */
+    {319, 21, 10, 0, TSA_KIND_NONE}, /* AXIS1_POSITION */
+    {334, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
+    {344, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
+    {354, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
+    {368, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
+    {378, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
+    {388, 21, 16, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
+    {402, 21, 17, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
+    {414, 21, 18, 0, TSA_KIND_NONE}, /* AXIS2_SPEED_REF */
+    {430, 21, 19, 0, TSA_KIND_NONE}, /* AXIS2_POSITION */
+    {445, 460, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {462, 471, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {473, 460, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {478, 460, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {491, 505, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {507, 512, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {514, 527, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {529, 539, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {541, 512, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {549, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {558, 505, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {569, 505, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {584, 505, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {601, 539, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {619, 539, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {644, 512, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {660, 505, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {675, 527, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {694, 527, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {713, 527, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {735, 539, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {752, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {767, 165, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {784, 165, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {804, 460, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {825, 203, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {839, 505, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {858, 505, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {870, 884, AT(monitor_value), SIZE(monitor_value), TSA_KIND_RO}, /* monitor.value */
+    {886, 527, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {901, 527, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {920, 539, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {932, 539, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {948, 512, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {958, 512, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {968, 512, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {982, 512, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {992, 512, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {1002, 512, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1016, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1028, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1043, 460, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1056, 505, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1074, 505, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1087, 539, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1108, 512, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1131, 512, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1150, 505, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1174, 460, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1188, 460, AT(record[0].tick), SIZE(record[0].tick), TSA_KIND_RO}, /* axis1.fault.tick */
+    {1205, 505, AT(record[0].code), SIZE(record[0].code), TSA_KIND_RO}, /* axis1.fault.code */
+    {1222, 0, AT(record[0].state), SIZE(record[0].state), TSA_KIND_RO}, /* axis1.fault.state */
+    {1240, 43, AT(record[0].substate), SIZE(record[0].substate), TSA_KIND_RO}, /* axis1.fault.substate */
+    {1261, 505, AT(record[0].next), SIZE(record[0].next), TSA_KIND_RO}, /* axis1.fault.next */
+    {1278, 505, AT(record[0].size), SIZE(record[0].size), TSA_KIND_RO}, /* axis1.fault.size */
+    {1295, 512, AT(record[0].i_d), SIZE(record[0].i_d), TSA_KIND_RO}, /* axis1.fault.i_d */
+    {1311, 512, AT(record[0].i_q), SIZE(record[0].i_q), TSA_KIND_RO}, /* axis1.fault.i_q */
+    {1327, 512, AT(record[0].theta_e), SIZE(record[0].theta_e), TSA_KIND_RO}, /* axis1.fault.theta_e */
+    {1347, 512, AT(record[0].u_dc), SIZE(record[0].u_dc), TSA_KIND_RO}, /* axis1.fault.u_dc */
+    {1364, 512, AT(record[0].speed), SIZE(record[0].speed), TSA_KIND_RO}, /* axis1.fault.speed */
+    {1382, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1404, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1419, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1438, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1450, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1466, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1476, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1486, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1500, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1510, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1520, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1534, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1546, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1561, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1574, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1592, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1605, 539, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1626, 512, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1649, 512, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1668, 505, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1692, 460, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1706, 460, AT(record[1].tick), SIZE(record[1].tick), TSA_KIND_RO}, /* axis2.fault.tick */
+    {1723, 505, AT(record[1].code), SIZE(record[1].code), TSA_KIND_RO}, /* axis2.fault.code */
+    {1740, 0, AT(record[1].state), SIZE(record[1].state), TSA_KIND_RO}, /* axis2.fault.state */
+    {1758, 43, AT(record[1].substate), SIZE(record[1].substate), TSA_KIND_RO}, /* axis2.fault.substate */
+    {1779, 505, AT(record[1].next), SIZE(record[1].next), TSA_KIND_RO}, /* axis2.fault.next */
+    {1796, 505, AT(record[1].size), SIZE(record[1].size), TSA_KIND_RO}, /* axis2.fault.size */
+    {1813, 512, AT(record[1].i_d), SIZE(record[1].i_d), TSA_KIND_RO}, /* axis2.fault.i_d */
+    {1829, 512, AT(record[1].i_q), SIZE(record[1].i_q), TSA_KIND_RO}, /* axis2.fault.i_q */
+    {1845, 512, AT(record[1].theta_e), SIZE(record[1].theta_e), TSA_KIND_RO}, /* axis2.fault.theta_e */
+    {1865, 512, AT(record[1].u_dc), SIZE(record[1].u_dc), TSA_KIND_RO}, /* axis2.fault.u_dc */
+    {1882, 512, AT(record[1].speed), SIZE(record[1].speed), TSA_KIND_RO}, /* axis2.fault.speed */
+    {1900, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

@@ -11,9 +11,11 @@
 #include "control/friction.h"
 #include "control/observer.h"
 #include "control/pll.h"
+#include "drive/brake.h"
 #include "drive/heat_watch.h"
 #include "drive/phase_watch.h"
 #include "drive/startup.h"
+#include "drive/stop.h"
 #include "hal/hal.h"
 #include "sensing/emf_check.h"
 #include "sensing/encoder.h"
@@ -74,10 +76,15 @@ typedef struct {
     uint16_t search_ticks_most; /* slow ticks that the rotor search may take */
     frac32_t stop_speed; /* below it a stop is over: hold, or coast */
     uint16_t stop_ticks_most; /* slow ticks after the ramp's end until the outputs go off at any speed */
+
+    stop_config_t stop;
+    frac32_t regeneration_speed; /* up to it the full current burns in the winding all that braking returns */
+    frac16_t copper_current; /* i_d at most against the flux while braking current is folded back: its losses brake too */
 } axis_config_t;
 
 typedef struct {
     axis_config_t axis[HAL_AXES];
+    brake_config_t brake;
     uint16_t host_timeout; /* default of the writable time-out, slow ticks */
 } servo_config_t;
 

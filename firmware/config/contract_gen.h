@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xD38A2B69)
+#define CATALOGUE_HASH UINT32_C(0x6A403F24)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -33,6 +33,13 @@ typedef enum {
     FEEDBACK_KIND_ENCODER = 0,
     FEEDBACK_KIND_OBSERVER = 1,
 } feedback_kind_t;
+
+typedef enum {
+    STOP_CATEGORY_COAST = 0,
+    STOP_CATEGORY_SHORT = 1,
+    STOP_CATEGORY_RAMP = 2,
+    STOP_CATEGORY_HOLD = 3,
+} stop_category_t;
 
 typedef enum {
     MONITOR_NONE = 0,
@@ -138,5 +145,7 @@ typedef enum {
 #define PARAM_FAULTS_ENABLED_MAX INT32_C(2097151)
 #define PARAM_HOST_TIMEOUT_MIN INT32_C(100)
 #define PARAM_HOST_TIMEOUT_MAX INT32_C(60000)
+#define PARAM_BRAKE_MIN INT32_C(0)
+#define PARAM_BRAKE_MAX INT32_C(1)
 
 #endif

@@ -40,6 +40,11 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->calibrated = false;
     axis->u_dc_filter = 0;
     axis->u_dc = 0;
+    axis->u_dc_most = config->u_dc_most;
+    axis->bearable = FRAC16_MAX;
+    axis->bus_limits = 0;
+    axis->on_disable = (stop_category_t)config->stop.disable;
+    axis->on_quick_stop = (stop_category_t)config->stop.quick_stop;
     current_sense_reset(&axis->sense);
     hal_pwm_enable(hal, index, false);
     hal_adc_select(hal, index, axis->sense.pair);
@@ -107,15 +112,20 @@ void axis_raise(axis_t *axis, fault_set_t faults)
     faults &= axis->faults_enabled;
     if (faults != 0U) {
         capture(axis, faults);
-        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT);
+        const stop_category_t category = stop_for(&axis->config->stop, faults);
+        if (category == STOP_CATEGORY_COAST || !stop_in_hand(axis)) {
+            axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT);
+        } else {
+            axis->stop_faults |= faults;
+            stop_begin(axis, category);
+        }
     }
 }
 
 void axis_stop_with(axis_t *axis, fault_set_t faults)
 {
     if (axis->requested) {
-        axis->requested = false;
-        axis->stop_faults |= faults;
+        axis_raise(axis, faults);
     }
 }
 
@@ -136,7 +146,7 @@ static void filter_bus(axis_t *axis)
 static fault_set_t present_faults(const axis_t *axis)
 {
     fault_set_t faults = 0;
-    if (axis->u_dc > axis->config->u_dc_most) {
+    if (axis->u_dc > axis->u_dc_most) {
         faults |= FAULT_OVER_VOLTAGE;
     }
     if (axis->heat.hot) {
@@ -154,7 +164,7 @@ static fault_set_t present_faults(const axis_t *axis)
 /* Quick answer for the fast loop: may there be a fault? */
 static bool suspicious(const axis_t *axis)
 {
-    return axis->u_dc > axis->config->u_dc_most || axis->u_dc < axis->config->u_dc_least ||
+    return axis->u_dc > axis->u_dc_most || axis->u_dc < axis->config->u_dc_least ||
            hal_break_active(axis->hal, axis->index) || axis->faults != 0U;
 }
 
@@ -254,7 +264,14 @@ static void take_requests(axis_t *axis)
         axis->requested = false;
         axis->stop_faults = 0;
     } else if (command->fresh_enable) {
-        axis->requested = command->enable && axis->stop_faults == 0U;
+        if (command->enable) {
+            axis->requested = axis->stop_faults == 0U;
+        } else {
+            stop_begin(axis, axis->on_disable);
+        }
+    }
+    if (command->fresh_quick_stop && command->quick_stop && axis->on_quick_stop != STOP_CATEGORY_HOLD) {
+        stop_begin(axis, axis->on_quick_stop);
     }
     if (command->clear_faults && axis->sm.state == STATE_FAULT) {
         hal_break_clear(axis->hal, axis->index);
@@ -269,7 +286,7 @@ static void take_requests(axis_t *axis)
 
 void axis_slow(axis_t *axis)
 {
-    axis->active_limits = axis->command.clipped ? LIMIT_SETPOINT : 0U;
+    axis->active_limits = (uint16_t)(axis->bus_limits | (axis->command.clipped ? LIMIT_SETPOINT : 0U));
     if (!axis->source->slow(axis)) {
         axis_raise(axis, FAULT_ENCODER);
     }
@@ -279,8 +296,8 @@ void axis_slow(axis_t *axis)
     if (axis->sensorless && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {
         motion_listen(axis);
     }
-    if (axis->stop_faults != 0U && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {
-        axis_raise(axis, axis->stop_faults); /* ramped down: now the reason becomes a fault */
+    if (axis->stop_faults != 0U && !stop_in_hand(axis)) {
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT); /* at rest: now the outputs go off */
         axis->stop_faults = 0;
     }
     axis->loop = LOOP_SLOW;

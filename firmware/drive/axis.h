@@ -17,6 +17,7 @@
 #include "drive/phase_watch.h"
 #include "drive/startup.h"
 #include "drive/state_machine.h"
+#include "drive/stop.h"
 #include "drive/supervision.h"
 #include "hal/hal.h"
 
@@ -82,6 +83,7 @@ typedef struct {
     pi_state_t speed_pi;
     frac32_t speed_ref;
     bool saturated;       /* the speed controller pushes with all it has */
+    bool held_back;       /* the bus bears less braking current than the controller wants */
     frac32_t resistance;  /* torque mode: what holds a load that drives the shaft past a limit */
     frac32_t stopping;    /* speed at which MOTION_STOP has begun */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
@@ -101,7 +103,10 @@ typedef struct axis {
     axis_limits_t limits;
     uint16_t features;      /* FEATURE_ bits: parts of the control that are on */
     bool requested;         /* the drive is wanted: enable was written and nothing has withdrawn it */
-    fault_set_t stop_faults; /* faults to raise once the axis has been ramped down */
+    stop_category_t on_disable, on_quick_stop;
+    stop_t stop;            /* how the shaft comes to rest when it is not */
+    bool shorted;           /* FREEWHEEL with all low sides on */
+    fault_set_t stop_faults; /* captured faults that lead to FAULT once the shaft has been brought to rest */
     fault_set_t faults;     /* captured faults */
     fault_set_t faults_enabled; /* that may stop the axis; FAULTS_ALWAYS are among them */
     uint16_t first_fault;   /* code of the fault that came first, 0 without one */
@@ -123,6 +128,9 @@ typedef struct axis {
     frac32_t u_dc_now;    /* bus voltage of this period */
     frac32_t u_dc_filter;
     frac16_t u_dc; /* filtered bus voltage */
+    frac16_t u_dc_most; /* over-voltage, as long as the brake resistor is as it is */
+    frac16_t bearable; /* part of the braking current that the bus bears */
+    uint16_t bus_limits; /* LIMIT_ bits that the bus sets on every axis */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;
@@ -151,13 +159,14 @@ void axis_slow(axis_t *axis);
 void axis_edge(axis_t *axis);
 void axis_break(axis_t *axis);
 
-/* Capture faults: the outputs go off with the next call of the state machine. */
+/* Capture faults. The outputs go off with the next call of the state machine, or after a stop where the configuration has
+ * one for all of these faults (stop.h). */
 void axis_raise(axis_t *axis, fault_set_t faults);
 
 /* The observer can be used with this motor. */
 bool axis_observable(const axis_t *axis);
 
-/* Ramp down, then raise `faults` (host silence). */
+/* The same as axis_raise, for what concerns an axis only while its drive is wanted (host silence). */
 void axis_stop_with(axis_t *axis, fault_set_t faults);
 
 #endif

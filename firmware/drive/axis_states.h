@@ -17,4 +17,7 @@ bool run_state_may_leave(const axis_t *axis);
 /* Duty 50 % on every phase, outputs on or off; controllers forget what they held. */
 void axis_zero_voltage(axis_t *axis, bool outputs_on);
 
+/* Duty 0 on every phase, outputs on: all low sides short the windings, and the shunts see their currents. */
+void axis_short(axis_t *axis);
+
 #endif

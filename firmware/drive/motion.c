@@ -127,6 +127,8 @@ static void take_mode(axis_t *axis)
 
 /* What an axis without an encoder cannot do is neither begun nor remembered. */
 static bool impossible(const axis_t *axis) { return axis->sensorless && axis->command.mode == CONTROL_MODE_POSITION; }
+/* A stop ends by holding the position: of a drive that is wanted, or for some time. */
+static bool stop_holds(const axis_t *axis) { return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD; }
 
 static void take_commands(axis_t *axis)
 {
@@ -136,8 +138,8 @@ static void take_commands(axis_t *axis)
         report(axis, LIMIT_SETPOINT);
     }
     if (!axis->requested || command->quick_stop || impossible(axis)) {
-        const bool holds = axis->requested && m->motion == MOTION_POSITION && !command->fresh_quick_stop;
-        if (!holds) {
+        const bool begins = command->fresh_quick_stop || (!axis->requested && axis->stop.ticks == 0U);
+        if (begins || !stop_holds(axis) || m->motion != MOTION_POSITION) {
             enter_stop(axis);
         }
         if (axis->sensorless) {
@@ -254,11 +256,11 @@ static frac32_t followed_speed(axis_t *axis, path_position_t behind)
 }
 
 /* Where a shaft would be that does what the position controller asks: what the real one lacks is its following error.
- * The lag that belongs to a plain gain is none. */
+ * The lag that belongs to a plain gain is none, and what the bus holds back is no error of the shaft. */
 static void follow_model(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    if ((axis->features & FEATURE_FOLLOWING_ERROR) == 0U) {
+    if ((axis->features & FEATURE_FOLLOWING_ERROR) == 0U || m->held_back) {
         m->model = path_counts(axis->feedback.position);
         return;
     }
@@ -325,6 +327,30 @@ static frac32_t forward_current(const axis_t *axis)
     return i_q;
 }
 
+/* True if a current takes energy out of a shaft that turns fast enough to return it to the bus. */
+static bool returns_energy(const axis_t *axis, bool negative)
+{
+    const frac32_t speed = axis->feedback.speed;
+    return f32_abs(speed) > axis->config->regeneration_speed && (speed < 0) != negative;
+}
+
+/* Current limit in a direction: less against the motion while the bus cannot take what braking returns. */
+static frac16_t current_limit(const axis_t *axis, bool negative)
+{
+    const frac16_t limit = axis->limits.i_q;
+    return returns_energy(axis, negative) ? f16_mul(limit, axis->bearable) : limit;
+}
+
+static void hold_back(axis_t *axis, bool held)
+{
+    axis->motion.held_back = held;
+    axis->current_ref.d = 0; /* E23 */
+    if (held) {
+        report(axis, LIMIT_REGENERATION);
+        axis->current_ref.d = f16_neg(f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->bearable)));
+    }
+}
+
 static const pi_gains_t *speed_gains(const axis_t *axis)
 {
     return axis->sensorless ? &axis->config->observed_speed : &axis->config->speed;
@@ -342,8 +368,10 @@ static frac16_t speed_controller(axis_t *axis)
      * shaft has stopped: its sum would push the shaft off again. */
     pi_integrate(&m->speed_pi, gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
     const pi_sum_t sum = pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis));
-    const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(axis->limits.i_q));
+    const frac16_t limit = current_limit(axis, sum < 0);
+    const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));
     m->saturated = m->speed_pi.excess != 0;
+    hold_back(axis, m->saturated && limit < axis->limits.i_q);
     if (m->saturated) {
         report(axis, LIMIT_CURRENT);
     }
@@ -389,7 +417,9 @@ static frac16_t torque_controller(axis_t *axis)
         report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
         i_q = (i_q > most) ? most : least;
     }
-    const frac16_t result = f16_limit(f16_from_f32(i_q), axis->limits.i_q);
+    const frac16_t limit = current_limit(axis, i_q < 0);
+    const frac16_t result = f16_limit(f16_from_f32(i_q), limit);
+    hold_back(axis, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->limits.i_q);
     m->speed_ref = axis->feedback.speed;
     m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
@@ -403,6 +433,7 @@ void motion_start(axis_t *axis)
     axis->motion.i_q_target = 0;
     axis->motion.speed_ref = 0;
     axis->motion.saturated = false;
+    axis->motion.held_back = false;
     supervision_start(&axis->supervision);
     hold(axis);
 }
@@ -428,8 +459,6 @@ void motion_listen(axis_t *axis)
         m->speed_target = 0;
     } else if (command->fresh_speed) {
         m->speed_target = command->speed;
-    } else if (command->fresh_mode) {
-        m->speed_target = 0;
     }
     const bool unable = command->mode != CONTROL_MODE_SPEED || m->speed_target != 0;
     if (axis->requested && unable && motion_wanted_speed(axis) == 0) {
@@ -461,7 +490,6 @@ void motion_step(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     take_commands(axis);
-    axis->current_ref.d = 0; /* E23 */
     switch (m->motion) {
     case MOTION_TORQUE:
         axis->current_ref.q = torque_controller(axis);
@@ -476,9 +504,12 @@ void motion_step(axis_t *axis)
         shape(m, m->speed_ramp);
         m->speed_ref = m->speed_ramp;
         if (m->speed_ramp == 0) {
-            m->stop_ticks = (m->stop_ticks < UINT16_MAX) ? (uint16_t)(m->stop_ticks + 1U) : UINT16_MAX;
+            if (m->stop_ticks < UINT16_MAX &&
+                !m->held_back) { /* what the bus holds back takes the time that it takes */
+                m->stop_ticks++;
+            }
             /* With little current the shaft is behind the ramp: a point latched now would have to be run back to. */
-            if (axis->requested && at_rest(axis) && !axis->sensorless) {
+            if (stop_holds(axis) && at_rest(axis) && !axis->sensorless) {
                 hold(axis);
             }
         }

@@ -84,6 +84,13 @@ static void spin_freewheel(axis_t *axis)
     enter(axis, SUBSTATE_FREEWHEEL);
 }
 
+/* Braked by its own windings: the low sides see the current, the supply does not. */
+static void spin_short(axis_t *axis)
+{
+    axis_short(axis);
+    enter(axis, SUBSTATE_FREEWHEEL);
+}
+
 static void freewheel_align(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
@@ -218,7 +225,7 @@ static void leave_slowly(axis_t *axis)
 static void spin_sensorless(axis_t *axis)
 {
     estimate_t *estimate = &axis->estimate;
-    axis->current_ref.d = startup_fade(axis);
+    axis->current_ref.d = f16_add(axis->current_ref.d, startup_fade(axis));
     leave_slowly(axis);
     if (axis->leaving) {
         return;
@@ -228,6 +235,23 @@ static void spin_sensorless(axis_t *axis)
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
     if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost) {
         axis_raise(axis, FAULT_SPEED_FEEDBACK);
+    }
+}
+
+/* The observer sees the rotor no more, or the drive is not wanted any more. */
+static void bring_to_rest(axis_t *axis)
+{
+    if (axis->leaving) {
+        if (axis->current_ref.q == 0) {
+            spin_freewheel(axis);
+        }
+        return;
+    }
+    const stop_category_t next = axis->requested ? STOP_CATEGORY_HOLD : stop_step(axis);
+    if (next == STOP_CATEGORY_COAST) {
+        spin_freewheel(axis);
+    } else if (next == STOP_CATEGORY_SHORT) {
+        spin_short(axis);
     }
 }
 
@@ -246,11 +270,9 @@ static void spin_slow(axis_t *axis)
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
-    const fault_set_t faults = supervision_step(axis);
-    if (faults != 0U) {
-        axis_raise(axis, faults);
-    } else if (axis->leaving ? axis->current_ref.q == 0 : (!axis->requested && motion_stopped(axis))) {
-        spin_freewheel(axis);
+    axis_raise(axis, supervision_step(axis));
+    if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
+        bring_to_rest(axis);
     }
 }
 
@@ -268,20 +290,32 @@ static void startup_slow_state(axis_t *axis)
         startup_spin(axis);
         break;
     case STARTUP_FAILED:
-        axis_raise(axis, startup_fault(axis));
+        axis_raise(axis, startup_failure(axis));
         break;
     default:
         break;
     }
 }
 
-/* ---- FREEWHEEL: outputs off until the rotor is still --------------------------------------------------------------- */
+/* ---- FREEWHEEL: outputs off until the rotor is still; or shorted windings, which become the same ------------------- */
 
-static void freewheel_fast(axis_t *axis) { measure(axis); }
+static void freewheel_fast(axis_t *axis)
+{
+    measure(axis);
+    if (axis->shorted && stop_short_overloaded(axis)) {
+        axis_zero_voltage(axis, false);
+    }
+}
 
 static void freewheel_slow(axis_t *axis)
 {
     track_offsets(axis);
+    if (axis->shorted) {
+        if (stop_short_over(axis)) {
+            axis_zero_voltage(axis, false);
+        }
+        return;
+    }
     if (!axis->feedback.still) {
         wait_for_rest(axis);
         return;

@@ -14,7 +14,8 @@ static bool runs_away(axis_t *axis)
     /* Sums of two fractions fit without a sign. */
     const uint32_t speed = (uint32_t)f32_abs(axis->feedback.speed);
     const uint32_t margin = (uint32_t)axis->config->runaway_margin;
-    const bool opposed = axis->motion.saturated && ((axis->feedback.speed < 0) != (axis->current_ref.q < 0));
+    const bool opposed =
+        axis->motion.saturated && !axis->motion.held_back && ((axis->feedback.speed < 0) != (axis->current_ref.q < 0));
     const bool beyond = speed > (uint32_t)axis->limits.speed + margin;
     if (!(opposed || beyond) || speed < s->braked_speed) {
         s->braked_speed = speed;

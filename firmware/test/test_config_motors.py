@@ -14,18 +14,21 @@ from core_library import Core
 from firmware_compiler import FIRMWARE, run_compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tuning.braking import brake_constants
 from tuning.command import main
 from tuning.configuration import Configuration
 from tuning.constants import host_timeout
-from tuning.conversion import AxisConstants, PiRaw, Switches
+from tuning.conversion import AxisConstants, Category, FaultSet, PiRaw, Switches
 from tuning.errors import ConfigError
 from tuning.linear import spectral_radius
 from tuning.reading import parse
-from tuning.schema import AXIS_GROUPS, BOARD
+from tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
 from tuning.source import c_source
+from tuning.stops import CATEGORIES
 from tuning.tuned import Tuned, tuned
 from tuning_tool import CATALOGUE, table
 
+FAULTS = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["faults"]}
 FEATURES = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["features"]}
 
 
@@ -62,6 +65,7 @@ def with_motor(motor: Mapping[str, float], axis: str = "axis1") -> dict[str, Any
 
 def tune(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]]:
     configuration = parse(whole, CATALOGUE)
+    assert brake_constants(configuration)
     return configuration, [tuned(axis, configuration) for axis in configuration.axes]
 
 
@@ -82,6 +86,10 @@ def fill(config: Any, constants: AxisConstants) -> None:
             place = getattr(place, group)
         if isinstance(value, Switches):
             setattr(place, field, sum(FEATURES[name] for name in value))
+        elif isinstance(value, FaultSet):
+            setattr(place, field, sum(FAULTS[name] for name in value))
+        elif isinstance(value, Category):
+            setattr(place, field, CATEGORIES.index(value))
         elif isinstance(value, PiRaw):
             gains = getattr(place, field)
             gains.kp, gains.ki, gains.kc = value
@@ -120,6 +128,7 @@ def test_constants_of_any_motor_fit_their_types(core: Core, motor: dict[str, flo
     config = core.ffi.new("servo_config_t *")
     for place, it in zip(config.axis, axes, strict=True):
         fill(place, it.constants)
+    fill(config.brake, brake_constants(configuration))
     config.host_timeout = host_timeout(configuration.board)
     it = axes[0]
     assert max(spectral_radius(it.current_loop(which).closed.a) for which in "dq") < 1.0
@@ -198,9 +207,11 @@ def test_the_command_on_other_motors(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 def places() -> list[str]:
     """Every number of the file."""
-    return [f"board__{key}" for key in BOARD] + [
-        f"axis1__{group}__{key}" for group, entries in AXIS_GROUPS.items() for key in entries
-    ]
+    return (
+        [f"board__{key}" for key in BOARD]
+        + [f"board__{group}__{key}" for group, entries in BOARD_GROUPS.items() for key in entries]
+        + [f"axis1__{group}__{key}" for group, entries in AXIS_GROUPS.items() for key in entries]
+    )
 
 
 @settings(max_examples=600)
@@ -222,7 +233,7 @@ def test_absurd_numbers_never_break_it(core: Core, exponents: dict[str, float]) 
     config = core.ffi.new("servo_config_t *")
     for target, it in zip(config.axis, axes, strict=True):
         fill(target, it.constants)
-    assert c_source([it.constants for it in axes], host_timeout(configuration.board))
+    assert c_source([it.constants for it in axes], brake_constants(configuration), host_timeout(configuration.board))
 
 
 def test_the_folder_of_the_tool_is_not_compiled() -> None:

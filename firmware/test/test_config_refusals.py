@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from tuning.braking import brake_constants
 from tuning.constants import host_timeout
 from tuning.errors import ConfigError
 from tuning.reading import parse
-from tuning.schema import AXIS_GROUPS, BOARD, Entry
+from tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
 from tuning.source import c_source
 from tuning.tuned import tuned
 from tuning_tool import CATALOGUE, configuration, table
@@ -19,7 +20,8 @@ from tuning_tool import CATALOGUE, configuration, table
 def compute(**changes: object) -> str:
     """The C text, as far as the configuration lets it come."""
     whole = configuration(**changes)
-    return c_source([tuned(axis, whole).constants for axis in whole.axes], host_timeout(whole.board))
+    axes = [tuned(axis, whole).constants for axis in whole.axes]
+    return c_source(axes, brake_constants(whole), host_timeout(whole.board))
 
 
 def test_the_committed_configuration_is_accepted() -> None:
@@ -33,6 +35,9 @@ def entries() -> Iterator[tuple[str, str, Entry]]:
     """Every number of the file: where it is written, what it is called, what it has to be."""
     for key, entry in BOARD.items():
         yield f"board__{key}", f"board.{key}", entry
+    for group, keys in BOARD_GROUPS.items():
+        for key, entry in keys.items():
+            yield f"board__{group}__{key}", f"board.{group}.{key}", entry
     for group, keys in AXIS_GROUPS.items():
         for key, entry in keys.items():
             yield f"axis1__{group}__{key}", f"axis1.{group}.{key}", entry
@@ -151,6 +156,8 @@ HEAVY: dict[str, object] = {
 }
 
 # What is wrong, the change, the entry and value that the message begins with, what else it has to say.
+FITTED: dict[str, object] = {"board__brake__fitted": True}
+
 TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     # limits beyond the contract and its full scales
     ("current over the full scale", {"axis1__limits__current": 9.0}, "axis1.limits.current = 9", "0.1 .. 4 A"),
@@ -289,6 +296,18 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("long time", {"axis1__timing__stall_most": 40.0}, "axis1.timing.stall_most = 40", "0.0005 .. 32.767"),
     ("no time", {"axis1__timing__settle": 1e-4}, "axis1.timing.settle = 0.0001", "vanish"),
     ("host time-out", {"board__host_timeout": 60.0}, "board.host_timeout = 60", "0.05 .. 30 s"),
+    # the bus, its resistor, ways to stop
+    ("early folding", {"board__regeneration__start_voltage": 23.0}, "board.regeneration.start_voltage = 23", "24"),
+    ("folding upside down", {"board__regeneration__full_voltage": 28.0}, "board.regeneration.full_voltage = 28", "29"),
+    ("folding too late", {"board__regeneration__full_voltage": 33.0}, "board.over_voltage = 33", "not above"),
+    ("no hysteresis", FITTED | {"board__brake__off_voltage": 28.0}, "board.brake.on_voltage = 28", "not above"),
+    ("resistor always on", FITTED | {"board__brake__off_voltage": 24.0}, "board.brake.off_voltage = 24", "nominal"),
+    ("resistor late", FITTED | {"board__brake__on_voltage": 29.5}, "board.regeneration.start_voltage = 29", "29.5"),
+    ("weak resistor", FITTED | {"board__brake__resistance": 10.0}, "board.brake.resistance = 10", "9.11 ohm or less"),
+    ("small resistor", FITTED | {"board__brake__energy": 0.9}, "board.brake.energy = 0.9", "0.986 J"),
+    ("mighty resistor", FITTED | {"board__brake__power": 200.0}, "board.brake.power = 200", "167 W"),
+    ("blind short", {"axis1__stop__short_current": 9.0}, "axis1.stop.short_current = 9", "8.25 A"),
+    ("hasty stop", {"axis1__stop__time_most": 0.5}, "axis1.stop.time_most = 0.5", "0.814 s"),
     # loops that sampling makes unstable
     (
         "unstable current loop",
@@ -334,3 +353,47 @@ OF_AXIS_1 = [row for row in TOGETHER if all(path.startswith("axis1") for path in
 def test_axis_2_is_checked_like_axis_1(changes: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match=r"^axis2"):
         compute(**{path.replace("axis1", "axis2"): value for path, value in changes.items()})
+
+
+# ---- stop categories ------------------------------------------------------------------------------------------------
+
+STOPS = [
+    ("over_voltage", "ramp", "return energy"),
+    ("over_current", "short", "may be broken"),
+    ("encoder_lost", "ramp", "angle of the rotor"),
+    ("encoder_lost", "short", "speed is not known"),
+    ("runaway", "hold", "angle of the rotor"),
+    ("under_voltage", "ramp", "does not carry"),
+    ("over_temperature", "hold", "goes on heating"),
+    ("phase_lost", "ramp", "not to be trusted"),
+    ("host_silent", "halt", "no stop category"),
+    ("following_error", 1, "no stop category"),
+]
+
+
+@pytest.mark.parametrize(("fault", "category", "reason"), STOPS)
+def test_a_stop_that_cannot_work_is_refused(fault: str, category: object, reason: str) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        configuration(**{f"axis2__stop__{fault}": category})
+    message = str(refusal.value)
+    assert message.startswith(f"axis2.stop.{fault} = ")
+    assert reason in message
+    assert "; write coast" in message
+
+
+def test_names_of_stops() -> None:
+    with pytest.raises(ConfigError, match=r"axis1\.stop\.following_eror .*unknown; did you mean following_error"):
+        configuration(axis1__stop__following_eror="ramp")
+    whole = table()
+    del whole["defaults"]["stop"]["disable"]
+    with pytest.raises(ConfigError, match=r"axis1\.stop\.disable.*every command"):
+        parse(whole, CATALOGUE)
+
+
+def test_stops_reach_the_c_file() -> None:
+    text = compute(axis1__stop__following_error="short", axis1__stop__over_speed="ramp", axis1__stop__disable="coast")
+    axis1 = text.split("},\n        {")[0]
+    assert ".stop.disable = STOP_CATEGORY_COAST," in axis1
+    assert ".stop.shorted = FAULT_FOLLOWING_ERROR," in axis1
+    assert ".stop.ramp = FAULT_HOST_SILENT | FAULT_OVER_SPEED," in axis1
+    assert ".stop.hold = 0," in axis1

@@ -101,7 +101,7 @@ class Demo:
         self._move("point to point", {1: -5.0})
         self._move("simultaneous", {0: 0.0, 1: 0.0})
         self._move("reversal", {0: 0.0, 1: 0.0}, first={0: 5.0, 1: -5.0})
-        self._stop("stop", {0: 10.0, 1: -10.0})
+        self._stop("stop", {0: 30.0, 1: -30.0})
         self.enable()
         self._move("return", {0: 0.0, 1: 0.0})
 

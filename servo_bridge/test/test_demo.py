@@ -148,7 +148,7 @@ def test_every_kind_of_move_is_made_and_measured() -> None:
     assert first.residual is not None
     assert first.residual.rms == pytest.approx(3 * COUNT)
     stops = [row.figures for row in demo.rows if row.move == "stop"]
-    assert 4.9 * TURN < stops[0].reached < 5.2 * TURN
+    assert 14.9 * TURN < stops[0].reached < 15.2 * TURN
     assert any("half way: reversing" in line for line in said)
 
 

@@ -43,6 +43,7 @@ static const chip_wiring_t wiring = {
 static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN('C', 4)},
                                                     {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
 static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
+static const unsigned brake_pin = CHIP_PIN('G', 6);
 
 /* Analogue pins ANA0-7, ANB0-7. Phase b is on both converters, so that any two phases can be sampled together. */
 typedef enum { NOTHING, CURRENT, BUS, SINK } analog_kind_t;
@@ -116,6 +117,15 @@ static uint16_t convert(void *context, unsigned channel)
     }
 }
 
+/* The switch of the brake resistor follows its pin, as software has left it. */
+static void follow_brake(board_t *board)
+{
+    const bool on = chip_pin_level(&board->chip, brake_pin);
+    if (on != board->plant.supply.braking) {
+        switching_brake(&board->plant, on);
+    }
+}
+
 static void boot(void *context)
 {
     board_t *board = (board_t *)context;
@@ -124,6 +134,7 @@ static void boot(void *context)
     board->hal.chip = &board->chip;
     board->hal.baud = (uint32_t)(board->chip.config.baud + 0.5); /* both ends of the line are told the same */
     board->up = port_init(&board->hal, &board->servo);
+    follow_brake(board);
 }
 
 static uint32_t interrupt(void *context, unsigned vector)
@@ -133,6 +144,7 @@ static uint32_t interrupt(void *context, unsigned vector)
     const bool slow = board->servo.slow_tick;
     const uint32_t tick = board->servo.snapshot.tick;
     port_isr(&board->hal, (uint16_t)vector);
+    follow_brake(board);
     const uint32_t stall = board->stall_clocks;
     board->stall_clocks = 0;
     if (stall > 0u) {

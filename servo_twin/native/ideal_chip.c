@@ -14,7 +14,7 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     plant_init(&chip->plant, config);
     uart_init(&chip->uart, config->baud);
     for (int i = 0; i < HAL_AXES; i++) {
-        chip->axis[i] = (chip_axis_t){.currents = {2048, 2048}, .offsets = {2048, 2048}};
+        chip->axis[i] = (chip_axis_t){.written = true, .currents = {2048, 2048}, .offsets = {2048, 2048}};
     }
     chip->bus_code = 0;
     chip->now_ns = 0;
@@ -90,7 +90,10 @@ static void half_cycle(hal_t *chip, int sampled)
     chip->axis[other].offsets = convert(chip, other, false);
     chip->bus_code = plant_bus_code(&chip->plant);
     for (int i = 0; i < HAL_AXES; i++) {
-        plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u);
+        if (chip->axis[i].written) {
+            chip->axis[i].written = false;
+            plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u);
+        }
     }
     watch_dog(chip);
     if (awake(chip)) {
@@ -176,6 +179,7 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
     for (int k = 0; k < 3; k++) {
         hal->axis[axis].duty[k] = (raw[k] > 0) ? raw[k] * DUTY_FULL : 0.0;
     }
+    hal->axis[axis].written = true;
 }
 
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)

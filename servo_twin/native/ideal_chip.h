@@ -19,7 +19,8 @@
 #include "uart.h"
 
 typedef struct {
-    double duty[3];     /* written, not loaded yet */
+    double duty[3];     /* as written */
+    bool written;       /* not loaded yet */
     bool enabled;
     bool broken;        /* over-current latch */
     phase_pair_t pair;

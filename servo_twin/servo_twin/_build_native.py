@@ -24,8 +24,8 @@ FIRMWARE_FOLDERS = ("math", "control", "sensing", "drive", "app", "comm", "confi
 PORT = FIRMWARE / "port" / "mc56f84789"
 
 # Without contraction of a * b + c every processor computes the same bits; pairs of doubles in vectors only cost time in
-# code where each number waits for the one before. Nobody looks at errno or at the flags of floating point, which changes
-# no number either.
+# code where each number waits for the one before. Nobody looks at errno or at the flags of floating point: no number
+# changes by that either.
 _FLOATS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 _OPTIONS = ("-std=c99", "-O3", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", "-flto=auto")
 

@@ -34,7 +34,17 @@ except ImportError as error:
         "build it with `make build`, or `python setup.py build_ext --inplace` in the folder servo_twin"
     ) from error
 
-__all__ = ["Board", "BoardError", "BoardStats", "ChipError", "Level", "SimulationError", "Truth", "chosen_level"]
+__all__ = [
+    "LEVEL_VARIABLE",
+    "Board",
+    "BoardError",
+    "BoardStats",
+    "ChipError",
+    "Level",
+    "SimulationError",
+    "Truth",
+    "chosen_level",
+]
 
 Level = Literal["registers", "ideal"]
 """How closely the board is modelled."""

@@ -54,6 +54,13 @@ class CoreLoad:
             return cls.parse(tomllib.load(file))
 
     @classmethod
+    def longest(cls, path: Path | str | None = None) -> CoreLoad:
+        """The same with every feature of the firmware on, at its longest."""
+        with open(path or DEFAULT_FILE, "rb") as file:
+            table = tomllib.load(file)
+        return cls.parse({**table, "instructions": {**table["instructions"], **table["instructions_most"]}})
+
+    @classmethod
     def parse(cls, table: Mapping[str, Any]) -> CoreLoad:
         """Lengths out of a parsed table."""
         instructions = dict(table["instructions"])

@@ -1,8 +1,9 @@
 """What can go wrong with the hardware of a virtual board, for `Board.inject` and `Board.heal`.
 
-Each class is one kind of damage; its values say where and how much. The physics is the plant's: an open phase carries no
-current and leaves the other two in series, a short lets the over-current comparator open the switches without software,
-a stuck encoder line leaves the decoder one count back and forth. Phases are ``"a"``, ``"b"``, ``"c"``; axes count from 0.
+Each class is one kind of damage; its values say where and how much. The physics is the plant's: an open phase carries
+no current and leaves the other two in series, a short lets the over-current comparator open the switches without
+software, a stuck encoder line leaves the decoder one count back and forth. Phases are ``"a"``, ``"b"``, ``"c"``; axes
+count from 0.
 """
 
 from __future__ import annotations

@@ -24,6 +24,7 @@ from typing import Any, Final, NoReturn
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_msgs_py import board_parameters
+from servo_twin.board import LEVEL_VARIABLE, chosen_level
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
 __all__ = ["Stack", "main", "parser"]
@@ -34,6 +35,7 @@ _VIEWER_PATIENCE: Final = 30.0  # the first start of the viewer compiles nothing
 _DEMO_PATIENCE: Final = 240.0
 _INTERRUPTED: Final = 130
 _HIGHEST_DOMAIN: Final = 232  # a higher one has no ports
+_WARNING: Final = "virtual_board: warning:"
 _URL: Final = re.compile(r"http://\S+")
 
 _HOW_TO: Final = """
@@ -123,6 +125,11 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--baud", type=int, default=115200, help="line speed [bit/s] (default: %(default)s)")
     result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
     result.add_argument("--plant", type=Path, help="plant file of the virtual board")
+    result.add_argument(
+        "--level",
+        choices=("registers", "ideal"),
+        help=f"how closely virtual board and twin are modelled (default: ${LEVEL_VARIABLE}, or ideal)",
+    )
     result.add_argument("--no-web", action="store_true", help="no viewer in the browser")
     result.add_argument("--record", type=Path, help="record to this .rrd file")
     result.add_argument(
@@ -159,6 +166,7 @@ class Stack:
         self._log = out / "log"
         self._log.mkdir(parents=True, exist_ok=True)
         self.children: list[Child] = []
+        self._warnings = 0
 
     def start(self, name: str, *arguments: str) -> Child:
         """Start one of our executables.
@@ -175,6 +183,14 @@ class Stack:
     def wait(self, child: Child, text: str, patience: float) -> bool:
         """Wait until a child has printed something; False when the patience [s] is over."""
         return wait_until(lambda: text in child.text(), self.children, patience)
+
+    def tell_warnings(self) -> None:
+        """Pass on what the virtual board warns of: that the machine is too slow for it."""
+        texts = [child.text() for child in self.children if child.name == "virtual_board"]
+        lines = [line for text in texts for line in text.splitlines() if line.startswith(_WARNING)]
+        for line in lines[self._warnings :]:
+            _say(line)
+        self._warnings = max(self._warnings, len(lines))
 
     def stop(self) -> list[str]:
         """Stop the bridge, which switches the outputs off, then the rest; names of those that had to be killed."""
@@ -218,7 +234,7 @@ def _refuse_a_second(environment: Mapping[str, str]) -> None:
 def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
     link = folder / "board"
     plant = ["--plant", str(args.plant)] if args.plant else []
-    _say(f"virtual board on {link}, {args.baud} baud, seed {args.seed}")
+    _say(f"virtual board on {link}, {args.baud} baud, seed {args.seed}, level {chosen_level(args.level)}")
     stack.start("virtual_board", "--link", str(link), "--baud", str(args.baud), "--seed", str(args.seed), *plant)
     if not wait_until(link.exists, stack.children, _BOARD_PATIENCE):
         raise ChildError(f"the virtual board made no port within {_BOARD_PATIENCE:g} s")
@@ -260,7 +276,8 @@ def _stay(stack: Stack, args: argparse.Namespace) -> NoReturn:
     setting = f", ROS_DOMAIN_ID={domain}" if domain not in (None, "0") else ""
     _say(_HOW_TO.format(bin=Path(sys.executable).parent, domain=setting))
     while True:
-        wait_until(lambda: False, stack.children, 3600.0)
+        wait_until(lambda: False, stack.children, 1.0)
+        stack.tell_warnings()
 
 
 def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
@@ -273,6 +290,7 @@ def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
             _say(f"servo-demo did not end within {_DEMO_PATIENCE:g} s")
         return demo.returncode if ended else 1
     finally:
+        stack.tell_warnings()
         if demo.poll() is None:
             demo.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -302,6 +320,8 @@ def _finish_demo(record: Path, out: Path) -> None:
 def _environment(args: argparse.Namespace) -> dict[str, str]:
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if args.level is not None:
+        environment[LEVEL_VARIABLE] = args.level
     if args.domain_id is not None:
         environment["ROS_DOMAIN_ID"] = str(args.domain_id)
     elif args.demo:

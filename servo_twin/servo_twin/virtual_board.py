@@ -22,10 +22,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Final, Protocol
 
-from servo_twin.board import Board
+from servo_twin.board import LEVEL_VARIABLE, Board, Level
 from servo_twin.plant import PlantConfig, PlantError
 
-__all__ = ["LinkError", "Pacer", "Terminal", "main", "serve"]
+__all__ = ["LinkError", "Pacer", "Terminal", "main", "serve", "slip_reporter"]
 
 MAX_LAG_S: Final = 0.05
 """Backlog that is made up for; a longer stall of the machine is given up and counted as a slip [s]."""
@@ -35,6 +35,9 @@ IDLE_SLICE_S: Final = 0.002
 
 REPORT_INTERVAL_S: Final = 10.0
 """Shortest time between two messages about slips [s]."""
+
+FIRST_REPORT_S: Final = 1.0
+"""Time that has to pass before the first one, to know the speed [s]."""
 
 
 class LinkError(Exception):
@@ -279,15 +282,32 @@ def _stop_signals() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _slip_reporter(clock_ns: Callable[[], int] = time.monotonic_ns) -> Callable[[Pacer], None]:
-    """Message about slips, not more often than every `REPORT_INTERVAL_S`."""
-    due_ns = clock_ns()
+def slip_reporter(level: Level, clock_ns: Callable[[], int] = time.monotonic_ns) -> Callable[[Pacer], None]:
+    """Warning about slips, with what is left of the speed since the one before, at most every `REPORT_INTERVAL_S`.
+
+    Parameters
+    ----------
+    level : {"registers", "ideal"}
+        Of the board, to be named.
+    clock_ns : callable
+        Monotonic wall time [ns].
+    """
+    last_ns = clock_ns()
+    slipped_s = 0.0
 
     def report(pacer: Pacer) -> None:
-        nonlocal due_ns
-        if clock_ns() >= due_ns:
-            due_ns = clock_ns() + round(REPORT_INTERVAL_S * 1e9)
-            print(f"virtual_board: the machine is too slow, {_slips(pacer)}", file=sys.stderr, flush=True)
+        nonlocal last_ns, slipped_s
+        passed_s = (clock_ns() - last_ns) * 1e-9
+        if passed_s < FIRST_REPORT_S or (slipped_s > 0.0 and passed_s < REPORT_INTERVAL_S):
+            return
+        factor = max(1.0 - (pacer.slipped_s - slipped_s) / passed_s, 0.0)
+        print(
+            f"virtual_board: warning: the machine is too slow for a board at level {level}: time runs at"
+            f" {factor:.2f} of its speed (last {passed_s:.1f} s); {_slips(pacer)}",
+            file=sys.stderr,
+            flush=True,
+        )
+        last_ns, slipped_s = clock_ns(), pacer.slipped_s
 
     return report
 
@@ -318,6 +338,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the sensor noise; the same seed gives the same board")
     parser.add_argument("--plant", type=Path, help="TOML file with what differs from the packaged plant.toml")
+    parser.add_argument(
+        "--level",
+        choices=("registers", "ideal"),
+        help=f"how closely the board is modelled (default: ${LEVEL_VARIABLE}, or ideal)",
+    )
     parser.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second (default: %(default)g)")
     return parser
 
@@ -326,7 +351,7 @@ def main(argv: list[str] | None = None) -> int:
     """Command ``virtual_board``; returns its exit status."""
     options = _parser().parse_args(argv)
     try:
-        board = Board(PlantConfig.load(options.plant), seed=options.seed, baud=options.baud)
+        board = Board(PlantConfig.load(options.plant), seed=options.seed, baud=options.baud, level=options.level)
     except (PlantError, ValueError) as error:
         return _complain(str(error), 2)
     except OSError as error:
@@ -334,9 +359,10 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with board, _stop_signals() as stopped, Terminal(options.link) as line:
             where = f"{options.link} -> {line.device}" if options.link else line.device
-            print(f"virtual_board: {where}, {options.baud:g} baud, seed {options.seed}; Ctrl-C stops it", flush=True)
+            what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
+            print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
             pacer = Pacer(time.monotonic_ns(), speed=options.speed)
-            serve(board, line, pacer, stopped, on_slip=_slip_reporter())
+            serve(board, line, pacer, stopped, on_slip=slip_reporter(board.level))
             print(
                 f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
                 f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -18,7 +19,15 @@ if TEST not in sys.path:
 
 import chip_rig  # noqa: E402
 from native_library import CHIP_CDEF, NATIVE, PLANT_CDEF, Native, build  # noqa: E402
+from servo_twin.board import LEVEL_VARIABLE  # noqa: E402
 from switching_rig import SWITCHING_CDEF  # noqa: E402
+
+
+@pytest.fixture(params=[os.environ[LEVEL_VARIABLE]] if LEVEL_VARIABLE in os.environ else ["ideal", "registers"])
+def level(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Both levels of boards that are made without naming one; only one, if the environment names it."""
+    monkeypatch.setenv(LEVEL_VARIABLE, request.param)
+    return str(request.param)
 
 
 @pytest.fixture(scope="session")

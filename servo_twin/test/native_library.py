@@ -32,7 +32,9 @@ typedef struct {
     double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, turn_off, i_settle;
     double encoder_jitter, encoder_duty_error, winding_capacity, winding_resistance, sink_capacity, sink_resistance;
 } plant_axis_t;
-typedef struct { double u_source, r_source, capacitance, u_full_scale, u_noise, r_brake, brake_capacity, brake_resistance; } plant_bus_t;
+typedef struct {
+    double u_source, r_source, capacitance, u_full_scale, u_noise, r_brake, brake_capacity, brake_resistance;
+} plant_bus_t;
 typedef struct {
     plant_axis_t axis[2]; plant_bus_t bus; double pwm_frequency, ambient, baud; uint64_t seed; ...;
 } board_config_t;
@@ -51,6 +53,9 @@ typedef struct { bool on; double leg[3], share[3]; ...; } plant_inverter_t;
 void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
 void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc);
 double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);
+void plant_inverter_open(plant_inverter_t *inverter, plant_motor_t *motor, int phase, bool open);
+void plant_inverter_short(plant_inverter_t *inverter, int phase, int to);
+bool plant_inverter_shorted(const plant_inverter_t *inverter);
 double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase, bool low);
 
 typedef struct { double u_source, u, e_source, e_brake; bool braking; ...; } supply_t;

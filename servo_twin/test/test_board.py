@@ -15,6 +15,8 @@ from servo_twin.plant import PlantConfig
 
 from servo_twin import _build_native
 
+pytestmark = pytest.mark.usefixtures("level")
+
 SLOW_NS = 500_000
 MS = 1_000_000
 CLOCK_NS = 10  # of a chip with registers

@@ -142,12 +142,27 @@ class TestCore:
         assert row is not None
         means = [float(cell.split()[1]) for cell in row.group(1).split("|")]
         core = CoreLoad.load()
-        table = dict(re.findall(r"^(\w+)\s*=\s*([\d.]+)", DEFAULT_FILE.read_text(encoding="utf-8"), re.MULTILINE))
+        text = DEFAULT_FILE.read_text(encoding="utf-8").split("[instructions_most]")[0]
+        table = dict(re.findall(r"^(\w+)\s*=\s*([\d.]+)", text, re.MULTILINE))
         for name, mean in zip(("m1", "m2", "m1_slow", "m2_slow"), means[2:], strict=True):
             drivers = 240 if name.endswith("slow") else 140
             assert mean + drivers <= float(table[name]) <= mean + drivers + 50
             cycles = float(table["entry_cycles"]) + float(table["cycles_per_instruction"]) * float(table[name])
             assert getattr(core, name) == round(cycles)
+
+    def test_longest_instructions_are_those_of_the_cost_table(self) -> None:
+        """The most of any mode with every feature on, plus the drivers."""
+        section = COST_TABLE.read_text(encoding="utf-8").split("## Instructions, -O2, every feature on\n")[1]
+        rows = re.findall(r"^\| [a-z ]+ \|(.*\d \|)$", section.split("\n## ")[0], re.MULTILINE)
+        most = np.array([[float(cell.split()[2]) for cell in row.split("|")[2:6]] for row in rows]).max(axis=0)
+        usual, longest = CoreLoad.load(), CoreLoad.longest()
+        text = DEFAULT_FILE.read_text(encoding="utf-8")
+        table = dict(re.findall(r"^(\w+)\s*=\s*([\d.]+)", text.split("[instructions_most]")[1], re.MULTILINE))
+        for name, instructions in zip(("m1", "m2", "m1_slow", "m2_slow"), most, strict=True):
+            drivers = 240 if name.endswith("slow") else 140
+            assert instructions + drivers <= float(table[name]) <= instructions + drivers + 50
+            assert getattr(longest, name) > getattr(usual, name)
+        assert longest.edge == usual.edge
 
     def test_refusals(self) -> None:
         table = {"entry_cycles": 10, "cycles_per_instruction": 1.0, "instructions": {"m1": 1}}

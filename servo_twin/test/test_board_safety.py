@@ -10,6 +10,8 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board
 from servo_twin.simulation import enable, move, record
 
+pytestmark = pytest.mark.usefixtures("level")
+
 CATALOGUE = Catalogue.load()
 FAULT, STOP, RUN = 0, 2, 3
 SPIN = 3

@@ -22,7 +22,7 @@ def rows(**changes: float) -> dict[str, bool]:
     return {row.name: row.agrees for row in feed_forward.run(plant, seed=4).rows}
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("short", "level")
 @pytest.mark.parametrize("changes", [{}, {"inertia": 2.0}])
 def test_agrees(changes: dict[str, float]) -> None:
     found = rows(**changes)
@@ -51,10 +51,11 @@ def test_figures_of_a_shaft_that_stays() -> None:
     with spinning(PlantConfig.load(), 4) as board:
         recording = watch(board, [0], 0.1)[0]
     here = round(recording.position[0])
-    there = feed_forward.measure(recording, here)
+    shaft = PlantConfig.load().axes[0]
+    there = feed_forward.measure(recording, here, shaft)
     assert (there.overshoot, there.settling) == (0.0, 0.0)
     assert there.error <= 0.5
-    away = feed_forward.measure(recording, here + 1000)
+    away = feed_forward.measure(recording, here + 1000, shaft)
     assert (away.overshoot, away.settling) == (0.0, None)
 
 

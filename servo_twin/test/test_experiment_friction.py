@@ -21,7 +21,12 @@ def test_agrees() -> None:
     assert wrong() == set()
 
 
-@pytest.mark.usefixtures("only_right")
+@pytest.mark.usefixtures("only_right", "level")
+def test_the_right_belief_agrees() -> None:
+    assert wrong() == set()
+
+
+@pytest.mark.usefixtures("only_right", "level")
 def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = friction.features
 

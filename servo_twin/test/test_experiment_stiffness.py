@@ -13,6 +13,7 @@ def plant() -> PlantConfig:
     return PlantConfig.load()
 
 
+@pytest.mark.usefixtures("level")
 def test_agrees(plant: PlantConfig) -> None:
     outcome = stiffness.run(plant, seed=8)
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from servo_twin.virtual_board import IDLE_SLICE_S, LinkError, Pacer, Terminal, main, serve
+from servo_twin.virtual_board import IDLE_SLICE_S, LinkError, Pacer, Terminal, main, serve, slip_reporter
 
 pytestmark = pytest.mark.realtime
 
@@ -163,6 +163,32 @@ class TestServe:
         )  # fmt: skip
         assert told == [1]
         assert pacer.slipped_s == pytest.approx(0.5 - 0.05, abs=0.01)
+
+
+class TestSlipReport:
+    def told(self, slips: list[tuple[float, float]], capsys: pytest.CaptureFixture[str]) -> list[str]:
+        """What is said when at these times so many more seconds have slipped."""
+        clock = [0.0]
+        pacer = Pacer(0)
+        report = slip_reporter("registers", lambda: round(clock[-1] * 1e9))
+        for now, slipped in slips:
+            clock.append(now)
+            pacer.slips += 1
+            pacer.slipped_s += slipped
+            report(pacer)
+        return capsys.readouterr().err.splitlines()
+
+    def test_says_how_slow_it_is(self, capsys: pytest.CaptureFixture[str]) -> None:
+        lines = self.told([(0.1 * k, 0.04) for k in range(1, 251)], capsys)
+        assert len(lines) == 3  # after 1, 11 and 21 s
+        for line in lines:
+            assert line.startswith("virtual_board: warning: the machine is too slow for a board at level registers")
+            assert "time runs at 0.60 of its speed" in line
+
+    def test_one_stall_is_told_with_the_next(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert self.told([(0.5, 0.2)], capsys) == []
+        (line,) = self.told([(0.5, 0.2), (100.0, 0.8)], capsys)
+        assert "at 0.99 of its speed (last 100.0 s); time slipped 2 times, 1.000 s in all" in line
 
 
 def read_for(fd: int, size: int) -> bytes:

@@ -24,12 +24,14 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
     """
     board = configuration.board
     _board(board, configuration.scales, catalogue)
+    _bus(configuration)
     for axis in configuration.axes:
         _contract(axis, catalogue)
         _axis(axis)
         _voltage(axis, board)
         _order(axis, board)
         _search(axis)
+        _stops(axis, configuration.scales)
         check_sensorless(axis, board)
 
 
@@ -137,3 +139,51 @@ def _search(axis: Axis) -> None:
     if axis("rotor_search.time_most") < longest:
         reason = f"{halvings} vectors and the verification may take {longest:.3g} s"
         raise axis.refused("rotor_search.time_most", reason, "write more than that, or shorter times")
+
+
+def _bus(configuration: Configuration) -> None:
+    """The voltages at which the bus is looked after, in their order; and whether the resistor can do it."""
+    board = configuration.board
+    order = ["regeneration.start_voltage", "regeneration.full_voltage", "over_voltage"]
+    if board.brake:
+        order = ["brake.off_voltage", "brake.on_voltage", *order]
+    for lower, higher in itertools.pairwise(["nominal_voltage", *order]):
+        if board(lower) >= board(higher):
+            reason = f"not above {lower} = {board(lower):g} V"
+            raise board.refused(higher, reason, f"write voltages in the order nominal, {', '.join(order)}")
+    if not board.brake:
+        return
+    burnt = board("brake.on_voltage") ** 2 / board("brake.resistance")
+    returned = sum(_returned(axis, board) for axis in configuration.axes)
+    if burnt < returned:
+        reason = (
+            f"at {board('brake.on_voltage'):g} V it burns {burnt:.3g} W, and all axes braking return {returned:.3g} W"
+        )
+        remedy = f"write {board('brake.on_voltage') ** 2 / returned:.3g} ohm or less"
+        raise board.refused("brake.resistance", reason, remedy)
+    kinetic = sum(0.5 * axis("motor.inertia") * axis("limits.speed") ** 2 for axis in configuration.axes)
+    if board("brake.energy") < kinetic:
+        reason = f"all axes braking once from their speed limits return up to {kinetic:.3g} J"
+        raise board.refused("brake.energy", reason, "write more, or fit another resistor")
+    if board("brake.power") >= burnt:
+        reason = (
+            f"at {board('brake.on_voltage'):g} V it burns no more than {burnt:.3g} W, so there is nothing to budget"
+        )
+        raise board.refused("brake.power", reason, "write what it bears for ever")
+
+
+def _returned(axis: Axis, board: Board) -> float:
+    """What an axis returns to the bus at most when it brakes from its speed limit [W]: less the copper's losses."""
+    emf, r_s = axis("motor.pole_pairs") * axis("motor.psi_m") * axis("limits.speed"), axis("motor.r_s")
+    current = min(axis("limits.current"), 0.5 * emf / r_s)  # more current burns more than it returns
+    return 1.5 * current * (emf - r_s * current)
+
+
+def _stops(axis: Axis, scales: Scales) -> None:
+    if axis("stop.short_current") > scales.i:
+        reason = f"the shunts end at {scales.i:g} A and could not tell"
+        raise axis.refused("stop.short_current", reason, "stay within it")
+    ramp = axis("limits.speed") / axis("timing.stop_acceleration") + axis("timing.stop_most")
+    if axis("stop.time_most") < ramp:
+        reason = f"the gentlest ramp from the speed limit and timing.stop_most take {ramp:.3g} s"
+        raise axis.refused("stop.time_most", reason, "write more than that")

@@ -12,6 +12,7 @@ from typing import Final
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import update
 
+from tuning.braking import brake_constants
 from tuning.configuration import Configuration
 from tuning.constants import host_timeout
 from tuning.errors import ConfigError
@@ -68,7 +69,11 @@ def _generate(args: argparse.Namespace, configuration: Configuration) -> int:
     for report in reports:
         for finding in report.findings:
             print(f"{args.config}: warning: {finding}", file=sys.stderr)
-    source = c_source([report.tuned.constants for report in reports], host_timeout(configuration.board))
+    source = c_source(
+        [report.tuned.constants for report in reports],
+        brake_constants(configuration),
+        host_timeout(configuration.board),
+    )
     stale = update([(args.output, source)], check=args.check)
     return 1 if args.check and stale else 0
 

@@ -10,7 +10,8 @@ from typing import Any, Final
 from servo_msgs_py.catalogue import Catalogue
 
 from tuning.errors import ConfigError, refused
-from tuning.schema import AXIS_GROUPS, check_group, check_switches, check_table, unknown_name
+from tuning.schema import AXIS_GROUPS, BOARD_GROUPS, check_group, check_switches, check_table, unknown_name
+from tuning.stops import Stops
 from tuning.temperature import Temperature
 
 __all__ = ["FEEDBACKS", "Axis", "Board", "Configuration", "Scales"]
@@ -53,10 +54,21 @@ class Scales:
 
 @dataclass(frozen=True)
 class Board:
-    """The group [board]; ``board("dead_time")`` is one of its values."""
+    """The group [board]; ``board("dead_time")`` and ``board("brake.power")`` are two of its values.
+
+    Attributes
+    ----------
+    values : mapping
+        By key, or by group and key.
+    temperature : Temperature
+        Of the heat sinks.
+    brake : bool
+        Whether there is a brake resistor.
+    """
 
     values: Mapping[str, float]
     temperature: Temperature
+    brake: bool
 
     def __call__(self, key: str) -> float:
         return self.values[key]
@@ -85,9 +97,15 @@ class Board:
         ConfigError
             If an entry is missing, unknown or cannot make sense.
         """
-        entries = dict(check_table("board", table))
-        temperature = Temperature.of(entries.pop("temperature", {}))
-        return cls(check_group("board", "board", entries), temperature)
+        plain = dict(check_table("board", table))
+        temperature = Temperature.of(plain.pop("temperature", {}))
+        groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
+        values = check_group("board", "board", plain)
+        switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}
+        for group, entries in groups.items():
+            checked = check_group(f"board.{group}", group, entries)
+            values |= {f"{group}.{key}": value for key, value in checked.items()}
+        return cls(values, temperature, check_switches("board.brake", switch, ["fitted"])["fitted"])
 
     def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
         """Error about one entry of the group."""
@@ -106,6 +124,8 @@ class Axis:
         Numbers by group and key.
     features : mapping
         What is on after reset.
+    stops : Stops
+        How the axis comes to rest.
     inherited : frozenset of str
         Entries that come from [defaults].
     feedback : str
@@ -115,6 +135,7 @@ class Axis:
     name: str
     groups: Mapping[str, Mapping[str, float]]
     features: Mapping[str, bool]
+    stops: Stops
     inherited: frozenset[str]
     feedback: str
 
@@ -146,7 +167,9 @@ class Axis:
         return 4.0 * self("encoder.lines")
 
     @classmethod
-    def of(cls, table: Mapping[str, Any], name: str, feature_names: Collection[str]) -> Axis:
+    def of(
+        cls, table: Mapping[str, Any], name: str, feature_names: Collection[str], fault_names: Collection[str]
+    ) -> Axis:
         """Merge and check the groups of one axis.
 
         Raises
@@ -172,13 +195,16 @@ class Axis:
                 inherited = inherited | paths if owner == "defaults" else inherited - paths
         features = check_switches(f"{name}.features", groups.pop("features"), feature_names)
         origin = frozenset(inherited)
+        stops = Stops.taken_from(
+            groups["stop"], fault_names, lambda key: _place(name, f"stop.{key}", origin), AXIS_GROUPS["stop"]
+        )
         checked = {
             group: check_group(
                 f"{name}.{group}", group, entries, {key: _place(name, f"{group}.{key}", origin) for key in entries}
             )
             for group, entries in groups.items()
         }
-        return cls(name, checked, features, origin, feedback)
+        return cls(name, checked, features, stops, origin, feedback)
 
 
 def _feedback(where: str, value: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from tuning.braking import stop_constants
 from tuning.configuration import Axis, Board, Configuration
 from tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
 from tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
@@ -50,6 +51,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **_limits(to),
         **_supervision(to),
         **_watches(to),
+        **stop_constants(to),
     }
 
 

@@ -10,7 +10,7 @@ from tuning.configuration import Axis, Board, Scales
 from tuning.formats import GAIN, Format
 from tuning.gains import Pi
 
-__all__ = ["AxisConstants", "Converter", "Field", "PiRaw", "Switches", "pi_raw"]
+__all__ = ["AxisConstants", "Category", "Converter", "FaultSet", "Field", "PiRaw", "Switches", "pi_raw"]
 
 TICKS: Final = Format("uint16_t slow ticks", 0, 0, 2**16 - 2)
 """A counter of 16 bits has to be able to go beyond it."""
@@ -24,11 +24,19 @@ class PiRaw(NamedTuple):
     kc: int
 
 
+class FaultSet(tuple[str, ...]):
+    """Faults, by their names in the contract, lower case."""
+
+
+class Category(str):
+    """A stop category."""
+
+
 class Switches(tuple[str, ...]):
     """Features that are on, by their names in the contract."""
 
 
-Field = int | PiRaw | Switches
+Field = int | PiRaw | Switches | FaultSet | Category
 AxisConstants = Mapping[str, Field]
 """C path of every field of ``axis_config_t`` with its value."""
 

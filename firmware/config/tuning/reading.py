@@ -54,7 +54,8 @@ def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
         if name not in known:
             raise unknown_name(f"[{name}]", name, known)
     feature_names = [flag.name.lower() for flag in catalogue.flags["features"]]
-    axes = tuple(Axis.of(table, name, feature_names) for name in AXIS_NAMES)
+    fault_names = [flag.name.lower() for flag in catalogue.flags["faults"]]
+    axes = tuple(Axis.of(table, name, feature_names, fault_names) for name in AXIS_NAMES)
     configuration = Configuration(Board.of(table.get("board", {})), axes, Scales.of(catalogue))
     check(configuration, catalogue)
     return configuration

@@ -10,7 +10,17 @@ from typing import Any, Final
 
 from tuning.errors import ConfigError, refused
 
-__all__ = ["AXIS_GROUPS", "BOARD", "SCHEMA", "Entry", "check_group", "check_switches", "check_table", "unknown_name"]
+__all__ = [
+    "AXIS_GROUPS",
+    "BOARD",
+    "BOARD_GROUPS",
+    "SCHEMA",
+    "Entry",
+    "check_group",
+    "check_switches",
+    "check_table",
+    "unknown_name",
+]
 
 LEAST: Final = 1e-12
 """Nothing that could stand in the file is smaller, 0 apart."""
@@ -96,6 +106,21 @@ BOARD: Final[Mapping[str, Entry]] = {
     "voltage_use": Entry("", "part of the linear range of the modulation that is used", most=1.0),
 }
 """Keys of the group [board]."""
+
+BOARD_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
+    "brake": {
+        "resistance": Entry("ohm", "brake resistor across the bus"),
+        "on_voltage": Entry("V", "bus voltage that switches the resistor on"),
+        "off_voltage": Entry("V", "bus voltage that switches it off again"),
+        "power": Entry("W", "what the resistor bears for ever"),
+        "energy": Entry("J", "what it bears at once, cold"),
+    },
+    "regeneration": {
+        "start_voltage": Entry("V", "bus voltage from which braking current is folded back"),
+        "full_voltage": Entry("V", "bus voltage from which there is none"),
+    },
+}
+"""Keys of the groups [board.brake], which says besides whether there is one, and [board.regeneration]."""
 
 AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
     "motor": {
@@ -205,6 +230,14 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "following_most": Entry("s", "of a following error until it is a fault"),
         "over_speed_most": Entry("s", "of over-speed until it is a fault"),
     },
+    "stop": {
+        "time_most": Entry("s", "from the beginning of a stop until the outputs go off in any case"),
+        "hold_time": Entry("s", "that an axis holds its position without a drive"),
+        "short_current": Entry("A", "steady current that shorted windings may carry"),
+        "copper_use": Entry(
+            "", "part of the current limit for i_d while braking current is folded back", zero=True, most=1.0
+        ),
+    },
     "sensing": {
         "sign_current": Entry("A", "above it the direction of a phase current is certain"),
         "offset_tolerance": Entry("", "ADC codes that an offset may lie off mid-scale", whole=True),
@@ -213,7 +246,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
 }
 """Keys of the groups of an axis; [defaults] may hold any of them."""
 
-SCHEMA: Final[Mapping[str, Mapping[str, Entry]]] = {"board": BOARD, **AXIS_GROUPS}
+SCHEMA: Final[Mapping[str, Mapping[str, Entry]]] = {"board": BOARD, **BOARD_GROUPS, **AXIS_GROUPS}
 """Every group and its keys; a group must have these and no others."""
 
 

@@ -39,6 +39,10 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .high = INFINITY,
         .moved = true,
         .zeros = 7u,
+        .shorted_leg = -1,
+        .shorted_beside = -1,
+        .grounded = -1,
+        .alone = -1,
     };
     const double x = (config->i_settle > 0.0) ? 1.0 / (BRIDGE_CLOCK_HZ * config->i_settle) : 800.0;
     for (int n = 0; n < BRIDGE_DECAY; n++) {
@@ -230,7 +234,7 @@ static bool floats_on(const bridge_t *b, int k, double h)
 
 bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
 {
-    if (!b->begun) {
+    if (!b->begun || b->grounded >= 0 || b->alone >= 0) {
         return false;
     }
     if (b->dead) {
@@ -260,4 +264,33 @@ void bridge_plug(bridge_t *b, bool plugged)
     if (!plugged) {
         bridge_remove_all(b);
     }
+}
+
+/* An open phase is beyond the reach of any short. */
+static void rewire(bridge_t *b)
+{
+    const int alone = b->shorted_beside;
+    const bool joint = alone >= 0 && b->play[(alone + 1) % 3] <= 0.0 && b->play[(alone + 2) % 3] <= 0.0;
+    b->alone = joint ? alone : -1;
+    b->grounded = (b->shorted_leg >= 0 && b->play[b->shorted_leg] <= 0.0) ? b->shorted_leg : -1;
+    b->begun = false;
+    for (int k = 0; k < 3; k++) { /* those that went together were without a sign of their own */
+        set_sign(b, k, (b->phase[k] > 0.0) - (b->phase[k] < 0.0));
+    }
+}
+
+void bridge_open(bridge_t *b, int k, bool open)
+{
+    b->play[k] = open ? 1e9 : 0.0;
+    if (open) {
+        bridge_remove_phase(b, k);
+    }
+    rewire(b);
+}
+
+void bridge_short(bridge_t *b, int grounded, int alone)
+{
+    b->shorted_leg = grounded;
+    b->shorted_beside = alone;
+    rewire(b);
 }

@@ -25,7 +25,10 @@
  * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A).
  *
  * While nothing unusual happens segments are parabolas within a frame (bridge_frame.c), which costs a third; whole runs
- * stay within 1e-4 A then.
+ * stay within 2e-4 A then.
+ *
+ * Broken wires: the interval of an open leg has no ends, that of a leg on bus minus no width, and two legs that touch go
+ * together: the third one's current alone decides on their voltage.
  *
  * Where a segment ends within itself is found in closed form: a current at zero by its slope, corrected once by the slope
  * found there; a shaft that stops or breaks loose by the root of a parabola; a floating leg that reaches an end of its
@@ -60,6 +63,7 @@ typedef struct {
 
 /* A short time in which the currents obey an equation with constant coefficients. */
 typedef struct {
+    double longest;                      /* segment, and frame without the last one [s] */
     plant_vector_t inverse[2], drift[2]; /* by columns: of i' with v [1/H], with i [1/s] */
     plant_vector_t push, push_slope;     /* i' without either, and how it changes [A/s], [A/s^2] */
     plant_vector_t charge;               /* the sum at its beginning [A s] */
@@ -84,6 +88,10 @@ typedef struct {
     double load;                         /* [N m] */
     bool locked, unplugged;
     double low, high;                    /* end stops, inelastic, mechanical [rad] */
+    double play[3];                      /* beyond both ends of a leg's interval: without end for an open phase [V] */
+    int shorted_leg, shorted_beside;     /* the next two, were no phase open */
+    int grounded;                        /* leg that touches bus minus, -1: none */
+    int alone;                           /* the other two legs touch each other, -1: they do not */
     /* state */
     plant_vector_t psi;                  /* stator flux linkage [V s] */
     double theta, omega;                 /* mechanical [rad], [rad/s] */
@@ -155,5 +163,11 @@ double bridge_shunt(const bridge_t *bridge, int phase);
 
 void bridge_set_winding(bridge_t *bridge, double r_s); /* as the copper warms up */
 void bridge_plug(bridge_t *bridge, bool plugged);
+
+/* The wire of a phase breaks, or is mended. */
+void bridge_open(bridge_t *bridge, int phase, bool open);
+
+/* Leg `grounded` touches bus minus, or the two beside `alone` touch each other; -1: they do not. */
+void bridge_short(bridge_t *bridge, int grounded, int alone);
 
 #endif

@@ -1,4 +1,4 @@
-/* bridge_frame.c - segments while nothing unusual happens: the shaft goes on, at most one leg is without current.
+/* bridge_frame.c - segments while nothing unusual happens: the shaft goes on, or stands all along.
  *
  * For some microseconds the rotor's angle hardly changes and its speed not at all. In such a frame the currents obey
  *   i' = L^-1 v + K i + e + e' t,   K = -R L^-1 + w (J - L^-1 J L),   e = -w L^-1 J psi_m,   J = (0 -1; 1 0)
@@ -13,7 +13,13 @@
 
 #include <string.h>
 
-#define LONGEST 16e-6 /* segment [s] */
+/* A segment, and a frame without its last one, are not longer than this: as much of the currents' time constant, of the
+ * rotor's turn, and a time that pays [s]. */
+#define OF_TIME_CONSTANT 0.03
+#define OF_TURN 0.015 /* [rad] */
+#define LONGEST 16e-6
+#define SHORTEST 2e-6
+#define MARGIN 0.05 /* of friction, for the reluctance torque */
 #define SPLITS 24 /* parts of one segment */
 
 typedef double pair_t __attribute__((vector_size(16)));
@@ -39,22 +45,43 @@ static inline pair_t product(const plant_vector_t column[2], pair_t x)
 /* The shaft is far from standing still and from its end stops: whatever the currents do meanwhile. */
 static inline bool runs_freely(const bridge_t *b)
 {
-    const double most =
-        fabs(b->i.alpha) + fabs(b->i.beta) + (2.0 * LONGEST) * b->u * (b->inv_l_mean + fabs(b->inv_l_half));
+    const double time = 2.0 * LONGEST;
+    const double most = fabs(b->i.alpha) + fabs(b->i.beta) + time * b->u * (b->inv_l_mean + fabs(b->inv_l_half));
     const double torque = b->k_torque * (b->psi_m + fabs(b->l_d - b->l_q) * most) * most + fabs(b->load) + b->friction;
-    const double reach = (4.0 * LONGEST) * fabs(b->omega);
-    return fabs(b->omega) > (4.0 * LONGEST) * torque * b->inv_inertia && b->theta - reach > b->low &&
+    const double reach = 2.0 * time * fabs(b->omega);
+    return fabs(b->omega) > 2.0 * time * torque * b->inv_inertia && b->theta - reach > b->low &&
            b->theta + reach < b->high;
+}
+
+/* The shaft stands, and friction holds it against this torque. */
+static inline bool holds(const bridge_t *b, double torque)
+{
+    return fabs(torque - b->load) < b->friction * (1.0 - MARGIN);
+}
+
+static inline bool stands(const bridge_t *b) { return b->omega == 0.0 && holds(b, b->torque); }
+
+/* The torque of a current, its part from the magnet. */
+static inline double aligned(const bridge_t *b, plant_vector_t i)
+{
+    return b->k_torque * b->psi_m * (b->cosine * i.beta - b->sine * i.alpha);
 }
 
 bool bridge_frame(bridge_t *b, double u)
 {
     b->u = u;
-    if (b->locked || b->held || b->unplugged || !runs_freely(b)) {
+    const bool standing = stands(b);
+    if (b->locked || b->held || b->unplugged || !(standing || runs_freely(b))) {
         return false;
     }
     const double w = b->pole_pairs * b->omega;
-    const double x = w * (0.5 * LONGEST);
+    double longest = (10.0 * OF_TIME_CONSTANT) * b->longest;
+    longest = (longest < LONGEST) ? longest : LONGEST;
+    longest = (longest * fabs(w) > OF_TURN) ? OF_TURN / fabs(w) : longest;
+    if (longest < SHORTEST) {
+        return false;
+    }
+    const double x = w * (0.5 * longest);
     const double c = b->cosine * (1.0 - 0.5 * x * x) - b->sine * x;
     const double s = b->sine * (1.0 - 0.5 * x * x) + b->cosine * x;
     const bridge_matrix_t m = inverse_of(b, c, s);
@@ -62,6 +89,7 @@ bool bridge_frame(bridge_t *b, double u)
     const double along = 0.5 * (b->l_d - b->l_q) * (c * c - s * s);
     const bridge_matrix_t l = {l_mean + along, (b->l_d - b->l_q) * c * s, l_mean - along};
     bridge_frame_t *f = &b->frame;
+    f->longest = longest;
     f->inverse[0] = (plant_vector_t){m.aa, m.ab};
     f->inverse[1] = (plant_vector_t){m.ab, m.bb};
     f->drift[0] = (plant_vector_t){-b->r * m.aa + w * (m.aa * l.ab - m.ab * l.aa),
@@ -72,10 +100,11 @@ bool bridge_frame(bridge_t *b, double u)
     f->push = times(m, (plant_vector_t){emf * b->sine, -emf * b->cosine});
     f->push_slope = times(m, (plant_vector_t){w * emf * c, w * emf * s});
     f->charge = b->charge;
-    f->reluctance = b->torque - b->k_torque * b->psi_m * (b->cosine * b->i.beta - b->sine * b->i.alpha);
+    f->reluctance = b->torque - aligned(b, b->i);
     b->frame_time = 0.0;
-    b->direction = (b->omega > 0.0) ? 1.0 : -1.0;
-    b->accel = (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
+    b->direction = standing ? 0.0 : (b->omega > 0.0) ? 1.0 : -1.0;
+    b->accel =
+        standing ? 0.0 : (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
     b->jerk = 0.0;
     b->framed = true;
     return true;
@@ -240,7 +269,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
         if (!b->begun && !((b->framed || bridge_frame(b, u)) && bridge_frame_begin(b, u))) {
             return drawn;
         }
-        double t = (*rest < LONGEST) ? *rest : LONGEST;
+        double t = (*rest < b->frame.longest) ? *rest : b->frame.longest;
         double phase[3];
         int zero = -1;
         int sign = 0;
@@ -255,6 +284,9 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
         if (zero >= 0 || sign != 0) {
             i = current_after(b, t);
             phases_of_pair(i, phase);
+        }
+        if (b->direction == 0.0 && !holds(b, aligned(b, (plant_vector_t){i[0], i[1]}))) {
+            break;
         }
         if (t > INSTANT) {
             drawn += stride(b, t, u, i, phase);
@@ -271,7 +303,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
             b->phase[zero] = 0.0;
         }
         b->begun = false;
-        if (b->frame_time > 0.5 * LONGEST) {
+        if (b->frame_time > 0.99 * b->frame.longest) {
             bridge_settle(b);
         }
     }
@@ -318,7 +350,9 @@ void bridge_settle(bridge_t *b)
     const double early = k_psi * (b->cosine * charge.beta - b->sine * charge.alpha);
     const double drag = b->load + b->direction * b->friction;
     end_t e;
-    b->accel = (early / h - drag - b->viscous * b->omega) * b->inv_inertia; /* the mean, if flux stood still */
+    const bool standing = b->direction == 0.0;
+    b->accel =
+        standing ? 0.0 : (early / h - drag - b->viscous * b->omega) * b->inv_inertia; /* the mean, if flux stood */
     b->jerk = 0.0;
     turn(b, h, &e);
     e.psi = (plant_vector_t){b->psi.alpha - b->r * charge.alpha, b->psi.beta - b->r * charge.beta};
@@ -333,11 +367,11 @@ void bridge_settle(bridge_t *b)
         (void)hold_at_zero(n, per_n, 1.0 / dot(n, per_n), &e);
     }
     const double late = k_psi * (e.cosine * charge.beta - e.sine * charge.alpha);
-    const double aligned = k_psi * (e.cosine * e.i.beta - e.sine * e.i.alpha);
     e.torque = b->k_torque * cross(e.psi, e.i);
-    const double reluctance = (0.5 * h) * (b->frame.reluctance + e.torque - aligned);
+    const double reluctance =
+        (0.5 * h) * (b->frame.reluctance + e.torque - k_psi * (e.cosine * e.i.beta - e.sine * e.i.alpha));
     const double impulse = 0.5 * (early + late) + reluctance - h * drag - b->viscous * (e.theta - b->theta);
-    b->omega += impulse * b->inv_inertia;
+    b->omega += standing ? 0.0 : impulse * b->inv_inertia;
     b->theta = e.theta;
     b->cosine = e.cosine;
     b->sine = e.sine;

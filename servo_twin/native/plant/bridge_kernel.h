@@ -107,21 +107,51 @@ static inline plant_vector_t slope_of(const bridge_t *b, plant_vector_t dpsi)
     return (plant_vector_t){rate.alpha - w * b->i.beta, rate.beta + w * b->i.alpha};
 }
 
-static inline void find_path(bridge_t *b, int k) { b->path[k] = leg_paths[b->gates[k]][b->sign[k] + 1] << k; }
+static inline void find_path(bridge_t *b, int k)
+{
+    b->path[k] = (k == b->grounded) ? 0u : leg_paths[b->gates[k]][b->sign[k] + 1] << k;
+}
+
+static inline double path_voltage(const bridge_t *b, unsigned path, double u)
+{
+    return ((path & UPPER(0)) ? u : 0.0) + ((path & RAISED(0)) ? b->v_drop : -b->v_drop);
+}
 
 /* Voltage of a leg whose current has the given sign. */
 static inline double leg_voltage(const bridge_t *b, int k, int sign, double u)
 {
-    const unsigned path = leg_paths[b->gates[k]][sign + 1];
-    return ((path & UPPER(0)) ? u : 0.0) + ((path & RAISED(0)) ? b->v_drop : -b->v_drop);
+    return (k == b->grounded) ? 0.0 : path_voltage(b, leg_paths[b->gates[k]][sign + 1], u);
 }
 
-static inline double lowest(const bridge_t *b, int k, double u) { return leg_voltage(b, k, 1, u); }
+/* Way through two legs that touch each other, by the sign of what both give together. Those that are not switched alike
+ * are taken for open: where they fight, the comparator has the last word. */
+static inline unsigned joint_path(const bridge_t *b, int sign)
+{
+    const bridge_gates_t gates = b->gates[(b->alone + 1) % 3];
+    return leg_paths[(gates == b->gates[(b->alone + 2) % 3]) ? gates : BRIDGE_OPEN][sign + 1];
+}
 
-static inline double highest(const bridge_t *b, int k, double u) { return leg_voltage(b, k, -1, u); }
+/* Ends of a leg's interval. That of a leg beside two that touch is as seen from these, which are taken to be at -V. */
+static inline double lowest(const bridge_t *b, int k, double u)
+{
+    const double low = leg_voltage(b, k, 1, u) - b->play[k];
+    return (k == b->alone) ? low - path_voltage(b, joint_path(b, -1), u) - b->v_drop : low;
+}
+
+static inline double highest(const bridge_t *b, int k, double u)
+{
+    const double high = leg_voltage(b, k, -1, u) + b->play[k];
+    return (k == b->alone) ? high - path_voltage(b, joint_path(b, 1), u) - b->v_drop : high;
+}
 
 static inline void set_sign(bridge_t *b, int k, int sign)
 {
+    if (b->alone >= 0 && k != b->alone) { /* one of two that touch: its own current tells nothing */
+        b->sign[k] = 1;
+        b->way[k] = 0.0;
+        b->zeros &= ~(1u << k);
+        return;
+    }
     b->sign[k] = sign;
     b->way[k] = sign;
     b->zeros = (b->zeros & ~(1u << k)) | (unsigned)(sign == 0) << k;
@@ -328,15 +358,39 @@ static inline void find_level(bridge_t *b)
                (2.0 * legs_at[PHASES(b->paths, RAISED(0))].mean - 1.0) * b->v_drop;
 }
 
+/* The way through two legs that touch each other: without current through them any will do, -V is what others expect. */
+static inline void find_joint_path(bridge_t *b)
+{
+    const int sign = b->sign[b->alone];
+    const unsigned path = (sign != 0) ? joint_path(b, -sign) : 0u;
+    b->path[(b->alone + 1) % 3] = path << (b->alone + 1) % 3;
+    b->path[(b->alone + 2) % 3] = path << (b->alone + 2) % 3;
+}
+
+/* A leg on bus minus that carries a current is there, and not one drop below. */
+static inline void lift_grounded(bridge_t *b)
+{
+    const double more = (2.0 / 3.0) * b->v_drop;
+    b->b.alpha += more * phase_axis[b->grounded].alpha;
+    b->b.beta += more * phase_axis[b->grounded].beta;
+    b->level += THIRD * b->v_drop;
+}
+
 /* What conducts, and the vectors that belong to it. */
 static inline void find_paths(bridge_t *b)
 {
+    if (b->alone >= 0) {
+        find_joint_path(b);
+    }
     b->paths = b->path[0] | b->path[1] | b->path[2];
     const double drop = 2.0 * b->v_drop; /* the legs are at plus or minus half of this */
     const plant_vector_t raised = legs_at[PHASES(b->paths, RAISED(0))].v;
     b->a = legs_at[PHASES(b->paths, UPPER(0))].v;
     b->b = (plant_vector_t){drop * raised.alpha, drop * raised.beta};
     find_level(b);
+    if (b->grounded >= 0 && b->sign[b->grounded] != 0) {
+        lift_grounded(b);
+    }
 }
 
 /* The amplifiers, `h` seconds on, behind currents that go straight to `phase`. */

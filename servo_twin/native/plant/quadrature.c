@@ -57,7 +57,7 @@ quadrature_edge_t quadrature_pass(quadrature_t *q)
     q->position += q->upwards ? 1 : -1;
     q->level[line] = level;
     aim(q);
-    const quadrature_edge_t edge = {line, level, !q->cut[line]};
+    const quadrature_edge_t edge = {line, level != q->flipped[line], !q->cut[line]};
     return edge;
 }
 

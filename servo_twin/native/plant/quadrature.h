@@ -27,6 +27,7 @@ typedef struct {
     bool level[QUADRATURE_LINES];
     bool cut[QUADRATURE_LINES]; /* the line stays at */
     bool stuck[QUADRATURE_LINES];
+    bool flipped[QUADRATURE_LINES]; /* by a disturbance, for a moment */
     plant_random_t random;
 } quadrature_t;
 
@@ -45,7 +46,7 @@ quadrature_edge_t quadrature_pass(quadrature_t *encoder);
 /* Level at the pin. */
 static inline bool quadrature_level(const quadrature_t *encoder, int line)
 {
-    return encoder->cut[line] ? encoder->stuck[line] : encoder->level[line];
+    return encoder->cut[line] ? encoder->stuck[line] : encoder->level[line] != encoder->flipped[line];
 }
 
 /* How the shaft moves from some moment on. */

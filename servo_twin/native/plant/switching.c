@@ -10,6 +10,7 @@
 #define SAMPLE_NEAR 50u /* a sample so soon after an edge is taken from the slope [clocks] */
 #define EDGE_HORIZON (2.0 * SWITCHING_HORIZON * CLOCK) /* edges are looked for so far ahead [s] */
 #define THERMAL_STEP UINT64_C(100000) /* [clocks] */
+#define GLITCH 100u /* a disturbance of an encoder line lasts so long [clocks] */
 #define COPPER 3.93e-3 /* rise of its resistance [1/K] */
 
 static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to - from) * CLOCK; }
@@ -35,6 +36,9 @@ void switching_init(switching_t *plant, const board_config_t *config)
         thermal_init(&axis->sink, c->sink_capacity, c->sink_resistance, config->ambient);
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
         plant_harm_init(&axis->harm, c, config->seed, (uint64_t)i + 5u);
+        for (int line = 0; line < QUADRATURE_LINES; line++) {
+            axis->glitch_clock[line] = NEVER;
+        }
         axis->turn_off = (uint64_t)(c->turn_off * SWITCHING_CLOCK_HZ + 0.5);
         axis->i_break = c->i_break;
         axis->square_break = c->i_break * c->i_break;
@@ -129,6 +133,9 @@ static void find_rare(switching_t *plant)
     for (int i = 0; i < BOARD_AXES; i++) {
         if (plant->axis[i].short_clock > plant->now) {
             plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].short_clock);
+        }
+        for (int line = 0; line < QUADRATURE_LINES; line++) {
+            plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].glitch_clock[line]);
         }
     }
 }
@@ -247,9 +254,43 @@ static inline void pass_edge(switching_t *plant, int i)
     find_next(axis);
 }
 
+static void set_line(switching_t *plant, int i, int line, bool before)
+{
+    const bool after = quadrature_level(&plant->axis[i].encoder, line);
+    if (after != before) {
+        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, (uint8_t)line, after});
+    }
+}
+
+/* When a line is disturbed next: any time up to twice the mean is as likely as any other. */
+static uint64_t next_glitch(switching_t *plant, int i, int line)
+{
+    plant_harm_t *harm = &plant->axis[i].harm;
+    if (harm->glitches[line] <= 0.0) {
+        return NEVER;
+    }
+    return plant->now + GLITCH + (uint64_t)(2.0 * SWITCHING_CLOCK_HZ / harm->glitches[line] * plant_harm_chance(harm));
+}
+
+/* A disturbance begins or ends. */
+static void glitch(switching_t *plant, int i, int line)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    const bool before = quadrature_level(&axis->encoder, line);
+    bool *flipped = &axis->encoder.flipped[line];
+    *flipped = !*flipped;
+    set_line(plant, i, line, before);
+    axis->glitch_clock[line] = *flipped ? plant->now + GLITCH : next_glitch(plant, i, line);
+}
+
 static void happen_rarely(switching_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
+        for (int line = 0; line < QUADRATURE_LINES; line++) {
+            if (plant->axis[i].glitch_clock[line] == plant->now) {
+                glitch(plant, i, line);
+            }
+        }
         if (plant->axis[i].short_clock == plant->now) {
             compare(plant, i);
         }
@@ -292,6 +333,31 @@ static void begin_short(switching_t *plant, int i, uint64_t until)
     compare(plant, i);
 }
 
+/* Both rails on a short in the motor's cable: one upper switch against bus minus, or against the other phase's lower one. */
+static bool feeds_short(const switching_axis_t *axis)
+{
+    const bridge_t *b = &axis->bridge;
+    if (b->grounded >= 0) {
+        return axis->leg[b->grounded] == SWITCHING_HIGH;
+    }
+    if (b->alone >= 0) {
+        const switching_leg_t one = axis->leg[(b->alone + 1) % 3];
+        const switching_leg_t other = axis->leg[(b->alone + 2) % 3];
+        return (one == SWITCHING_HIGH && other == SWITCHING_LOW) || (one == SWITCHING_LOW && other == SWITCHING_HIGH);
+    }
+    return false;
+}
+
+static void watch_cable(switching_t *plant, int i)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    const bool feeds = feeds_short(axis);
+    if (feeds != axis->feeds) {
+        axis->feeds = feeds;
+        begin_short(plant, i, feeds ? NEVER : plant->now);
+    }
+}
+
 static void watch_short(switching_t *plant, int i, int phase, switching_leg_t leg)
 {
     switching_axis_t *axis = &plant->axis[i];
@@ -307,6 +373,9 @@ static void watch_short(switching_t *plant, int i, int phase, switching_leg_t le
         begin_short(plant, i, NEVER);
     } else if (leg != SWITCHING_OPEN && leg != axis->last_on[phase] && plant->now < axis->off_clock[phase]) {
         begin_short(plant, i, axis->off_clock[phase]);
+    }
+    if (axis->bridge.grounded >= 0 || axis->bridge.alone >= 0) {
+        watch_cable(plant, i);
     }
 }
 
@@ -481,10 +550,7 @@ void switching_cut(switching_t *plant, int i, int line, bool cut, bool level)
     const bool before = quadrature_level(encoder, line);
     encoder->cut[line] = cut;
     encoder->stuck[line] = level;
-    const bool after = quadrature_level(encoder, line);
-    if (after != before) {
-        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, (uint8_t)line, after});
-    }
+    set_line(plant, i, line, before);
 }
 
 void switching_set_temperature(switching_t *plant, int i, double winding, double sink)
@@ -520,6 +586,31 @@ static void harm_sensor(switching_t *plant, const board_harm_t *harm, bool heale
     }
 }
 
+static void harm_phase(switching_t *plant, const board_harm_t *harm, bool healed)
+{
+    bridge_t *bridge = touch(plant, harm->axis);
+    const int to = (int)harm->value;
+    if (harm->kind == BOARD_OPEN_PHASE) {
+        bridge_open(bridge, harm->part, !healed);
+    } else if (to < 0) {
+        bridge_short(bridge, healed ? -1 : harm->part, -1);
+    } else {
+        bridge_short(bridge, -1, healed ? -1 : 3 - harm->part - to);
+    }
+    watch_cable(plant, harm->axis);
+}
+
+static void harm_line(switching_t *plant, const board_harm_t *harm, bool healed)
+{
+    switching_axis_t *axis = &plant->axis[harm->axis];
+    axis->harm.glitches[harm->part] = healed ? 0.0 : harm->value;
+    if (!axis->encoder.flipped[harm->part]) { /* else it ends first */
+        axis->glitch_clock[harm->part] = next_glitch(plant, harm->axis, harm->part);
+    }
+    plant->stale = true;
+    find_rare(plant);
+}
+
 static void harm_supply(switching_t *plant, const board_harm_t *harm, bool healed)
 {
     switching_look_around(plant);
@@ -534,6 +625,13 @@ static void harm_supply(switching_t *plant, const board_harm_t *harm, bool heale
 void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed)
 {
     switch ((board_harm_kind_t)harm->kind) {
+    case BOARD_OPEN_PHASE:
+    case BOARD_SHORTED_PHASE:
+        harm_phase(plant, harm, healed);
+        break;
+    case BOARD_ENCODER_GLITCHES:
+        harm_line(plant, harm, healed);
+        break;
     case BOARD_STUCK_LINE:
         switching_cut(plant, harm->axis, harm->part, !healed, harm->value != 0.0);
         break;

@@ -74,6 +74,8 @@ typedef struct {
     switching_leg_t leg[3];
     uint64_t short_clock; /* end of a short through a leg */
     bool tripped; /* output of the comparator */
+    bool feeds; /* a short in the motor's cable is between both rails */
+    uint64_t glitch_clock[QUADRATURE_LINES]; /* beginning or end of the next disturbance on a line */
     uint64_t turn_off; /* a switch still conducts so long after its gate has gone off [clocks] */
     double i_break; /* threshold [A] */
     double square_break, square_far; /* of a current vector below which no phase is beyond the threshold, or can get

@@ -12,6 +12,7 @@ from typing import Final
 
 from servo_twin.experiments import (
     anti_windup,
+    braking,
     bus_ripple,
     feed_forward,
     friction,
@@ -57,6 +58,7 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         low_speed,
         bus_ripple,
         two_axes,
+        braking,
         feed_forward,
         friction,
         speed_observer,

@@ -22,6 +22,7 @@ from servo_twin.experiments.rig import (
     command_speed,
     features,
     flag_mask,
+    level,
     position_of,
     set_axis,
     spinning,
@@ -42,6 +43,7 @@ __all__ = [
     "path_demands",
     "path_ends",
     "path_settles",
+    "ripple",
     "speed_limits",
     "top_speed",
 ]
@@ -310,6 +312,20 @@ def _drives(plant: PlantConfig, axis: int, speed: float, demand: Demand | None, 
     return (demand is None or most <= share * demand.current) and _voltage(entry, speed, at_speed) <= (
         MODULATION * plant.bus.u_source
     )
+
+
+def ripple(plant: PlantConfig, axis: int, current: float) -> float:
+    """Half of the peak-to-peak ripple of a phase current in a motor that stands [A]; the averaged plant has none.
+
+    u m (1 - m) / (6 f L) for duties that differ by m at most: for the resistance, and for the dead time and the drops
+    that are made up for.
+    """
+    if level() == "ideal":
+        return 0.0
+    entry, u = plant.axes[axis], plant.bus.u_source
+    lost = entry.dead_time * plant.pwm_frequency + entry.v_drop / u
+    spread = min(math.sqrt(3.0) * (entry.r_s + entry.r_on) * current / u + 2.0 * lost, 0.5)
+    return u * spread * (1.0 - spread) / (6.0 * plant.pwm_frequency * min(entry.l_d, entry.l_q))
 
 
 def _voltage(axis: AxisPlant, speed: float, current: float) -> float:

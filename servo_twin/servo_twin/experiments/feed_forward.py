@@ -23,7 +23,8 @@ from servo_twin.experiments.rig import (
     stays_from,
     watch,
 )
-from servo_twin.plant import PlantConfig
+from servo_twin.experiments.undelivered import whole_counts
+from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "feed-forward"
 HELP: Final = """\
@@ -72,11 +73,13 @@ class Move:
     overshoot : float
         Farthest beyond the target [counts].
     settling : float or None
-        From the command until the shaft stays within 2 counts of the target [s].
+        From the command until the shaft stays within 2 counts of the target, and what it swerves [s].
     speed : float
         Highest true speed [rad/s].
     recording : Recording
         All of it.
+    swerve : float
+        What current that the inverter keeps back moves the shaft once the set-point has arrived [counts].
     """
 
     error: float
@@ -84,17 +87,22 @@ class Move:
     settling: float | None
     speed: float
     recording: Recording
+    swerve: float = 0.0
 
 
-def measure(recording: Recording, target: int) -> Move:
-    """Judge a move that began at rest with the recording; `target` in counts."""
+def measure(recording: Recording, target: int, shaft: AxisPlant) -> Move:
+    """Judge a move of a shaft that began at rest with the recording; `target` in counts."""
     direction = 1.0 if target >= recording.position[0] else -1.0
+    near = np.abs(recording.position_ref - target) <= ARRIVED
+    swerve = whole_counts(recording, shaft, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
+    window = ARRIVED + swerve
     return Move(
         error=float(np.abs(recording.position_ref - recording.shaft).max()),
         overshoot=max(float((direction * (recording.position - target)).max()), 0.0) + 0.0,
-        settling=stays_from(recording, recording.position, target - ARRIVED, target + ARRIVED),
+        settling=stays_from(recording, recording.position, target - window, target + window),
         speed=float(np.abs(recording.omega).max()),
         recording=recording,
+        swerve=swerve,
     )
 
 
@@ -116,7 +124,7 @@ def travel(
 
         seconds = turns * COUNTS_PER_TURN * COUNT / min(speeds) + REST
         both = watch(board, range(AXES), seconds, act)
-    return [measure(both[axis], target) for axis, target in enumerate(targets)]
+    return [measure(both[axis], target, plant.axes[axis]) for axis, target in enumerate(targets)]
 
 
 @dataclass(frozen=True)
@@ -181,7 +189,8 @@ def _rows(what: str, moves: Mapping[str, Move], inertia: Mismatch, friction: Mis
     forward = [move for choice, move in moves.items() if choice != "none"]
     overshoot = max(move.overshoot for move in forward)
     pushed = OVERSHOOT_OF_FRICTION * (friction.lighter - 1.0)
-    beyond = Bound(most=ARRIVED + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed)
+    swerve = max(move.swerve for move in forward)
+    beyond = Bound(most=ARRIVED + swerve + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed)
     rows.append(Row(f"{what}, overshoot, worst", SEED_OVERSHOOT, overshoot, "counts", beyond))
     rows.append(
         Row(

@@ -27,7 +27,8 @@ from servo_twin.experiments.rig import (
     spinning,
     watch,
 )
-from servo_twin.plant import PlantConfig
+from servo_twin.experiments.undelivered import pushed
+from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "friction"
 HELP: Final = """\
@@ -65,6 +66,14 @@ class Pair:
 
     without: Recording
     compensated: Recording
+
+
+@dataclass(frozen=True)
+class Shaft:
+    """What judges a run: the motor, and its inertia over the one that the loops are tuned for, if that is less."""
+
+    axis: AxisPlant
+    heavier: float
 
 
 def left(times: float) -> float:
@@ -139,20 +148,22 @@ def _rms(signal: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(signal**2)))
 
 
-def lost_at_start(recording: Recording) -> float:
-    """Root mean square of the lost way [counts]."""
-    return _rms(behind(recording))
+def lost_at_start(recording: Recording, shaft: Shaft) -> float:
+    """Root mean square of the lost way, but for what the inverter costs [counts]."""
+    return _rms(behind(recording) + pushed(recording, shaft.axis, position=False, heavier=shaft.heavier))
 
 
-def lost_at_reversals(recording: Recording) -> float:
-    """Root mean square of the lost way about its mean, over whole periods [counts]."""
-    way = behind(recording)[round(SETTLE / TICK) :]
+def lost_at_reversals(recording: Recording, shaft: Shaft) -> float:
+    """Root mean square of the lost way about its mean, over whole periods, but for what the inverter costs [counts]."""
+    way = behind(recording) + pushed(recording, shaft.axis, position=False, heavier=shaft.heavier)
+    way = way[round(SETTLE / TICK) :]
     return _rms(way - way.mean())
 
 
-def following_error(recording: Recording) -> float:
-    """Root mean square of the true following error, over whole periods [counts]."""
-    return _rms((recording.position_ref - recording.shaft)[round(SETTLE / TICK) :])
+def following_error(recording: Recording, shaft: Shaft) -> float:
+    """Root mean square of the true following error, over whole periods, but for what the inverter costs [counts]."""
+    cost = pushed(recording, shaft.axis, position=True, heavier=shaft.heavier)
+    return _rms((recording.position_ref - recording.shaft + cost)[round(SETTLE / TICK) :])
 
 
 def run(plant: PlantConfig, seed: int) -> Outcome:
@@ -168,44 +179,62 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         changed = plant
         for axis, belief in enumerate(beliefs):
             changed = changed.with_axis(axis, friction=times * belief.friction, viscous=0.0)
+        shafts = [
+            Shaft(entry, max(entry.inertia / belief.inertia, 1.0))
+            for entry, belief in zip(changed.axes, beliefs, strict=True)
+        ]
         tasks = start(changed, seed), reverse_speed(changed, seed), reverse_position(changed, seed)
         for axis in range(AXES):
             what = f"{axis_name(axis)}, friction x {times:g}"
-            heavier = max(plant.axes[axis].inertia / beliefs[axis].inertia, 1.0)
-            rows.extend(_rows(what, left(times), heavier, *(task[axis] for task in tasks)))
+            rows.extend(_rows(what, left(times), shafts[axis], *(task[axis] for task in tasks)))
             if times == 1.0:
                 panels.extend(_panels(axis_name(axis), *(task[axis] for task in tasks)))
-        notes.append(_note(times, *tasks))
+        notes.append(_note(times, shafts, *tasks))
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
 
 
-def _rows(what: str, rest: float, heavier: float, begin: Pair, speed: Pair, position: Pair) -> tuple[Row, ...]:
+def _rows(what: str, rest: float, shaft: Shaft, begin: Pair, speed: Pair, position: Pair) -> tuple[Row, ...]:
     """What is left of each error is the part of the friction that compensation leaves, and what the encoder hides.
 
-    The loop is slower, and what it does not see grows, as much as the shaft is `heavier` than the controller believes.
+    The loop is slower, and what it does not see grows, as much as the shaft is heavier than the controller believes.
     """
+    hidden = HIDDEN * shaft.heavier
     return (
-        _row(f"{what}, start from rest, lost way", lost_at_start, begin, rest, START_HIDDEN),
-        _row(f"{what}, reversals of speed, lost way", lost_at_reversals, speed, rest, HIDDEN * heavier),
-        _row(f"{what}, reversals of position, following error", following_error, position, rest, HIDDEN * heavier),
+        _row(f"{what}, start from rest, lost way", lost_at_start, begin, shaft, rest, START_HIDDEN),
+        _row(f"{what}, reversals of speed, lost way", lost_at_reversals, speed, shaft, rest, hidden),
+        _row(f"{what}, reversals of position, following error", following_error, position, shaft, rest, hidden),
     )
 
 
-def _row(name: str, figure: Callable[[Recording], float], pair: Pair, rest: float, hidden: float) -> Row:
-    bound = Bound(most=rest * figure(pair.without) + hidden)
-    return Row(f"{name}, rms", BEYOND, figure(pair.compensated), "counts", bound)
+def _row(
+    name: str, figure: Callable[[Recording, Shaft], float], pair: Pair, shaft: Shaft, rest: float, hidden: float
+) -> Row:
+    bound = Bound(most=rest * figure(pair.without, shaft) + hidden)
+    return Row(f"{name}, rms", BEYOND, figure(pair.compensated, shaft), "counts", bound)
 
 
-def _note(times: float, begin: list[Pair], speed: list[Pair], position: list[Pair]) -> str:
+def _note(times: float, shafts: list[Shaft], begin: list[Pair], speed: list[Pair], position: list[Pair]) -> str:
+    """The figures, and how much of it the current costs that the inverter kept back."""
     parts = [
-        f"{label} {' and '.join(f'{figure(p.without):.3g} -> {figure(p.compensated):.3g}' for p in pairs)}"
+        f"{label} "
+        + " and ".join(
+            f"{figure(p.without, s):.3g} -> {figure(p.compensated, s):.3g}" for p, s in zip(pairs, shafts, strict=True)
+        )
         for label, figure, pairs in (
             ("start", lost_at_start, begin),
             ("reversals of speed", lost_at_reversals, speed),
             ("of position", following_error, position),
         )
     ]
-    return f"friction x {times:g}, both axes, without -> with, rms [counts]: " + ", ".join(parts)
+    costs = " and ".join(
+        f"{_rms(pushed(p.compensated, s.axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
+        for p, s in zip(position, shafts, strict=True)
+    )
+    return (
+        f"friction x {times:g}, both axes, without -> with, rms [counts]: "
+        + ", ".join(parts)
+        + f"; taken out of the last: {costs}, for current that did not flow"
+    )
 
 
 def _panels(name: str, begin: Pair, speed: Pair, position: Pair) -> tuple[Panel, ...]:

@@ -23,7 +23,8 @@ from servo_twin.experiments.rig import (
     stays_from,
     watch,
 )
-from servo_twin.plant import PlantConfig
+from servo_twin.experiments.undelivered import pushed, whole_counts
+from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "position"
 HELP: Final = """\
@@ -59,9 +60,12 @@ class Move:
     error : float
         Mean distance from the target over that time.
     settling : float or None
-        From the end of the set-point's ramp until the shaft stays within 2 counts [s].
+        From the end of the set-point's ramp until the shaft stays within 2 counts, and what it swerves [s].
     recording : Recording
         All of it.
+    swerve, swing : float
+        What current that the inverter keeps back moves the shaft once the set-point has arrived: from where it would
+        be, and over the last half second from the lowest to the highest.
     """
 
     overshoot: float
@@ -69,20 +73,29 @@ class Move:
     error: float
     settling: float | None
     recording: Recording
+    swerve: float = 0.0
+    swing: float = 0.0
 
 
-def measure(recording: Recording, target: int, ramp_end: float) -> Move:
-    """Judge a move that began with the recording; `target` in counts, `ramp_end` in seconds."""
+def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant) -> Move:
+    """Judge a move of a shaft that began with the recording; `target` in counts, `ramp_end` in seconds."""
     position = recording.position
-    direction = 1.0 if target >= position[0] else -1.0
     last = recording.part(recording.time[-1] - REST / 2.0).position
-    arrived = stays_from(recording, position, target - MOST_COUNTS, target + MOST_COUNTS)
+    near = np.abs(recording.position_ref - target) <= MOST_COUNTS
+    after = float(recording.time[int(np.argmax(near))]) if near.any() else float(recording.time[-1])
+    swerve = whole_counts(recording, shaft, after)
+    swing = pushed(recording, shaft, position=True)[-last.size :]
+    window = MOST_COUNTS + swerve
+    direction = 1.0 if target >= position[0] else -1.0
+    arrived = stays_from(recording, position, target - window, target + window)
     return Move(
         overshoot=max(float((direction * (position - target)).max()), 0.0) + 0.0,
         cycle=float(np.ptp(last)),
         error=float(np.abs(last - target).mean()),
         settling=None if arrived is None else max(arrived - ramp_end, 0.0),
         recording=recording,
+        swerve=swerve,
+        swing=float(round(np.ptp(swing))),
     )
 
 
@@ -102,7 +115,8 @@ def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SE
         elif not ramp and k == 0:
             command_position(board, axis, target)
 
-    return measure(watch(board, [axis], duration + settle + REST, act)[axis], target, duration)
+    shaft = board.plant.axes[axis]
+    return measure(watch(board, [axis], duration + settle + REST, act)[axis], target, duration, shaft)
 
 
 def run(plant: PlantConfig, seed: int) -> Outcome:
@@ -128,10 +142,10 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
 
 
 def _rows(what: str, move: Move, settle: float) -> tuple[Row, ...]:
-    within = Bound(most=MOST_COUNTS)
+    within, calm = Bound(most=MOST_COUNTS + move.swerve), Bound(most=MOST_COUNTS + move.swing)
     return (
         Row(f"{what}, overshoot", SEED_OVERSHOOT, move.overshoot, "counts", within),
-        Row(f"{what}, limit cycle", SEED_CYCLE, move.cycle, "counts", within),
+        Row(f"{what}, limit cycle", SEED_CYCLE, move.cycle, "counts", calm),
         Row(f"{what}, steady-state error", SEED_NONE, move.error, "counts", within),
         Row(f"{what}, settling", SEED_NONE, move.settling, "s", Bound(most=settle)),
     )

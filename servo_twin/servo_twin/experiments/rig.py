@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -14,7 +15,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board, Level, chosen_level
-from servo_twin.plant import PlantConfig
+from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError, enable
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "choose_mode",
     "command_position",
     "command_speed",
+    "edge_shift",
     "features",
     "flag_mask",
     "fresh_board",
@@ -123,6 +125,20 @@ def level() -> Level:
 def fresh_board(plant: PlantConfig, seed: int) -> Board:
     """A board of the level of this bench, just switched on."""
     return Board(plant, seed=seed, level=level())
+
+
+JITTER_REACH: Final = math.sqrt(6.0)  # standard deviations of an edge's jitter, which go no further
+
+
+def edge_shift(axis: AxisPlant) -> float:
+    """How far an edge of an encoder line may lie from its place [counts]; edges of the averaged plant lie in theirs.
+
+    A line is high for 1/2 and the duty error of its period of four counts: its rising edge comes early by half of that,
+    the falling one late. Jitter comes on top.
+    """
+    if level() == "ideal":
+        return 0.0
+    return 2.0 * abs(axis.encoder_duty_error) + JITTER_REACH * axis.encoder_jitter
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import move_speeds, path_settles
+from servo_twin.experiments.ability import move_speeds, path_settles, ripple
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
@@ -277,7 +277,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         rows.extend(_rows_behind(f"{axis_name(axis)}, limit set behind the shaft", behind))
     for mode in ("SPEED", "TORQUE"):
         rows.extend(_rows_speed(mode, turn(plant, seed, mode, None), turn(plant, seed, mode, SPEED_LIMIT)))
-    rows.extend(_rows_current(push(plant, seed, None), push(plant, seed, CURRENT_LIMIT)))
+    rows.extend(_rows_current(plant, push(plant, seed, None), push(plant, seed, CURRENT_LIMIT)))
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
 
 
@@ -320,11 +320,11 @@ def _rows_speed(mode: str, free: list[Bounded], limited: list[Bounded]) -> list[
     return rows
 
 
-def _rows_current(free: list[Bounded], limited: list[Bounded]) -> list[Row]:
+def _rows_current(plant: PlantConfig, free: list[Bounded], limited: list[Bounded]) -> list[Row]:
     rows: list[Row] = []
     for axis in range(AXES):
         what = f"{axis_name(axis)}, current, torque mode"
-        most = Bound(most=CURRENT_MOST * CURRENT_LIMIT)
+        most = Bound(most=CURRENT_MOST * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT))
         rows.append(Row(f"{what}: largest without", BEYOND_SEED, free[axis].most, "A", Bound(1.5 * CURRENT_LIMIT)))
         rows.append(Row(f"{what}: largest with", BEYOND_SEED, limited[axis].most, "A", most))
         rows.append(Row(f"{what}: names itself", BEYOND_SEED, limited[axis].named, "of the time", Bound(0.9, 1.0)))

@@ -12,11 +12,12 @@ from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
+from servo_twin.core_load import CoreLoad
 from servo_twin.experiments.outcome import Outcome
 from servo_twin.experiments.report import summary, table
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
-from servo_twin.timing.figures import circle, start
+from servo_twin.timing.figures import circle, margins, start
 from servo_twin.timing.picture import draw
 from servo_twin.timing.trace import Trace
 
@@ -63,7 +64,10 @@ def measure(
         spoil(board)
         turning = Trace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
     rows = (*circle(turning), *start(boot))
-    notes = (f"circle: {PERIODS} PWM periods, both shafts at {SPEED:g} rad/s",)
+    notes = (
+        f"circle: {PERIODS} PWM periods, both shafts at {SPEED:g} rad/s",
+        *margins(turning, CoreLoad.load(), CoreLoad.longest()),
+    )
     return Outcome("timing", rows, (), notes), turning, boot
 
 

@@ -9,11 +9,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_twin.core_load import CoreLoad
 from servo_twin.experiments.outcome import Bound, Row
 from servo_twin.timing.chip_map import PHASES, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
-__all__ = ["circle", "start"]
+__all__ = ["circle", "margins", "start"]
 
 PWM: Final = 16e3  # [Hz]
 PAIRS: Final = 3  # per motor (F35)
@@ -164,6 +165,35 @@ def _interrupts(trace: Trace) -> list[Row]:
     overlap = _overlap(trace.handlers(VECTOR_M1), trace.handlers(VECTOR_M2))
     rows.append(Row("M1 and M2 at the same time", "never", overlap, "times", Bound(0.0, 0.0)))
     return rows
+
+
+def margins(trace: Trace, usual: CoreLoad, longest: CoreLoad) -> list[str]:
+    """How much later each interrupt may end: as it is in the trace, and with handlers at their longest.
+
+    Parameters
+    ----------
+    trace : Trace
+        As for `circle`, of a board whose handlers last as `usual` says.
+    usual, longest : CoreLoad
+        Lengths of the handlers, and what they may become.
+    """
+    notes: list[str] = []
+    for name, vector, phases in zip(NAMES, VECTORS, PHASES, strict=True):
+        runs = trace.handlers(vector)
+        spare = _least(_after(runs[:, 1], trace.clocks(Kind.LOAD, phases[0])))
+        if spare is None:
+            continue
+        field = f"{name.lower()}_slow"
+        most = getattr(longest, field)
+        left = spare - (most - getattr(usual, field))
+        fits = (spare + getattr(usual, field)) / most
+        what = f"{left * CLOCK * 1e6:.2f} us before" if left >= 0 else f"{-left * CLOCK * 1e6:.2f} us too late for"
+        notes.append(
+            f"{name} ends {spare * CLOCK * 1e6:.2f} us before its duties load; with every feature on, at its longest"
+            f" ({most} clocks), it would end {what} them: it fits if all takes {fits:.2f} times as long as assumed"
+            " (core.toml)"
+        )
+    return notes
 
 
 def _order(trace: Trace) -> float | None:

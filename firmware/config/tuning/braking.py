@@ -1,0 +1,82 @@
+"""The integers of braking and stopping: brake resistor, fold-back of braking current, shorted windings, categories."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+from tuning.configuration import Axis, Configuration
+from tuning.conversion import Category, Converter, FaultSet, Field
+from tuning.formats import FRAC16, FRAC32, GAIN
+
+__all__ = ["BUS_END", "brake_constants", "regeneration_speed", "short_speed", "stop_constants"]
+
+BUS_END: Final = 0.98
+"""Part of the bus converter's range that can still be told from its end."""
+
+_MOTOR: Final = "correct motor.psi_m, motor.pole_pairs or motor.r_s"
+
+
+def short_speed(axis: Axis) -> float:
+    """Mechanical speed at which shorted windings carry ``stop.short_current`` [rad/s]; infinite if they never do.
+
+    K_e w / sqrt(R_s^2 + w^2 L_s^2) grows with the speed towards K_e / L_s.
+    """
+    current = axis("stop.short_current")
+    inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))
+    rest = axis("motor.psi_m") ** 2 - (current * inductance) ** 2
+    if rest <= 0.0:
+        return math.inf
+    return current * axis("motor.r_s") / math.sqrt(rest) / axis("motor.pole_pairs")
+
+
+def regeneration_speed(axis: Axis) -> float:
+    """Mechanical speed up to which the full current burns in the winding what braking returns [rad/s]."""
+    return axis("limits.current") * axis("motor.r_s") / (axis("motor.pole_pairs") * axis("motor.psi_m"))
+
+
+def stop_constants(to: Converter) -> dict[str, Field]:
+    """Fields of ``axis_config_t`` that have to do with braking and stopping."""
+    axis, s, stops = to.axis, to.s, to.axis.stops
+    names = {"shorted": "short", "ramp": "ramp", "hold": "hold"}
+    most = 1.0 - 2.0**-31
+    return {
+        **{f"stop.{command}": Category(category) for command, category in stops.commands.items()},
+        **{f"stop.{field}": FaultSet(stops.answered(category)) for field, category in names.items()},
+        "stop.short_speed": to.of(FRAC32, "speed of the short", min(short_speed(axis) / s.speed, most), _MOTOR),
+        "stop.short_current": to.at(FRAC16, "stop.short_current", 1.0 / s.i * (1.0 - 2.0**-15)),
+        "stop.ticks_most": to.ticks("stop.time_most"),
+        "stop.hold_ticks": to.ticks("stop.hold_time"),
+        "regeneration_speed": to.of(
+            FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, most), _MOTOR
+        ),
+        "copper_current": to.at(FRAC16, "stop.copper_use", axis("limits.current") / s.i),
+    }
+
+
+def brake_constants(configuration: Configuration) -> Mapping[str, int]:
+    """Every field of the ``brake_config_t``.
+
+    Raises
+    ------
+    ConfigError
+        If one does not fit its format, or vanishes in it.
+    """
+    board, s = configuration.board, configuration.scales
+    energy, power = board("brake.energy"), board("brake.power")
+    heating = s.u_dc**2 / board("brake.resistance") * board.tick / energy
+
+    def volts(key: str) -> int:
+        return FRAC16.raw(f"board.{key}", board(key) / s.u_dc, "stay below the full scale of the ADC", board(key))
+
+    return {
+        "fitted": int(board.brake),
+        "on": volts("brake.on_voltage"),
+        "off": volts("brake.off_voltage"),
+        "heating": GAIN.raw("board.brake.energy", heating, "raise it, or brake.resistance", energy),
+        "cooling": FRAC32.raw("board.brake.power", power * board.tick / energy, "raise it, or lower energy", power),
+        "start": volts("regeneration.start_voltage"),
+        "full": volts("regeneration.full_voltage"),
+        "most_able": FRAC16.raw("board: end of the bus converter", BUS_END, "none"),
+    }

@@ -1,0 +1,130 @@
+"""Stop categories: how an axis comes to rest on a command or a fault, and which of them cannot work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, MutableMapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from tuning.errors import refused
+from tuning.schema import unknown_name
+
+__all__ = ["CATEGORIES", "COMMANDS", "Stops"]
+
+CATEGORIES: Final = ("coast", "short", "ramp", "hold")
+"""From the harshest; one that the moment does not permit gives way to the one before it."""
+
+COMMANDS: Final = ("disable", "quick_stop")
+"""Commands that bring an axis to rest; both have to be in the file."""
+
+_SWITCHES: Final = "the hardware has opened the switches, or one of them may be broken"
+_ANGLE: Final = "the angle of the rotor is not to be trusted"
+_CURRENT: Final = "the currents are not to be trusted"
+_SPEED: Final = "the speed is not known, on which the current of the short depends"
+_IDLE: Final = "it comes up while the shaft is not under control"
+_LATE: Final = "the control itself is in trouble"
+_BUS: Final = "braking would return energy to a bus that has too much of it"
+_WEAK: Final = "the bus does not carry gate drivers and current control any more"
+_HEAT: Final = "holding goes on heating"
+_HELD: Final = "the shaft is held fast, or its encoder is dead"
+
+_CONTROLLED: Final = ("ramp", "hold")
+_BRAKING: Final = ("short", *_CONTROLLED)
+
+
+def _because(reason: str, categories: Collection[str]) -> dict[str, str]:
+    return dict.fromkeys(categories, reason)
+
+
+REFUSED: Final[Mapping[str, Mapping[str, str]]] = {
+    "over_voltage": _because(_BUS, _CONTROLLED),
+    "under_voltage": _because(_WEAK, _BRAKING),
+    "over_current": _because(_SWITCHES, _BRAKING),
+    "current_offset": _because(_IDLE, _BRAKING),
+    "rotor_search": _because(_IDLE, _BRAKING),
+    "encoder": _because(_ANGLE, _CONTROLLED) | _because(_SPEED, ["short"]),
+    "stalled": _because(_HELD, _BRAKING),
+    "runaway": _because(_ANGLE, _CONTROLLED),
+    "encoder_lost": _because(_ANGLE, _CONTROLLED) | _because(_SPEED, ["short"]),
+    "encoder_reversed": _because(_IDLE, _BRAKING),
+    "over_temperature": _because(_HEAT, ["hold"]),
+    "start_up": _because(_IDLE, _BRAKING),
+    "speed_feedback": _because(_ANGLE, _CONTROLLED) | _because(_SPEED, ["short"]),
+    "angle_mismatch": _because(_ANGLE, _CONTROLLED),
+    "phase_lost": _because(_CURRENT, _BRAKING),
+    "current_sense": _because(_CURRENT, _BRAKING),
+    "late_loop": _because(_LATE, _BRAKING),
+    "watchdog": _because(_LATE, _BRAKING),
+}
+"""Why a fault must not be answered so; any other fault may be answered by anything."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """The categories of the group [stop].
+
+    Attributes
+    ----------
+    commands : mapping
+        Category by command.
+    faults : mapping
+        Category by fault, lower case; one that is not there coasts.
+    """
+
+    commands: Mapping[str, str]
+    faults: Mapping[str, str]
+
+    @classmethod
+    def taken_from(
+        cls,
+        group: MutableMapping[str, Any],
+        fault_names: Collection[str],
+        place: Callable[[str], str],
+        numbers: Collection[str],
+    ) -> Stops:
+        """Take the categories out of the group, so that its numbers are left.
+
+        Parameters
+        ----------
+        group : mutable mapping
+            What TOML has found.
+        fault_names : collection of str
+            Of the contract, lower case.
+        place : callable
+            Full name of an entry for messages.
+        numbers : collection of str
+            Keys that are no categories.
+
+        Raises
+        ------
+        ConfigError
+            If a name is unknown, a command missing, or a category impossible.
+        """
+        known = (*COMMANDS, *fault_names)
+        found: dict[str, str] = {}
+        for key in [key for key in group if key not in numbers]:
+            if key not in known:
+                raise unknown_name(place(key), key, (*known, *numbers))
+            found[key] = _category(place(key), key, group.pop(key))
+        for command in COMMANDS:
+            if command not in found:
+                raise refused(place(command), "nothing", "every command needs its category", _remedy(CATEGORIES))
+        commands = {key: found.pop(key) for key in COMMANDS}
+        return cls(commands, found)
+
+    def answered(self, category: str) -> list[str]:
+        """Faults that are answered by a category, lower case."""
+        return sorted(fault for fault, how in self.faults.items() if how == category)
+
+
+def _remedy(categories: Collection[str]) -> str:
+    return f"write {' or '.join(categories)}"
+
+
+def _category(entry: str, key: str, value: object) -> str:
+    if not isinstance(value, str) or value not in CATEGORIES:
+        raise refused(entry, repr(value), "no stop category", _remedy(CATEGORIES))
+    no = REFUSED.get(key, {})
+    if value in no:
+        raise refused(entry, value, no[value], _remedy([one for one in CATEGORIES if one not in no]))
+    return value

@@ -1,0 +1,40 @@
+/* brake.h - the DC bus while motors brake: the brake resistor, and how much braking current the bus bears (ST slide "Brake
+ * resistor"). One per board, because both axes share the bus.
+ *
+ * The supply takes nothing back. In the order of rising voltage:
+ *   off .. on     hysteresis of the resistor's switch
+ *   start .. full the current that opposes the motion is folded back, at `full` to nothing
+ *   over-voltage  fault; not while a resistor is fitted and able, see most_able
+ */
+#ifndef SERVO_DRIVE_BRAKE_H
+#define SERVO_DRIVE_BRAKE_H
+
+#include "math/frac.h"
+
+typedef struct {
+    bool fitted; /* default of the writable switch */
+    frac16_t on, off; /* bus voltages */
+    gain_t heating; /* u^2 -> part of the energy budget that the resistor burns in a slow tick */
+    frac32_t cooling; /* part of the budget that leaves it in a slow tick */
+    frac16_t start, full; /* bus voltages between which braking current is folded back */
+    frac16_t
+        most_able; /* over-voltage while the resistor is able: what the converter can just tell from its full scale. Nobody
+                         * could see how far beyond that the bus is, and the capacitors' rating is not far away. */
+} brake_config_t;
+
+typedef struct {
+    bool on;
+    bool able; /* fitted, and not spent */
+    bool spent; /* the budget is used up: off until half of it has cooled away */
+    frac32_t heat; /* used part of the budget */
+    frac16_t u_dc; /* bus voltage of the last tick */
+    frac16_t bearable; /* part of the braking current that the bus bears now */
+} brake_t;
+
+/* Resistor off and cold. */
+void brake_init(brake_t *brake);
+
+/* One slow tick at the bus voltage `u_dc`, with a resistor if one is `fitted`; `brake->on` is what its switch shall do. */
+void brake_step(brake_t *brake, const brake_config_t *config, bool fitted, frac16_t u_dc);
+
+#endif

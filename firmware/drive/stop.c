@@ -1,0 +1,71 @@
+#include "drive/stop.h"
+
+#include "drive/axis.h"
+#include "drive/motion.h"
+
+void stop_begin(axis_t *axis, stop_category_t category)
+{
+    if (axis->requested) {
+        axis->requested = false;
+        axis->stop = (stop_t){.category = category};
+    } else if (category < axis->stop.category) {
+        axis->stop.category = category;
+    }
+}
+
+stop_category_t stop_for(const stop_config_t *config, fault_set_t faults)
+{
+    if ((faults & ~(config->shorted | config->ramp | config->hold)) != 0U) {
+        return STOP_CATEGORY_COAST;
+    }
+    if ((faults & config->shorted) != 0U) {
+        return STOP_CATEGORY_SHORT;
+    }
+    return ((faults & config->ramp) != 0U) ? STOP_CATEGORY_RAMP : STOP_CATEGORY_HOLD;
+}
+
+bool stop_in_hand(const axis_t *axis)
+{
+    return axis->sm.state == STATE_RUN && (axis->substate == SUBSTATE_SPIN || axis->shorted);
+}
+
+bool stop_may_short(const axis_t *axis) { return f32_abs(axis->feedback.speed) <= axis->config->stop.short_speed; }
+
+static bool out_of_time(axis_t *axis)
+{
+    stop_t *stop = &axis->stop;
+    stop->ticks = (stop->ticks < UINT16_MAX) ? (uint16_t)(stop->ticks + 1U) : UINT16_MAX;
+    return stop->ticks > axis->config->stop.ticks_most;
+}
+
+static bool held_long_enough(axis_t *axis)
+{
+    if (axis->motion.motion == MOTION_STOP) {
+        return false; /* not at rest yet */
+    }
+    axis->stop.held++;
+    return axis->stop.held > axis->config->stop.hold_ticks;
+}
+
+stop_category_t stop_step(axis_t *axis)
+{
+    const stop_category_t category = axis->stop.category;
+    if (category == STOP_CATEGORY_COAST || (category == STOP_CATEGORY_SHORT && !stop_may_short(axis))) {
+        return STOP_CATEGORY_COAST;
+    }
+    if (category == STOP_CATEGORY_SHORT) {
+        return STOP_CATEGORY_SHORT;
+    }
+    const bool at_end = motion_stopped(axis) || (category == STOP_CATEGORY_HOLD && held_long_enough(axis));
+    return (out_of_time(axis) || at_end) ? STOP_CATEGORY_COAST : category;
+}
+
+bool stop_short_over(axis_t *axis) { return out_of_time(axis) || axis->feedback.still; }
+
+bool stop_short_overloaded(const axis_t *axis)
+{
+    const int32_t d = axis->current_loop.current.d;
+    const int32_t q = axis->current_loop.current.q;
+    const int32_t most = axis->config->stop.short_current;
+    return (uint32_t)(d * d) + (uint32_t)(q * q) > (uint32_t)(most * most);
+}

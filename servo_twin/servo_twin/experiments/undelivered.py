@@ -1,0 +1,66 @@
+"""Torque that the controller asks for and the inverter keeps back, and how far that moves a shaft.
+
+Dead time and the drops of switches and diodes hold a phase at zero until the current controller has wound up against
+them. On the averaged plant they fade away with the current; where every edge of the gates counts they stay, and around
+zero they keep back as much current as friction needs: some 60 mA, where the axes turn with 40 mA. What a feature of the
+control does with its set-point of the current is one thing, what becomes of that current another; experiments that are
+about the former take the latter out, or allow for it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_twin.experiments.rig import COUNT, TICK, Recording
+from servo_twin.plant import AxisPlant
+
+__all__ = ["pushed", "whole_counts"]
+
+SPEED_LOOP: Final = 2.0 * math.pi * 75.0
+"""Bandwidth of the speed controller [rad/s], which answers such a torque."""
+
+INTEGRAL: Final = SPEED_LOOP / 5.0
+"""Corner frequency of its integral part [rad/s]."""
+
+POSITION_GAIN: Final = 60.0
+"""Of the position controller [1/s]."""
+
+
+def pushed(recording: Recording, axis: AxisPlant, *, position: bool, heavier: float = 1.0) -> NDArray[np.float64]:
+    """How far the shaft is from where it would be if the current flowed that was asked for [counts].
+
+    The answer of the linear loops, with the bandwidths that servo.toml gives them, to the torque of the difference of
+    both currents.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the axis, with the plant's own current in it.
+    axis : AxisPlant
+        Its motor.
+    position : bool
+        Under position control; else under speed control.
+    heavier : float
+        Inertia over the one that the loops are tuned for: they are so much slower.
+    """
+    bandwidth = SPEED_LOOP / heavier
+    gain = POSITION_GAIN if position else 0.0
+    speed = way = integral = 0.0
+    ways: list[float] = []
+    for torque in axis.torque_constant * (recording.i_q_true - recording.i_q_ref):
+        error = speed + gain * way
+        integral += TICK * error
+        speed += TICK * (float(torque) / axis.inertia - bandwidth * (error + INTEGRAL * integral))
+        way += TICK * speed
+        ways.append(way)
+    return np.asarray(ways) / COUNT
+
+
+def whole_counts(recording: Recording, axis: AxisPlant, after: float, heavier: float = 1.0) -> float:
+    """The most that it moves a shaft under position control from `after` on [s], as a position shows it [counts]."""
+    way = pushed(recording, axis, position=True, heavier=heavier)
+    return float(round(np.abs(way[recording.time > after]).max(initial=0.0)))

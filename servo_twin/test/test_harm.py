@@ -1,0 +1,371 @@
+"""What can be broken: the physics against closed forms on both plants, and the whole board on both levels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from native_library import Native, c_axis, plain
+from servo_msgs_py.catalogue import Catalogue
+from servo_twin.board import Board, Level
+from servo_twin.harm import (
+    BusNoise,
+    CurrentNoise,
+    EncoderGlitches,
+    Harm,
+    HotPowerStage,
+    LockedRotor,
+    OpenPhase,
+    ShortedPhase,
+    StuckConverter,
+    StuckLine,
+    SupplyDip,
+)
+from servo_twin.simulation import enable
+from switching_rig import Switching
+
+CATALOGUE = Catalogue.load()
+STEP = 31.25e-6
+CLOCK = 1e-8
+FLYWHEEL = 1.0
+"""Inertia that nothing here slows down [kg m^2]."""
+
+SPEED = 200.0
+OPEN_PHASE, SHORTED = 0, 1
+MINUS = -1
+
+
+class Averaged:
+    """Motor of axis 1 with its inverter, averaged, at a constant bus voltage."""
+
+    def __init__(self, native: Native, bus: float = 24.0, **axis: Any) -> None:
+        self.native, self.bus = native, bus
+        self.plant = plain(inertia=FLYWHEEL, **axis).axes[0]
+        config = c_axis(native, self.plant)
+        self.motor = native.ffi.new("plant_motor_t *")
+        self.inverter = native.ffi.new("plant_inverter_t *")
+        self.charge = native.ffi.new("double *")
+        native.lib.plant_motor_init(self.motor, config)
+        native.lib.plant_inverter_init(self.inverter, config, 16000.0, STEP)
+
+    def spin(self, omega: float) -> None:
+        self.motor.omega = omega
+
+    def drive(self, *duty: float) -> None:
+        self.inverter.on = True
+        self.native.lib.plant_inverter_load(self.inverter, duty, self.bus)
+
+    def open(self, phase: int) -> None:
+        self.native.lib.plant_inverter_open(self.inverter, self.motor, phase, True)
+
+    def short(self, phase: int, to: int) -> None:
+        self.native.lib.plant_inverter_short(self.inverter, phase, to)
+
+    def run(self, seconds: float) -> Any:
+        """Phase currents meanwhile, one row per step."""
+        rows = []
+        for _ in range(round(seconds / STEP)):
+            left = STEP
+            while left > 1e-15:
+                left -= self.native.lib.plant_inverter_step(self.inverter, self.motor, self.bus, left, self.charge)
+            rows.append(list(self.motor.phase))
+        return np.array(rows)
+
+
+class Switched:
+    """The same at switching level."""
+
+    def __init__(self, native: Native, bus: float = 24.0, **axis: Any) -> None:
+        plant = plain(inertia=FLYWHEEL, turn_off=0.0, **axis).with_bus(u_source=bus, r_source=1e-3, capacitance=1.0)
+        self.plant = plant.axes[0]
+        self.rig = Switching(native, plant)
+
+    def spin(self, omega: float) -> None:
+        self.rig.spin(0, omega)
+
+    def gates(self, *gates: int) -> None:
+        for phase, gate in enumerate(gates):
+            self.rig.edge(0, phase, gate)
+
+    def harm(self, kind: int, phase: int, value: float = 0.0) -> None:
+        harm = self.rig.ffi.new("board_harm_t *", (kind, 0, phase, value, 0.0))
+        self.rig.lib.switching_harm(self.rig.c, harm, False)
+
+    def open(self, phase: int) -> None:
+        self.harm(OPEN_PHASE, phase)
+
+    def short(self, phase: int, to: int) -> None:
+        self.harm(SHORTED, phase, to)
+
+    def run(self, seconds: float) -> Any:
+        rows = []
+        for _ in range(round(seconds / STEP)):
+            self.rig.advance(self.rig.clock + round(STEP / CLOCK))
+            rows.append(list(self.rig.truth(0).phase))
+        return np.array(rows)
+
+
+@pytest.fixture(params=["averaged", "switching"])
+def make(request: pytest.FixtureRequest) -> Any:
+    if request.param == "averaged":
+        native = request.getfixturevalue("plant_c")
+        return lambda **options: Averaged(native, **options)
+    native = request.getfixturevalue("switching_c")
+    return lambda **options: Switched(native, **options)
+
+
+# ---- physics --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("phase", [0, 1, 2])
+def test_an_open_phase_leaves_two_in_series(make: Any, phase: int) -> None:
+    """2 V across two windings that stand still: a rise with L/R towards u / (2 R)."""
+    it = make(bus=2.0, l_d=0.5e-3, l_q=0.5e-3)
+    it.open(phase)
+    one, other = (phase + 1) % 3, (phase + 2) % 3
+    if isinstance(it, Averaged):
+        duty = [0.5] * 3
+        duty[one], duty[other] = 1.0, 0.0
+        it.drive(*duty)
+        it.native.lib.plant_motor_lock(it.motor, True)
+    else:
+        gates = [1, 1, 1]
+        gates[other] = 2
+        it.gates(*gates)
+    i = it.run(2e-3)
+    t = (1 + np.arange(len(i))) * STEP
+    end = 2.0 / (2 * it.plant.r_s)
+    assert np.all(i[:, phase] == 0.0)
+    assert np.allclose(i[:, one], end * (1 - np.exp(-t * it.plant.r_s / 0.5e-3)), atol=0.002 * end)
+    assert np.allclose(i[:, one], -i[:, other], atol=1e-12)
+
+
+@pytest.mark.parametrize("phase", [0, 1, 2])
+def test_a_current_that_is_cut_off_goes_on_in_the_other_two(make: Any, phase: int) -> None:
+    it = make()
+    it.spin(SPEED)
+    it.short((phase + 1) % 3, (phase + 2) % 3)  # a current to begin with
+    it.run(1e-3)
+    it.open((phase + 1) % 3)
+    i = it.run(1e-3)
+    assert np.all(i[:, (phase + 1) % 3] == 0.0)
+    assert np.all(np.abs(i.sum(axis=1)) < 1e-9)
+
+
+@pytest.mark.parametrize("alone", [0, 1, 2])
+def test_two_phases_that_touch_brake_by_their_loop(make: Any, alone: int) -> None:
+    """sqrt(3) w psi across 2 R and 2 L, with all switches open."""
+    it = make(l_d=0.45e-3, l_q=0.45e-3)
+    it.spin(SPEED)
+    it.short((alone + 1) % 3, (alone + 2) % 3)
+    i = it.run(60e-3)[-1000:]
+    w = it.plant.pole_pairs * SPEED
+    peak = math.sqrt(3) * w * it.plant.psi_m / (2 * math.hypot(it.plant.r_s, w * 0.45e-3))
+    assert np.max(np.abs(i[:, (alone + 1) % 3])) == pytest.approx(peak, rel=0.01)
+    assert np.all(i[:, alone] == 0.0)
+
+
+def test_three_phases_on_bus_minus_are_the_winding_short(make: Any) -> None:
+    """All low sides on: K_e w / sqrt(R^2 + w^2 L^2)."""
+    it = make(l_d=0.45e-3, l_q=0.45e-3)
+    it.spin(SPEED)
+    if isinstance(it, Averaged):
+        it.drive(0.0, 0.0, 0.0)
+    else:
+        it.gates(2, 2, 2)
+    i = it.run(60e-3)[-1000:]
+    w = it.plant.pole_pairs * SPEED
+    assert np.max(i) == pytest.approx(w * it.plant.psi_m / math.hypot(it.plant.r_s, w * 0.45e-3), rel=0.01)
+
+
+def test_a_phase_on_bus_minus_conducts_through_the_lower_diodes(plant_c: Native, switching_c: Native) -> None:
+    """Of the other two: they only ever give current. Both plants agree."""
+    courses = []
+    for it in (Averaged(plant_c, v_drop=0.7), Switched(switching_c, v_drop=0.7)):
+        it.spin(SPEED)
+        it.short(0, MINUS)
+        courses.append(it.run(50e-3)[-1000:])
+    for i in courses:
+        assert np.max(i[:, 0]) < 1e-9
+        assert np.min(i[:, 1:]) > -1e-9
+    peaks = [np.min(i[:, 0]) for i in courses]
+    assert peaks[0] < -2.0
+    assert peaks[0] == pytest.approx(peaks[1], rel=0.01)
+
+
+def test_a_short_is_fed_by_an_upper_switch_alone(switching_c: Native) -> None:
+    it = Switched(switching_c)
+    it.short(0, MINUS)
+    for gates, tripped in [((2, 2, 2), False), ((2, 1, 2), False), ((1, 1, 1), True), ((0, 1, 1), False)]:
+        it.gates(*gates)
+        assert it.rig.truth(0).over_current == tripped
+    it.short(0, 1)
+    for gates, tripped in [((1, 1, 2), False), ((1, 2, 2), True), ((1, 0, 2), False), ((2, 1, 2), True)]:
+        it.gates(0, 0, 0)
+        it.gates(*gates)
+        assert it.rig.truth(0).over_current == tripped
+
+
+# ---- boards ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["ideal", "registers"])
+def board(request: pytest.FixtureRequest) -> Iterator[Board]:
+    level: Level = request.param
+    with Board(seed=11, level=level) as board:
+        yield board
+
+
+def faults(board: Board, axis: int) -> set[str]:
+    return {flag.name for flag in CATALOGUE.active("faults", board.read_raw(f"axis{axis}.faults")[0])}
+
+
+def turn(board: Board, speed: float) -> None:
+    enable(board)
+    board.write("cmd.mode", [1, 1])
+    board.write("cmd.speed", [speed, speed])
+    board.run(0.2)
+
+
+@pytest.mark.parametrize("harm", [ShortedPhase(0, "b"), ShortedPhase(0, "a", "c")])
+def test_a_short_opens_the_switches_without_software(board: Board, harm: Harm) -> None:
+    turn(board, 150.0)
+    board.inject(harm)
+    board.run(100e-6)
+    assert board.stats().breaks == 1
+    board.run(0.002)
+    assert faults(board, 1) == {"OVER_CURRENT"}
+    board.run(0.3)
+    assert abs(board.truth(0).omega_m) < 10.0, "the shorted windings have braked it"
+    assert faults(board, 2) == set()
+    assert board.truth(1).omega_m == pytest.approx(150.0, rel=0.05)
+    board.heal()
+    board.write("cmd.clear_faults", [1, 0])
+    board.run(0.05)
+    assert faults(board, 1) == set()
+
+
+def test_an_open_phase_carries_nothing(board: Board) -> None:
+    turn(board, 100.0)
+    board.inject(OpenPhase(0, "a"))
+    board.run(0.0005)
+    board.lock_shaft(0)
+    board.run(0.01)
+    truth = board.truth(0)
+    theta = 2 * truth.theta_m
+    assert truth.i_d * math.cos(theta) - truth.i_q * math.sin(theta) == pytest.approx(0.0, abs=1e-9)
+    board.heal(OpenPhase(0, "a"))
+
+
+def test_a_stuck_converter_has_an_offset(board: Board) -> None:
+    board.inject(StuckConverter(0, "c", 3000))
+    board.run(0.02)
+    board.write("cmd.enable", [1, 0])
+    board.run(0.2)
+    assert faults(board, 1) == {"CURRENT_OFFSET"}
+
+
+def counts_seen(board: Board) -> set[int]:
+    seen = set()
+    for _ in range(100):
+        board.run(0.0005)
+        seen.add(board.read_raw("axis1.position")[0])
+    return seen
+
+
+@pytest.mark.parametrize("high", [False, True])
+@pytest.mark.parametrize("line", ["A", "B"])
+def test_a_stuck_line_shows_one_count_back_and_forth(board: Board, line: Any, high: bool) -> None:
+    board.run(0.01)
+    board.inject(StuckLine(0, line, high))
+    board.run(0.001)
+    board.set_load(0, -0.01)  # drives the idle shaft
+    seen = counts_seen(board)
+    assert board.truth(0).omega_m > 5.0
+    assert len(seen) == 2
+    assert max(seen) - min(seen) == 1
+    board.heal()
+    assert max(counts_seen(board)) - max(seen) > 10
+
+
+@pytest.mark.parametrize("line", ["A", "B"])
+def test_glitches_leave_the_count_alone(board: Board, line: Any) -> None:
+    """An edge there and back."""
+    board.run(0.01)
+    before = board.read_raw("axis1.position")[0]
+    board.inject(EncoderGlitches(0, line, 2000.0))
+    seen = counts_seen(board)
+    assert all(abs(position - before) <= 1 for position in seen)
+    board.heal()
+    board.run(0.001)
+    assert board.read_raw("axis1.position")[0] == before
+
+
+def test_a_held_rotor_stays(board: Board) -> None:
+    turn(board, 100.0)
+    board.inject(LockedRotor(0))
+    board.run(0.01)
+    assert board.truth(0).omega_m == 0.0
+    assert board.truth(1).omega_m > 80.0
+
+
+def test_a_dip_of_the_supply_ends_by_itself(board: Board) -> None:
+    turn(board, 50.0)
+    board.inject(SupplyDip(20.0, 0.4))
+    board.run(0.39)
+    assert 20.0 < board.truth(0).u_dc < 23.0, "the motors live on the capacitor"
+    board.run(0.02)
+    assert board.truth(0).u_dc == pytest.approx(24.0, abs=0.2)
+    board.set_load(0, 0.04)
+    board.inject(SupplyDip())
+    while not faults(board, 1):
+        board.run(0.0005)
+    board.set_load(0, 0.0)
+    assert board.truth(0).u_dc < 16.5
+    assert faults(board, 1) == {"UNDER_VOLTAGE"}
+    board.heal()
+    board.run(0.05)
+    assert board.truth(0).u_dc == pytest.approx(24.0, abs=0.1)
+
+
+def test_noise_can_be_heard(board: Board) -> None:
+    turn(board, 50.0)
+    quiet = board.si(board.record(board.time_ns + 100_000_000))
+    board.inject(CurrentNoise(0, 0.2))
+    board.inject(BusNoise(0.5))
+    loud = board.si(board.record(board.time_ns + 100_000_000))
+    assert np.std(loud["axis1.i_d"]) > 5.0 * np.std(quiet["axis1.i_d"])
+    assert np.std(loud["u_dc"]) > 3.0 * np.std(quiet["u_dc"])
+    board.heal()
+    again = board.si(board.record(board.time_ns + 100_000_000))
+    assert np.std(again["axis1.i_d"]) < 3.0 * np.std(quiet["axis1.i_d"])
+
+
+def test_a_hot_power_stage(board: Board) -> None:
+    board.inject(HotPowerStage(1, 95.0))
+    board.run(0.01)
+    assert board.truth(1).t_sink == 95.0
+    assert board.truth(0).t_sink == pytest.approx(25.0, abs=0.1)
+    board.heal()
+    board.run(0.1)
+    assert 90.0 < board.truth(1).t_sink < 95.0
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (OpenPhase(2, "a"), "axes 0 .. 1"),
+        (OpenPhase(0, "d"), "none of a, b, c"),  # type: ignore[arg-type]
+        (ShortedPhase(0, "a", "a"), "touch itself"),
+        (StuckConverter(0, "a", 4096), "4095"),
+        (SupplyDip(-1.0), "from 0"),
+        (SupplyDip(10.0, 0.0), "is none"),
+        (CurrentNoise(0, math.inf), "finite"),
+    ],
+)
+def test_what_cannot_be_broken(harm: Harm, message: str) -> None:
+    with Board(level="ideal") as board, pytest.raises((ValueError, IndexError), match=message):
+        board.inject(harm)

@@ -1,0 +1,57 @@
+"""The peer in a virtual environment of its own, which the bench makes when it is wanted and `make clean` removes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+FOLDER: Final = Path(__file__).resolve().parents[3] / "out" / "bench" / "motulator"
+SCRIPT: Final = Path(__file__).with_name("motulator_drive.py")
+PATIENCE_S: Final = 600.0
+
+
+def _pythons() -> Iterator[str]:
+    """Interpreters to try: the peer's later versions want a later Python than this project."""
+    for name in ("python3.13", "python3.12", sys.executable):
+        path = shutil.which(name)
+        if path is not None and subprocess.run([path, "-c", ""], capture_output=True).returncode == 0:
+            yield path
+
+
+def _run(*command: str) -> str:
+    """Output of a command.
+
+    Raises
+    ------
+    OSError
+        If it fails or takes too long, with its last word.
+    """
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        raise OSError(f"{Path(command[0]).name} takes longer than {PATIENCE_S:g} s") from None
+    if result.returncode != 0:
+        raise OSError((result.stderr.strip().splitlines() or ["it failed"])[-1])
+    return result.stdout
+
+
+def motulator() -> dict[str, Any] | str:
+    """Real-time factors of one drive in motulator, averaged and switching, or why there are none."""
+    python = str(FOLDER / "bin" / "python")
+    try:
+        if not Path(python).exists():
+            _run(next(_pythons()), "-m", "venv", str(FOLDER))
+        try:
+            _run(python, "-c", "import motulator")
+        except OSError:
+            _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "motulator")
+        version = _run(python, "-c", "from importlib.metadata import version; print(version('motulator'))")
+        figures: dict[str, Any] = json.loads(_run(python, str(SCRIPT)))
+    except (OSError, ValueError) as error:
+        return f"not compared with motulator: {error}"
+    return {"version": version.strip(), **figures}
