@@ -186,7 +186,7 @@ static bool in(const axis_t *axis, substate_t substate)
 /* Another pair of converters each time: all three say something within three ticks, whatever nobody asks of them. */
 static void look_around(axis_t *axis)
 {
-    axis->sense.pair = (phase_pair_t)((axis->sense.pair + 1U) % SENSE_PHASES);
+    axis->sense.pair = (axis->sense.pair == PHASE_PAIR_CA) ? PHASE_PAIR_AB : (phase_pair_t)(axis->sense.pair + 1);
     hal_adc_select(axis->hal, axis->index, axis->sense.pair);
 }
 
@@ -229,7 +229,8 @@ static fault_set_t watch_encoder(axis_t *axis)
 /* Before the controllers of this tick move on: currents, set-points and angle belong to the last period. */
 static void watch_slowly(axis_t *axis)
 {
-    fault_set_t faults = phase_watch_converters(axis, hal_adc_offsets(axis->hal, axis->index));
+    axis->idle_codes = hal_adc_offsets(axis->hal, axis->index);
+    fault_set_t faults = phase_watch_converters(axis, axis->idle_codes);
     if (axis->sm.state != STATE_RUN) {
         look_around(axis);
     }
@@ -275,8 +276,7 @@ static void take_requests(axis_t *axis)
     }
     if (command->clear_faults && axis->sm.state == STATE_FAULT) {
         hal_break_clear(axis->hal, axis->index);
-        axis->faults = axis->record->pending & (axis->faults_enabled);
-        axis->faults |= present_faults(axis);
+        axis->faults = (axis->record->pending & FAULT_CURRENT_SENSE & axis->faults_enabled) | present_faults(axis);
         axis->first_fault = fault_code(axis->faults);
         if (axis->faults == 0U) {
             axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT_CLEAR);

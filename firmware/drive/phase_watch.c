@@ -7,6 +7,7 @@
 #define SUSPECT_TICKS 2
 #define WINDOW 64       /* samples of a code */
 #define NOISE_LEAST 4   /* codes between the extremes of a window: less may be quiet by chance */
+#define SAME_BY_CHANCE 16
 #define SAME_SUSPECT 6  /* equal codes of a phase that seems silent: 1 in 10000 with a noise of two codes */
 #define WRONG_LEAST 32U /* codes off the offset: 16 times the usual noise */
 #define WRONG_TICKS 4
@@ -24,6 +25,7 @@ void phase_watch_restart(phase_watch_t *watch)
         watch->sectors[x] = 0;
     }
     watch->nothing = 0;
+    watch->lost = false;
 }
 
 /* ---- converters --------------------------------------------------------------------------------------------------- */
@@ -49,7 +51,11 @@ static void note_spread(phase_watch_t *w, uint16_t x, uint16_t code)
 
 static bool others_noisy(const phase_watch_t *w, uint16_t x)
 {
-    return w->noisy[(x + 1U) % SENSE_PHASES] || w->noisy[(x + 2U) % SENSE_PHASES];
+    bool noisy = false;
+    for (uint16_t y = 0; y < SENSE_PHASES; y++) {
+        noisy = noisy || (y != x && w->noisy[y] && w->same[y] < SAME_BY_CHANCE);
+    }
+    return noisy;
 }
 
 static bool frozen(const phase_watch_t *w, uint16_t x, uint16_t least)
@@ -144,32 +150,25 @@ static uint16_t count_bits(uint16_t word)
     return bits;
 }
 
-/* Current is asked of a phase, the others have some, it has none. */
-static void note_silence(phase_watch_t *w, const phase_watch_config_t *config, uint16_t x, const phases_t *is,
-                         const phases_t *wanted)
+/* In which directions of the rotor is a phase silent? Once it is not, everything before was by chance. */
+static void note_direction(phase_watch_t *w, uint16_t x, int32_t size, int32_t largest, uint16_t bit)
 {
-    const int32_t others = larger(is->phase[(x + 1U) % SENSE_PHASES], is->phase[(x + 2U) % SENSE_PHASES]);
-    const int32_t some = 3 * (int32_t)config->silent;
-    if (is->phase[x] >= config->silent) {
-        w->silent[x] = 0;
-    } else if (wanted->phase[x] > some && others > some) {
-        w->silent[x]++;
+    if (3 * size >= largest) {
+        w->sectors[x] = 0;
+    } else if ((w->sectors[x] & bit) == 0U) {
+        w->sectors[x] = (uint16_t)(w->sectors[x] | bit);
+        w->lost = w->lost || count_bits(w->sectors[x]) >= DIRECTIONS;
     }
 }
 
-/* In which directions of the rotor is a phase silent? Once it is not, everything before was by chance. */
-static void note_direction(phase_watch_t *w, const phase_watch_config_t *config, uint16_t x, const phases_t *is,
-                           frac16_t theta_e)
+/* A phase with less current than `silent`, while the largest one is `largest`. */
+static void note_silence(phase_watch_t *w, const phase_watch_config_t *config, uint16_t x, int32_t size,
+                         int32_t largest, uint16_t bit)
 {
-    const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)theta_e >> 13));
-    const int32_t others = larger(is->phase[(x + 1U) % SENSE_PHASES], is->phase[(x + 2U) % SENSE_PHASES]);
-    const bool some = others > config->least;
-    if (2 * is->phase[x] >= config->silent || (some && 3 * is->phase[x] >= others)) {
+    if (2 * size >= config->silent) {
         w->sectors[x] = 0;
-    } else if (some) {
-        w->sectors[x] = (uint16_t)(w->sectors[x] | bit);
-    } else {
-        w->faint[x]++;
+    } else if (largest > config->least) {
+        note_direction(w, x, size, largest, bit);
     }
 }
 
@@ -182,11 +181,9 @@ static void forget(phase_watch_t *w)
     }
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
         w->silent[x] = (uint16_t)(w->silent[x] - ((w->silent[x] > 0U && w->age % FADE_TICKS == 0U) ? 1U : 0U));
-        if (w->faint[x] > FAINT_MOST) {
-            w->sectors[x] = 0;
-        }
-        w->faint[x] = 0;
+        w->sectors[x] = (w->faint > FAINT_MOST) ? 0U : w->sectors[x];
     }
+    w->faint = 0;
 }
 
 /* The current is where the controllers want it. */
@@ -209,27 +206,42 @@ static bool nothing_flows(const axis_t *axis)
            length_about(u.d, u.q - emf) > 2 * (int32_t)config->emf_floor + larger(emf, -emf) / 2 + 2 * drop;
 }
 
+/* Current is asked of a phase, the others have some, it has none. */
+static void compare(phase_watch_t *w, int32_t silent, const phases_t *is, const phases_t *wanted)
+{
+    for (uint16_t x = 0; x < SENSE_PHASES; x++) {
+        if (is->phase[x] < silent && wanted->phase[x] > 3 * silent) {
+            w->silent[x]++;
+            w->lost = w->lost || w->silent[x] >= SILENT_TICKS;
+        }
+    }
+}
+
 fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
 {
     phase_watch_t *w = &axis->phases;
     const phase_watch_config_t *config = &axis->config->phases;
     const sin_cos_t at = sin_cos(theta_e);
     const phases_t is = sizes(axis->current_loop.current, at);
-    const phases_t wanted = sizes(axis->current_ref, at);
-    fault_set_t faults = 0;
+    const int32_t largest = larger(larger(is.phase[0], is.phase[1]), is.phase[2]);
+    const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)theta_e >> 13));
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
-        note_silence(w, config, x, &is, &wanted);
-        note_direction(w, config, x, &is, theta_e);
-        if (w->silent[x] >= SILENT_TICKS || count_bits(w->sectors[x]) >= DIRECTIONS) {
-            faults |= phase_watch_or(w, FAULT_PHASE_LOST);
+        if (is.phase[x] >= config->silent) {
+            w->silent[x] = 0;
+            w->sectors[x] = 0;
+        } else {
+            note_silence(w, config, x, is.phase[x], largest, bit);
         }
     }
+    if (largest > 3 * (int32_t)config->silent) {
+        const phases_t wanted = sizes(axis->current_ref, at);
+        compare(w, config->silent, &is, &wanted);
+    }
+    w->faint = (uint16_t)(w->faint + ((largest > config->least) ? 0U : 1U));
     forget(w);
     w->nothing = nothing_flows(axis) ? (uint16_t)(w->nothing + 1U) : 0U;
-    if (w->nothing >= NOTHING_TICKS && axis->substate == SUBSTATE_SPIN) { /* the other states search */
-        faults |= phase_watch_or(w, FAULT_PHASE_LOST);
-    }
-    return faults;
+    const bool nothing = w->nothing >= NOTHING_TICKS && axis->substate == SUBSTATE_SPIN; /* the other states search */
+    return (w->lost || nothing) ? phase_watch_or(w, FAULT_PHASE_LOST) : 0U;
 }
 
 fault_set_t phase_watch_suspects(const phase_watch_t *watch)

@@ -20,7 +20,8 @@ typedef struct {
 typedef struct {
     uint16_t silent[SENSE_PHASES];  /* slow ticks without the current that is asked for */
     uint16_t sectors[SENSE_PHASES]; /* eighths of an electrical turn in which the phase was silent, a bit each */
-    uint16_t faint[SENSE_PHASES];   /* recent slow ticks with too little current for that */
+    uint16_t faint;                 /* recent slow ticks with too little current for that */
+    bool lost;                      /* one of them is */
     uint16_t age;                   /* slow ticks */
     uint16_t nothing;               /* slow ticks without current in any phase */
     uint16_t wrong[SENSE_PHASES];   /* samples without current that are off the offset */

@@ -8,7 +8,7 @@
 
 static void track_offsets(axis_t *axis)
 {
-    current_sense_track(&axis->sense, hal_adc_offsets(axis->hal, axis->index), axis->config->offset_duty_least);
+    current_sense_track(&axis->sense, axis->idle_codes, axis->config->offset_duty_least);
 }
 
 /* Currents in the rotor frame while nothing is controlled. */
@@ -182,6 +182,12 @@ static fault_set_t search_failure(const axis_t *axis)
     return (asked && f16_abs(axis->current_loop.current.d) < silent) ? FAULT_PHASE_LOST : FAULT_ROTOR_SEARCH;
 }
 
+/* A search that cannot go on ends, whether anybody wants to know its particular reason or not. */
+static void end_search(axis_t *axis, fault_set_t reason)
+{
+    axis_raise(axis, ((axis->faults_enabled & reason) != 0U) ? reason : FAULT_ROTOR_SEARCH);
+}
+
 static void align_slow(axis_t *axis)
 {
     track_offsets(axis);
@@ -193,11 +199,11 @@ static void align_slow(axis_t *axis)
     if (!axis->requested) {
         align_ready(axis);
     } else if (axis->search.phase == ROTOR_SEARCH_BLIND) {
-        axis_raise(axis, FAULT_ENCODER_LOST);
+        end_search(axis, FAULT_ENCODER_LOST);
     } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
         axis_raise(axis, FAULT_ENCODER_REVERSED);
     } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {
-        axis_raise(axis, failure);
+        end_search(axis, failure);
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
         align_spin(axis);
     } else if (driven && !rotor_search_drives(&axis->search)) {

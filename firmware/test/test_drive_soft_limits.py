@@ -62,6 +62,7 @@ def test_move_inside_does_not_know_of_the_limits(core: Core) -> None:
 @pytest.mark.parametrize("rad_per_s", [314.0, 60.0, -314.0, -60.0])
 def test_speed_falls_towards_the_limit(bench: Bench, rad_per_s: float) -> None:
     confine(bench, -40_000, 40_000)
+    bench.servo.parameter.faults_enabled = [0, 0]  # voltage without current is one
     bench.write(0, mode=SPEED, speed=speed(rad_per_s))
     positions, speeds = [], []
     for _ in range(2500):

@@ -303,11 +303,14 @@ def test_what_every_sub_state_samples(bench: Bench, substate: int, sampled: bool
         bench.axis(0).substate = READY
     else:
         bench.to_substate(0, substate)
+    offsets = list(bench.axis(0).sense.offset)
+    bench.hal.axis[0].offset_code = [2068] * 3
     bench.log()
     bench.core.lib.probe_run(bench.servo, 8)
     calls = bench.calls()
     assert ("adc_currents", 0, 0) in calls or not sampled
-    assert (("adc_offsets", 0, 0) in calls) is tracked
+    assert ("adc_offsets", 0, 0) in calls
+    assert (list(bench.axis(0).sense.offset) != offsets) is tracked
     assert sum(name == "adc_bus" for name, _, _ in calls) >= 16
 
 

@@ -127,7 +127,7 @@ def test_clock_serial_watchdog(board: FakeBoard) -> None:
 
 def test_pins(board: FakeBoard) -> None:
     per = {port: board[base + 3] for port, base in GPIO.items()}
-    assert per == {"A": 0x73, "B": 0xF3, "C": 0x019F, "D": 0x5A5A, "E": 0x01FF, "F": 0x4100, "G": 0x000F}
+    assert per == {"A": 0x73, "B": 0xF3, "C": 0x019F, "D": 0x5A5A, "E": 0x01FF, "F": 0x4100, "G": 0x003F}
     assert board[GPIO["F"] + 2] == 0x00C0  # scope pins are outputs
     selects = [board[address] for address in range(0xE417, 0xE422) if address not in (0xE418, 0xE41B, 0xE421)]
     assert selects == [0, 0x4010, 0x0001, 0xA000, 0x0001, 0, 0x1001, 0]

@@ -21,6 +21,11 @@ POSITION: Final = 0
 SPEED: Final = 1
 TORQUE: Final = 2
 
+COAST: Final = 0
+SHORT: Final = 1
+RAMP: Final = 2
+HOLD: Final = 3
+
 INT16: Final = (-(2**15), 2**15 - 1)
 INT32: Final = (-(2**31), 2**31 - 1)
 
@@ -421,6 +426,79 @@ def slipped(rig: Rig) -> None:
     rig.run(0.005)
 
 
+def braking(rig: Rig) -> None:
+    """Braking current folded back on a small capacitor, in every mode."""
+    _spin(rig)
+    rig.set("param.acceleration_limit", 50_000.0)
+    rig.set("param.features", _features("FOLLOWING_ERROR"))
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 300.0, -300.0)
+    rig.run(0.025)
+    rig.set("cmd.mode", POSITION, TORQUE)
+    rig.set("cmd.i_q", 0.0, 3.0)
+    rig.run(0.015)
+    rig.set("cmd.enable", 0)
+    rig.run(0.012)
+
+
+def resistor(rig: Rig) -> None:
+    """A supply that is too high, and a resistor until its budget is spent."""
+    _ready(rig)
+    rig.set_raw("param.brake", 2)  # is no switch
+    rig.run(0.002)
+    rig.set_raw("param.brake", 1)
+    rig.supply(35.4)
+    rig.until("the resistor's budget is spent", lambda: "OVER_VOLTAGE" in rig.faults(0))
+
+
+def shorted(rig: Rig) -> None:
+    """Shorted windings, wanted again meanwhile, until the shaft rests."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set_raw("param.on_disable", SHORT, 4)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 60.0)
+    rig.run(0.02)
+    rig.set("cmd.enable", 0)
+    rig.run(0.005)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("ALIGN after a short", lambda: rig.places()[0] == "ALIGN")
+
+
+def overloaded(rig: Rig) -> None:
+    """A quick stop by shorted windings that carry more than they may."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set_raw("param.on_quick_stop", SHORT, 65535)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", -100.0)
+    rig.run(0.03)
+    rig.set("cmd.quick_stop", 1)
+    rig.run(0.001)
+    rig.disturb(0, one_in=1)  # codes that make no sense
+    rig.run(0.002)
+    rig.calm()
+
+
+def held(rig: Rig) -> None:
+    """Too fast for a short; a position held without a drive; a quick stop that withdraws it."""
+    _spin(rig)
+    rig.set_raw("param.on_disable", SHORT, HOLD)
+    rig.set_raw("param.on_quick_stop", COAST, RAMP)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 170.0, 60.0)
+    rig.run(0.045)
+    rig.set("cmd.enable", 0)
+    rig.run(0.022)
+    rig.set("cmd.enable", 0, 1)
+    rig.set("cmd.speed", 30.0)
+    rig.run(0.008)
+    rig.set("cmd.quick_stop", 1)
+    rig.run(0.015)
+
+
 def server(rig: Rig) -> None:
     """Every FreeMASTER request, right and wrong, to a board at rest."""
     _ready(rig)
@@ -448,5 +526,10 @@ SCENARIOS: Final = (
     Scenario("sensorless", _plant(capacitance=0.05), sensorless),
     Scenario("sensorless-lost", _plant(i_noise=0.0).with_bus(u_noise=0.0), sensorless_lost),
     Scenario("slipped-encoder", _plant(capacitance=0.05), slipped),
+    Scenario("braking", _plant(capacitance=0.5e-3), braking),
+    Scenario("resistor", _plant(), resistor),
+    Scenario("shorted", _plant(), shorted),
+    Scenario("overloaded", _plant(), overloaded),
+    Scenario("held", _plant(), held),
     Scenario("server", _plant(), server),
 )

@@ -14,6 +14,7 @@ from servo_twin.experiments import (
     anti_windup,
     braking,
     bus_ripple,
+    fault_matrix,
     feed_forward,
     friction,
     low_speed,
@@ -68,5 +69,6 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         start_up,
         minimum_speed,
         stall,
+        fault_matrix,
     )
 }

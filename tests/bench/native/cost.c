@@ -154,6 +154,7 @@ int main(void)
         if (machine_image(0) == ALL_FEATURES) {
             servo.parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX;
         }
+        servo.parameter.faults_enabled[i] = 0; /* the currents of this board are nobody's */
         servo.parameter.speed_limit[i] = RAD_PER_S(500); /* more than the voltage allows */
         servo.parameter.over_speed[i] = RAD_PER_S(520);
     }
@@ -185,7 +186,7 @@ int main(void)
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         text_word("axis ", i, " ");
         text_word("", (uint16_t)servo.axis[i].substate, " ");
-        text_word("", (uint16_t)servo.axis[i].faults, " ");
+        text_long("", servo.axis[i].faults, " ");
         text_long("", (uint32_t)servo.axis[i].feedback.speed, " ");
         text_long("", (uint32_t)servo.axis[i].feedback.position, "\n");
     }

@@ -1,0 +1,239 @@
+"""What the axes watch beside their motion: temperature, converters, the loops themselves, the watchdog; and the record."""
+
+from __future__ import annotations
+
+import pytest
+from core_library import Core
+from servo_bench import (
+    ALL_FAULTS,
+    CURRENT_SENSE,
+    ENCODER_LOST,
+    FAULT,
+    INIT,
+    LATE_LOOP,
+    OVER_CURRENT,
+    OVER_TEMPERATURE,
+    PHASE_LOST,
+    RUN,
+    SPEED,
+    SPIN,
+    STOP,
+    WATCHDOG,
+    Bench,
+    speed,
+)
+
+HOT, COOL = 2321, 1911  # codes of 85 and 70 degrees with the packaged sensor
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    return Bench(core)
+
+
+def place(bench: Bench, axis: int = 0) -> tuple[int, int]:
+    return bench.view(axis).state, bench.view(axis).faults
+
+
+def code_of(fault: int) -> int:
+    return fault.bit_length()
+
+
+# ---- temperature
+def test_heat_stops_its_axis_and_no_other(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.hal.axis[0].temperature_code = HOT
+    bench.slow(18)
+    assert place(bench) == (FAULT, OVER_TEMPERATURE)
+    assert not bench.hal.axis[0].outputs_on
+    assert place(bench, 1)[1] == 0
+
+
+def test_heat_can_be_cleared_below_the_hysteresis_only(bench: Bench) -> None:
+    bench.to_stop()
+    bench.hal.axis[0].temperature_code = HOT
+    bench.slow(20)
+    bench.hal.axis[0].temperature_code = COOL
+    bench.clear(0)
+    assert place(bench) == (FAULT, OVER_TEMPERATURE)
+    assert bench.servo.record[0].pending == OVER_TEMPERATURE
+    bench.hal.axis[0].temperature_code = COOL - 1
+    bench.slow()
+    bench.clear(0)
+    assert place(bench) == (INIT, 0)
+
+
+def test_a_spike_of_the_temperature_is_no_heat(bench: Bench) -> None:
+    bench.to_stop()
+    for _ in range(10):
+        bench.hal.axis[0].temperature_code = 4095
+        bench.slow(15)
+        bench.hal.axis[0].temperature_code = COOL - 1
+        bench.slow()
+    assert place(bench) == (STOP, 0)
+
+
+# ---- converters
+def noise(bench: Bench, k: int, phases: str = "abc") -> None:
+    for axis in range(2):
+        for x in range(3):
+            if axis == 1 or "abc"[x] in phases:
+                bench.hal.axis[axis].offset_code[x] = 2048 + (7 * k + 3 * x) % 11 - 5
+
+
+@pytest.mark.parametrize("phase", ["a", "b", "c"])
+def test_a_converter_that_repeats_itself_among_noisy_ones(bench: Bench, phase: str) -> None:
+    bench.to_stop()
+    for k in range(400):
+        noise(bench, k, "abc".replace(phase, ""))
+        bench.slow()
+    assert place(bench) == (FAULT, CURRENT_SENSE)
+    assert place(bench, 1) == (STOP, 0)
+
+
+def test_noise_and_silence_are_no_broken_converters(bench: Bench) -> None:
+    bench.to_stop()
+    for k in range(400):
+        noise(bench, k)
+        bench.slow()
+    bench.hal.axis[0].offset_code = [2048] * 3  # a board without noise
+    bench.slow(400)
+    assert place(bench) == (STOP, 0)
+
+
+def test_current_where_there_is_none(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.hal.axis[0].offset_code = [2100, 2100, 2100]
+    bench.slow(8)
+    assert place(bench) == (FAULT, CURRENT_SENSE)
+
+
+def test_a_converter_is_named_instead_of_the_over_current_that_it_caused(bench: Bench) -> None:
+    bench.to_spin(0)
+    for k in range(300):
+        noise(bench, k, "bc")
+        bench.hal.axis[0].over_current = k == 60
+        bench.slow()
+    assert place(bench) == (FAULT, OVER_CURRENT | CURRENT_SENSE)
+    assert bench.view(0).first_fault == code_of(CURRENT_SENSE)
+
+
+# ---- phases and encoder: this board has no currents and no back-EMF
+def test_voltage_without_current_is_a_lost_phase_unless_nobody_wants_to_know(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~ENCODER_LOST
+    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.until(lambda: bench.view(0).state == FAULT, 400)
+    assert place(bench)[1] == PHASE_LOST
+
+
+def test_a_count_that_goes_back_and_forth_is_a_dead_line(bench: Bench) -> None:
+    bench.to_stop()
+    for k in range(80):
+        bench.turn(0, (1.0 if k % 2 else -1.0) * 0.0015707963 / 0.5e-3)
+        bench.slow()
+    assert place(bench) == (FAULT, ENCODER_LOST)
+
+
+def test_a_shaft_that_dithers_is_not(bench: Bench) -> None:
+    bench.to_stop()
+    for k in range(400):
+        step = {0: 2.0, 8: -2.0}.get(k % 16, 0.0)
+        bench.turn(0, step * 0.0015707963 / 0.5e-3)
+        bench.slow()
+    assert place(bench) == (STOP, 0)
+
+
+# ---- loops and watchdog
+def test_a_lost_loop_is_made_up_for_and_more_are_a_fault_of_both_axes(bench: Bench) -> None:
+    bench.to_spin(0)
+    lib, servo = bench.core.lib, bench.servo
+    lib.servo_m1_isr(servo)
+    bench.slow(80)
+    assert place(bench)[1] == 0
+    for _ in range(3):
+        lib.servo_m1_isr(servo)
+    bench.slow(2)
+    for axis in range(2):
+        assert place(bench, axis) == (FAULT, LATE_LOOP)
+
+
+def test_late_loops_are_forgotten(bench: Bench) -> None:
+    bench.to_spin(0)
+    for _ in range(20):
+        bench.hal.late_loops += 1
+        bench.slow(70)
+    assert place(bench)[1] == 0
+    bench.hal.late_loops += 3
+    bench.slow(2)
+    assert place(bench) == (FAULT, LATE_LOOP)
+
+
+def test_a_reset_by_the_watchdog_keeps_the_board_off(core: Core) -> None:
+    bench = Bench(core)
+    bench.hal.reset_by_watchdog = True
+    core.lib.servo_init(bench.servo, bench.hal)
+    bench.slow(50)
+    bench.write(0, enable=1)
+    bench.slow(50)
+    for axis in range(2):
+        assert place(bench, axis) == (FAULT, WATCHDOG)
+    bench.clear(0)
+    bench.slow(50)
+    assert place(bench) == (STOP, 0)
+    assert place(bench, 1) == (FAULT, WATCHDOG)
+
+
+# ---- what may stop an axis
+def test_hardware_faults_cannot_be_switched_off(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.servo.parameter.faults_enabled = [0, 0]
+    bench.slow()
+    bench.hal.axis[0].temperature_code = 4095
+    bench.slow(20)
+    assert place(bench) == (FAULT, OVER_TEMPERATURE)
+
+
+def test_a_fault_that_is_switched_off_stops_nothing(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~(CURRENT_SENSE | PHASE_LOST)
+    bench.slow()
+    bench.hal.axis[0].offset_code = [2100, 2100, 2100]
+    bench.slow(8)
+    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+
+
+# ---- the record
+def test_the_record_ends_with_the_fault_and_stands_until_it_is_cleared(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.slow(100)
+    for k in range(30):
+        bench.hal.bus_code = 2700 + k
+        bench.slow()
+    bench.hal.axis[0].over_current = True
+    tick = bench.servo.tick
+    bench.slow()
+    record = bench.servo.record[0]
+    assert (record.code, record.state, record.substate) == (code_of(OVER_CURRENT), RUN, SPIN)
+    assert 0 <= record.tick - tick <= 2
+    rings = [list(record.u_dc), list(record.i_q)]
+    order = [(record.next + k) % 64 for k in range(64)]
+    assert record.size == 64
+    assert [round(rings[0][k] / 8) for k in order][-31:-1] == [2700 + k for k in range(30)]
+    bench.hal.bus_code = 2800
+    bench.slow(10)
+    assert [list(record.u_dc), list(record.i_q)] == rings
+    bench.hal.axis[0].over_current = False
+    bench.clear(0)
+    bench.slow(70)
+    assert {round(x / 8) for x in record.u_dc} == {2800}
+
+
+def test_the_first_fault_stays_the_first(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.hal.axis[0].over_current = True
+    bench.slow()
+    bench.hal.axis[0].temperature_code = 4095
+    bench.slow(20)
+    assert place(bench)[1] == OVER_CURRENT | OVER_TEMPERATURE
+    assert bench.view(0).first_fault == code_of(OVER_CURRENT)

@@ -1,0 +1,363 @@
+"""Every damage in every state of an axis: how soon its outputs are off, what the fault is called, what the other axis did."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.board import Board
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import TICK, fresh_board
+from servo_twin.harm import (
+    CurrentNoise,
+    EncoderGlitches,
+    Harm,
+    HotPowerStage,
+    LockedRotor,
+    OpenPhase,
+    ShortedPhase,
+    StalledCore,
+    StuckConverter,
+    StuckLine,
+    SupplyDip,
+)
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+
+NAME: Final = "fault-matrix"
+HELP: Final = """\
+Beyond the reference design, which names its faults and shows none of them. Everything that can be broken in the plant is
+broken in every state of axis 1 while axis 2 turns: open and shorted phases, stuck current converters, dead encoder lines,
+a held rotor, a supply that is gone, heat, a core that stands still; noise and glitches that are no fault.
+Where nothing shows, because the state does not use what is broken, the axis is then asked to move, and the fault has to be
+named then. Judged: the name, PWM periods from the cause to outputs off, no motion by the drive afterwards, and that the
+other axis goes on unless the bus or the core is concerned."""
+
+BEYOND: Final = "beyond the reference design"
+OTHER_SPEED: Final = 100.0
+"""Of axis 2 [rad/s]."""
+
+OTHER_OFF: Final = 15.0
+"""Speed error that the bus and its noise may cause there [rad/s]."""
+
+WAIT: Final = 0.7  # for a fault, in the state itself [s]
+PROVOKED: Final = 3.0  # for a fault when the axis is asked to move [s]
+NAMED: Final = 0.15  # until the name of a first fault is final [s]
+GAIN: Final = 2.0  # speed that may still come after the outputs are off: what the winding holds [rad/s]
+SOON: Final = 1005
+"""PWM periods within which a fault that shows in a turning motor has to be off: a turn at 100 rad/s."""
+
+BREAK: Final = 20
+"""PWM periods for what the hardware switches off and the software names."""
+
+EVERYTHING: Final = ("OVER_VOLTAGE", "UNDER_VOLTAGE", "LATE_LOOP", "WATCHDOG")
+"""Faults that concern both axes."""
+
+NOTHING: Final = ""
+
+
+# ---- states
+def _place(board: Board, axis: int = 0) -> str:
+    catalogue = board.catalogue
+    state = catalogue.label("state_t", _whole(board, f"axis{axis + 1}.state"))
+    return catalogue.label("substate_t", _whole(board, f"axis{axis + 1}.substate")) if state == "RUN" else state
+
+
+def _whole(board: Board, name: str) -> int:
+    return board.read_raw(name)[0]
+
+
+def _until(board: Board, what: str, holds: Callable[[], bool], most: float = 5.0) -> None:
+    for _ in range(round(most / TICK)):
+        if holds():
+            return
+        board.run(TICK)
+    raise SimulationError(f"{what} was not reached; axis 1 is in {_place(board)}, faults {_names(board, 0)}")
+
+
+def _keep_awake(board: Board) -> None:
+    """A host that says nothing for half a second is a fault."""
+    board.write("cmd.quick_stop", [0, 0])
+
+
+def _wait(board: Board, seconds: float) -> None:
+    for _ in range(max(round(seconds / 0.1), 1)):
+        _keep_awake(board)
+        board.run(min(seconds, 0.1))
+
+
+def _both(board: Board) -> None:
+    """Axis 2 turns, axis 1 is in STOP."""
+    board.run(0.03)
+    board.write("cmd.enable", [0, 1])
+    _until(board, "SPIN of axis 2", lambda: _place(board, 1) == "SPIN")
+    board.write("cmd.mode", [1, 1])
+    board.write("cmd.speed", [0.0, OTHER_SPEED])
+    _wait(board, 0.2)
+
+
+def _stop(board: Board) -> None:
+    _both(board)
+
+
+def _calib(board: Board) -> None:
+    _both(board)
+    board.write("cmd.enable", [1, 1])
+    _until(board, "CALIB", lambda: _place(board) == "CALIB")
+    board.run(0.005)
+
+
+def _align(board: Board) -> None:
+    _both(board)
+    board.write("cmd.enable", [1, 1])
+    _until(board, "ALIGN", lambda: _place(board) == "ALIGN")
+    board.run(0.05)
+
+
+def _hold(board: Board) -> None:
+    _both(board)
+    board.write("cmd.enable", [1, 1])
+    _until(board, "SPIN", lambda: _place(board) == "SPIN")
+    _wait(board, 0.1)
+
+
+def _speed(speed: float) -> Callable[[Board], None]:
+    def prepare(board: Board) -> None:
+        _hold(board)
+        board.write("cmd.mode", [1, 1])
+        board.write("cmd.speed", [speed, OTHER_SPEED])
+        _wait(board, 0.3)
+
+    return prepare
+
+
+def _torque(board: Board) -> None:
+    _hold(board)
+    board.write("cmd.mode", [2, 1])
+    board.write("cmd.i_q", [0.15, 0.0])
+    _wait(board, 0.2)
+
+
+def _coast(board: Board) -> None:
+    """A load keeps the shaft turning until the stop is given up."""
+    _speed(200.0)(board)
+    board.write("param.i_q_limit", [0.1, 4.0])
+    board.set_load(0, -0.006)
+    board.write("cmd.enable", [0, 1])
+    _until(board, "FREEWHEEL", lambda: _place(board) == "FREEWHEEL")
+    board.set_load(0, 0.0)
+
+
+STATES: Final[Mapping[str, Callable[[Board], None]]] = {
+    "STOP": _stop,
+    "CALIB": _calib,
+    "ALIGN": _align,
+    "hold": _hold,
+    "20 rad/s": _speed(20.0),
+    "100 rad/s": _speed(100.0),
+    "-250 rad/s": _speed(-250.0),
+    "torque": _torque,
+    "FREEWHEEL": _coast,
+}
+"""What axis 1 is doing when it happens: main states, sub-states, and SPIN in its modes."""
+
+
+def _provoke(board: Board) -> None:
+    """Ask the axis to move."""
+    board.write("param.i_q_limit", [4.0, 4.0])
+    board.write("cmd.enable", [1, 1])
+    board.write("cmd.mode", [1, 1])
+    board.write("cmd.speed", [60.0, OTHER_SPEED])
+
+
+# ---- damage
+@dataclass(frozen=True)
+class Damage:
+    """One kind of damage.
+
+    Attributes
+    ----------
+    name : str
+    harm : Harm
+        For the plant.
+    faults : tuple of str
+        Names that are right; `NOTHING` for what is no fault.
+    most : int or None
+        Outputs off after so many PWM periods in a turning motor; None: it takes what it takes.
+    provoked : bool
+        It has to be found when the axis moves.
+    """
+
+    name: str
+    harm: Harm
+    faults: tuple[str, ...]
+    most: int | None = SOON
+    provoked: bool = True
+
+
+def damages(plant: PlantConfig) -> list[Damage]:
+    """What is broken, on axis 1."""
+    noise = 3.0 * plant.axes[0].i_noise
+    stuck = ((phase, code) for phase in "abc" for code in (0, 1500, 2050, 4095))
+    return [
+        *(Damage(f"open phase {p}", OpenPhase(0, p), ("PHASE_LOST",)) for p in ("a", "b", "c")),
+        Damage("phase a to minus", ShortedPhase(0, "a", "minus"), ("OVER_CURRENT",), BREAK),
+        Damage("phase b to c", ShortedPhase(0, "b", "c"), ("OVER_CURRENT",), None),
+        *(
+            Damage(f"converter {p} at {c}", StuckConverter(0, p, c), ("CURRENT_SENSE",), None)  # type: ignore[arg-type]
+            for p, c in stuck
+        ),
+        *(Damage(f"encoder line {line}", StuckLine(0, line), ("ENCODER_LOST",)) for line in ("A", "B")),
+        Damage("rotor held", LockedRotor(0), ("STALLED", "ROTOR_SEARCH"), None),
+        Damage("supply gone", SupplyDip(0.0), ("UNDER_VOLTAGE",), None),
+        Damage("heat", HotPowerStage(0, 110.0), ("OVER_TEMPERATURE",), None),
+        Damage("core stands still 1 ms", StalledCore(0.001), ("LATE_LOOP",), None, provoked=False),
+        Damage("core hangs", StalledCore(0.2), ("WATCHDOG",), None, provoked=False),
+        Damage("noise x 3", CurrentNoise(0, noise), (NOTHING,)),
+        Damage("encoder glitches", EncoderGlitches(0, "A", 300.0), (NOTHING,)),
+    ]
+
+
+# ---- one case
+@dataclass(frozen=True)
+class Case:
+    """What one damage did in one state.
+
+    Attributes
+    ----------
+    damage : Damage
+    state : str
+    name : str
+        First fault, once it is final; empty without one.
+    periods : int or None
+        PWM periods from the cause to the fault, None if the axis had to be asked to move, or there was none.
+    gained : float
+        Speed that the shaft gained after the outputs were off [rad/s].
+    other : bool
+        Axis 2 did what it should.
+    """
+
+    damage: Damage
+    state: str
+    name: str
+    periods: int | None
+    gained: float
+    other: bool
+
+    @property
+    def named(self) -> bool:
+        return self.name in self.damage.faults
+
+    @property
+    def agrees(self) -> bool:
+        return self.named and self.gained <= GAIN and self.other
+
+
+def _names(board: Board, axis: int) -> set[str]:
+    return {f.name for f in board.catalogue.active("faults", _whole(board, f"axis{axis + 1}.faults"))}
+
+
+def _first(board: Board) -> str:
+    code = _whole(board, "axis1.first_fault")
+    return next((f.name for f in board.catalogue.flags["faults"] if f.bit + 1 == code), NOTHING)
+
+
+def _fault_within(board: Board, seconds: float) -> bool:
+    for k in range(round(seconds / TICK)):
+        if k % 200 == 0:
+            _keep_awake(board)
+        board.run(TICK)
+        if _whole(board, "axis1.faults"):
+            return True
+    return False
+
+
+def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
+    """Break something in a state and see."""
+    with fresh_board(plant, seed) as board:
+        STATES[state](board)
+        cause = board.time_ns // PERIOD_NS
+        board.inject(damage.harm)
+        found = _fault_within(board, WAIT)
+        periods = None
+        if found:
+            tick = _whole(board, "axis1.fault.tick")
+            if isinstance(damage.harm, StalledCore):  # it has lost count
+                tick = board.time_ns // PERIOD_NS
+            periods = max(tick - cause, 0)
+        elif damage.provoked:
+            _provoke(board)
+            found = _fault_within(board, PROVOKED)
+        speed = abs(board.truth(0).omega_m)
+        most = speed
+        for k in range(round(NAMED / TICK)):
+            if k % 200 == 0:
+                _keep_awake(board)
+            board.run(TICK)
+            most = max(most, abs(board.truth(0).omega_m))
+        name = _first(board)
+        other = _names(board, 1)
+        error = abs(board.truth(1).omega_m - OTHER_SPEED)
+        fine = other == {name} if name in EVERYTHING else not other and error < OTHER_OFF
+        return Case(damage, state, name, periods, most - speed if found else 0.0, fine)
+
+
+# ---- all of them
+def cases(plant: PlantConfig, seed: int, names: Sequence[str] = (), states: Sequence[str] = ()) -> list[Case]:
+    """Every damage in every state, or those that are named."""
+    return [
+        case(plant, seed + k, damage, state)
+        for k, (damage, state) in enumerate(
+            (damage, state)
+            for damage in damages(plant)
+            if not names or damage.name in names
+            for state in (states or STATES)
+        )
+    ]
+
+
+TURNING: Final = ("100 rad/s", "-250 rad/s")
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """The matrix, one row per damage and figure."""
+    return judge(cases(plant, seed))
+
+
+def judge(found: Sequence[Case]) -> Outcome:
+    """Rows, notes with the matrix, and a picture of the times."""
+    rows: list[Row] = []
+    notes: list[str] = []
+    curves: list[Curve] = []
+    for damage in dict.fromkeys(c.damage for c in found):
+        mine = [c for c in found if c.damage == damage]
+        wanted = " or ".join(damage.faults) or "no fault"
+        rows.append(_share(f"{damage.name}: {wanted}", [c.named for c in mine]))
+        rows.append(_share(f"{damage.name}: no motion after", [c.gained <= GAIN for c in mine]))
+        rows.append(_share(f"{damage.name}: axis 2 as it should", [c.other for c in mine]))
+        turning = [c.periods for c in mine if c.state in TURNING and c.periods is not None]
+        if damage.most is not None and NOTHING not in damage.faults and turning:
+            bound = Bound(0.0, float(damage.most))
+            rows.append(Row(f"{damage.name}: outputs off, turning", BEYOND, float(max(turning)), "PWM periods", bound))
+        notes.append(f"{damage.name}: " + ", ".join(_text(c) for c in mine))
+        times = [(k, c.periods) for k, c in enumerate(mine) if c.periods is not None]
+        if times:
+            x, y = (np.array(numbers, dtype=np.float64) for numbers in zip(*times, strict=True))
+            curves.append(Curve(damage.name, x, np.log10(np.maximum(y, 1.0)), "o"))
+    title = "from cause to fault, by state: " + ", ".join(dict.fromkeys(c.state for c in found))
+    panel = Panel(title, "state", "log10 of PWM periods", tuple(curves))
+    return Outcome(NAME, tuple(rows), (panel,), tuple(notes))
+
+
+def _share(name: str, right: Sequence[bool]) -> Row:
+    return Row(name, BEYOND, sum(right) / len(right), "of all", Bound(1.0, 1.0))
+
+
+def _text(it: Case) -> str:
+    when = "" if it.periods is None else f" {it.periods}"
+    mark = "" if it.agrees else "!"
+    return f"{mark}{it.state} {it.name or '-'}{when}"
