@@ -210,6 +210,17 @@ def test_gains_that_another_winding_makes_unstable_are_found() -> None:
     )
 
 
+def test_a_sign_that_is_certain_too_soon_is_found() -> None:
+    """24 V for 1 us change the current of 0.15 mH by 0.16 A."""
+    it = axis(axis1__motor__l_d=0.15e-3)
+    found = [finding for finding in findings(it, assess(it)) if "sign_current" in finding]
+    assert len(found) == 1
+    assert "change by 0.16 A" in found[0]
+    assert "write some 0.21" in found[0]
+    cured = axis(axis1__motor__l_d=0.15e-3, axis1__sensing__sign_current=0.21)
+    assert not any("sign_current" in finding for finding in findings(cured, assess(cured)))
+
+
 def test_pole_that_turns_with_the_frame_has_no_partner() -> None:
     assert not pole_of(complex(0.9), T).pair
 

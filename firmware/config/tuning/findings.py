@@ -29,6 +29,9 @@ ARRIVAL_MOST: Final = 2.0
 ROUNDING_MOST: Final = 0.01
 """Part of a gain that may be lost by rounding it to an integer."""
 
+SIGN: Final = 1.33
+"""Current from which on its direction counts as certain, over what it changes by in a dead time."""
+
 TORQUE_MOST: Final = 0.8
 """Part of the start-up current's torque that the ramp and the friction should take."""
 
@@ -48,6 +51,7 @@ def findings(it: Tuned, figures: Assessment) -> list[str]:
         *_position(it, figures),
         *_reach(it, figures),
         *_rounding(it),
+        *_sign(it),
         *_sensorless(it, figures),
     ]
 
@@ -103,6 +107,17 @@ def _rounding(it: Tuned) -> Iterator[str]:
         if lost > ROUNDING_MOST:
             value = f"{it.axis.name}: {row.name} = {row.designed:g} {row.unit}".rstrip()
             yield f"{value}: rounded to an integer it is off by {100.0 * lost:.0f} %; choose it larger"
+
+
+def _sign(it: Tuned) -> Iterator[str]:
+    """While both switches are open the bus alone drives the current: below that its direction may change meanwhile."""
+    axis, board = it.axis, it.board
+    least = board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
+    if axis("sensing.sign_current") < least:
+        what = (
+            f"a dead time lets the current of this winding change by {least:.3g} A and turn its sign"
+        )
+        yield f"{_entry(it, 'sensing.sign_current')}: {what}; write some {SIGN * least:.2g}"
 
 
 def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:

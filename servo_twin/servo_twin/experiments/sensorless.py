@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed
+from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed, fresh_board
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -122,7 +122,7 @@ def fault_names(board: Board, word: int) -> str:
 @contextmanager
 def observing(plant: PlantConfig, seed: int) -> Iterator[Board]:
     """A fresh board whose axes do without their encoders, enabled in speed mode: a set-point starts them."""
-    with Board(plant, seed=seed) as board:
+    with fresh_board(plant, seed) as board:
         board.run(BOOT)
         observer = board.catalogue.enums["feedback_kind_t"]["OBSERVER"]
         board.write_raw("param.feedback", [observer] * AXES)

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.board import Board
+from servo_twin.board import Board, Level
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import RPM, TICK, command_speed
+from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, fresh_board, level
 from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, observing, substate
 from servo_twin.plant import PlantConfig
 
@@ -29,10 +29,14 @@ it. The reference design shows a start-up in which the angle converges within 15
 500 ms (slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the
 vector begins; the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and
 in it. Then 1000 starts with random rotor angle, direction and set-point, with inertia, friction and load torque
-spread about the nominal ones, on all cores: how many of them end in a shaft that turns at the set-point."""
+spread about the nominal ones, on all cores (20 of them at register level): how many of them end in a shaft that turns
+at the set-point."""
 
 STARTS: Final = 1000
 """Random starts, two per board."""
+
+STARTS_SLOWLY: Final = 20
+"""The same at register level, which takes twenty times as long."""
 
 CONVERGED: Final = 15.0
 """Error from which on the angle counts as converged [deg]; it costs 3.4 % of the torque."""
@@ -112,6 +116,16 @@ class Draw:
             f"inertia x {self.inertia:.2f}, friction x {self.friction:.2f}, load {100.0 * self.load:.0f} %, "
             f"set-point {100.0 * self.set_point:.0f} %"
         )
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One board, for a process of its own."""
+
+    plant: PlantConfig
+    seed: int
+    drawn: tuple[Draw, ...]
+    level: Level
 
 
 def draws(seed: int, boards: int) -> list[tuple[Draw, ...]]:
@@ -217,7 +231,7 @@ def _judged(board: Board, trace: Trace, start_: Start, speed: float, what: str) 
 def many(plant: PlantConfig, seed: int, count: int) -> list[Start]:
     """Random starts on all cores; the same seed gives the same ones, however many cores there are."""
     boards = (count + AXES - 1) // AXES
-    jobs = [(plant, seed + 1 + k, drawn) for k, drawn in enumerate(draws(seed, boards))]
+    jobs = [_Job(plant, seed + 1 + k, drawn, level()) for k, drawn in enumerate(draws(seed, boards))]
     workers = min(os.cpu_count() or 1, boards)
     results: list[Start] = []
     for done, starts in enumerate(_run_all(jobs, workers), 1):
@@ -227,7 +241,7 @@ def many(plant: PlantConfig, seed: int, count: int) -> list[Start]:
     return results[:count]
 
 
-def _run_all(jobs: Sequence[tuple[PlantConfig, int, tuple[Draw, ...]]], workers: int) -> Iterator[tuple[Start, ...]]:
+def _run_all(jobs: Sequence[_Job], workers: int) -> Iterator[tuple[Start, ...]]:
     if workers <= 1 or len(jobs) < SHOWN_EVERY:
         yield from map(_run_one, jobs)
         return
@@ -235,8 +249,9 @@ def _run_all(jobs: Sequence[tuple[PlantConfig, int, tuple[Draw, ...]]], workers:
         yield from pool.map(_run_one, jobs, chunksize=4)
 
 
-def _run_one(job: tuple[PlantConfig, int, tuple[Draw, ...]]) -> tuple[Start, ...]:
-    return start(*job)
+def _run_one(job: _Job) -> tuple[Start, ...]:
+    with at_level(job.level):
+        return start(job.plant, job.seed, job.drawn)
 
 
 def run(plant: PlantConfig, seed: int) -> Outcome:
@@ -252,7 +267,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         rows.append(Row(f"{name}, angle converges within", "150 ms on the waveforms", angle, "ms", within[0]))
         rows.append(Row(f"{name}, criterion met within", "500 ms on the waveforms", criterion, "ms", within[1]))
         panels.append(_panel(name, trace))
-    starts = many(plant, seed, STARTS)
+    starts = many(plant, seed, STARTS if level() == "ideal" else STARTS_SLOWLY)
     rows.extend(_rates(starts))
     notes.extend(_ends(starts))
     panels.append(_histogram(starts))
@@ -260,7 +275,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
 
 
 def _substates(plant: PlantConfig, seed: int) -> tuple[int, int]:
-    with Board(plant, seed=seed) as board:
+    with fresh_board(plant, seed) as board:
         return substate(board, "STARTUP"), substate(board, "SPIN")
 
 
