@@ -114,9 +114,7 @@ def _sign(it: Tuned) -> Iterator[str]:
     axis, board = it.axis, it.board
     least = board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
     if axis("sensing.sign_current") < least:
-        what = (
-            f"a dead time lets the current of this winding change by {least:.3g} A and turn its sign"
-        )
+        what = f"a dead time lets the current of this winding change by {least:.3g} A and turn its sign"
         yield f"{_entry(it, 'sensing.sign_current')}: {what}; write some {SIGN * least:.2g}"
 
 

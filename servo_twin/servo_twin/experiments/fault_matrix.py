@@ -31,12 +31,12 @@ from servo_twin.simulation import SimulationError
 
 NAME: Final = "fault-matrix"
 HELP: Final = """\
-Beyond the reference design, which names its faults and shows none of them. Everything that can be broken in the plant is
-broken in every state of axis 1 while axis 2 turns: open and shorted phases, stuck current converters, dead encoder lines,
-a held rotor, a supply that is gone, heat, a core that stands still; noise and glitches that are no fault.
-Where nothing shows, because the state does not use what is broken, the axis is then asked to move, and the fault has to be
-named then. Judged: the name, PWM periods from the cause to outputs off, no motion by the drive afterwards, and that the
-other axis goes on unless the bus or the core is concerned."""
+Beyond the reference design, which names its faults and shows none of them. Everything that can be broken in the plant
+is broken in every state of axis 1 while axis 2 turns: open and shorted phases, stuck current converters, dead encoder
+lines, a held rotor, a supply that is gone, heat, a core that stands still; noise and glitches that are no fault.
+Where nothing shows, because the state does not use what is broken, the axis is then asked to move, and the fault has
+to be named then. Judged: the name, PWM periods from the cause to outputs off, no motion by the drive afterwards, and
+that the other axis goes on unless the bus or the core is concerned."""
 
 BEYOND: Final = "beyond the reference design"
 OTHER_SPEED: Final = 100.0
