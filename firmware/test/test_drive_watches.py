@@ -1,4 +1,4 @@
-"""What the axes watch beside their motion: temperature, converters, the loops themselves, the watchdog; and the record."""
+"""What the axes watch beside their motion: temperature, converters, loops, the watchdog; and the record of a fault."""
 
 from __future__ import annotations
 

@@ -34,11 +34,7 @@ PARAMETERS: Mapping[str, Spec] = {
     "telemetry": Spec(
         [
             "u_dc",
-            *(
-                f"axis{k}.{name}"
-                for k in (1, 2)
-                for name in ("position_ref", "speed_ref", "i_q_ref", "limits", "monitor")
-            ),
+            *(f"axis{k}.{name}" for k in (1, 2) for name in ("position_ref", "speed_ref", "i_q_ref", "limits")),
         ],
         "variables read with every sample and published on snapshot, besides those that the bridge itself needs; "
         "every byte more costs sample rate",

@@ -1,4 +1,4 @@
-"""What led to the first fault of an axis: the record that the firmware keeps (``fault_record`` of the catalogue). Pure."""
+"""What led to the first fault of an axis: the record that the firmware keeps (``axisN.fault_record``). Pure."""
 
 from __future__ import annotations
 

@@ -1,0 +1,60 @@
+"""The record of a first fault, out of the bytes that the board keeps."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.fault_record import COLUMNS, FaultRecord
+
+CATALOGUE = Catalogue.load()
+
+
+def record(code: int = 18, tick: int = 8003, following: int = 3, size: int = 64) -> bytes:
+    """Samples that say where they lie in the ring."""
+    ring = list(range(64))
+    head = struct.pack("<II6H", 0, tick, code, 3, 3, following, size, 0)
+    return head + struct.pack("<320h", *(100 * r + k for r in range(5) for k in ring))
+
+
+def column(it: FaultRecord, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return it.table[:, COLUMNS.index(name)]
+
+
+def test_samples_come_oldest_first_and_scaled() -> None:
+    it = FaultRecord.of(0, record(), CATALOGUE)
+    assert it.fault is not None
+    assert (it.fault.name, it.place, it.tick) == ("PHASE_LOST", "RUN/SPIN", 8003)
+    order = np.roll(np.arange(64), -3)
+    np.testing.assert_allclose(column(it, "i_q"), (100 + order) * 8.25 / 2**15)
+    np.testing.assert_allclose(column(it, "u_dc"), (300 + order) * 36.3 / 2**15)
+    assert "PHASE_LOST in RUN/SPIN, 0.5002 s after reset" in it.summary()
+
+
+def test_the_last_sample_is_of_the_fault_and_the_others_of_slow_ticks() -> None:
+    time = column(FaultRecord.of(0, record(), CATALOGUE), "time")
+    assert time[-1] == 0.0
+    assert time[-2] == pytest.approx(-3 * 62.5e-6)
+    np.testing.assert_allclose(np.diff(time[:-1]), 0.5e-3)
+
+
+def test_a_record_that_is_not_full() -> None:
+    it = FaultRecord.of(0, record(following=5, size=5), CATALOGUE)
+    np.testing.assert_allclose(column(it, "speed") * 2**15 / 523.5987755982989, 400 + np.arange(5))
+
+
+def test_phase_currents_are_those_of_the_vector() -> None:
+    it = FaultRecord.of(0, record(), CATALOGUE)
+    d, q, theta = (column(it, name) for name in ("i_d", "i_q", "theta_e"))
+    np.testing.assert_allclose(column(it, "i_a"), d * np.cos(theta) - q * np.sin(theta))
+    third = 2.0 * math.pi / 3.0
+    np.testing.assert_allclose(column(it, "i_b"), d * np.cos(theta - third) - q * np.sin(theta - third), atol=1e-12)
+
+
+def test_no_fault_and_no_record() -> None:
+    assert FaultRecord.of(1, record(code=0, size=0), CATALOGUE).summary() == "no fault"
+    with pytest.raises(ValueError, match=r"axis2\.fault_record"):
+        FaultRecord.of(1, b"short", CATALOGUE)

@@ -1,0 +1,47 @@
+"""A few of the cases of the fault matrix; all of them are an experiment of some minutes."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.experiments import fault_matrix
+from servo_twin.experiments.fault_matrix import case, damages, judge
+from servo_twin.plant import PlantConfig
+
+PLANT = PlantConfig.load()
+DAMAGES = {damage.name: damage for damage in damages(PLANT)}
+
+
+@pytest.mark.parametrize(
+    ("name", "state"),
+    [
+        ("open phase b", "100 rad/s"),
+        ("open phase a", "STOP"),
+        ("phase a to minus", "-250 rad/s"),
+        ("converter c at 2050", "torque"),
+        ("encoder line A", "FREEWHEEL"),
+        ("rotor held", "ALIGN"),
+        ("supply gone", "torque"),
+        ("heat", "hold"),
+        ("core stands still 1 ms", "100 rad/s"),
+        ("core hangs", "20 rad/s"),
+        ("noise x 3", "-250 rad/s"),
+    ],
+)
+def test_named_in_time_without_motion(name: str, state: str) -> None:
+    found = case(PLANT, 7, DAMAGES[name], state)
+    assert found.agrees, found
+    assert judge([found]).agrees
+
+
+def test_a_fault_that_nobody_wants_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the check switched off, the shaft goes on with a phase less."""
+    genuine = fault_matrix.STATES["100 rad/s"]
+
+    def deaf(board: object) -> None:
+        genuine(board)  # type: ignore[arg-type]
+        board.write("param.faults_enabled", [0, 0])  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(fault_matrix, "STATES", {"100 rad/s": deaf})
+    found = case(PLANT, 7, DAMAGES["open phase b"], "100 rad/s")
+    assert not found.named
+    assert not judge([found]).agrees
