@@ -187,7 +187,7 @@ startup_result_t startup_slow(axis_t *axis)
     }
 }
 
-fault_set_t startup_fault(const axis_t *axis)
+fault_set_t startup_failure(const axis_t *axis)
 {
     const bool starved = axis->current_loop.current.d < axis->config->startup.first_current / 4;
     return starved ? FAULT_PHASE_LOST : FAULT_START_UP;

@@ -335,48 +335,97 @@ def soft_limits(rig: Rig) -> None:
     rig.run(0.002)
 
 
-def broken_phases(rig: Rig) -> None:
-    """Phases lost while they turn and while they hold a load, a converter that repeats itself, one that says too much."""
+_OBSERVER: Final = 1
+
+
+def _sensorless(rig: Rig, *speeds: float) -> None:
+    """Both axes without their encoders, enabled with speed set-points."""
+    rig.set_raw("param.feedback", _OBSERVER, _OBSERVER)
+    _ready(rig)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.enable", 1)
+    rig.until("READY on both axes", lambda: rig.places() == ["READY", "READY"])
+    rig.set("cmd.speed", *speeds)
+
+
+def sensorless(rig: Rig) -> None:
+    """Without encoders: start both ways, caught on the fly, every mode, below the minimum, off."""
+    _sensorless(rig, 80.0, -60.0)
+    rig.until("both spin", lambda: rig.places() == ["SPIN", "SPIN"])
+    rig.run(0.03)
+    rig.set("param.features", _features("OVER_SPEED"), _features())
+    rig.set("param.over_speed", 5.0)
+    rig.until("too fast", lambda: "OVER_SPEED" in rig.faults(0))
+    rig.set("param.features", _features())
+    rig.set("cmd.clear_faults", 1, 0)
+    rig.until("axis 1 cleared", lambda: rig.places()[0] == "STOP")
+    rig.set("cmd.enable", 1)
+    rig.set("cmd.speed", 80.0, 5.0)
+    rig.until("caught", lambda: rig.places()[0] == "SPIN")
+    rig.set("cmd.mode", TORQUE, POSITION)
+    rig.set("cmd.i_q", 0.2, 0.0)
+    rig.run(0.02)
+    rig.set("cmd.quick_stop", 1, 0)
+    rig.until("both wait", lambda: rig.places() == ["READY", "READY"])
+    rig.run(0.005)
+    rig.set("cmd.enable", 1)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 419.0, -419.0)
+    rig.until("both start", lambda: rig.places() == ["STARTUP", "STARTUP"])
+    rig.run(0.03)
+    rig.set("cmd.speed", 0.0, -60.0)
+    rig.run(0.005)
+    rig.until("axis 2 spins", lambda: rig.places()[1] == "SPIN")
+    rig.set("param.features", _features(), _features("OVER_SPEED"))
+    rig.until("too fast", lambda: "OVER_SPEED" in rig.faults(1))
+    rig.set("param.features", _features())
+    rig.set("cmd.clear_faults", 0, 1)
+    rig.until("axis 2 cleared", lambda: rig.places()[1] == "STOP")
+    rig.set("cmd.enable", 0, 1)
+    rig.set("cmd.speed", 0.0, -60.0)
+    rig.until("caught", lambda: rig.places()[1] == "STARTUP")
+    rig.run(0.006)
+    rig.lock(1)
+    rig.run(0.1)
+    rig.lock(1, locked=False)
+    _stop(rig)
+
+
+def sensorless_lost(rig: Rig) -> None:
+    """A shaft that is held at speed, and from the beginning."""
+    _sensorless(rig, -80.0, 0.0)
+    rig.until("axis 1 spins", lambda: rig.places()[0] == "SPIN")
+    rig.run(0.02)
+    rig.lock(0)
+    rig.until("stall seen", lambda: rig.faults(0) == ["SPEED_FEEDBACK"])
+    rig.set("cmd.clear_faults", 1, 0)
+    rig.until("axis 1 cleared", lambda: rig.places()[0] == "STOP")
+    rig.set("cmd.enable", 1, 0)
+    rig.until("axis 1 waits", lambda: rig.places()[0] == "READY")
+    rig.motor(0, False)  # what does not change makes a short recording
+    rig.set("cmd.speed", 100.0, 0.0)
+    for _ in range(10):
+        rig.run(0.15)
+        rig.set("cmd.mode", SPEED)
+    rig.motor(0, True)
+    rig.until("no start-up", lambda: rig.faults(0) == ["START_UP"])
+
+
+def slipped(rig: Rig) -> None:
+    """The observer beside the encoders: one dies while its shaft turns."""
     _spin(rig)
-    rig.set("param.monitor", 3.0, 16.0)
+    rig.set("param.features", _features("ANGLE_CHECK"))
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 80.0, -80.0)
     rig.run(0.06)
-    rig.inject(OpenPhase(0, "a"))
-    rig.until("phase lost", lambda: rig.faults(0) == ["PHASE_LOST"])
-    rig.set("param.monitor", 1.0, 0.0)
-    rig.inject(StuckConverter(1, "b", 2300))
-    rig.until("converter", lambda: "CURRENT_SENSE" in rig.faults(1))
-    rig.run(0.06)
-    rig.heal(OpenPhase(0, "a"))
-    rig.heal(StuckConverter(1, "b", 2300))
-    rig.lock(0)
-    rig.lock(1)
-    rig.set("cmd.clear_faults", 1)
-    rig.until("both axes cleared", lambda: rig.places() == ["STOP", "STOP"])
-
-
-def broken_encoders(rig: Rig) -> None:
-    """A line dead, both lines dead, and a core that stands still: once for a moment, once until the watchdog barks."""
-    _spin(rig)
-    rig.set("param.faults_enabled", _ALL_FAULTS)
-    rig.set("cmd.mode", SPEED, TORQUE)
-    rig.set("cmd.speed", 100.0, 0.0)
-    rig.set("cmd.i_q", 0.0, 0.3)
-    rig.run(0.05)
-    rig.inject(StuckLine(0, "A"))
-    rig.plug(1, False)
-    rig.until("lines missed", lambda: all("ENCODER_LOST" in rig.faults(k) for k in (0, 1)))
-    rig.inject(HotPowerStage(0, 120.0))
-    rig.until("heat", lambda: "OVER_TEMPERATURE" in rig.faults(0))
-    rig.set("cmd.clear_faults", 1)
-    rig.heal(HotPowerStage(0, 120.0))
+    rig.set("param.features", _features("ANGLE_CHECK"), _features())
+    rig.plug(0, False)
+    rig.run(0.0015)
+    rig.plug(0, True)
     rig.run(0.01)
-    rig.inject(StalledCore(0.001))
-    rig.until("late loops", lambda: "LATE_LOOP" in rig.faults(1))
-    rig.inject(StalledCore(0.2))
-    rig.run(0.06)
-    rig.until("watchdog", lambda: rig.faults(0) == ["WATCHDOG"])
+    rig.plug(0, False)
+    rig.until("encoder caught out", lambda: "ANGLE_MISMATCH" in rig.faults(0))
+    rig.run(0.005)
 
 
 def braking(rig: Rig) -> None:
@@ -468,6 +517,50 @@ def too_fast_for_a_short(rig: Rig) -> None:
     rig.run(0.002)
 
 
+def broken_phases(rig: Rig) -> None:
+    """Phases lost while they turn and while they hold a load, a converter that repeats itself, one that says too much."""
+    _spin(rig)
+    rig.set("param.monitor", 3.0, 16.0)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 80.0, -80.0)
+    rig.run(0.06)
+    rig.inject(OpenPhase(0, "a"))
+    rig.until("phase lost", lambda: rig.faults(0) == ["PHASE_LOST"])
+    rig.set("param.monitor", 1.0, 0.0)
+    rig.inject(StuckConverter(1, "b", 2300))
+    rig.until("converter", lambda: "CURRENT_SENSE" in rig.faults(1))
+    rig.run(0.06)
+    rig.heal(OpenPhase(0, "a"))
+    rig.heal(StuckConverter(1, "b", 2300))
+    rig.lock(0)
+    rig.lock(1)
+    rig.set("cmd.clear_faults", 1)
+    rig.until("both axes cleared", lambda: rig.places() == ["STOP", "STOP"])
+
+
+def broken_encoders(rig: Rig) -> None:
+    """A line dead, both lines dead, and a core that stands still: once for a moment, once until the watchdog barks."""
+    _spin(rig)
+    rig.set("param.faults_enabled", _ALL_FAULTS)
+    rig.set("cmd.mode", SPEED, TORQUE)
+    rig.set("cmd.speed", 100.0, 0.0)
+    rig.set("cmd.i_q", 0.0, 0.3)
+    rig.run(0.05)
+    rig.inject(StuckLine(0, "A"))
+    rig.plug(1, False)
+    rig.until("lines missed", lambda: all("ENCODER_LOST" in rig.faults(k) for k in (0, 1)))
+    rig.inject(HotPowerStage(0, 120.0))
+    rig.until("heat", lambda: "OVER_TEMPERATURE" in rig.faults(0))
+    rig.set("cmd.clear_faults", 1)
+    rig.heal(HotPowerStage(0, 120.0))
+    rig.run(0.01)
+    rig.inject(StalledCore(0.001))
+    rig.until("late loops", lambda: "LATE_LOOP" in rig.faults(1))
+    rig.inject(StalledCore(0.2))
+    rig.run(0.06)
+    rig.until("watchdog", lambda: rig.faults(0) == ["WATCHDOG"])
+
+
 def server(rig: Rig) -> None:
     """Every FreeMASTER request, right and wrong, to a board at rest."""
     _ready(rig)
@@ -492,13 +585,16 @@ SCENARIOS: Final = (
     Scenario("wrong-offset", _plant(i_offset=(0.0, 2.0, 0.0)), wrong_offset),
     Scenario("forward", _plant(), forward),
     Scenario("soft-limits", _plant(), soft_limits),
-    Scenario("broken-phases", _plant(), broken_phases),
-    Scenario("broken-encoders", _plant(), broken_encoders),
+    Scenario("sensorless", _plant(capacitance=0.05), sensorless),
+    Scenario("sensorless-lost", _plant(i_noise=0.0).with_bus(u_noise=0.0), sensorless_lost),
+    Scenario("slipped-encoder", _plant(capacitance=0.05), slipped),
     Scenario("braking", _plant(capacitance=0.5e-3), braking),
     Scenario("resistor", _plant(), resistor),
     Scenario("shorted", _plant(), shorted),
     Scenario("overloaded", _plant(), overloaded),
     Scenario("held", _plant(), held),
     Scenario("too-fast-for-a-short", _plant(), too_fast_for_a_short),
+    Scenario("broken-phases", _plant(), broken_phases),
+    Scenario("broken-encoders", _plant(), broken_encoders),
     Scenario("server", _plant(), server),
 )
