@@ -109,6 +109,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     brake_init(&servo->brake);
     servo->tick = 0;
     servo->slow_tick = false;
+    servo->watch_tick = false;
     servo->m2_awaited = false;
     servo->lateness = 0;
     servo->late_loops = hal_late_loops(hal);
@@ -291,7 +292,12 @@ void servo_m1_isr(servo_t *servo)
         come_late(servo, 1); /* M2 has been left out */
     }
     servo->m2_awaited = true;
-    servo->slow_tick = (servo->tick % SERVO_SLOW_PERIODS) == 0U;
+    const uint16_t period = (uint16_t)(servo->tick % SERVO_SLOW_PERIODS);
+    servo->slow_tick = period == 0U;
+    servo->watch_tick = period == SERVO_WATCH_PERIOD;
+    if (servo->watch_tick) {
+        axis_watch(&servo->axis[MOTOR_2]);
+    }
     if (servo->slow_tick) {
         latch_commands(servo);
         supervise_host(servo);
@@ -309,6 +315,10 @@ void servo_m2_isr(servo_t *servo)
         come_late(servo, 1); /* M1 has been left out */
     }
     servo->m2_awaited = false;
+    if (servo->watch_tick) {
+        axis_watch(&servo->axis[MOTOR_1]);
+        servo->watch_tick = false;
+    }
     if (servo->slow_tick) {
         axis_slow(&servo->axis[MOTOR_1]);
     }

@@ -16,6 +16,9 @@
 /* PWM periods per slow loop: 0.5 ms (DRM 2.3.2). */
 #define SERVO_SLOW_PERIODS AXIS_SLOW_PERIODS
 
+/* The period of a slow tick in which the axes are watched: one period does not hold the controllers as well. */
+#define SERVO_WATCH_PERIOD (SERVO_SLOW_PERIODS / 2)
+
 typedef struct servo {
     uint32_t catalogue_hash;
     snapshot_t snapshot;
@@ -30,6 +33,7 @@ typedef struct servo {
     brake_t brake;
     uint32_t tick; /* PWM periods since reset */
     bool slow_tick;
+    bool watch_tick;
     bool m2_awaited;     /* M1 has run, M2 has not */
     uint16_t lateness;   /* of the loops, forgotten with time */
     uint16_t late_loops; /* hal_late_loops() of the last slow tick */

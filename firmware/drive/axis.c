@@ -230,11 +230,10 @@ static fault_set_t watch_encoder(axis_t *axis)
     return faults;
 }
 
-/* Before the controllers of this tick move on: currents, set-points and angle belong to the last period. */
-static void watch_slowly(axis_t *axis)
+/* Currents, set-points and angle belong to the last period: the fast loop of this one comes afterwards. */
+void axis_watch(axis_t *axis)
 {
-    axis->idle_codes = hal_adc_offsets(axis->hal, axis->index);
-    fault_set_t faults = phase_watch_converters(axis, axis->idle_codes);
+    fault_set_t faults = phase_watch_converters(axis, hal_adc_offsets(axis->hal, axis->index));
     if (axis->sm.state != STATE_RUN) {
         look_around(axis);
     }
@@ -294,7 +293,6 @@ void axis_slow(axis_t *axis)
     if (!axis->source->slow(axis)) {
         axis_raise(axis, FAULT_ENCODER);
     }
-    watch_slowly(axis);
     take_requests(axis);
     choose_source(axis);
     if (axis->sensorless && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {

@@ -131,7 +131,6 @@ typedef struct axis {
     frac16_t u_dc_most; /* over-voltage, as long as the brake resistor is as it is */
     frac16_t bearable; /* part of the braking current that the bus bears */
     uint16_t bus_limits; /* LIMIT_ bits that the bus sets on every axis */
-    adc_pair_t idle_codes; /* without current, of this slow tick */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;
@@ -152,6 +151,9 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
 
 /* Every PWM period, after the conversions of this axis. */
 void axis_fast(axis_t *axis);
+
+/* Once per slow tick, but in another period than axis_slow: is everything as it should be? */
+void axis_watch(axis_t *axis);
 
 /* Every slow tick; `axis->command` and `axis->limits` hold what is valid for this tick. */
 void axis_slow(axis_t *axis);

@@ -8,7 +8,7 @@
 
 static void track_offsets(axis_t *axis)
 {
-    current_sense_track(&axis->sense, axis->idle_codes, axis->config->offset_duty_least);
+    current_sense_track(&axis->sense, hal_adc_offsets(axis->hal, axis->index), axis->config->offset_duty_least);
 }
 
 /* Currents in the rotor frame while nothing is controlled. */

@@ -55,8 +55,8 @@ typedef struct {
 
 /* How long the core is busy with each handler [bus clocks] (servo_twin/core.toml); register level only. */
 typedef struct {
-    uint32_t m1, m1_slow;  /* t1: without and with the slow loop */
-    uint32_t m2, m2_slow;  /* t3 */
+    uint32_t m1, m1_slow, m1_watch; /* t1: fast loop only, with the slow loop, with the watches */
+    uint32_t m2, m2_slow, m2_watch; /* t3 */
     uint32_t start;        /* of the sequence, once */
     uint32_t edge;         /* captured encoder edge */
     uint32_t fault;        /* over-current break */

@@ -142,6 +142,7 @@ static uint32_t interrupt(void *context, unsigned vector)
     board_t *board = (board_t *)context;
     const board_core_t *core = &board->core;
     const bool slow = board->servo.slow_tick;
+    const bool watch = board->servo.watch_tick;
     const uint32_t tick = board->servo.snapshot.tick;
     port_isr(&board->hal, (uint16_t)vector);
     follow_brake(board);
@@ -152,10 +153,10 @@ static uint32_t interrupt(void *context, unsigned vector)
     }
     switch (vector) {
     case 85: /* PWMA_CMP1 */
-        return board->servo.slow_tick ? core->m1_slow : core->m1;
+        return board->servo.slow_tick ? core->m1_slow : (board->servo.watch_tick ? core->m1_watch : core->m1);
     case VECTOR_ADC_CC0:
         board->chip.stop = board->recording && board->servo.snapshot.tick != tick;
-        return slow ? core->m2_slow : core->m2;
+        return slow ? core->m2_slow : (watch ? core->m2_watch : core->m2);
     case 87: /* PWMA_CMP0 */
         board->chip.stop = board->chip.stop || board->starting;
         board->starting = false;

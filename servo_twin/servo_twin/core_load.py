@@ -24,18 +24,20 @@ class CoreLoad:
 
     Attributes
     ----------
-    m1, m1_slow : int
-        M1 without and with the slow loop of motor 2.
-    m2, m2_slow : int
-        M2 without and with the slow loop of motor 1.
+    m1, m1_slow, m1_watch : int
+        M1 with nothing but its fast loop, with the slow loop of motor 2, with the watches of motor 2.
+    m2, m2_slow, m2_watch : int
+        The same of M2, with motor 1.
     start, edge, fault, receive : int
         Start of the sequence, captured encoder edge, over-current break, byte from the host.
     """
 
     m1: int
     m1_slow: int
+    m1_watch: int
     m2: int
     m2_slow: int
+    m2_watch: int
     start: int
     edge: int
     fault: int

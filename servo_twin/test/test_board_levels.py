@@ -17,6 +17,7 @@ LEVELS: tuple[Level, ...] = ("registers", "ideal")
 ENTER, LEAVE, LOAD, WRITE = 8, 9, 2, 10
 M1, M2, START = 85, 30, 87
 PERIOD = 6250
+HANDLERS = ("m1", "m2", "m1_slow", "m2_slow", "m1_watch", "m2_watch")  # in the order of the cost table
 ADC_GC1, SIM_RSTAT, PWMA_MCTRL, INTC_IPR9 = 0xE550, 0xE401, 0xE6C4, 0xE309
 
 
@@ -111,18 +112,29 @@ class TestTrace:
 
 class TestCore:
     def test_handlers_last_as_the_core_load_says(self) -> None:
-        core = CoreLoad(m1=700, m1_slow=2400, m2=600, m2_slow=1900, start=99, edge=150, fault=120, receive=110)
+        core = CoreLoad(
+            m1=700,
+            m1_slow=2400,
+            m1_watch=1500,
+            m2=600,
+            m2_slow=1900,
+            m2_watch=1300,
+            start=99,
+            edge=150,
+            fault=120,
+            receive=110,
+        )
         with Board(level="registers", core=core) as board:
             log = board.trace(10_000_000)
-        assert {end - begin for begin, end in handlers(log, M1)} == {700, 2400}
-        assert {end - begin for begin, end in handlers(log, M2)} == {600, 1900}
+        assert {end - begin for begin, end in handlers(log, M1)} == {700, 2400, 1500}
+        assert {end - begin for begin, end in handlers(log, M2)} == {600, 1900, 1300}
         assert {end - begin for begin, end in handlers(log, START)} == {99}
 
     def test_a_handler_that_is_too_long_is_late_by_a_period(self) -> None:
         """Its duties miss the reload half a period after the sample, and wait for the next one."""
         delay = {}
         for length in (700, 3200):
-            core = dataclasses.replace(CoreLoad.load(), m1=length, m1_slow=length)
+            core = dataclasses.replace(CoreLoad.load(), m1=length, m1_slow=length, m1_watch=length)
             with Board(level="registers", core=core) as board:
                 board.run(0.02)
                 board.write("cmd.enable", [1, 1])
@@ -144,7 +156,7 @@ class TestCore:
         core = CoreLoad.load()
         text = DEFAULT_FILE.read_text(encoding="utf-8").split("[instructions_most]")[0]
         table = dict(re.findall(r"^(\w+)\s*=\s*([\d.]+)", text, re.MULTILINE))
-        for name, mean in zip(("m1", "m2", "m1_slow", "m2_slow"), means[2:], strict=True):
+        for name, mean in zip(HANDLERS, means[2:], strict=True):
             drivers = 240 if name.endswith("slow") else 140
             assert mean + drivers <= float(table[name]) <= mean + drivers + 50
             cycles = float(table["entry_cycles"]) + float(table["cycles_per_instruction"]) * float(table[name])
@@ -154,11 +166,11 @@ class TestCore:
         """The most of any mode with every feature on, plus the drivers."""
         section = COST_TABLE.read_text(encoding="utf-8").split("## Instructions, -O2, every feature on\n")[1]
         rows = re.findall(r"^\| [a-z ]+ \|(.*\d \|)$", section.split("\n## ")[0], re.MULTILINE)
-        most = np.array([[float(cell.split()[2]) for cell in row.split("|")[2:6]] for row in rows]).max(axis=0)
+        most = np.array([[float(cell.split()[2]) for cell in row.split("|")[2:8]] for row in rows]).max(axis=0)
         usual, longest = CoreLoad.load(), CoreLoad.longest()
         text = DEFAULT_FILE.read_text(encoding="utf-8")
         table = dict(re.findall(r"^(\w+)\s*=\s*([\d.]+)", text.split("[instructions_most]")[1], re.MULTILINE))
-        for name, instructions in zip(("m1", "m2", "m1_slow", "m2_slow"), most, strict=True):
+        for name, instructions in zip(HANDLERS, most, strict=True):
             drivers = 240 if name.endswith("slow") else 140
             assert instructions + drivers <= float(table[name]) <= instructions + drivers + 50
             assert getattr(longest, name) > getattr(usual, name)

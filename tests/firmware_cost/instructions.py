@@ -45,8 +45,10 @@ class Kind(IntEnum):
     M2 = 1
     M1_SLOW = 2
     M2_SLOW = 3
-    FAST = 4
-    SLOW = 5
+    M1_WATCH = 4
+    M2_WATCH = 5
+    FAST = 6
+    SLOW = 7
 
 
 @dataclass(frozen=True)

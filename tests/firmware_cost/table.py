@@ -103,7 +103,8 @@ def _per_period(counts: Counts) -> tuple[float, int]:
     def both(phase: str) -> float:
         usual = counts[phase, Kind.M1].mean + counts[phase, Kind.M2].mean
         slow = counts[phase, Kind.M1_SLOW].mean + counts[phase, Kind.M2_SLOW].mean
-        return ((SLOW_PERIODS - 1) * usual + slow) / SLOW_PERIODS
+        watch = counts[phase, Kind.M1_WATCH].mean + counts[phase, Kind.M2_WATCH].mean
+        return ((SLOW_PERIODS - 2) * usual + slow + watch) / SLOW_PERIODS
 
     most = max(counts[phase, Kind.M1_SLOW].most + counts[phase, Kind.M2_SLOW].most for phase in PHASES)
     return max(both(phase) for phase in PHASES), most
@@ -113,8 +114,16 @@ def _instructions(title: str, counts: Counts) -> str:
     def cell(count: Count) -> str:
         return f"{count.least} {count.mean:.1f} {count.most}"
 
-    kinds = (Kind.FAST, Kind.SLOW, Kind.M1, Kind.M2, Kind.M1_SLOW, Kind.M2_SLOW)
-    head = ("least, mean, most", "fast loop", "slow loop", "M1", "M2", "M1 with slow loop", "M2 with slow loop")
+    kinds = (Kind.FAST, Kind.SLOW, Kind.M1, Kind.M2, Kind.M1_SLOW, Kind.M2_SLOW, Kind.M1_WATCH, Kind.M2_WATCH)
+    added = ("with slow loop", "with watches")
+    head = (
+        "least, mean, most",
+        "fast loop",
+        "slow loop",
+        "M1",
+        "M2",
+        *(f"{m} {what}" for what in added for m in ("M1", "M2")),
+    )
     rows = [(phase, *(cell(counts[phase, kind]) for kind in kinds)) for phase in PHASES if (phase, Kind.FAST) in counts]
     return f"## Instructions, {title}\n\n" + _rows(head, rows)
 

@@ -136,10 +136,11 @@ static void run_period(void)
     bench_board_step(&hal);
     const uint32_t m1 = measured(servo_m1_isr);
     const bool slow = servo.slow_tick;
+    const bool watch = servo.watch_tick;
     const uint32_t m2 = measured(servo_m2_isr);
     servo_background(&servo);
-    cost_add(slow ? COST_M1_SLOW : COST_M1, m1);
-    cost_add(slow ? COST_M2_SLOW : COST_M2, m2);
+    cost_add(slow ? COST_M1_SLOW : (watch ? COST_M1_WATCH : COST_M1), m1);
+    cost_add(slow ? COST_M2_SLOW : (watch ? COST_M2_WATCH : COST_M2), m2);
 }
 
 int main(void)

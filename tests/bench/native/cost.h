@@ -6,12 +6,14 @@
 
 /* What is counted. */
 typedef enum {
-    COST_M1,      /* interrupt M1 without a slow loop in it */
+    COST_M1,       /* interrupt M1 with nothing but the fast loop */
     COST_M2,
-    COST_M1_SLOW, /* with commands, supervision of the host and the slow loop of motor 2 */
-    COST_M2_SLOW, /* with the slow loop of motor 1 and the snapshot */
-    COST_FAST,    /* axis_fast */
-    COST_SLOW,    /* axis_slow */
+    COST_M1_SLOW,  /* with commands, supervision of the host and the slow loop of motor 2 */
+    COST_M2_SLOW,  /* with the slow loop of motor 1 and the snapshot */
+    COST_M1_WATCH, /* with what watches motor 2 */
+    COST_M2_WATCH, /* with what watches motor 1 */
+    COST_FAST,     /* axis_fast */
+    COST_SLOW,     /* axis_slow */
     COST_KINDS,
 } cost_kind_t;
 
