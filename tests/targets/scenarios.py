@@ -341,7 +341,7 @@ def soft_limits(rig: Rig) -> None:
 def broken_phases(rig: Rig) -> None:
     """Phases lost while they turn and while they hold a load, a converter that repeats itself, one that says too much."""
     _spin(rig)
-    rig.set("param.monitor", 3.0, 16.0)
+    rig.set("param.monitor", 8.0, 13.0)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 80.0, -80.0)
     rig.run(0.06)
