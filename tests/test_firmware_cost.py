@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from bench.firmware import TABLE, difference
-from firmware_cost.instructions import COUNTING, PHASES, Kind, cost_program, count, image, parse
+from firmware_cost.instructions import COUNTING, OBSERVED_PHASE, PHASES, Kind, cost_program, count, image, parse
 from firmware_cost.measurement import REFERENCE, Measurement, measure, plain
 from firmware_cost.programs import TARGET, Programs
 from firmware_cost.sizes import SERVER, VARIABLES, Size, sizes
 from firmware_cost.stages import PERIODS, PHASE
-from firmware_cost.table import FAST_AIM, compiler_of, dearest, table
+from firmware_cost.table import FAST_AIM, SENSORLESS_AIM, compiler_of, dearest, table
 from targets.machines import QemuProgram, missing_text
 from targets.sources import Sources
 from targets.toolchain import TargetError, run
@@ -57,6 +57,13 @@ def test_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
     """Reconstruction, decoupling, ripple compensation, dead time, SVM, encoder, state machine: everything included."""
     if compiler_of(TABLE.read_text(encoding="utf-8")) == measurement.compiler:
         assert dearest(measurement.counts[REFERENCE], Kind.FAST) <= FAST_AIM
+
+
+def test_sensorless_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
+    """The same with observer and PLL instead of the encoder."""
+    most = measurement.sensorless[OBSERVED_PHASE, Kind.FAST].most
+    assert most <= SENSORLESS_AIM
+    assert most > dearest(measurement.counts[REFERENCE], Kind.FAST) + 50, "the observer runs"
 
 
 def test_numbers_are_those_of_the_measurement(measurement: Measurement) -> None:

@@ -170,8 +170,12 @@ static bool suspicious(const axis_t *axis)
 
 static void watch(axis_t *axis)
 {
-    capture(axis, present_faults(axis));
-    if (axis->sm.state != STATE_FAULT && axis->faults != 0U) {
+    if (axis->sm.state == STATE_FAULT) {
+        capture(axis, present_faults(axis) & axis->faults_enabled);
+        return;
+    }
+    axis_raise(axis, present_faults(axis));
+    if ((axis->faults & ~axis->stop_faults) != 0U) { /* others wait until the axis has been brought to rest */
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT);
     }
 }

@@ -128,10 +128,10 @@ typedef struct axis {
     frac32_t u_dc_now;    /* bus voltage of this period */
     frac32_t u_dc_filter;
     frac16_t u_dc; /* filtered bus voltage */
-    adc_pair_t idle_codes; /* without current, of this slow tick */
     frac16_t u_dc_most; /* over-voltage, as long as the brake resistor is as it is */
     frac16_t bearable; /* part of the braking current that the bus bears */
     uint16_t bus_limits; /* LIMIT_ bits that the bus sets on every axis */
+    adc_pair_t idle_codes; /* without current, of this slow tick */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;

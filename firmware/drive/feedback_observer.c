@@ -48,13 +48,7 @@ static bool observer_source_slow(axis_t *axis)
 
 static void observer_source_resync(axis_t *axis) { (void)axis; }
 
-static void observer_source_align(axis_t *axis, frac16_t theta_e)
-{
-    (void)axis;
-    (void)theta_e;
-}
-
 const feedback_source_t observer_feedback = {
     observer_source_reset, observer_source_fast,   observer_source_slow,
-    observer_source_edge,  observer_source_resync, observer_source_align,
+    observer_source_edge,  observer_source_resync, 0, /* no rotor is searched */
 };

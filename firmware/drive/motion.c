@@ -459,8 +459,6 @@ void motion_listen(axis_t *axis)
         m->speed_target = 0;
     } else if (command->fresh_speed) {
         m->speed_target = command->speed;
-    } else if (command->fresh_mode) {
-        m->speed_target = 0;
     }
     const bool unable = command->mode != CONTROL_MODE_SPEED || m->speed_target != 0;
     if (axis->requested && unable && motion_wanted_speed(axis) == 0) {

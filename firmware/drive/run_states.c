@@ -296,7 +296,7 @@ static void startup_slow_state(axis_t *axis)
         startup_spin(axis);
         break;
     case STARTUP_FAILED:
-        axis_raise(axis, startup_fault(axis));
+        axis_raise(axis, startup_failure(axis));
         break;
     default:
         break;

@@ -187,10 +187,11 @@ startup_result_t startup_slow(axis_t *axis)
     }
 }
 
-fault_set_t startup_fault(const axis_t *axis)
+fault_set_t startup_failure(const axis_t *axis)
 {
     const bool starved = axis->current_loop.current.d < axis->config->startup.first_current / 4;
-    return starved ? FAULT_PHASE_LOST : FAULT_START_UP;
+    const bool told = starved && (axis->faults_enabled & FAULT_PHASE_LOST) != 0U;
+    return told ? FAULT_PHASE_LOST : FAULT_START_UP; /* the latter cannot be switched off */
 }
 
 /* ---- the hand-over -------------------------------------------------------------------------------------------------- */

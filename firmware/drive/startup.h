@@ -65,7 +65,7 @@ void startup_fast(struct axis *axis);
 startup_result_t startup_slow(struct axis *axis);
 
 /* A start-up that has failed: because no current flows, or for another reason. */
-fault_set_t startup_fault(const struct axis *axis);
+fault_set_t startup_failure(const struct axis *axis);
 
 /* The rotor is taken over from the vector: currents and voltages stay what they are. */
 void startup_hand_over(struct axis *axis);

@@ -18,17 +18,15 @@ static void take(speed_reliability_t *r, frac16_t speed)
 bool speed_reliability_add(speed_reliability_t *reliability, const speed_reliability_config_t *config, frac32_t speed)
 {
     reliability->ticks++;
-    if (reliability->ticks < config->period) {
-        return false;
+    const bool due = reliability->ticks >= config->period;
+    if (due) {
+        reliability->ticks = 0;
+        take(reliability, f16_from_f32(speed));
+        const bool holds = speed_reliability_holds(reliability, config);
+        const uint16_t more = (uint16_t)(reliability->failures + ((reliability->failures < UINT16_MAX) ? 1U : 0U));
+        reliability->failures = holds ? 0U : more;
     }
-    reliability->ticks = 0;
-    take(reliability, f16_from_f32(speed));
-    if (speed_reliability_holds(reliability, config)) {
-        reliability->failures = 0;
-    } else if (reliability->failures < UINT16_MAX) {
-        reliability->failures++;
-    }
-    return true;
+    return due;
 }
 
 bool speed_reliability_holds(const speed_reliability_t *reliability, const speed_reliability_config_t *config)

@@ -85,6 +85,7 @@ class Bench:
         self._search_drives = [False, False]
         self._shown = [0, 0]  # counter value that the firmware was given
         self.ticks = 0
+        self.kept: list[Any] = []  # what the firmware has been given pointers to
         core.lib.fake_hal_init(self.hal)
         core.lib.servo_init(self.servo, self.hal)
         for axis in range(2):

@@ -88,7 +88,7 @@ class AxisStatus:
     label : str
         State in one word, for messages.
     spinning : bool
-        RUN/SPIN: the axis obeys set-points.
+        The axis obeys set-points: RUN/SPIN; without an encoder it starts on one in RUN/READY.
     faulted : bool
         FAULT.
     position_offset : int

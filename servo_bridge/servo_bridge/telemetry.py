@@ -7,12 +7,18 @@ from dataclasses import dataclass
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
 from servo_msgs_py.convert import columns, state_label
-from servo_msgs_py.units import unwrap_u32
+from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 
 from servo_bridge.arbiter import AxisStatus
 from servo_bridge.wire.scope import Sample
 
 __all__ = ["Frame", "Telemetry", "required_variables", "telemetry_variables"]
+
+_OBEYS = ("RUN/SPIN", "RUN/STARTUP")
+"""States in which an axis takes set-points."""
+
+_PASSING = 2 * SLOW_PERIODS
+"""An axis that stays in RUN/READY for more than so many PWM periods waits there."""
 
 _COMMON = ("tick", "applied_tick", "applied_count")
 _PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults")
@@ -115,12 +121,14 @@ class Telemetry:
         self._catalogue = catalogue
         self._lsb = catalogue[f"{axis_name(0)}.position"].lsb
         self._counts: list[int | None] = [None] * AXES
+        self._ready_since: list[int | None] = [None] * AXES
         self._epoch = 0
 
     def frame(self, sample: Sample) -> Frame:
         """Make a frame of a sample."""
         if sample.epoch != self._epoch:
             self._counts = [None] * AXES
+            self._ready_since = [None] * AXES
         self._epoch = sample.epoch
         raw = sample.raw
         row = [number * scale for number, scale in zip(raw, self._scales, strict=True)]
@@ -134,7 +142,8 @@ class Telemetry:
             if at.position_ref is not None:
                 row[at.position_ref] = unwrap_u32(raw[at.position_ref] & 0xFFFF_FFFF, counts) * self._lsb
             label = state_label(self._catalogue, raw[at.state], raw[at.substate])
-            axes.append(AxisStatus(label, label == "RUN/SPIN", label == "FAULT", counts - raw[at.position]))
+            obeys = label in _OBEYS or self._waits(axis, label, sample.tick)
+            axes.append(AxisStatus(label, obeys, label == "FAULT", counts - raw[at.position]))
         return Frame(
             sample.tick,
             sample.epoch,
@@ -145,3 +154,17 @@ class Telemetry:
             tuple(axes),
             tuple(raw[at.faults] for at in self._axes),
         )
+
+    def _waits(self, axis: int, label: str, tick: int) -> bool:
+        """Whether an axis without an encoder waits for the speed set-point that starts it.
+
+        It does so in RUN/READY, through which an axis with an encoder passes within one slow tick.
+        """
+        since = self._ready_since[axis]
+        if label != "RUN/READY":
+            self._ready_since[axis] = None
+            return False
+        if since is None:
+            self._ready_since[axis] = tick
+            return False
+        return tick - since > _PASSING

@@ -62,6 +62,21 @@ def test_states_and_faults() -> None:
     assert (frame.faults, frame.applied_tick, frame.applied_count) == ((0, 6), 7, 9)
 
 
+def test_an_axis_without_an_encoder_waits_in_ready_for_its_set_point() -> None:
+    telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
+
+    def obeys(tick: int, substate: int, epoch: int = 0) -> bool:
+        frame = telemetry.frame(sample(tick=tick, epoch=epoch, axis1_state=3, axis1_substate=substate))
+        return frame.axes[0].spinning
+
+    assert [obeys(8, 1), obeys(16, 2)] == [False, False], "passing through READY on the way to ALIGN"
+    assert [obeys(tick, 1) for tick in (24, 32, 40, 48, 56)] == [False, False, False, True, True]
+    assert obeys(64, 5), "STARTUP"
+    assert not obeys(72, 4), "FREEWHEEL"
+    assert [obeys(80, 1), obeys(160, 1)] == [False, True]
+    assert not obeys(8, 1, epoch=1), "another board"
+
+
 def test_values_are_si_in_the_order_of_the_columns() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
     frame = telemetry.frame(sample(axis2_i_q=CATALOGUE["axis2.i_q"].to_raw(1.5)))

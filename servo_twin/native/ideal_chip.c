@@ -70,7 +70,7 @@ static void watch_dog(hal_t *chip)
         return;
     }
     for (int i = 0; i < HAL_AXES; i++) {
-        chip->axis[i] = (chip_axis_t){.broken = chip->axis[i].broken};
+        chip->axis[i] = (chip_axis_t){.broken = chip->axis[i].broken, .written = true};
         plant_encoder_restart(&chip->plant.axis[i].encoder);
         follow_enable(chip, i);
     }

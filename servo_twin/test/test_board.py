@@ -282,9 +282,17 @@ class TestPlant:
             truth = board.truth(0)
             assert (truth.i_d, truth.i_q, truth.torque_e) == (0.0, 0.0, 0.0)
         assert abs(board.truth(1).theta_m - start) > 0.5
+        named = board.catalogue.active("faults", board.read_raw("axis1.faults")[0])
+        assert [fault.name for fault in named] == ["PHASE_LOST"]
         board.connect_motor(0)
-        board.run(0.01)
-        assert board.truth(0).torque_e != 0.0
+        board.write("cmd.clear_faults", [1, 0])
+        board.run(0.05)
+        board.write("cmd.enable", [1, 1])
+        torques = []
+        for _ in range(50):
+            board.run(0.01)
+            torques.append(board.truth(0).torque_e)
+        assert any(torques)
 
     def test_another_plant(self) -> None:
         with Board(PlantConfig.load().with_axis(0, theta_start=1.0).with_bus(u_source=20.0)) as board:

@@ -65,7 +65,7 @@ def test_an_encoder_that_slips_ends_in_a_fault_and_not_in_a_runaway(board: Board
     board.connect_encoder(0, True)
     board.run(0.1)
     assert board.read_raw("axis1.state") == [FAULT]
-    assert faults(board, 1) == {"RUNAWAY"}
+    assert faults(board, 1) in ({"ENCODER_LOST"}, {"RUNAWAY"})  # no counts, or an offset: how long the gap was
     assert board.read_raw("axis2.state") == [RUN]  # the other axis goes on
 
 
@@ -73,7 +73,7 @@ def test_an_encoder_that_dies_ends_in_a_fault(board: Board) -> None:
     spin(board, 100.0)
     board.connect_encoder(0, False)
     board.run(0.7)
-    assert (board.read_raw("axis1.state"), faults(board, 1)) == ([FAULT], {"STALLED"})
+    assert (board.read_raw("axis1.state"), faults(board, 1)) == ([FAULT], {"ENCODER_LOST"})
 
 
 @pytest.mark.parametrize("command", [("cmd.quick_stop", 1), ("cmd.enable", 0)])

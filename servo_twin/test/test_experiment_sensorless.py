@@ -64,7 +64,7 @@ def test_observer_notices_errors_and_a_compensation_that_does_nothing(
     genuine = observer.measure
 
     def shifted(*args: Any) -> dict[tuple[float, float], Point]:
-        return {k: dataclasses.replace(p, mean=p.mean + 7.0) for k, p in genuine(*args).items()}
+        return {k: dataclasses.replace(p, mean=p.mean + 17.0) for k, p in genuine(*args).items()}
 
     monkeypatch.setattr(observer, "measure", shifted)
     monkeypatch.setattr(observer, "paper", lambda *_: 0.0)

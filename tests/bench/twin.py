@@ -1,8 +1,8 @@
 """How fast a virtual board is: ``make bench-twin``.
 
-Real-time factors of one board with two axes, both levels in one run, and of several boards on several threads; who takes
-the instructions; and a simulator that others use, on one drive in the same run. The time is that of the board's thread; a
-factor says how today's machine does, ratios and counts of instructions last.
+Real-time factors of one board with two axes, both levels in one run, and of several boards on several threads; who
+takes the instructions; and a simulator that others use, on one drive in the same run. The time is that of the board's
+thread; a factor says how today's machine does, ratios and counts of instructions last.
 """
 
 from __future__ import annotations

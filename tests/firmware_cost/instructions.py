@@ -26,6 +26,18 @@ _LOOPS: Final = ("axis_fast", "axis_slow")
 _SPIN: Final = 3
 
 
+class Setup(IntEnum):
+    """With what the phases run."""
+
+    CONFIGURED = 0
+    ALL_FEATURES = 1
+    WITHOUT_ENCODERS = 2
+
+
+OBSERVED_PHASE: Final = "speed"
+"""The phase that can run without encoders."""
+
+
 class Kind(IntEnum):
     """What is counted: cost_kind_t of tests/bench/native/cost.h."""
 
@@ -55,19 +67,19 @@ Counts = Mapping[tuple[str, Kind], Count]
 """By phase and kind."""
 
 
-def image(*, all_features: bool = False, phases: int = EVERY_PHASE, most: int = WHOLE_PHASES) -> bytes:
+def image(*, setup: Setup = Setup.CONFIGURED, phases: int = EVERY_PHASE, most: int = WHOLE_PHASES) -> bytes:
     """What cost.c reads at its start.
 
     Parameters
     ----------
-    all_features : bool
-        Turn everything on; otherwise what the configuration turns on.
+    setup : Setup
+        With what the phases run.
     phases : int
         A bit for each phase that is to run.
     most : int
         Longest phase, in units of 16 PWM periods.
     """
-    return bytes([all_features, phases, most])
+    return bytes([setup, phases, most])
 
 
 def cost_program(programs: Programs, *, loops: bool) -> Path:
@@ -79,7 +91,7 @@ def cost_program(programs: Programs, *, loops: bool) -> Path:
     return programs.link(name, [*programs.objects(), programs.sources.native / "text.c", *files], wrap)
 
 
-def count(programs: Programs, *, all_features: bool = False) -> Counts:
+def count(programs: Programs, setup: Setup = Setup.CONFIGURED) -> Counts:
     """Instructions of interrupts and loops over a run of both axes.
 
     Raises
@@ -89,7 +101,8 @@ def count(programs: Programs, *, all_features: bool = False) -> Counts:
     """
     result: dict[tuple[str, Kind], Count] = {}
     for loops in (False, True):
-        text = QemuProgram(cost_program(programs, loops=loops), COUNTING).run(image(all_features=all_features))
+        phases = 1 << PHASES.index(OBSERVED_PHASE) if setup == Setup.WITHOUT_ENCODERS else EVERY_PHASE
+        text = QemuProgram(cost_program(programs, loops=loops), COUNTING).run(image(setup=setup, phases=phases))
         for (phase, kind), value in parse(text).items():
             if (kind in (Kind.FAST, Kind.SLOW)) == loops:
                 result[phase, kind] = value

@@ -9,7 +9,7 @@ from typing import Any
 
 from targets.sources import Sources
 
-from firmware_cost.instructions import Counts, count
+from firmware_cost.instructions import Counts, Setup, count
 from firmware_cost.programs import OPTIMISATIONS, Programs, compiler
 from firmware_cost.sizes import Size, Sizes, sizes
 from firmware_cost.stages import Stages, stages
@@ -30,6 +30,8 @@ class Measurement:
         By optimisation.
     all_features : mapping
         Counts with everything turned on that the reference design does not have.
+    sensorless : mapping
+        Counts of one phase without encoders.
     stages : Stages
     """
 
@@ -37,6 +39,7 @@ class Measurement:
     counts: Mapping[str, Counts]
     sizes: Mapping[str, Sizes]
     all_features: Counts
+    sensorless: Counts
     stages: Stages
 
 
@@ -60,7 +63,8 @@ def measure(sources: Sources, folder: Path) -> Measurement:
         compiler(),
         {level: count(one) for level, one in programs.items()},
         {level: sizes(one) for level, one in programs.items()},
-        count(programs[REFERENCE], all_features=True),
+        count(programs[REFERENCE], Setup.ALL_FEATURES),
+        count(programs[REFERENCE], Setup.WITHOUT_ENCODERS),
         stages(programs[REFERENCE]),
     )
 
@@ -71,6 +75,7 @@ def plain(measurement: Measurement) -> dict[str, Any]:
         "compiler": measurement.compiler,
         "instructions": {level: _counts(counts) for level, counts in measurement.counts.items()},
         "instructions_all_features": {REFERENCE: _counts(measurement.all_features)},
+        "instructions_sensorless": {REFERENCE: _counts(measurement.sensorless)},
         "stages": {REFERENCE: {"fast": dict(measurement.stages.fast), "slow": dict(measurement.stages.slow)}},
         "bytes": {level: _sizes(one) for level, one in measurement.sizes.items()},
     }

@@ -6,13 +6,14 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from firmware_cost.instructions import PHASES, Count, Counts, Kind
+from firmware_cost.instructions import OBSERVED_PHASE, PHASES, Count, Counts, Kind
 from firmware_cost.measurement import REFERENCE, Measurement
 from firmware_cost.programs import OPTIMISATIONS
 from firmware_cost.sizes import Size
 from firmware_cost.stages import PHASE
 
 FAST_AIM: Final = 400
+SENSORLESS_AIM: Final = 800
 SLOW_AIM: Final = 500
 CONTROL_AIM: Final = 10_000
 MOVING: Final = PHASES[:-1]
@@ -37,6 +38,7 @@ def table(measurement: Measurement) -> str:
         _against_others(measurement),
         *(_instructions(level, measurement.counts[level]) for level in OPTIMISATIONS),
         _instructions(f"{REFERENCE}, every feature on", measurement.all_features),
+        _instructions(f"{REFERENCE}, without encoders", measurement.sensorless),
         _parts(measurement),
         _bytes(measurement),
     ]
@@ -63,9 +65,11 @@ def _against_others(measurement: Measurement) -> str:
     counts = measurement.counts[REFERENCE]
     sizes = measurement.sizes[REFERENCE]
     mean, most = _per_period(counts)
+    sensorless = measurement.sensorless[OBSERVED_PHASE, Kind.FAST]
     rows = [
         ("fast loop with encoder, everything included", *_aimed(dearest(counts, Kind.FAST), FAST_AIM)),
         ("the same at the voltage limit", f"{counts[PHASES[-1], Kind.FAST].mean:.0f}", ""),
+        ("fast loop without encoder: observer and PLL", *_aimed(sensorless.mean, SENSORLESS_AIM)),
         ("slow loop, position mode", *_aimed(counts["position", Kind.SLOW].mean, SLOW_AIM)),
         ("slow loop, speed mode", *_aimed(counts["speed", Kind.SLOW].mean, SLOW_AIM)),
         ("control code of two axes, bytes", *_aimed(sizes.control.text, CONTROL_AIM)),
@@ -111,7 +115,7 @@ def _instructions(title: str, counts: Counts) -> str:
 
     kinds = (Kind.FAST, Kind.SLOW, Kind.M1, Kind.M2, Kind.M1_SLOW, Kind.M2_SLOW)
     head = ("least, mean, most", "fast loop", "slow loop", "M1", "M2", "M1 with slow loop", "M2 with slow loop")
-    rows = [(phase, *(cell(counts[phase, kind]) for kind in kinds)) for phase in PHASES]
+    rows = [(phase, *(cell(counts[phase, kind]) for kind in kinds)) for phase in PHASES if (phase, Kind.FAST) in counts]
     return f"## Instructions, {title}\n\n" + _rows(head, rows)
 
 

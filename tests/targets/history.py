@@ -35,9 +35,12 @@ RUN_TRANSITIONS: Final = frozenset(
         ("SPIN", "FREEWHEEL"),
         ("FREEWHEEL", "ALIGN"),
         ("FREEWHEEL", "READY"),
+        ("READY", "STARTUP"),
+        ("STARTUP", "SPIN"),
+        ("STARTUP", "FREEWHEEL"),
     }
 )
-"""Transitions between the sub-states of RUN (DRM F37). Besides, each entry into RUN starts with CALIB."""
+"""Transitions between the sub-states of RUN (DRM F37, and STARTUP). Besides, each entry into RUN starts with CALIB."""
 
 Transition = tuple[str, str]
 

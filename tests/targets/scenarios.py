@@ -22,6 +22,11 @@ POSITION: Final = 0
 SPEED: Final = 1
 TORQUE: Final = 2
 
+COAST: Final = 0
+SHORT: Final = 1
+RAMP: Final = 2
+HOLD: Final = 3
+
 INT16: Final = (-(2**15), 2**15 - 1)
 INT32: Final = (-(2**31), 2**31 - 1)
 
@@ -338,8 +343,190 @@ def soft_limits(rig: Rig) -> None:
     rig.run(0.002)
 
 
+_OBSERVER: Final = 1
+
+
+def _sensorless(rig: Rig, *speeds: float) -> None:
+    """Both axes without their encoders, enabled with speed set-points."""
+    rig.set_raw("param.feedback", _OBSERVER, _OBSERVER)
+    _ready(rig)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.enable", 1)
+    rig.until("READY on both axes", lambda: rig.places() == ["READY", "READY"])
+    rig.set("cmd.speed", *speeds)
+
+
+def sensorless(rig: Rig) -> None:
+    """Without encoders: start both ways, caught on the fly, every mode, below the minimum, off."""
+    _sensorless(rig, 80.0, -60.0)
+    rig.until("both spin", lambda: rig.places() == ["SPIN", "SPIN"])
+    rig.run(0.03)
+    rig.set("param.features", _features("OVER_SPEED"), _features())
+    rig.set("param.over_speed", 5.0)
+    rig.until("too fast", lambda: "OVER_SPEED" in rig.faults(0))
+    rig.set("param.features", _features())
+    rig.set("cmd.clear_faults", 1, 0)
+    rig.until("axis 1 cleared", lambda: rig.places()[0] == "STOP")
+    rig.set("cmd.enable", 1)
+    rig.set("cmd.speed", 80.0, 5.0)
+    rig.until("caught", lambda: rig.places()[0] == "SPIN")
+    rig.set("cmd.mode", TORQUE, POSITION)
+    rig.set("cmd.i_q", 0.2, 0.0)
+    rig.run(0.02)
+    rig.set("cmd.quick_stop", 1, 0)
+    rig.until("both wait", lambda: rig.places() == ["READY", "READY"])
+    rig.run(0.005)
+    rig.set("cmd.enable", 1)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 419.0, -419.0)
+    rig.until("both start", lambda: rig.places() == ["STARTUP", "STARTUP"])
+    rig.run(0.03)
+    rig.set("cmd.speed", 0.0, -60.0)
+    rig.run(0.005)
+    rig.until("axis 2 spins", lambda: rig.places()[1] == "SPIN")
+    rig.set("param.features", _features(), _features("OVER_SPEED"))
+    rig.until("too fast", lambda: "OVER_SPEED" in rig.faults(1))
+    rig.set("param.features", _features())
+    rig.set("cmd.clear_faults", 0, 1)
+    rig.until("axis 2 cleared", lambda: rig.places()[1] == "STOP")
+    rig.set("cmd.enable", 0, 1)
+    rig.set("cmd.speed", 0.0, -60.0)
+    rig.until("caught", lambda: rig.places()[1] == "STARTUP")
+    rig.run(0.006)
+    rig.lock(1)
+    rig.run(0.1)
+    rig.lock(1, locked=False)
+    _stop(rig)
+
+
+def sensorless_lost(rig: Rig) -> None:
+    """A shaft that is held at speed, and from the beginning."""
+    _sensorless(rig, -80.0, 0.0)
+    rig.until("axis 1 spins", lambda: rig.places()[0] == "SPIN")
+    rig.run(0.02)
+    rig.lock(0)
+    rig.until("stall seen", lambda: rig.faults(0) == ["SPEED_FEEDBACK"])
+    rig.set("cmd.clear_faults", 1, 0)
+    rig.until("axis 1 cleared", lambda: rig.places()[0] == "STOP")
+    rig.set("cmd.enable", 1, 0)
+    rig.until("axis 1 waits", lambda: rig.places()[0] == "READY")
+    rig.motor(0, False)  # what does not change makes a short recording
+    rig.set("cmd.speed", 100.0, 0.0)
+    for _ in range(10):
+        rig.run(0.15)
+        rig.set("cmd.mode", SPEED)
+    rig.motor(0, True)
+    rig.until("no start-up", lambda: rig.faults(0) == ["START_UP"])
+
+
+def slipped(rig: Rig) -> None:
+    """The observer beside the encoders: one dies while its shaft turns."""
+    _spin(rig)
+    rig.set("param.features", _features("ANGLE_CHECK"))
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 80.0, -80.0)
+    rig.run(0.06)
+    rig.set("param.features", _features("ANGLE_CHECK"), _features())
+    rig.plug(0, False)
+    rig.run(0.0015)
+    rig.plug(0, True)
+    rig.run(0.01)
+    rig.plug(0, False)
+    rig.until("encoder caught out", lambda: "ANGLE_MISMATCH" in rig.faults(0))
+    rig.run(0.005)
+
+
+def braking(rig: Rig) -> None:
+    """Braking current folded back on a small capacitor, in every mode."""
+    _spin(rig)
+    rig.set("param.acceleration_limit", 50_000.0)
+    rig.set("param.features", _features("FOLLOWING_ERROR"))
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 300.0, -300.0)
+    rig.run(0.02)
+    rig.set("cmd.mode", POSITION, TORQUE)
+    rig.set("cmd.i_q", 0.0, 3.0)
+    rig.run(0.01)
+    rig.set("cmd.enable", 0)
+    rig.run(0.01)
+
+
+def resistor(rig: Rig) -> None:
+    """A supply that is too high, and a resistor until its budget is spent."""
+    _ready(rig)
+    rig.set_raw("param.brake", 2)  # is no switch
+    rig.run(0.002)
+    rig.set_raw("param.brake", 1)
+    rig.supply(35.4)
+    rig.until("the resistor's budget is spent", lambda: "OVER_VOLTAGE" in rig.faults(0))
+
+
+def shorted(rig: Rig) -> None:
+    """Shorted windings, wanted again meanwhile, until the shaft rests."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set_raw("param.on_disable", SHORT, 4)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 20.0)
+    rig.run(0.01)
+    rig.set("cmd.enable", 0)
+    rig.run(0.002)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("ALIGN after a short", lambda: rig.places()[0] == "ALIGN")
+
+
+def overloaded(rig: Rig) -> None:
+    """A quick stop by shorted windings that carry more than they may."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set_raw("param.on_quick_stop", SHORT, 65535)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", -100.0)
+    rig.run(0.03)
+    rig.set("cmd.quick_stop", 1)
+    rig.run(0.001)
+    rig.disturb(0, one_in=1)  # codes that make no sense
+    rig.run(0.002)
+    rig.calm()
+
+
+def held(rig: Rig) -> None:
+    """A position held without a drive; a quick stop that withdraws it."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set_raw("param.on_disable", HOLD, RAMP)
+    rig.set_raw("param.on_quick_stop", RAMP, RAMP)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 40.0)
+    rig.run(0.015)
+    rig.set("cmd.enable", 0)
+    rig.run(0.025)
+    rig.set("cmd.enable", 1, 0)
+    rig.set("cmd.speed", 40.0)
+    rig.run(0.015)
+    rig.set("cmd.quick_stop", 1)
+    rig.run(0.02)
+
+
+def too_fast_for_a_short(rig: Rig) -> None:
+    """The windings would carry too much: the axis coasts."""
+    _ready(rig)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set_raw("param.on_quick_stop", COAST, COAST)
+    rig.set_raw("param.on_disable", SHORT, SHORT)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 170.0)
+    rig.run(0.05)
+    rig.set("cmd.enable", 0)
+    rig.run(0.002)
+
+
 def broken_phases(rig: Rig) -> None:
-    """Phases lost while they turn and while they hold a load, a converter that repeats itself, one that says too much."""
+    """Phases lost while they turn and while they hold a load; a converter that repeats itself, or says too much."""
     _spin(rig)
     rig.set("param.monitor", 8.0, 13.0)
     rig.set("cmd.mode", SPEED)
@@ -406,6 +593,15 @@ SCENARIOS: Final = (
     Scenario("wrong-offset", _plant(i_offset=(0.0, 2.0, 0.0)), wrong_offset),
     Scenario("forward", _plant(), forward),
     Scenario("soft-limits", _plant(), soft_limits),
+    Scenario("sensorless", _plant(capacitance=0.05), sensorless),
+    Scenario("sensorless-lost", _plant(i_noise=0.0).with_bus(u_noise=0.0), sensorless_lost),
+    Scenario("slipped-encoder", _plant(capacitance=0.05), slipped),
+    Scenario("braking", _plant(capacitance=0.5e-3), braking),
+    Scenario("resistor", _plant(), resistor),
+    Scenario("shorted", _plant(), shorted),
+    Scenario("overloaded", _plant(), overloaded),
+    Scenario("held", _plant(), held),
+    Scenario("too-fast-for-a-short", _plant(), too_fast_for_a_short),
     Scenario("broken-phases", _plant(), broken_phases),
     Scenario("broken-encoders", _plant(), broken_encoders),
     Scenario("server", _plant(), server),

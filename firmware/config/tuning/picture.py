@@ -14,6 +14,7 @@ from tuning.assessment import INERTIAS
 from tuning.linear import Omega
 from tuning.loops import In, Out
 from tuning.report import AxisReport
+from tuning.sensorless_figures import WINDINGS
 from tuning.tuned import Tuned
 
 __all__ = ["PictureError", "draw"]
@@ -24,7 +25,7 @@ class PictureError(RuntimeError):
 
 
 def draw(reports: Sequence[AxisReport], path: Path) -> None:
-    """One column per axis: open loops, closed loops, steps of speed and of load.
+    """One column per axis: open loops, closed loops, steps of speed and of load, observer and start-up.
 
     Raises
     ------
@@ -37,7 +38,7 @@ def draw(reports: Sequence[AxisReport], path: Path) -> None:
         from matplotlib.figure import Figure
     except ImportError:
         raise PictureError("a picture needs matplotlib: pip install matplotlib, or leave --plot out") from None
-    panels = (_open_gain, _open_phase, _closed_gain, _speed_step, _load_step)
+    panels = (_open_gain, _open_phase, _closed_gain, _speed_step, _load_step, _observer_poles, _start_up)
     figure = Figure(figsize=(7.0 * len(reports), 3.2 * len(panels)), dpi=100, layout="constrained")
     plots = figure.subplots(len(panels), len(reports), squeeze=False)
     for column, report in enumerate(reports):
@@ -136,3 +137,31 @@ def _load_step(plot: Any, it: Tuned) -> None:
     plot.set_xlabel("time [ms]")
     plot.set_ylabel("deflection [counts]")
     plot.set_title(f"step of the load, {torque:.3g} N m")
+
+
+def _observer_poles(plot: Any, it: Tuned) -> None:
+    circle = np.exp(1j * np.linspace(-0.6, 0.6, 200))
+    plot.plot(circle.real, circle.imag, color="black", linewidth=0.6, label="unit circle")
+    if it.trouble is None:
+        p = it.axis("motor.pole_pairs")
+        speeds = p * np.linspace(0.0, it.axis("limits.speed"), 40)
+        for r_s, inductance in WINDINGS:
+            observer = it.sensorless.observer.winding(r_s, inductance)
+            found = np.array([observer.poles(float(omega_e)) for omega_e in speeds]).ravel()
+            label = f"R x {r_s:g}, L x {inductance:g}"
+            plot.plot(found.real, found.imag, ".", markersize=3, label=label)
+    plot.set_xlabel("Re z")
+    plot.set_ylabel("Im z")
+    plot.set_title("poles of the observer, from standstill to the speed limit")
+
+
+def _start_up(plot: Any, it: Tuned) -> None:
+    s = it.sensorless.start_up
+    time = np.linspace(0.0, 1.3 * max(s.speed_time, s.current_time), 200)
+    current = s.current_first + (s.current_final - s.current_first) * np.minimum(time / s.current_time, 1.0)
+    speed = s.speed_final * np.minimum(time / s.speed_time, 1.0)
+    plot.plot(1e3 * time, speed, label="speed [rad/s]", linewidth=1.1)
+    plot.plot(1e3 * time, 10.0 * current, label="current [0.1 A]", linewidth=1.1)
+    plot.axhline(s.minimum_speed, color="black", linewidth=0.6, label="minimum speed [rad/s]")
+    plot.set_xlabel("time [ms]")
+    plot.set_title("start-up without an encoder")

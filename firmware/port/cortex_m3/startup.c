@@ -7,7 +7,7 @@ extern const uint32_t startup_data_load[];
 
 int main(void);
 void startup_reset(void);
-void startup_fault(void);
+void startup_trap(void);
 
 typedef void (*vector_t)(void);
 
@@ -20,20 +20,20 @@ __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
     startup_stack,
     {
         startup_reset,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
-        startup_fault,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
+        startup_trap,
     },
 };
 
@@ -50,7 +50,7 @@ void startup_reset(void)
 }
 
 /* Nothing here uses interrupts: every exception is an error. */
-void startup_fault(void)
+void startup_trap(void)
 {
     machine_print("exception\n");
     machine_stop(3);

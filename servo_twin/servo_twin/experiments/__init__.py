@@ -65,10 +65,10 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         speed_observer,
         soft_limits,
         supervision,
-        fault_matrix,
         observer,
         start_up,
         minimum_speed,
         stall,
+        fault_matrix,
     )
 }

@@ -19,10 +19,10 @@ from servo_twin.plant import AxisPlant, PlantConfig
 NAME: Final = "braking"
 HELP: Final = """\
 Both axes brake at once from 3500 rpm onto a supply that takes nothing back, with a brake resistor and without; the
-resistor's energy budget; the current of shorted windings over the speed, and the speed above which the short is refused.
-The ST training names both kinds of braking and gives the steady current of the short as K_e w / sqrt(R_s^2 + w^2 L_s^2),
-to be compared with the current limit beforehand. It shows no measurement. The supply's energy alone would lift the bus
-of the plant past 33 V."""
+resistor's energy budget; the current of shorted windings over the speed, and the speed above which the short is
+refused. The ST training names both kinds of braking and gives the steady current of the short as
+K_e w / sqrt(R_s^2 + w^2 L_s^2), to be compared with the current limit beforehand; it shows no measurement. What both
+shafts store would lift the bus past 33 V."""
 
 BRAKE_FROM: Final = 3500.0 * RPM  # at most
 RESISTOR: Final = 4.7  # that the firmware believes in, and where the plant has none [ohm]
@@ -35,6 +35,7 @@ MARGIN: Final = 0.2  # noise of the voltage, and the ripple of the PWM [V]
 CURRENT: Final = 4.0  # of the drive [A]
 SPENDING: Final = 30.0  # supply that is above ON [V]
 SHORT_LIMIT: Final = 8.25  # that the firmware allows in a short: the range of the shunts [A]
+SLIDE_SPEED: Final = 1450.0 * RPM  # above which the short is said to be refused
 HEAVY: Final = 8.0  # times the inertia: a speed that falls slowly against the windings' time constant
 SETTLED: Final = 8.0  # time constants of the winding
 NEAR: Final = 0.04  # of the refusal speed, to both sides of it
@@ -244,11 +245,12 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         more, panel = _short(plant, seed, axis)
         rows.extend(more)
         panels.append(panel)
+    flags = ", ".join(sorted(without.flags)) or "none"
+    carried = [short_current(plant.axes[0], SLIDE_SPEED, drops=drops) for drops in (False, True)]
     notes = (
         f"from {speed / RPM:.4g} rpm: {kinetic(plant, speed):.3g} J, {lossless(plant, speed):.3g} V without losses",
-        f"resistor {resistor:g} ohm; without it the limits were {', '.join(sorted(without.flags)) or 'none'}",
-        f"a short at {1450:g} rpm carries {short_current(plant.axes[0], 1450 * RPM, drops=False):.3g} A by the formula "
-        f"and {short_current(plant.axes[0], 1450 * RPM, drops=True):.3g} A with the drops of the switches (axis 1)",
+        f"resistor {resistor:g} ohm; without it the limits were {flags}",
+        f"axis 1 short at {SLIDE_SPEED / RPM:g} rpm: {carried[0]:.3g} A by the formula, {carried[1]:.3g} A with drops",
     )
     return Outcome(NAME, tuple(rows), tuple(panels), notes)
 
@@ -341,7 +343,7 @@ def _short(plant: PlantConfig, seed: int, axis: int) -> tuple[list[Row], Panel]:
 def _panel_bus(without: Stop, with_one: Stop) -> Panel:
     curves = []
     for name, it in (("no resistor", without), ("resistor", with_one)):
-        time = TICK * np.arange(1, it.u_dc.size + 1)
+        time = TICK * np.arange(1, it.u_dc.size + 1, dtype=np.float64)
         curves += [Curve(f"bus, {name} [V]", time, it.u_dc)]
         curves += [
             Curve(f"{axis_name(k)}, {name} [100 rpm]", time, it.omega[:, k] / RPM / 100.0, "--") for k in range(AXES)

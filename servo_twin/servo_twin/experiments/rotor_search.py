@@ -85,7 +85,7 @@ HARMS: Final = (
     UNPLUGGED,
     Harm("encoder line A dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "A")),
     Harm("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
-    Harm("motor unplugged", "ROTOR_SEARCH", lambda board, axis: board.connect_motor(axis, False)),
+    Harm("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
     Harm("encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), NAMED_LATE),
     Harm(
         "shaft with play of 2 counts",

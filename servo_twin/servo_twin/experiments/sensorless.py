@@ -13,11 +13,13 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
 from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed
-from servo_twin.plant import PlantConfig
+from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
 __all__ = [
     "Trace",
+    "back_emf",
+    "dead_voltage",
     "degrees",
     "fault_names",
     "follow",
@@ -76,6 +78,17 @@ class Trace:
     def error(self) -> NDArray[np.float64]:
         """Observed less true angle, electrical [deg]. The truth is half a period or a whole one younger."""
         return degrees(self.angle - self.theta_e)
+
+
+def back_emf(motor: AxisPlant, speed: float) -> float:
+    """Amplitude at a mechanical speed [V]."""
+    return motor.pole_pairs * motor.psi_m * abs(speed)
+
+
+def dead_voltage(plant: PlantConfig, axis: int) -> float:
+    """What dead time and drops take from a phase against its current [V]; a compensation makes up most of it."""
+    motor = plant.axes[axis]
+    return motor.dead_time * plant.pwm_frequency * plant.bus.u_source + motor.v_drop
 
 
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -21,7 +21,10 @@ static void fast(servo_t *servo, int kind, uint16_t axis)
     const int16_t *duty = servo->duty[axis];
     hal_pwm_duty(servo->hal, axis, duty[0], duty[1], duty[2]);
     hal_pwm_enable(servo->hal, axis, servo->on[axis]);
+    hal_watchdog_service(servo->hal);
 }
+
+void servo_init(servo_t *servo, hal_t *hal) { servo->hal = hal; }
 
 void servo_m1_isr(servo_t *servo) { fast(servo, CALL_M1, 0); }
 

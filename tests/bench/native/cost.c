@@ -1,7 +1,7 @@
 /* cost.c - instructions of the interrupts while both axes move in every mode.
  *
- * The image says what to run: whether all features are on or those of the configuration, which phases (a bit each),
- * and, in units of 16, the most PWM periods that a phase may take. Prints "PHASE KIND NUMBER LEAST MOST SUM" in
+ * The image says what to run: with the features of the configuration (0), with all of them (1), or without encoders (2);
+ * which phases (a bit each), and, in units of 16, the most PWM periods that a phase may take. Prints "PHASE KIND NUMBER LEAST MOST SUM" in
  * hexadecimal for all that was counted, and at the end "axis NUMBER SUBSTATE FAULTS SPEED POSITION".
  */
 #include "cost.h"
@@ -16,6 +16,9 @@
 
 #define RAD_PER_S(x) ((frac32_t)(INT32_C(4101391) * (x))) /* of 523.6 rad/s */
 #define AMPERE(x) ((frac16_t)(INT32_C(3972) * (x)))       /* of 8.25 A */
+
+#define ALL_FEATURES 1U
+#define WITHOUT_ENCODERS 2U
 
 #define SILENCE 64U /* PWM periods after which a phase begins to count: the last command is through */
 
@@ -97,6 +100,25 @@ static void put_into_spin(axis_t *axis)
     hal_pwm_enable(&hal, axis->index, true);
 }
 
+/* As if the start-up had been through: the shaft turns, and the observer knows it. */
+static void put_into_observed_spin(axis_t *axis, frac32_t speed)
+{
+    const pll_config_t *pll = &axis->config->pll;
+    bench_motor_t *motor = &hal.motor[axis->index];
+    motor->speed = speed;
+    const uint32_t turns =
+        (uint32_t)((int64_t)motor->angle * axis->config->encoder.pole_pairs * 65536 / axis->config->encoder.counts);
+    estimate_start(axis, turns, pll_step_of(pll, speed));
+    axis->estimate.locked = true;
+    axis->feedback.speed = speed;
+    axis->fast = LOOP_OBSERVED;
+    axis->sm.state = STATE_RUN;
+    axis->substate = SUBSTATE_SPIN;
+    axis->requested = true;
+    motion_start_turning(axis, 0);
+    hal_pwm_enable(&hal, axis->index, true);
+}
+
 static void command(const phase_t *phase)
 {
     for (uint16_t i = 0; i < HAL_AXES; i++) {
@@ -126,7 +148,10 @@ int main(void)
     bench_board_init(&hal);
     servo_init(&servo, &hal);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        if (machine_image(0) != 0U) {
+        servo.parameter.faults_enabled[i] = 0; /* these motors are too simple to be believed in everything */
+        servo.parameter.feedback[i] =
+            (machine_image(0) == WITHOUT_ENCODERS) ? FEEDBACK_KIND_OBSERVER : FEEDBACK_KIND_ENCODER;
+        if (machine_image(0) == ALL_FEATURES) {
             servo.parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX;
         }
         servo.parameter.faults_enabled[i] = 0; /* the currents of this board are nobody's */
@@ -139,7 +164,11 @@ int main(void)
         run_period();
     }
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        put_into_spin(&servo.axis[i]);
+        if (machine_image(0) == WITHOUT_ENCODERS) {
+            put_into_observed_spin(&servo.axis[i], (i == 0U) ? RAD_PER_S(150) : -RAD_PER_S(150));
+        } else {
+            put_into_spin(&servo.axis[i]);
+        }
     }
     for (uint16_t phase = 0; phase < PHASES; phase++) {
         if ((wanted & (1U << phase)) == 0U) {

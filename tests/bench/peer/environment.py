@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -13,11 +14,14 @@ from typing import Any, Final
 FOLDER: Final = Path(__file__).resolve().parents[3] / "out" / "bench" / "motulator"
 SCRIPT: Final = Path(__file__).with_name("motulator_drive.py")
 PATIENCE_S: Final = 600.0
+WANTED: Final = "motulator>=0.18"  # whose interface the script knows
+PYTHON_VARIABLE: Final = "PEER_PYTHON"
+"""Environment variable that names the interpreter; 0.18 wants Python 3.12 or later, this project does not."""
 
 
 def _pythons() -> Iterator[str]:
-    """Interpreters to try: the peer's later versions want a later Python than this project."""
-    for name in ("python3.13", "python3.12", sys.executable):
+    """Interpreters to try."""
+    for name in (os.environ.get(PYTHON_VARIABLE, ""), "python3.13", "python3.12", sys.executable):
         path = shutil.which(name)
         if path is not None and subprocess.run([path, "-c", ""], capture_output=True).returncode == 0:
             yield path
@@ -49,9 +53,9 @@ def motulator() -> dict[str, Any] | str:
         try:
             _run(python, "-c", "import motulator")
         except OSError:
-            _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "motulator")
+            _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", WANTED)
         version = _run(python, "-c", "from importlib.metadata import version; print(version('motulator'))")
         figures: dict[str, Any] = json.loads(_run(python, str(SCRIPT)))
     except (OSError, ValueError) as error:
-        return f"not compared with motulator: {error}"
+        return f"not compared with motulator: {error} (on another Python: {PYTHON_VARIABLE}=python3.12)"
     return {"version": version.strip(), **figures}

@@ -29,6 +29,7 @@ typedef struct {
     bool has_pending;
 } servo_t;
 
+void servo_init(servo_t *servo, hal_t *hal);
 void servo_m1_isr(servo_t *servo);
 void servo_m2_isr(servo_t *servo);
 void servo_edge_isr(servo_t *servo, uint16_t axis);

@@ -1,0 +1,308 @@
+"""How an axis comes to rest: the categories, on commands and on faults, and what makes them give way."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from servo_bench import (
+    FAULT,
+    FAULT_FOLLOWING_ERROR,
+    FREEWHEEL,
+    OVER_CURRENT,
+    OVER_VOLTAGE,
+    READY,
+    RUN,
+    SPEED,
+    SPIN,
+    STOP,
+    Bench,
+    amps,
+    bus_code,
+    speed,
+)
+
+COAST, SHORT, RAMP, HOLD = range(4)
+HALF = 16384
+REFUSED = 1451 * math.pi / 30  # of axis 1 [rad/s]
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    return Bench(core)
+
+
+@pytest.fixture
+def turning(bench: Bench) -> Bench:
+    """Both axes follow a speed of 100 rad/s."""
+    bench.to_spin(0, 1)
+    for axis in range(2):
+        bench.write(axis, mode=SPEED, speed=speed(100.0))
+        bench.turn(axis, 100.0)
+    bench.slow(100)
+    return bench
+
+
+def configure(bench: Bench, **masks: int) -> Any:
+    """Other answers to faults, for axis 1."""
+    config = bench.core.ffi.new("axis_config_t *", bench.axis(0).config[0])
+    for name, value in masks.items():
+        setattr(config.stop, name, value)
+    bench.kept.append(config)
+    bench.axis(0).config = config
+    return config
+
+
+def place(bench: Bench, axis: int = 0) -> tuple[int, int]:
+    return bench.view(axis).state, bench.view(axis).substate
+
+
+def outputs(bench: Bench) -> tuple[bool, list[int]]:
+    return bool(bench.hal.axis[0].outputs_on), list(bench.hal.axis[0].duty)
+
+
+def withdraw(bench: Bench, category: int, command: str = "disable") -> None:
+    bench.write_raw(f"param.on_{command}", [category] * 2)
+    bench.write(0, **({"enable": 0} if command == "disable" else {"quick_stop": 1}))
+    bench.slow()
+
+
+# ---- commands -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["disable", "quick_stop"])
+def test_coast(turning: Bench, command: str) -> None:
+    withdraw(turning, COAST, command)
+    assert place(turning) == (RUN, FREEWHEEL)
+    assert not turning.hal.axis[0].outputs_on
+    assert place(turning, 1) == (RUN, SPIN)
+
+
+@pytest.mark.parametrize("command", ["disable", "quick_stop"])
+def test_ramp(turning: Bench, command: str) -> None:
+    withdraw(turning, RAMP, command)
+    assert place(turning) == (RUN, SPIN)
+    turning.follow(60)
+    turning.turn(0, 0.0)
+    turning.until(lambda: place(turning)[1] == FREEWHEEL, 200)
+    assert not turning.hal.axis[0].outputs_on
+
+
+@pytest.mark.parametrize("command", ["disable", "quick_stop"])
+def test_short(turning: Bench, command: str) -> None:
+    """All low sides on, until the shaft rests."""
+    withdraw(turning, SHORT, command)
+    assert place(turning) == (RUN, FREEWHEEL)
+    assert outputs(turning) == (True, [0, 0, 0])
+    turning.slow(50)
+    assert outputs(turning)[0]
+    turning.turn(0, 0.0)
+    turning.until(lambda: not turning.hal.axis[0].outputs_on, 500)
+    turning.until(lambda: place(turning) == (STOP, READY), 200)
+
+
+@pytest.mark.parametrize(("part", "shorted"), [(0.97, True), (1.03, False), (-0.97, True), (-1.03, False)])
+def test_a_short_is_refused_where_its_current_would_be_too_large(bench: Bench, part: float, shorted: bool) -> None:
+    """K_e w / sqrt(R^2 + w^2 L^2) against 8.25 A; the next harsher category is to coast."""
+    bench.to_spin(0)
+    bench.let_turn(0, part * REFUSED)
+    bench.slow(100)
+    withdraw(bench, SHORT)
+    assert place(bench) == (RUN, FREEWHEEL)
+    assert outputs(bench)[0] == shorted
+
+
+def test_too_much_current_ends_the_short(turning: Bench) -> None:
+    withdraw(turning, SHORT)
+    turning.hal.axis[0].current_code[0] = 4095
+    turning.hal.axis[0].current_code[1] = 0
+    turning.slow()
+    assert outputs(turning) == (False, [HALF] * 3)
+    assert place(turning) == (RUN, FREEWHEEL)
+
+
+def test_hold_without_a_drive_ends_after_its_time(turning: Bench) -> None:
+    withdraw(turning, HOLD)
+    turning.follow(60)
+    turning.turn(0, 0.0)
+    assert place(turning) == (RUN, SPIN)
+    held = turning.until(lambda: place(turning)[1] == FREEWHEEL, 2500)
+    assert held == pytest.approx(2000, abs=60)
+
+
+def test_quick_stop_holds_as_long_as_the_drive_is_wanted(turning: Bench) -> None:
+    withdraw(turning, HOLD, "quick_stop")
+    turning.follow(60)
+    turning.turn(0, 0.0)
+    turning.slow(4000)
+    assert place(turning) == (RUN, SPIN)
+    assert turning.hal.axis[0].outputs_on
+
+
+def test_a_stop_that_does_not_come_to_rest_ends_all_the_same(turning: Bench) -> None:
+    """Whatever keeps it turning: 5 s, also where the bus holds the braking back."""
+    turning.hal.bus_code = bus_code(32.5)
+    withdraw(turning, RAMP)
+    ticks = turning.until(lambda: place(turning)[1] == FREEWHEEL, 11_000)
+    assert ticks == pytest.approx(10_000, abs=3)
+
+
+def test_a_category_that_there_is_none_of_changes_nothing(turning: Bench) -> None:
+    turning.write_raw("param.on_disable", [4, 65535])
+    turning.write(0, enable=0)
+    turning.slow(3)
+    assert place(turning) == (RUN, SPIN), "the ramp is what the configuration has"
+
+
+def test_switched_on_again_while_the_windings_are_shorted(turning: Bench) -> None:
+    withdraw(turning, SHORT)
+    turning.write(0, enable=1)
+    turning.slow(10)
+    assert outputs(turning) == (True, [0, 0, 0])
+    turning.turn(0, 0.0)
+    turning.to_substate(0, SPIN)
+
+
+# ---- faults ---------------------------------------------------------------------------------------------------------
+
+
+def fail(bench: Bench, fault: int = FAULT_FOLLOWING_ERROR) -> None:
+    bench.core.lib.axis_raise(bench.core.ffi.addressof(bench.axis(0)), fault)
+    bench.slow()
+
+
+def test_faults_coast_at_once_by_default(turning: Bench) -> None:
+    fail(turning)
+    assert turning.view(0).state == FAULT
+    assert not turning.hal.axis[0].outputs_on
+    assert place(turning, 1) == (RUN, SPIN)
+
+
+@pytest.mark.parametrize("category", ["ramp", "hold", "shorted"])
+def test_a_fault_is_shown_at_once_and_ends_in_fault_after_the_stop(turning: Bench, category: str) -> None:
+    config = configure(turning, **{category: FAULT_FOLLOWING_ERROR})
+    fail(turning)
+    assert turning.view(0).faults == FAULT_FOLLOWING_ERROR
+    assert place(turning) == (RUN, FREEWHEEL if category == "shorted" else SPIN)
+    assert turning.hal.axis[0].outputs_on
+    turning.write(0, enable=1, clear_faults=1)
+    turning.slow(5)
+    assert turning.view(0).faults == FAULT_FOLLOWING_ERROR, "nothing clears a fault before the stop is over"
+    if category != "shorted":
+        turning.follow(60)
+    turning.turn(0, 0.0)
+    ticks = turning.until(lambda: turning.view(0).state == FAULT, 2500)
+    assert not turning.hal.axis[0].outputs_on
+    assert turning.view(0).faults == FAULT_FOLLOWING_ERROR
+    assert (ticks + 60 > config.stop.hold_ticks) == (category == "hold")
+    assert place(turning, 1) == (RUN, SPIN)
+    turning.clear(0)
+    turning.slow(30)
+    assert turning.view(0).state == STOP
+
+
+def test_a_worse_fault_does_not_wait(turning: Bench) -> None:
+    configure(turning, ramp=FAULT_FOLLOWING_ERROR)
+    fail(turning)
+    assert place(turning) == (RUN, SPIN)
+    turning.hal.axis[0].break_latched = True
+    turning.slow()
+    assert turning.view(0).state == FAULT
+    assert turning.view(0).faults == FAULT_FOLLOWING_ERROR | OVER_CURRENT
+    assert not turning.hal.axis[0].outputs_on
+
+
+def test_two_faults_at_once_take_the_harsher_way(turning: Bench) -> None:
+    configure(turning, ramp=FAULT_FOLLOWING_ERROR)
+    fail(turning, FAULT_FOLLOWING_ERROR | OVER_VOLTAGE)
+    assert turning.view(0).state == FAULT
+
+
+def test_a_fault_before_the_shaft_is_under_control_does_not_ramp(bench: Bench) -> None:
+    configure(bench, ramp=FAULT_FOLLOWING_ERROR)
+    bench.to_stop()
+    fail(bench)
+    assert bench.view(0).state == FAULT
+
+
+def test_a_fault_during_a_stop_makes_it_harsher(turning: Bench) -> None:
+    configure(turning, shorted=FAULT_FOLLOWING_ERROR)
+    withdraw(turning, RAMP)
+    fail(turning)
+    assert outputs(turning) == (True, [0, 0, 0])
+    turning.turn(0, 0.0)
+    turning.until(lambda: turning.view(0).state == FAULT, 500)
+
+
+# ---- the bus --------------------------------------------------------------------------------------------------------
+
+
+def q_limits(bench: Bench) -> tuple[float, float]:
+    """What the speed controller may ask for against the motion and with it, over the limit."""
+    found = []
+    for target in (0.0, 200.0):
+        bench.write(0, speed=speed(target))
+        bench.slow(200)
+        found.append(bench.view(0).i_q_ref / amps(4.0))
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize(("volts", "part"), [(24.0, 1.0), (29.0, 1.0), (30.5, 0.5), (32.0, 0.0)])
+def test_braking_current_is_folded_back_by_the_bus(turning: Bench, volts: float, part: float) -> None:
+    turning.hal.bus_code = bus_code(volts)
+    turning.slow(50)
+    against, along = q_limits(turning)
+    assert against == pytest.approx(-part, abs=0.02)
+    assert along == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_slow_shaft_is_braked_whatever_the_bus_says(turning: Bench) -> None:
+    """Below 71 rad/s the full current burns what it takes out."""
+    turning.turn(0, 60.0)
+    turning.hal.bus_code = bus_code(32.0)
+    turning.slow(100)
+    assert q_limits(turning)[0] == pytest.approx(-1.0, abs=0.01)
+
+
+def test_current_that_is_folded_back_is_reported_and_burns_in_the_winding(turning: Bench) -> None:
+    turning.hal.bus_code = bus_code(32.0)
+    turning.slow(50)
+    turning.write(0, speed=0)
+    turning.slow(60)
+    assert turning.view(0).limits & 0x20
+    assert turning.axis(0).current_ref.d == pytest.approx(-amps(3.0), abs=2)
+    turning.write(0, speed=speed(200.0))
+    turning.slow(60)
+    assert not turning.view(0).limits & 0x20
+    assert turning.axis(0).current_ref.d == 0
+
+
+def test_the_resistor_is_switched_and_raises_the_limit(turning: Bench) -> None:
+    turning.write_raw("param.brake", [1])
+    turning.hal.bus_code = bus_code(28.2)
+    turning.slow(10)
+    assert turning.hal.brake
+    assert all(turning.view(axis).limits & 0x40 for axis in range(2))
+    turning.hal.bus_code = bus_code(34.5)
+    turning.slow(100)
+    assert place(turning) == (RUN, SPIN), "no over-voltage while the resistor is able"
+    turning.hal.bus_code = bus_code(36.0)
+    turning.slow(20)
+    assert turning.view(0).faults == OVER_VOLTAGE, "but at the end of the converter's range"
+
+
+def test_a_spent_resistor_arms_the_fault_again(turning: Bench) -> None:
+    turning.write_raw("param.brake", [1])
+    turning.hal.bus_code = bus_code(34.0)
+    ticks = turning.until(lambda: turning.view(0).state == FAULT, 2000)
+    assert ticks * 0.5e-3 == pytest.approx(60.0 / (34.0**2 / 4.7 - 10.0), rel=0.03)
+    assert turning.view(0).faults == OVER_VOLTAGE
+    assert not turning.hal.brake

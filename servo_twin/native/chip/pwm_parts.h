@@ -1,0 +1,85 @@
+/* pwm_parts.h - what the parts of the PWM share; nobody else includes it. */
+#ifndef CHIP_PWM_PARTS_H
+#define CHIP_PWM_PARTS_H
+
+#include "chip/parts.h"
+#include "chip/pwm.h"
+
+#define CTRL2_CLK_SEL(x) ((x) & 3u)
+#define CTRL2_RELOAD_SEL 0x0004u
+#define CTRL2_FORCE_SEL(x) (((x) >> 3) & 7u)
+#define CTRL2_FORCE 0x0040u
+#define CTRL2_FRCEN 0x0080u
+#define CTRL2_INIT_SEL(x) (((x) >> 8) & 3u)
+#define CTRL2_PWM45_INIT 0x0800u
+#define CTRL2_PWM23_INIT 0x1000u
+#define CTRL2_INDEP 0x2000u
+enum { INIT_LOCAL, INIT_MASTER_RELOAD, INIT_MASTER_SYNC, INIT_EXT_SYNC };
+enum { FORCE_LOCAL, FORCE_MASTER, FORCE_RELOAD, FORCE_MASTER_RELOAD, FORCE_SYNC, FORCE_MASTER_SYNC };
+
+#define CTRL_LDMOD 0x0004u
+#define CTRL_PRSC(x) (((x) >> 4) & 7u)
+#define CTRL_FULL 0x0400u
+#define CTRL_HALF 0x0800u
+#define CTRL_LDFQ(x) ((unsigned)(x) >> 12)
+
+#define STS_RF 0x1000u
+#define STS_REF 0x2000u
+#define STS_RUF 0x4000u
+#define STS_CMPF 0x003Fu
+
+#define OCTRL_PWMBFS(x) (((x) >> 2) & 3u)
+#define OCTRL_PWMAFS(x) (((x) >> 4) & 3u)
+#define OCTRL_POLB 0x0200u
+#define OCTRL_POLA 0x0400u
+
+#define FCTRL_FSAFE(x, i) ((((x) >> 4) >> (i)) & 1u)
+#define FCTRL_FAUTO(x, i) ((((x) >> 8) >> (i)) & 1u)
+#define FCTRL_FLVL(x) (((x) >> 12) & 0xFu)
+
+static inline pwm_submodule_t *sub_of(chip_t *chip, unsigned m, unsigned n) { return &chip->pwm[m].sub[n]; }
+
+/* ---- counters and compares (pwm.c) ---------------------------------------------------------------------------------- */
+
+uint16_t pwm_counter(const pwm_submodule_t *s, uint64_t now);
+
+/* Flags of the compares up to the present clock. */
+void pwm_settle(const chip_t *chip, pwm_submodule_t *s);
+
+/* Which compares are events: after a change of what they do. */
+void pwm_watch(pwm_t *pwm, unsigned n);
+
+/* When the next event is: after a change of when. */
+void pwm_schedule(chip_t *chip, unsigned m, unsigned n);
+
+/* Interrupts, after a change of flags or enables. */
+void pwm_request(chip_t *chip, unsigned m, unsigned n);
+void pwm_request_fault(chip_t *chip, unsigned m);
+
+void pwm_load(chip_t *chip, unsigned m, unsigned n);
+
+/* The counter begins anew from INIT in the present clock. */
+void pwm_begin_cycle(chip_t *chip, unsigned m, unsigned n);
+
+/* Submodule n counts while its RUN bit, or that of submodule 0 with whose clock it runs, and its gate are open. */
+void pwm_follow_run(chip_t *chip, unsigned m);
+
+/* ---- outputs and faults (pwm_outputs.c) ------------------------------------------------------------------------------ */
+
+/* Which pins of a pair follow its outputs. */
+void pwm_prepare(chip_t *chip, unsigned m, unsigned n);
+void pwm_show(chip_t *chip, unsigned m, unsigned n);
+void pwm_show_all(chip_t *chip, unsigned m);
+
+/* The dead-time unit, after a change of its inputs and at its end. */
+void pwm_drive(chip_t *chip, unsigned m, unsigned n);
+void pwm_end_dead_time(chip_t *chip, unsigned m, unsigned n);
+
+void pwm_force_out(chip_t *chip, unsigned m, unsigned n);
+
+/* The cycle (or half of it) begins: outputs resume that were waiting for it. */
+void pwm_resume(chip_t *chip, unsigned m, unsigned n, uint16_t boundary);
+
+void pwm_find_faults(chip_t *chip, unsigned m);
+
+#endif

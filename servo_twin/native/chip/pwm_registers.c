@@ -1,0 +1,412 @@
+/* pwm_registers.c - what the software reads and writes. */
+#include "chip/pwm_parts.h"
+
+#define MODULE_SIZE 0x100u
+#define BASE 0xE600u
+#define SUB_SIZE 0x30u
+#define SUB_REGISTERS (PWM_SUBMODULES * SUB_SIZE)
+
+/* Registers of a submodule. */
+enum {
+    CNT = 0x00,
+    INIT = 0x01,
+    CTRL2 = 0x02,
+    CTRL = 0x03,
+    VAL0 = 0x05,
+    FRACVAL1 = 0x06,
+    VAL5 = 0x0F,
+    FRCTRL = 0x10,
+    OCTRL = 0x11,
+    STS = 0x12,
+    INTEN = 0x13,
+    DMAEN = 0x14,
+    TCTRL = 0x15,
+    DISMAP0 = 0x16,
+    DISMAP1 = 0x17,
+    DTCNT0 = 0x18,
+    DTCNT1 = 0x19
+};
+
+/* Registers of a module. */
+enum {
+    OUTEN = 0xC0,
+    MASK = 0xC1,
+    SWCOUT = 0xC2,
+    DTSRCSEL = 0xC3,
+    MCTRL = 0xC4,
+    MCTRL2 = 0xC5,
+    FCTRL0 = 0xC6,
+    FSTS0 = 0xC7,
+    FFILT0 = 0xC8,
+    FTST0 = 0xC9,
+    FCTRL1 = 0xCA,
+    FSTS1 = 0xCB,
+    FFILT1 = 0xCC,
+    FTST1 = 0xCD
+};
+
+/* Buffered registers by their offset in the module: 10h + 8 submodule + (0 INIT, 1-6 VAL0-5); 1 is MCTRL. */
+#define BUFFERED(n)                                                                                                    \
+    [(n) * SUB_SIZE + INIT] = 0x10 + 8 * (n), [(n) * SUB_SIZE + VAL0] = 0x11 + 8 * (n),                                \
+                      [(n) * SUB_SIZE + VAL0 + 2] = 0x12 + 8 * (n), [(n) * SUB_SIZE + VAL0 + 4] = 0x13 + 8 * (n),      \
+                      [(n) * SUB_SIZE + VAL0 + 6] = 0x14 + 8 * (n), [(n) * SUB_SIZE + VAL0 + 8] = 0x15 + 8 * (n),      \
+                      [(n) * SUB_SIZE + VAL5] = 0x16 + 8 * (n)
+
+static const uint8_t buffered[MODULE_SIZE] = {BUFFERED(0), BUFFERED(1), BUFFERED(2), BUFFERED(3), [MCTRL] = 1};
+
+bool pwm_buffers(uint32_t address) { return buffered[address & (MODULE_SIZE - 1u)] != 0; }
+
+static bool is_value(uint32_t r) { return r == INIT || (r >= VAL0 && r <= VAL5 && (r & 1u) != 0); }
+
+static bool is_fraction(uint32_t r) { return r >= FRACVAL1 && r < VAL5 && (r & 1u) == 0; }
+
+static uint16_t read_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r)
+{
+    pwm_submodule_t *s = sub_of(chip, m, n);
+    if (r == INIT) {
+        return s->buffer.init;
+    }
+    if (is_value(r)) {
+        return s->buffer.val[(r - VAL0) / 2u];
+    }
+    if (is_fraction(r)) {
+        return 0;
+    }
+    switch (r) {
+    case CNT:
+        return pwm_counter(s, chip->now);
+    case CTRL2:
+        return s->ctrl2;
+    case CTRL:
+        return s->ctrl;
+    case FRCTRL:
+    case DMAEN:
+        return 0;
+    case OCTRL:
+        return (uint16_t)(s->octrl | ((s->levels & 1u) << 15) | ((s->levels & 2u) << 13));
+    case STS:
+        pwm_settle(chip, s);
+        return (uint16_t)(s->flags | (s->updated ? STS_RUF : 0u));
+    case INTEN:
+        return s->inten;
+    case TCTRL:
+        return s->tctrl;
+    case DISMAP0:
+        return s->dismap0;
+    case DISMAP1:
+        return s->dismap1;
+    case DTCNT0:
+    case DTCNT1:
+        return s->dtcnt[r - DTCNT0];
+    default:
+        chip_no_register(chip, address);
+    }
+}
+
+static void write_ctrl2(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint16_t value)
+{
+    pwm_t *pwm = &chip->pwm[m];
+    pwm_submodule_t *s = &pwm->sub[n];
+    const unsigned clock = CTRL2_CLK_SEL(value);
+    const unsigned force = CTRL2_FORCE_SEL(value);
+    const unsigned init = CTRL2_INIT_SEL(value);
+    if (clock == 1u || clock == 3u || (n == 0 && clock != 0)) {
+        chip_no_value(chip, address, value, "this CLK_SEL is not modelled");
+    }
+    if (n == 0 && ((value & CTRL2_RELOAD_SEL) != 0 || init == INIT_MASTER_RELOAD || init == INIT_MASTER_SYNC)) {
+        chip_no_value(chip, address, value, "submodule 0 cannot follow itself");
+    }
+    if (init == INIT_MASTER_RELOAD || force == FORCE_MASTER_RELOAD || force > FORCE_MASTER_SYNC ||
+        (n == 0 && (force & 1u) != 0)) {
+        chip_no_value(chip, address, value, "this INIT_SEL or FORCE_SEL is not modelled");
+    }
+    s->ctrl2 = (uint16_t)(value & ~CTRL2_FORCE);
+    pwm_watch(pwm, n);
+    pwm_follow_run(chip, m);
+    if ((value & CTRL2_FORCE) != 0) {
+        for (unsigned k = n; k < PWM_SUBMODULES; k++) {
+            pwm_submodule_t *other = sub_of(chip, m, k);
+            const unsigned by = CTRL2_FORCE_SEL(other->ctrl2);
+            if ((k != n || by != FORCE_LOCAL) && !(n == 0 && k > 0 && by == FORCE_MASTER)) {
+                continue;
+            }
+            if ((other->ctrl2 & CTRL2_FRCEN) != 0) {
+                other->generated[0] = (other->ctrl2 & CTRL2_PWM23_INIT) != 0;
+                other->generated[1] = (other->ctrl2 & CTRL2_PWM45_INIT) != 0;
+                if (other->running) {
+                    pwm_settle(chip, other);
+                    pwm_begin_cycle(chip, m, k);
+                }
+            }
+            pwm_force_out(chip, m, k);
+            pwm_schedule(chip, m, k);
+        }
+    }
+    pwm_schedule(chip, m, n);
+}
+
+static void write_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r, uint16_t value)
+{
+    pwm_t *pwm = &chip->pwm[m];
+    pwm_submodule_t *s = &pwm->sub[n];
+    if (is_fraction(r)) {
+        chip_only(chip, address, value, 0, "the fractional unit is not modelled");
+        return;
+    }
+    switch (r) {
+    case CTRL2:
+        write_ctrl2(chip, address, m, n, value);
+        break;
+    case CTRL:
+        chip_only(chip, address, value, 0xFF74, "double switching is not modelled");
+        s->ctrl = (uint16_t)(value & ~0x0300u);
+        if (((pwm->ldok >> n) & 1u) == 0) {
+            s->updated = s->updated || CTRL_PRSC(value) != s->buffer.prescaler;
+            s->buffer.prescaler = CTRL_PRSC(value);
+        }
+        pwm_watch(pwm, n);
+        pwm_schedule(chip, m, n);
+        break;
+    case FRCTRL:
+        chip_only(chip, address, value, 0, "the fractional unit is not modelled");
+        break;
+    case OCTRL:
+        s->octrl = value & 0x073Fu;
+        pwm_prepare(chip, m, n);
+        pwm_show(chip, m, n);
+        break;
+    case STS:
+        pwm_settle(chip, s);
+        s->flags = (uint16_t)(s->flags & ~value);
+        pwm_request(chip, m, n);
+        break;
+    case INTEN:
+        chip_only(chip, address, value, 0x303F, "the capture unit is not modelled");
+        pwm_settle(chip, s);
+        s->inten = value;
+        pwm_watch(pwm, n);
+        pwm_request(chip, m, n);
+        pwm_schedule(chip, m, n);
+        break;
+    case DMAEN:
+        chip_only(chip, address, value, 0, "DMA is not modelled");
+        break;
+    case TCTRL:
+        chip_only(chip, address, value, 0x003F, "PWM waveforms as triggers are not modelled");
+        s->tctrl = value;
+        pwm_watch(pwm, n);
+        pwm_schedule(chip, m, n);
+        break;
+    case DISMAP0:
+        s->dismap0 = value;
+        pwm_prepare(chip, m, n);
+        pwm_show(chip, m, n);
+        break;
+    case DISMAP1: /* faults 4-7 have no pins here */
+        s->dismap1 = value;
+        break;
+    case DTCNT0:
+    case DTCNT1:
+        s->dtcnt[r - DTCNT0] = value & 0x7FFu;
+        break;
+    default:
+        chip_no_register(chip, address);
+    }
+}
+
+static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
+{
+    pwm_t *pwm = &chip->pwm[m];
+    pwm->ldok = (uint16_t)((pwm->ldok | (value & 0xFu)) & ~((unsigned)value >> 4 & 0xFu));
+    const bool same_run = pwm->run == ((value >> 8) & 0xFu);
+    const uint16_t ipol = (uint16_t)(value >> 12);
+    if (ipol != pwm->ipol) {
+        pwm->ipol = ipol;
+        for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
+            pwm_watch(pwm, n);
+        }
+    }
+    pwm->run = (value >> 8) & 0xFu;
+    const bool first_stuck = pwm->sub[0].running && pwm->sub[0].stuck;
+    for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
+        pwm_submodule_t *s = &pwm->sub[n];
+        /* A counter without a cycle meets its reload point, and that of its followers, in every clock. */
+        const bool led = first_stuck && n > 0 && (s->ctrl2 & CTRL2_RELOAD_SEL) != 0;
+        const bool stuck = s->running && (s->stuck || led);
+        if (((pwm->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || stuck)) {
+            pwm_load(chip, m, n);
+            if (stuck) {
+                pwm_begin_cycle(chip, m, n);
+            }
+            pwm_schedule(chip, m, n);
+        }
+    }
+    if (!same_run) {
+        pwm_follow_run(chip, m);
+    }
+}
+
+static uint16_t fault_status(const pwm_t *pwm)
+{
+    return (uint16_t)(pwm->fault_flag | (unsigned)pwm->fsts_full << 4 | pwm->fault_filtered << 8 |
+                      (unsigned)pwm->fsts_half << 12);
+}
+
+static uint16_t read_module(chip_t *chip, uint32_t address, unsigned m, uint32_t r)
+{
+    const pwm_t *pwm = &chip->pwm[m];
+    switch (r) {
+    case OUTEN:
+        return pwm->outen;
+    case MASK:
+        return pwm->mask;
+    case SWCOUT:
+        return pwm->swcout;
+    case DTSRCSEL:
+        return pwm->dtsrcsel;
+    case MCTRL:
+        return (uint16_t)(pwm->ldok | (unsigned)pwm->run << 8 | (unsigned)pwm->ipol << 12);
+    case MCTRL2:
+        return pwm->mctrl2;
+    case FCTRL0:
+        return pwm->fctrl;
+    case FSTS0:
+        return fault_status(pwm);
+    case FFILT0:
+        return pwm->ffilt;
+    case FTST0:
+        return pwm->ftst;
+    case FCTRL1:
+        return pwm->fctrl1;
+    case FSTS1:
+        return pwm->fsts1;
+    case FFILT1:
+        return pwm->ffilt1;
+    case FTST1:
+        return pwm->ftst1;
+    default:
+        chip_no_register(chip, address);
+    }
+}
+
+static void write_module(chip_t *chip, uint32_t address, unsigned m, uint32_t r, uint16_t value)
+{
+    pwm_t *pwm = &chip->pwm[m];
+    switch (r) {
+    case OUTEN:
+        chip_only(chip, address, value, 0x0FF0, "PWM_X is not modelled");
+        pwm->outen = value;
+        pwm_show_all(chip, m);
+        break;
+    case MASK:
+        pwm->mask = value & 0x0FFFu;
+        break;
+    case SWCOUT:
+        pwm->swcout = value & 0x00FFu;
+        break;
+    case DTSRCSEL:
+        for (unsigned k = 0; k < 8u; k++) {
+            if (((value >> (2u * k)) & 3u) == 3u) {
+                chip_no_value(chip, address, value, "external sources are not modelled");
+            }
+        }
+        pwm->dtsrcsel = value;
+        break;
+    case MCTRL:
+        write_mctrl(chip, m, value);
+        break;
+    case MCTRL2:
+        chip_only(chip, address, value, 0x0003, "reserved");
+        pwm->mctrl2 = value;
+        break;
+    case FCTRL0:
+        pwm->fctrl = value;
+        pwm_find_faults(chip, m);
+        pwm_request_fault(chip, m);
+        break;
+    case FSTS0:
+        pwm->fault_flag &= ~(unsigned)value;
+        pwm->fsts_full = (value >> 4) & 0xFu;
+        pwm->fsts_half = (uint16_t)(value >> 12);
+        for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
+            pwm_watch(pwm, n);
+            pwm_schedule(chip, m, n);
+        }
+        pwm_request_fault(chip, m);
+        break;
+    case FFILT0:
+        chip_only(chip, address, value, 0x87FF, "reserved");
+        pwm->ffilt = value;
+        break;
+    case FTST0:
+        pwm->ftst = value & 1u;
+        pwm_find_faults(chip, m);
+        break;
+    case FCTRL1:
+        chip_only(chip, address, value, 0xFFF0, "interrupts of the faults 4-7 are not modelled");
+        pwm->fctrl1 = value;
+        break;
+    case FSTS1:
+        pwm->fsts1 = value & 0xF0F0u;
+        break;
+    case FFILT1:
+        pwm->ffilt1 = value;
+        break;
+    case FTST1:
+        chip_only(chip, address, value, 0, "faults 4-7 are not modelled");
+        break;
+    default:
+        chip_no_register(chip, address);
+    }
+}
+
+static void check_gate(chip_t *chip, uint32_t address, unsigned m, uint32_t offset)
+{
+    const unsigned first = (m == 0) ? 7u : 3u;
+    sim_gate(chip, address, 3, (offset < SUB_REGISTERS) ? first - offset / SUB_SIZE : first);
+}
+
+uint16_t pwm_read(chip_t *chip, uint32_t address)
+{
+    const unsigned m = (address - BASE) / MODULE_SIZE;
+    const uint32_t offset = (address - BASE) % MODULE_SIZE;
+    check_gate(chip, address, m, offset);
+    if (offset < SUB_REGISTERS) {
+        return read_sub(chip, address, m, offset / SUB_SIZE, offset % SUB_SIZE);
+    }
+    return read_module(chip, address, m, offset);
+}
+
+static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned what, uint16_t value)
+{
+    const unsigned n = (what >> 3) - 2u;
+    pwm_t *pwm = &chip->pwm[m];
+    sim_gate(chip, address, 3, ((m == 0) ? 7u : 3u) - n);
+    if (((pwm->ldok >> n) & 1u) != 0) {
+        pwm->locked_writes++;
+        return;
+    }
+    pwm_submodule_t *s = &pwm->sub[n];
+    if ((what & 7u) == 0) {
+        s->buffer.init = value;
+    } else {
+        s->buffer.val[(what & 7u) - 1u] = value;
+    }
+    s->updated = true;
+}
+
+void pwm_write(chip_t *chip, uint32_t address, uint16_t value)
+{
+    const unsigned m = (address - BASE) / MODULE_SIZE;
+    const uint32_t offset = (address - BASE) % MODULE_SIZE;
+    if (buffered[offset] > 1u) {
+        write_buffer(chip, address, m, buffered[offset], value);
+        return;
+    }
+    check_gate(chip, address, m, offset);
+    if (offset < SUB_REGISTERS) {
+        write_sub(chip, address, m, offset / SUB_SIZE, offset % SUB_SIZE, value);
+    } else {
+        write_module(chip, address, m, offset, value);
+    }
+}
