@@ -29,12 +29,8 @@ static int16_t quantity_of(const axis_t *axis, uint16_t which)
         return axis->current_loop.voltage.q;
     case MONITOR_AXIS1_THETA_E:
         return axis->feedback.theta_e;
-    case MONITOR_AXIS1_SPEED:
+    default:
         return f16_from_f32(axis->feedback.speed);
-    case MONITOR_AXIS1_SPEED_REF:
-        return f16_from_f32(axis->motion.speed_ref);
-    default: /* the lowest bits of the position: a saw tooth of 16 turns */
-        return (int16_t)(uint16_t)((uint32_t)axis->feedback.position & 0xFFFFU);
     }
 }
 

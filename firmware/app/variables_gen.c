@@ -121,8 +121,6 @@ static const char strings[] =
     "AXIS1_U_Q\0"
     "AXIS1_THETA_E\0"
     "AXIS1_SPEED\0"
-    "AXIS1_SPEED_REF\0"
-    "AXIS1_POSITION\0"
     "AXIS2_I_D\0"
     "AXIS2_I_Q\0"
     "AXIS2_I_Q_REF\0"
@@ -130,8 +128,6 @@ static const char strings[] =
     "AXIS2_U_Q\0"
     "AXIS2_THETA_E\0"
     "AXIS2_SPEED\0"
-    "AXIS2_SPEED_REF\0"
-    "AXIS2_POSITION\0"
     "catalogue_hash\0"
     "\xE2\0"
     "snapshot\0"
@@ -248,91 +244,87 @@ static const tsa_entry_t entries[] = {
     {267, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
     {277, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
     {291, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
-    {303, 21, 9, 0, TSA_KIND_NONE}, /* AXIS1_SPEED_REF */
-    {319, 21, 10, 0, TSA_KIND_NONE}, /* AXIS1_POSITION */
-    {334, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
-    {344, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
-    {354, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
-    {368, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
-    {378, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
-    {388, 21, 16, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
-    {402, 21, 17, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {414, 21, 18, 0, TSA_KIND_NONE}, /* AXIS2_SPEED_REF */
-    {430, 21, 19, 0, TSA_KIND_NONE}, /* AXIS2_POSITION */
-    {445, 460, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {462, 471, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {473, 460, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {478, 460, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {491, 505, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {507, 512, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {514, 527, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {529, 539, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {541, 512, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {549, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {558, 505, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {569, 505, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {584, 505, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {601, 539, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {619, 539, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {644, 512, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {660, 505, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {675, 527, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {694, 527, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {713, 527, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {735, 539, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {752, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {767, 165, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {784, 165, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {804, 460, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {825, 203, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {839, 505, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {858, 505, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {870, 527, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {885, 527, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {904, 539, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {916, 539, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {932, 512, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {942, 512, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {952, 512, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {966, 512, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {976, 512, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {986, 512, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1000, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1012, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1027, 460, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1040, 505, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1058, 505, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1071, 512, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1085, 539, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1106, 512, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1129, 512, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1148, 505, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1172, 460, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1186, 471, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1205, 512, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1227, 527, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1242, 527, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1261, 539, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1273, 539, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1289, 512, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1299, 512, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1309, 512, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1323, 512, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1333, 512, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1343, 512, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1357, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1369, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1384, 460, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1397, 505, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1415, 505, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1428, 512, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {1442, 539, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1463, 512, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1486, 512, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1505, 505, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1529, 460, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1543, 471, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {1562, 512, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {303, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
+    {313, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
+    {323, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
+    {337, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
+    {347, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
+    {357, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
+    {371, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
+    {383, 398, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {400, 409, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {411, 398, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {416, 398, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {429, 443, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {445, 450, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {452, 465, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {467, 477, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {479, 450, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {487, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {496, 443, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {507, 443, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {522, 443, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {539, 477, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {557, 477, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {582, 450, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {598, 443, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {613, 465, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {632, 465, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {651, 465, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {673, 477, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {690, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {705, 165, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {722, 165, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {742, 398, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {763, 203, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {777, 443, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {796, 443, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {808, 465, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {823, 465, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {842, 477, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {854, 477, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {870, 450, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {880, 450, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {890, 450, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {904, 450, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {914, 450, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {924, 450, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {938, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {950, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {965, 398, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {978, 443, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {996, 443, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1009, 450, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1023, 477, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1044, 450, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1067, 450, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1086, 443, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1110, 398, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1124, 409, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1143, 450, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1165, 465, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1180, 465, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1199, 477, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1211, 477, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1227, 450, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1237, 450, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1247, 450, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1261, 450, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1271, 450, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1281, 450, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1295, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1307, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1322, 398, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1335, 443, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1353, 443, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1366, 450, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {1380, 477, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1401, 450, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1424, 450, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1443, 443, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1467, 398, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1481, 409, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {1500, 450, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {

@@ -528,7 +528,7 @@ def too_fast_for_a_short(rig: Rig) -> None:
 def broken_phases(rig: Rig) -> None:
     """Phases lost while they turn and while they hold a load; a converter that repeats itself, or says too much."""
     _spin(rig)
-    rig.set("param.monitor", 3.0, 16.0)
+    rig.set("param.monitor", 8.0, 13.0)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 80.0, -80.0)
     rig.run(0.06)
