@@ -226,6 +226,10 @@ void startup_hand_over(axis_t *axis)
 frac16_t startup_fade(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
-    startup->fade -= f32_clip(startup->fade, axis->config->startup.fade_step);
+    const startup_config_t *config = &axis->config->startup;
+    /* At low speed some of it stays: phase currents near zero leave it to the dead time what voltage there is. */
+    const bool slow = f32_abs(axis->estimate.speed) < config->final_speed / 2;
+    const frac32_t kept = slow ? f32_from_f16(config->first_current) / 2 : 0;
+    startup->fade += f32_clip(kept - startup->fade, config->fade_step);
     return f16_from_f32(startup->fade);
 }
