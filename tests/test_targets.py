@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from servo_msgs_py.catalogue import Catalogue
 from targets.__main__ import main
-from targets.comparison import Expectation, Report, check, combined
+from targets.comparison import Expectation, Report, check
 from targets.history import MAIN_TRANSITIONS, RUN_TRANSITIONS, History, histories
 from targets.line_coverage import missed_lines
 from targets.machines import TARGETS, Target
@@ -45,6 +45,9 @@ NOT_ON_A_TARGET = {
 # ---- the targets ----------------------------------------------------------------------------------------------------
 
 
+LEFT_OUT_MOST = 12
+"""Runs that are too long for the smallest machine, of three dozen: all others need to fit."""
+
 SLOW = 100.0
 """Weight of a target from which on its test takes more than a few seconds."""
 
@@ -63,7 +66,8 @@ def test_target_agrees(
     needs(target)
     (report,) = check([target], expected, c_sources, tmp_path)
     assert not report.problems, "\n".join(report.problems)
-    assert report.digest == combined([one.digest for one in expected])
+    assert report.agrees
+    assert len(report.left_out) <= (LEFT_OUT_MOST if target.name.startswith("avr") else 0), report.left_out
 
 
 def test_the_machines_differ() -> None:
@@ -176,7 +180,7 @@ def test_command_fails_without_all_tools_if_told(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.usefixtures("recorded_before")
 def test_command_fails_if_a_target_differs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    report = Report(TARGETS[0], 0x1234ABCD, 1.0, ("server: period 3",))
+    report = Report(TARGETS[0], 0x1234ABCD, 0x1234ABCD, 1.0, ("server: period 3",))
     monkeypatch.setattr("targets.__main__.check", lambda *_: iter([report]))
     assert main(["--target", TARGETS[0].name, "--scenario", "server"]) == 1
     _, line, problem, summary = capsys.readouterr().out.splitlines()

@@ -150,8 +150,12 @@ def test_comes_back_after_the_watchdog(holding: Board) -> None:
     holding.poke(IPR_M1, holding.peek(IPR_M1) & ~0x0300)
     holding.run(0.1)
     assert holding.peek(0xE401) & COP_RESET
-    assert [holding.read(f"axis{n}.state") for n in (1, 2)] == [STOP, STOP]
+    watchdog = next(fault.mask for fault in holding.catalogue.flags["faults"] if fault.name == "WATCHDOG")
+    assert [holding.read_raw(f"axis{n}.faults") for n in (1, 2)] == [[watchdog], [watchdog]]
     assert holding.peek(0xE6C0) == holding.peek(0xE7C0) == 0  # outputs off
+    holding.write("cmd.clear_faults", [1, 1])
+    holding.run(0.05)
+    assert [holding.read(f"axis{n}.state") for n in (1, 2)] == [STOP, STOP]
     enable(holding)
     start = holding.read_raw("axis1.position")[0]
     holding.write_raw("cmd.position", [start + 1000, holding.read_raw("axis2.position")[0]])

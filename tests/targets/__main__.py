@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         digest = combined([one.digest for one in expected])
         print(f"{'recorded on the host':20} {digest:08X}          {_contents(expected)}", flush=True)
         for report in check(there, expected, sources, folder):
-            agree = _print(report, digest) and agree
+            agree = _print(report) and agree
     for target in missing:
         print(f"{target.name:20} skipped            {missing_text(target)}")
     print(_summary(len(there), len(missing), agree))
@@ -65,14 +65,15 @@ def _contents(expected: Sequence[Expectation]) -> str:
     return f"{len(expected)} runs, {periods} PWM periods: {', '.join(one.name for one in expected)}"
 
 
-def _print(report: Report, digest: int) -> bool:
-    agrees = not report.problems and report.digest == digest
+def _print(report: Report) -> bool:
     value = "--------" if report.digest is None else f"{report.digest:08X}"
-    verdict = "" if agrees else "  DIFFERS"
+    verdict = "" if report.agrees else "  DIFFERS"
     print(f"{report.target.name:20} {value} {report.seconds:6.1f} s  {report.target.about}{verdict}", flush=True)
     for problem in report.problems:
         print("    " + problem.replace("\n", "\n    "))
-    return agrees
+    if report.left_out:
+        print(f"    not in the digest, its memory does not hold them: {', '.join(report.left_out)}")
+    return report.agrees
 
 
 def _summary(run: int, skipped: int, agree: bool) -> str:

@@ -14,7 +14,7 @@ from targets.calls import difference, parse_console
 from targets.machines import Program, Target
 from targets.recording import CHECK_PERIODS, Arithmetic, Recording
 from targets.sources import Sources
-from targets.toolchain import JOBS, TargetError
+from targets.toolchain import JOBS, TargetError, TooLargeError
 
 Expectation = Recording | Arithmetic
 
@@ -26,24 +26,36 @@ class Report:
     Attributes
     ----------
     digest : int or None
-        Over all expectations; None when one of them did not come to its end.
+        Over all expectations that it holds; None when one of them did not come to its end.
+    expected : int
+        What it should be.
     seconds : float
         Sum of the running times.
     problems : tuple of str
         Differences and failures; empty when the target agrees.
+    left_out : tuple of str
+        Recordings that its memory does not hold.
     """
 
     target: Target
     digest: int | None
+    expected: int
     seconds: float
     problems: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def agrees(self) -> bool:
+        return not self.problems and self.digest == self.expected
 
 
 @dataclass(frozen=True)
 class _Run:
+    expectation: Expectation
     digest: int | None
     seconds: float
     problem: str | None
+    left_out: bool = False
 
 
 def combined(digests: Sequence[int]) -> int:
@@ -116,7 +128,7 @@ def check(
         for i, target in enumerate(targets):
             problem = builds[i]
             if isinstance(problem, str):
-                yield Report(target, None, 0.0, (problem,))
+                yield Report(target, None, combined([one.digest for one in expected]), 0.0, (problem,))
             else:
                 yield _report(target, [runs[i, k].result() for k in range(len(expected))])
 
@@ -135,16 +147,21 @@ def _run(program: Program, expected: Expectation) -> _Run:
     digest: int | None = None
     try:
         digest, text = first_difference(program, expected)
+    except TooLargeError:
+        return _Run(expected, None, time.monotonic() - begin, None, left_out=True)
     except (TargetError, ValueError) as error:
         text = str(error)
-    return _Run(digest, time.monotonic() - begin, None if text is None else f"{expected.name}: {text}")
+    return _Run(expected, digest, time.monotonic() - begin, None if text is None else f"{expected.name}: {text}")
 
 
 def _report(target: Target, runs: Sequence[_Run]) -> Report:
-    digests = [run.digest for run in runs if run.digest is not None]
+    held = [run for run in runs if not run.left_out]
+    digests = [run.digest for run in held if run.digest is not None]
     return Report(
         target=target,
-        digest=combined(digests) if len(digests) == len(runs) else None,
+        digest=combined(digests) if len(digests) == len(held) else None,
+        expected=combined([run.expectation.digest for run in held]),
         seconds=sum(run.seconds for run in runs),
         problems=tuple(run.problem for run in runs if run.problem is not None),
+        left_out=tuple(run.expectation.name for run in runs if run.left_out),
     )

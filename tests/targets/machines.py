@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from targets.sources import STRICT, Sources
-from targets.toolchain import TargetError, compile_objects, has_library, has_program, run
+from targets.toolchain import TargetError, TooLargeError, compile_objects, has_library, has_program, run
 
 AVR_MCU: Final = "atmega1284p"
 AVR_CLOCK: Final = 16_000_000
@@ -43,7 +43,15 @@ class Program(Protocol):
     """A built program."""
 
     def run(self, image: bytes) -> str:
-        """Start the program with an image; returns what it printed."""
+        """Start the program with an image; returns what it printed.
+
+        Raises
+        ------
+        TooLargeError
+            If the machine has no room for the image.
+        TargetError
+            If the program fails.
+        """
 
 
 class Target(Protocol):
@@ -194,7 +202,10 @@ class AvrProgram:
             run(["avr-gcc", *AVR_OPTIONS, define, "-c", self.image_source, "-o", folder / "image.o"])
             elf = folder / "replay.elf"
             link = ["-Wl,--gc-sections", "-Wl,--undefined=machine_image_begin"]
-            run(["avr-gcc", *AVR_OPTIONS, *link, *self._needed(image), folder / "image.o", "-o", elf])
+            try:
+                run(["avr-gcc", *AVR_OPTIONS, *link, *self._needed(image), folder / "image.o", "-o", elf])
+            except TargetError as error:
+                raise TooLargeError(str(error)) if "overflowed by" in str(error) else error from None
             _check_data(elf)
             text = run(["simavr", "-m", AVR_MCU, "-f", str(AVR_CLOCK), elf], merged=True, timeout=PATIENCE)
         # The simulator colours what the target prints and puts a dot for each line feed.

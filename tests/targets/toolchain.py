@@ -18,6 +18,10 @@ class TargetError(RuntimeError):
     """A target could not be built, or its program did not end as it should."""
 
 
+class TooLargeError(TargetError):
+    """A recording that the memory of a target does not hold."""
+
+
 def run(
     command: Sequence[str | Path],
     *,
