@@ -97,7 +97,7 @@ def test_starts_as_on_the_slide(seed: int) -> None:
 def test_angle_over_speed(speed: float, spread: float) -> None:
     """From 5 % of the top speed: the ripple of the dead time is small, and the mean of the angle true.
 
-    At low speed a current along the rotor drops some millivolts at switches (30 mohm) that the observer does not know of.
+    At low speed a current along the rotor drops some millivolts at switches (30 mohm) that the observer cannot know.
     """
     unknown = 0.03 * 0.75 if abs(speed) < 40.0 else 0.0
     bias = 1.0 + math.degrees(unknown / (2 * abs(speed) * 0.0154))

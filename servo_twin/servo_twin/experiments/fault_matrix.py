@@ -1,4 +1,4 @@
-"""Every damage in every state of an axis: how soon the outputs are off, the name of the fault, what the other axis did."""
+"""Every damage in every state of an axis: how soon its outputs are off, what it is called, what the other axis did."""
 
 from __future__ import annotations
 
