@@ -32,6 +32,7 @@ setup(
     python_requires=">=3.10",
     install_requires=["numpy", "pyserial", "servo_msgs_py", 'tomli; python_version < "3.11"'],
     extras_require={
+        "plot": ["matplotlib"],
         "ros": ["servo_msgs_py[ros]"],
         "test": ["pytest", "hypothesis"],
     },

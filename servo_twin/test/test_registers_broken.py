@@ -207,7 +207,7 @@ def test_full_cycle_reload(board: Board) -> None:
 
 def test_channel_list(spinning: Board) -> None:
     """The bus voltage in place of a current."""
-    set_speed(spinning, 0.0)
+    set_speed(spinning, 20.0)
     spinning.run(0.1)
     spinning.poke(CLIST1, (spinning.peek(CLIST1) & 0xFFF0) | 6)
     spinning.run(0.1)

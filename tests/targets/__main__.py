@@ -71,8 +71,8 @@ def _print(report: Report) -> bool:
     print(f"{report.target.name:20} {value} {report.seconds:6.1f} s  {report.target.about}{verdict}", flush=True)
     for problem in report.problems:
         print("    " + problem.replace("\n", "\n    "))
-    if report.left_out:
-        print(f"    not in the digest, its memory does not hold them: {', '.join(report.left_out)}")
+    if report.shortened:
+        print(f"    its memory holds the beginning of {', '.join(report.shortened)}; the digest is of that")
     return report.agrees
 
 

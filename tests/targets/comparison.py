@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from targets.calls import difference, parse_console
 from targets.machines import Program, Target
@@ -18,6 +19,9 @@ from targets.toolchain import JOBS, TargetError, TooLargeError
 
 Expectation = Recording | Arithmetic
 
+LINK_SLACK: Final = 64
+"""Bytes by which a program may grow with the place of its image."""
+
 
 @dataclass(frozen=True)
 class Report:
@@ -26,15 +30,15 @@ class Report:
     Attributes
     ----------
     digest : int or None
-        Over all expectations that it holds; None when one of them did not come to its end.
+        Over all expectations, as far as it holds them; None when one of them did not come to its end.
     expected : int
         What it should be.
     seconds : float
         Sum of the running times.
     problems : tuple of str
         Differences and failures; empty when the target agrees.
-    left_out : tuple of str
-        Recordings that its memory does not hold.
+    shortened : tuple of str
+        Recordings of which its memory holds only the beginning, and how much.
     """
 
     target: Target
@@ -42,7 +46,7 @@ class Report:
     expected: int
     seconds: float
     problems: tuple[str, ...]
-    left_out: tuple[str, ...] = ()
+    shortened: tuple[str, ...] = ()
 
     @property
     def agrees(self) -> bool:
@@ -55,7 +59,7 @@ class _Run:
     digest: int | None
     seconds: float
     problem: str | None
-    left_out: bool = False
+    shortened: str | None = None
 
 
 def combined(digests: Sequence[int]) -> int:
@@ -145,23 +149,30 @@ def _build(target: Target, sources: Sources, place: Path) -> Program | str:
 def _run(program: Program, expected: Expectation) -> _Run:
     begin = time.monotonic()
     digest: int | None = None
+    shortened: str | None = None
     try:
-        digest, text = first_difference(program, expected)
-    except TooLargeError:
-        return _Run(expected, None, time.monotonic() - begin, None, left_out=True)
+        try:
+            digest, text = first_difference(program, expected)
+        except TooLargeError as error:
+            if isinstance(expected, Arithmetic):
+                raise
+            whole = expected.periods
+            expected = expected.beginning(len(expected.image) - error.excess - LINK_SLACK)
+            shortened = f"{expected.name} {100 * expected.periods // whole} %"
+            digest, text = first_difference(program, expected)
     except (TargetError, ValueError) as error:
         text = str(error)
-    return _Run(expected, digest, time.monotonic() - begin, None if text is None else f"{expected.name}: {text}")
+    problem = None if text is None else f"{expected.name}: {text}"
+    return _Run(expected, digest, time.monotonic() - begin, problem, shortened)
 
 
 def _report(target: Target, runs: Sequence[_Run]) -> Report:
-    held = [run for run in runs if not run.left_out]
-    digests = [run.digest for run in held if run.digest is not None]
+    digests = [run.digest for run in runs if run.digest is not None]
     return Report(
         target=target,
-        digest=combined(digests) if len(digests) == len(held) else None,
-        expected=combined([run.expectation.digest for run in held]),
+        digest=combined(digests) if len(digests) == len(runs) else None,
+        expected=combined([run.expectation.digest for run in runs]),
         seconds=sum(run.seconds for run in runs),
         problems=tuple(run.problem for run in runs if run.problem is not None),
-        left_out=tuple(run.expectation.name for run in runs if run.left_out),
+        shortened=tuple(run.shortened for run in runs if run.shortened is not None),
     )

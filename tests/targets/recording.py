@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,7 +27,9 @@ ARITHMETIC_ROUNDS: Final = 150
 
 _DECLARATIONS: Final = re.compile(r"^/\* CFFI-BEGIN.*?\*/$(.*?)^/\* CFFI-END", re.MULTILINE | re.DOTALL)
 _FUNCTION: Final = re.compile(r"^\w+(?: \*)? (\w+)\(", re.MULTILINE)
-_HEADER: Final = struct.Struct("<4sIII")
+_HEADER: Final = struct.Struct("<4sIIII")
+_READ_AHEAD: Final = 8
+"""Bytes that a reader may have fetched beyond the last call."""
 _ARITHMETIC: Final = struct.Struct("<4sII")
 _CRC_FLIP: Final = 0xFFFFFFFF
 """zlib returns the complement of what the targets fold."""
@@ -61,6 +64,8 @@ class Recording:
         What a replay program is fed with.
     digest, checks : int, tuple of int
         Check values of all that the core did.
+    sizes : tuple of int
+        Bytes of the image that lead to each check value.
     periods : int
         PWM periods.
     log : memoryview
@@ -75,6 +80,7 @@ class Recording:
     image: bytes
     digest: int
     checks: tuple[int, ...]
+    sizes: tuple[int, ...]
     periods: int
     log: memoryview
     fields: dict[int, str]
@@ -87,8 +93,25 @@ class Recording:
 
     def printing(self, first: int, last: int) -> bytes:
         """Return the image with the wish to have each call of some periods printed."""
-        name, every, _, _ = _HEADER.unpack_from(self.image)
-        return _HEADER.pack(name, every, first, last) + self.image[_HEADER.size :]
+        name, every, _, _, enough = _HEADER.unpack_from(self.image)
+        return _HEADER.pack(name, every, first, last, enough) + self.image[_HEADER.size :]
+
+    def beginning(self, room: int) -> Recording:
+        """As much of the run as surely fits into `room` bytes."""
+        checks = bisect_left(self.sizes, room - _READ_AHEAD)
+        if not 0 < checks < len(self.checks):
+            raise ValueError(f"{self.name}: nothing of {len(self.image)} bytes fits into {room}")
+        periods = checks * CHECK_PERIODS
+        name, every, first, last, _ = _HEADER.unpack_from(self.image)
+        header = _HEADER.pack(name, every, first, last, periods)
+        return replace(
+            self,
+            image=header + self.image[_HEADER.size : room],
+            digest=self.checks[checks - 1],
+            checks=self.checks[:checks],
+            sizes=self.sizes[:checks],
+            periods=periods,
+        )
 
 
 @dataclass(frozen=True)
@@ -158,13 +181,14 @@ class Recorder:
             scenario.play(rig)
             if not lib.record_end():
                 raise TargetError(f"{scenario.name}: {ffi.string(lib.record_problem()).decode()}")
-            checks = lib.record_check_values()
+            checks, sizes = lib.record_check_values(), lib.record_check_sizes()
             log = bytes(ffi.buffer(lib.record_log(), 2 * lib.record_log_size()))
             return Recording(
                 name=scenario.name,
                 image=bytes(ffi.buffer(lib.record_bytes(), lib.record_size())),
                 digest=int(lib.record_digest()),
                 checks=tuple(int(checks[i]) for i in range(lib.record_checks())),
+                sizes=tuple(int(sizes[i]) for i in range(lib.record_checks())),
                 periods=int(lib.record_periods()),
                 log=memoryview(log).cast("H"),
                 fields=dict(enumerate(rig.entries)),

@@ -19,7 +19,11 @@ class TargetError(RuntimeError):
 
 
 class TooLargeError(TargetError):
-    """A recording that the memory of a target does not hold."""
+    """An image that the memory of a target does not hold; `excess` is what there is too much of [bytes]."""
+
+    def __init__(self, message: str, excess: int) -> None:
+        super().__init__(message)
+        self.excess = excess
 
 
 def run(

@@ -33,8 +33,9 @@ typedef struct {
     digest_t digest;
     words_t log;
     uint32_t *check;
+    uint32_t *check_at; /* bytes of the image that lead there */
     size_t checks;
-    size_t check_room;
+    size_t check_room, check_at_room;
 } recorder_t;
 
 static recorder_t recorder;
@@ -45,6 +46,7 @@ void record_begin(uint32_t check_every)
 {
     trace_writer_free(&recorder.writer);
     free(recorder.check);
+    free(recorder.check_at);
     free(recorder.log.word);
     recorder = (recorder_t){.check_every = check_every};
     trace_writer_open(&recorder.writer, check_every);
@@ -78,6 +80,7 @@ uint32_t record_periods(void) { return recorder.digest.periods; }
 uint32_t record_digest(void) { return recorder.digest.value; }
 size_t record_checks(void) { return recorder.checks; }
 const uint32_t *record_check_values(void) { return recorder.check; }
+const uint32_t *record_check_sizes(void) { return recorder.check_at; }
 size_t record_log_size(void) { return recorder.log.size; }
 const uint16_t *record_log(void) { return recorder.log.word; }
 
@@ -201,9 +204,13 @@ static void log_call(uint32_t period, const servo_t *servo, bool fresh)
 static void keep_check(void)
 {
     uint32_t *check = (uint32_t *)grown(recorder.check, recorder.checks, sizeof *check, &recorder.check_room);
-    if (check != NULL) {
-        recorder.check = check;
-        recorder.check[recorder.checks++] = recorder.digest.value;
+    uint32_t *at = (uint32_t *)grown(recorder.check_at, recorder.checks, sizeof *at, &recorder.check_at_room);
+    recorder.check = (check != NULL) ? check : recorder.check;
+    recorder.check_at = (at != NULL) ? at : recorder.check_at;
+    if (check != NULL && at != NULL) {
+        recorder.check[recorder.checks] = recorder.digest.value;
+        recorder.check_at[recorder.checks] = (uint32_t)recorder.writer.size;
+        recorder.checks++;
     }
 }
 
