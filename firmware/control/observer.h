@@ -81,8 +81,8 @@ static inline void observer_step(observer_t *observer, const observer_config_t *
         at.beta - observer_upper(at.beta, c) + observer_upper(at.alpha, s),
     };
     const int32_t half = INT32_C(1) << (config->f2 - 1U);
-    const int32_t rest_alpha = (observer->v.alpha + voltage.alpha) * half - e.alpha;
-    const int32_t rest_beta = (observer->v.beta + voltage.beta) * half - e.beta;
+    const int32_t rest_alpha = ((int32_t)observer->v.alpha + voltage.alpha) * half - e.alpha;
+    const int32_t rest_beta = ((int32_t)observer->v.beta + voltage.beta) * half - e.beta;
     observer->i.alpha = i.alpha - observer_upper(i.alpha, config->loss) + observer_upper(rest_alpha, config->drive);
     observer->i.beta = i.beta - observer_upper(i.beta, config->loss) + observer_upper(rest_beta, config->drive);
     observer->e = e;
