@@ -38,6 +38,17 @@ NOT_ON_A_TARGET = {
     # Refuse what the table of variables and the number of scope slots rule out.
     "fill",
     "scope_read",
+    # The recorder's board leaves no interrupt out.
+    "come_late",
+    "servo_m1_isr",
+    "servo_m2_isr",
+    # Single lines for which there is no recording yet; the tests of the firmware go through them on the host.
+    "axis_slow",
+    "capture",
+    "f16_angle",
+    "phase_watch_suspects",
+    "stop_begin",
+    "take_commands",
 }
 """Functions with lines that no recorded run can reach, and why."""
 

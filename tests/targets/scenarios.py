@@ -512,8 +512,12 @@ def held(rig: Rig) -> None:
 
 
 def too_fast_for_a_short(rig: Rig) -> None:
-    """The windings would carry too much: the axis coasts."""
+    """The windings would carry too much: the axis coasts. Before that, a look at every monitor output."""
     _ready(rig)
+    for quantity in range(1, 19):
+        rig.set_raw("param.monitor", quantity, quantity)
+        rig.run(0.001)
+    rig.set_raw("param.monitor", 0, 0)
     rig.set("cmd.enable", 1, 0)
     rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
     rig.set_raw("param.on_quick_stop", COAST, COAST)
@@ -523,6 +527,8 @@ def too_fast_for_a_short(rig: Rig) -> None:
     rig.run(0.05)
     rig.set("cmd.enable", 0)
     rig.run(0.002)
+    rig.supply(36.0)
+    rig.until("over-voltage while it coasts", lambda: "OVER_VOLTAGE" in rig.faults(0))
 
 
 def broken_phases(rig: Rig) -> None:
