@@ -17,7 +17,7 @@
  * rotor's turn, and a time that pays [s]. */
 #define OF_TIME_CONSTANT 0.03
 #define OF_TURN 0.015 /* [rad] */
-#define LONGEST 16e-6
+#define LONGEST 32e-6
 #define SHORTEST 2e-6
 #define MARGIN 0.05 /* of friction, for the reluctance torque */
 #define SPLITS 24 /* parts of one segment */
@@ -223,14 +223,53 @@ static inline int first_clamp(const bridge_t *b, double u, double *t)
     return 0;
 }
 
+/* A current that goes through zero in a leg with a gate on, where only the drop changes its sign: the segment goes on
+ * with another slope. */
+typedef struct {
+    int phase;
+    double way;   /* of the current before */
+    double after; /* time left then [s] */
+    pair_t di;    /* by which the slope changes [A/s] */
+} pass_t;
+
+/* The phase that is at zero `t` seconds from here goes on to the other side; false if the drop keeps it at zero. */
+static inline bool passes(const bridge_t *b, int k, double t, double whole, pass_t *pass)
+{
+    if (b->gates[k] == BRIDGE_OPEN || b->floating >= 0 || b->grounded >= 0 || b->alone >= 0) {
+        return false;
+    }
+    const pair_t n = pair_of(&phase_axis[k]);
+    const double way = b->way[k];
+    const pair_t more = both(way * (4.0 / 3.0) * b->v_drop) * product(b->frame.inverse, n);
+    const double slope = sum(n * (pair_of(&b->di) + both(t) * pair_of(&b->ddi) + more));
+    *pass = (pass_t){k, way, whole - t, more};
+    return slope * way < 0.0;
+}
+
+/* Currents at the end of a segment in which one has passed zero. */
+static inline pair_t passed(const bridge_t *b, pair_t i, const pass_t *pass)
+{
+    return i + both(pass->after) * (pass->di + both(0.5 * pass->after) * product(b->frame.drift, pass->di));
+}
+
+/* What the other sign of the drop adds to the sums of a segment that ends with these phase currents. */
+static inline void account_pass(bridge_t *b, const pass_t *pass, const double phase[3])
+{
+    const double volt_seconds = 2.0 * b->v_drop * pass->way * pass->after;
+    put(&b->psi, pair_of(&b->psi) + both((2.0 / 3.0) * volt_seconds) * pair_of(&phase_axis[pass->phase]));
+    b->volt_seconds_0 += THIRD * volt_seconds;
+    b->e_switch -= 0.5 * volt_seconds * phase[pass->phase];
+    set_sign(b, pass->phase, (pass->way < 0.0) ? 1 : -1);
+}
+
 /* The part of a segment up to t. Returns the charge taken out of the bus. */
-static inline double stride(bridge_t *b, double t, double u, pair_t i, const double phase[3])
+static inline double stride(bridge_t *b, double t, double u, pair_t i, const double phase[3], pair_t more)
 {
     const pair_t before = pair_of(&b->i);
     const pair_t a = pair_of(&b->a);
     const pair_t rest = pair_of(&b->b);
     const pair_t charge =
-        both(t) * (before + both(t) * (both(0.5) * pair_of(&b->di) + both(SIXTH * t) * pair_of(&b->ddi)));
+        both(t) * (before + both(t) * (both(0.5) * pair_of(&b->di) + both(SIXTH * t) * pair_of(&b->ddi))) + more;
     const double drawn = 1.5 * sum(a * charge);
     const double squares = (0.5 * t) * sum(before * (before + i) + i * i); /* 3/2 int i^2 */
     filter(b, t, phase);
@@ -262,6 +301,11 @@ static void end_current(bridge_t *b)
     bridge_remove_all(b);
 }
 
+static inline bool beyond_zero(const bridge_t *b, const double phase[3])
+{
+    return phase[0] * b->way[0] < 0.0 || phase[1] * b->way[1] < 0.0 || phase[2] * b->way[2] < 0.0;
+}
+
 double bridge_frame_advance(bridge_t *b, double *rest, double u)
 {
     double drawn = 0.0;
@@ -273,10 +317,29 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
         double phase[3];
         int zero = -1;
         int sign = 0;
+        pass_t pass = {.phase = -1};
+        pair_t more = both(0.0); /* charge */
         pair_t i = current_after(b, t);
         phases_of_pair(i, phase);
-        if (phase[0] * b->way[0] < 0.0 || phase[1] * b->way[1] < 0.0 || phase[2] * b->way[2] < 0.0) {
+        if (beyond_zero(b, phase)) {
+            const double whole = t;
             zero = first_zero(b, phase, &t);
+            if (passes(b, zero, t, whole, &pass)) {
+                i = passed(b, i, &pass);
+                phases_of_pair(i, phase);
+                b->way[zero] = -pass.way;
+                const bool again = beyond_zero(b, phase);
+                b->way[zero] = pass.way;
+                if (!again) {
+                    t = whole;
+                    zero = -1;
+                    more = both(0.5 * pass.after * pass.after) * pass.di;
+                } else {
+                    pass.phase = -1;
+                }
+            } else {
+                pass.phase = -1;
+            }
         }
         if (b->floating >= 0 && (sign = first_clamp(b, u, &t)) != 0) {
             zero = -1;
@@ -289,8 +352,11 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
             break;
         }
         if (t > INSTANT) {
-            drawn += stride(b, t, u, i, phase);
+            drawn += stride(b, t, u, i, phase, more);
             *rest -= t;
+            if (pass.phase >= 0) {
+                account_pass(b, &pass, phase);
+            }
         }
         if (b->floating >= 0) {
             if (sign != 0) {
