@@ -243,7 +243,7 @@ bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
     if (b->sign[k] == 0) {
         return gates == BRIDGE_OPEN && floats_on(b, k, h);
     }
-    if (leg_paths[b->gates[k]][b->sign[k] + 1] != leg_paths[gates][b->sign[k] + 1]) {
+    if (b->path[k] != leg_paths[gates][b->sign[k] + 1] << k) {
         return false;
     }
     /* the current must not have been at zero yet: i'' is some R / L + w times i', and less than CURVED times that */

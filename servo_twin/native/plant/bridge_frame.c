@@ -143,7 +143,6 @@ static void begin_at_zero(bridge_t *b, int k, double u)
 static inline void begin_dead(bridge_t *b)
 {
     b->a = b->b = b->di = b->ddi = (plant_vector_t){0.0, 0.0};
-    find_level(b);
 }
 
 bool bridge_frame_begin(bridge_t *b, double u)

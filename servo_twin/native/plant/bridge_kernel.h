@@ -352,12 +352,6 @@ static inline double settle_leg(bridge_t *b, int k, double u, plant_vector_t per
     return more;
 }
 
-static inline void find_level(bridge_t *b)
-{
-    b->level = b->u * legs_at[PHASES(b->paths, UPPER(0))].mean +
-               (2.0 * legs_at[PHASES(b->paths, RAISED(0))].mean - 1.0) * b->v_drop;
-}
-
 /* The way through two legs that touch each other: without current through them any will do, -V is what others expect. */
 static inline void find_joint_path(bridge_t *b)
 {
@@ -384,10 +378,11 @@ static inline void find_paths(bridge_t *b)
     }
     b->paths = b->path[0] | b->path[1] | b->path[2];
     const double drop = 2.0 * b->v_drop; /* the legs are at plus or minus half of this */
-    const plant_vector_t raised = legs_at[PHASES(b->paths, RAISED(0))].v;
-    b->a = legs_at[PHASES(b->paths, UPPER(0))].v;
-    b->b = (plant_vector_t){drop * raised.alpha, drop * raised.beta};
-    find_level(b);
+    const unsigned upper = PHASES(b->paths, UPPER(0));
+    const unsigned raised = PHASES(b->paths, RAISED(0));
+    b->a = legs_at[upper].v;
+    b->b = (plant_vector_t){drop * legs_at[raised].v.alpha, drop * legs_at[raised].v.beta};
+    b->level = b->u * legs_at[upper].mean + drop * legs_at[raised].mean - b->v_drop;
     if (b->grounded >= 0 && b->sign[b->grounded] != 0) {
         lift_grounded(b);
     }

@@ -177,8 +177,9 @@ static void advance_supply(switching_t *plant)
     double load = 0.0;
     for (int i = 0; i < BOARD_AXES; i++) {
         switching_axis_t *axis = &plant->axis[i];
-        const double middle = seconds(axis->clock, from) + 0.5 * h;
-        const double current = axis->i_bus + middle * axis->di_bus;
+        const double rise = h * axis->di_bus;
+        const double current = axis->i_bus + 0.5 * rise;
+        axis->i_bus += rise;
         axis->booked += current * h;
         load += current;
     }

@@ -66,7 +66,7 @@ typedef struct {
     double u_h; /* integral of the bus voltage meanwhile [V s] */
     uint64_t edge_clock; /* when the encoder changes next, if nothing else does */
     quadrature_course_t course; /* of the shaft since `clock` */
-    double i_bus, di_bus; /* current out of the bus at `clock`, and its slope [A], [A/s] */
+    double i_bus, di_bus; /* current out of the bus where the bus stands, and its slope [A], [A/s] */
     uint64_t look_clock; /* when a current may pass the comparator's threshold */
     uint64_t next_clock; /* the earlier of the two, or the horizon */
     uint64_t off_clock[3]; /* when the switch of the leg that was on last no longer conducts, and which one it was */
