@@ -3,6 +3,7 @@
 
 #define SPLITS 24 /* parts of one segment; the rest of it is taken in one piece */
 #define CURVED 3e3 /* [1/s] */
+#define NEAR 0.5e-6 /* so soon a current has hardly left the slope that it began with [s] */
 #define FRESH_TRIG 64u /* steps between two evaluations of sine and cosine; in between they are turned on */
 
 /* Where the rotor looks, from its angle. */
@@ -193,14 +194,22 @@ double bridge_advance(bridge_t *b, double h, double u_h)
 
 /* ---- what others want to know ------------------------------------------------------------------------------------- */
 
-double bridge_amplifier(const bridge_t *b, int k, double h)
+bool bridge_amplifier(const bridge_t *b, int k, double h, double *shown)
 {
+    *shown = b->amplifier[k];
     if (h <= 0.0) {
-        return b->amplifier[k];
+        return true;
+    }
+    double phase[3];
+    if (!bridge_foresee(b, h, phase)) {
+        if (h > NEAR) {
+            return false;
+        }
+        phase[k] = b->phase[k] + h * dot(b->di, phase_axis[k]);
     }
     const double seen = (b->paths & LOWER(k)) ? 1.0 : 0.0;
-    const double slope = dot(b->di, phase_axis[k]);
-    return lag_behind(b->amplifier[k], seen * b->phase[k], seen * (b->phase[k] + h * slope), b->tau / h, decay(b, h));
+    *shown = lag_behind(b->amplifier[k], seen * b->phase[k], seen * phase[k], b->tau / h, decay(b, h));
+    return true;
 }
 
 double bridge_shunt(const bridge_t *b, int k) { return (b->paths & LOWER(k)) ? b->phase[k] : 0.0; }

@@ -149,8 +149,8 @@ void bridge_begin(bridge_t *bridge, double u_dc);
  * bus [A s]. */
 double bridge_advance(bridge_t *bridge, double h, double u_h);
 
-/* What a phase's amplifier shows `h` seconds into the segment, which must be short (h^2 i'' / 2 is neglected). */
-double bridge_amplifier(const bridge_t *bridge, int phase, double h);
+/* What a phase's amplifier shows `h` seconds into the segment; false if something changes before. */
+bool bridge_amplifier(const bridge_t *bridge, int phase, double h, double *shown);
 
 void bridge_gates(bridge_t *bridge, int phase, bridge_gates_t gates);
 

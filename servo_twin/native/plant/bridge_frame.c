@@ -140,10 +140,7 @@ static void begin_at_zero(bridge_t *b, int k, double u)
     put(&b->ddi, ddi);
 }
 
-static inline void begin_dead(bridge_t *b)
-{
-    b->a = b->b = b->di = b->ddi = (plant_vector_t){0.0, 0.0};
-}
+static inline void begin_dead(bridge_t *b) { b->a = b->b = b->di = b->ddi = (plant_vector_t){0.0, 0.0}; }
 
 bool bridge_frame_begin(bridge_t *b, double u)
 {
@@ -188,6 +185,20 @@ static inline void phases_of_pair(pair_t i, double phase[3])
 {
     const plant_vector_t vector = {i[0], i[1]};
     phases_of(vector, phase);
+}
+
+static inline bool beyond_zero(const bridge_t *b, const double phase[3])
+{
+    return phase[0] * b->way[0] < 0.0 || phase[1] * b->way[1] < 0.0 || phase[2] * b->way[2] < 0.0;
+}
+
+bool bridge_foresee(const bridge_t *b, double h, double phase[3])
+{
+    if (!b->framed || !b->begun || b->floating >= 0 || h > b->frame.longest) {
+        return false;
+    }
+    phases_of_pair(current_after(b, h), phase);
+    return !beyond_zero(b, phase);
 }
 
 /* Of the phases that have changed sides at `end`, *t seconds on: which was the first at zero, and when. */
@@ -300,11 +311,6 @@ static void end_current(bridge_t *b)
     bridge_remove_all(b);
 }
 
-static inline bool beyond_zero(const bridge_t *b, const double phase[3])
-{
-    return phase[0] * b->way[0] < 0.0 || phase[1] * b->way[1] < 0.0 || phase[2] * b->way[2] < 0.0;
-}
-
 double bridge_frame_advance(bridge_t *b, double *rest, double u)
 {
     double drawn = 0.0;
@@ -395,6 +401,14 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
     (void)rest;
     (void)u;
     return 0.0;
+}
+
+bool bridge_foresee(const bridge_t *b, double h, double phase[3])
+{
+    (void)b;
+    (void)h;
+    (void)phase;
+    return false;
 }
 
 #endif

@@ -327,6 +327,9 @@ bool bridge_frame_begin(bridge_t *bridge, double u);
  * bus. */
 double bridge_frame_advance(bridge_t *bridge, double *rest, double u);
 
+/* The currents `h` seconds into a segment of the frame; false if something changes before. */
+bool bridge_foresee(const bridge_t *bridge, double h, double phase[3]);
+
 /* bridge_legs.c: the only leg without current, -1 if there is none, NO_CURRENT if there are more. */
 #define NO_CURRENT 3
 static inline int leg_at_zero(const bridge_t *b)

@@ -7,7 +7,6 @@
 
 #define CLOCK (1.0 / SWITCHING_CLOCK_HZ) /* [s] */
 #define NEVER UINT64_MAX
-#define SAMPLE_NEAR 50u /* a sample so soon after an edge is taken from the slope [clocks] */
 #define EDGE_HORIZON (2.0 * SWITCHING_HORIZON * CLOCK) /* edges are looked for so far ahead [s] */
 #define THERMAL_STEP UINT64_C(100000) /* [clocks] */
 #define GLITCH 100u /* a disturbance of an encoder line lasts so long [clocks] */
@@ -402,11 +401,13 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
 uint16_t switching_current_code(switching_t *plant, int i, int phase)
 {
     switching_axis_t *axis = &plant->axis[i];
-    if (plant->now - axis->clock > SAMPLE_NEAR) {
-        advance_axis(plant, i);
-    }
+    double current;
     switching_look_around(plant);
-    const double current = bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now));
+    if (!bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), &current)) {
+        advance_axis(plant, i);
+        switching_look_around(plant);
+        current = axis->bridge.amplifier[phase];
+    }
     const double shown = current + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
     return plant_harm_code(&axis->harm, phase, plant_code(2048.0 + shown * axis->codes_per_ampere));
 }
