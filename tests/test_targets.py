@@ -42,13 +42,6 @@ NOT_ON_A_TARGET = {
     "come_late",
     "servo_m1_isr",
     "servo_m2_isr",
-    # Single lines for which there is no recording yet; the tests of the firmware go through them on the host.
-    "axis_slow",
-    "capture",
-    "f16_angle",
-    "phase_watch_suspects",
-    "stop_begin",
-    "take_commands",
 }
 """Functions with lines that no recorded run can reach, and why."""
 

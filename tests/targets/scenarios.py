@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from servo_bridge.freemaster import commands
 from servo_msgs_py.catalogue import Catalogue
-from servo_twin.harm import HotPowerStage, OpenPhase, StalledCore, StuckConverter, StuckLine
+from servo_twin.harm import CurrentNoise, HotPowerStage, OpenPhase, ShortedPhase, StalledCore, StuckConverter, StuckLine
 from servo_twin.plant import PlantConfig
 
 from targets import server_requests
@@ -167,6 +167,7 @@ def random_inputs(rig: Rig) -> None:
     rig.until("the load runs away", lambda: "RUNAWAY" in rig.faults(1))
     rig.load(1, 0.0)
     rig.until("the host is missed", lambda: "HOST_SILENT" in rig.faults(0), silent=True)
+    rig.until("outputs off at the ramp's end", lambda: rig.places()[0] == "FAULT", silent=True)
 
 
 def bus_faults(rig: Rig) -> None:
@@ -270,17 +271,25 @@ def lost_index(rig: Rig) -> None:
 
 
 def over_current(rig: Rig) -> None:
-    """A controller that is lied to overshoots, and the hardware opens the switches."""
+    """A controller that is lied to overshoots, and the hardware opens the switches; so it does for a broken cable."""
     _spin(rig)
     rig.set("cmd.mode", TORQUE)
     rig.set("cmd.quick_stop", 1)
     rig.run(0.002)
     rig.set("cmd.enable", 1)
+    rig.lock(0)
     rig.set("cmd.i_q", 3.9, -3.9)
+    rig.run(0.004)
+    rig.inject(OpenPhase(0, "b"))
+    rig.run(0.0015)
+    rig.inject(ShortedPhase(0, "c"))
+    rig.until("over-current and its cause", lambda: rig.faults(0) == ["OVER_CURRENT", "PHASE_LOST"])
     rig.set("param.faults_enabled", _BLIND)
-    rig.disturb(0, 1, one_in=2)
-    rig.until("over-current", lambda: all("OVER_CURRENT" in rig.faults(k) for k in (0, 1)))
+    rig.disturb(1, one_in=2)
+    rig.until("over-current", lambda: "OVER_CURRENT" in rig.faults(1))
     rig.calm()
+    rig.heal(OpenPhase(0, "b"))
+    rig.heal(ShortedPhase(0, "c"))
     rig.run(0.002)
     rig.set("cmd.clear_faults", 1)
     rig.run(0.01)
@@ -384,11 +393,14 @@ def sensorless(rig: Rig) -> None:
     rig.set("cmd.speed", 0.0, -60.0)
     rig.run(0.005)
     rig.until("axis 2 spins", lambda: rig.places()[1] == "SPIN")
+    rig.set("cmd.mode", SPEED, POSITION)  # which it cannot
+    rig.run(0.001)
     rig.set("param.features", _features(), _features("OVER_SPEED"))
     rig.until("too fast", lambda: "OVER_SPEED" in rig.faults(1))
     rig.set("param.features", _features())
     rig.set("cmd.clear_faults", 0, 1)
     rig.until("axis 2 cleared", lambda: rig.places()[1] == "STOP")
+    rig.set("cmd.mode", SPEED)
     rig.set("cmd.enable", 0, 1)
     rig.set("cmd.speed", 0.0, -60.0)
     rig.until("caught", lambda: rig.places()[1] == "STARTUP")
@@ -485,7 +497,9 @@ def overloaded(rig: Rig) -> None:
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", -100.0)
     rig.run(0.03)
-    rig.set("cmd.quick_stop", 1)
+    rig.set("cmd.enable", 0)
+    rig.run(0.001)
+    rig.set("cmd.quick_stop", 1)  # is harsher
     rig.run(0.001)
     rig.disturb(0, one_in=1)  # codes that make no sense
     rig.run(0.002)
@@ -541,10 +555,14 @@ def broken_phases(rig: Rig) -> None:
     rig.inject(OpenPhase(0, "a"))
     rig.until("phase lost", lambda: rig.faults(0) == ["PHASE_LOST"])
     rig.set("param.monitor", 1.0, 0.0)
+    rig.inject(CurrentNoise(0, 0.02))  # without noise every code repeats itself
+    rig.inject(StuckConverter(0, "c", 2100))
     rig.inject(StuckConverter(1, "b", 2150))
     rig.until("converter", lambda: "CURRENT_SENSE" in rig.faults(1))
-    rig.run(0.06)
+    rig.until("second thoughts", lambda: rig.faults(0) == ["CURRENT_SENSE"])
+    rig.heal(CurrentNoise(0, 0.02))
     rig.heal(OpenPhase(0, "a"))
+    rig.heal(StuckConverter(0, "c", 2100))
     rig.heal(StuckConverter(1, "b", 2150))
     rig.lock(0)
     rig.lock(1)
