@@ -99,7 +99,7 @@ class Recording:
     def beginning(self, room: int) -> Recording:
         """As much of the run as surely fits into `room` bytes."""
         checks = bisect_left(self.sizes, room - _READ_AHEAD)
-        if not 0 < checks < len(self.checks):
+        if checks == 0:
             raise ValueError(f"{self.name}: nothing of {len(self.image)} bytes fits into {room}")
         periods = checks * CHECK_PERIODS
         name, every, first, last, _ = _HEADER.unpack_from(self.image)
