@@ -42,13 +42,6 @@ NOT_ON_A_TARGET = {
     "come_late",
     "servo_m1_isr",
     "servo_m2_isr",
-    # Single lines for which there is no recording yet; the tests of the firmware go through them on the host.
-    "axis_slow",
-    "capture",
-    "f16_angle",
-    "phase_watch_suspects",
-    "stop_begin",
-    "take_commands",
 }
 """Functions with lines that no recorded run can reach, and why."""
 
@@ -145,6 +138,19 @@ def test_recording_repeats(recorder: Recorder, recordings: list[Recording]) -> N
         again = recorder.record(scenario)
         assert (again.image, again.digest, again.checks) == (before.image, before.digest, before.checks)
     assert recorder.record(SCENARIOS[0], seed=2).digest != recordings[0].digest
+
+
+def test_a_beginning_is_as_long_as_the_memory_allows(recordings: list[Recording]) -> None:
+    """In steps of the check values, also where only what comes after the last one is too much."""
+    whole = recordings[0]
+    for number, (size, after) in enumerate(zip(whole.sizes, [*whole.sizes[1:], len(whole.image)], strict=True), 1):
+        for room in (size + 9, after):
+            part = whole.beginning(room)
+            assert part.periods == 160 * number <= whole.periods
+            assert (part.digest, part.checks[-1]) == (whole.checks[number - 1],) * 2
+            assert size < len(part.image) == room
+    with pytest.raises(ValueError, match="nothing of"):
+        whole.beginning(whole.sizes[0])
 
 
 def test_arithmetic_repeats(recorder: Recorder, arithmetic: Arithmetic) -> None:

@@ -76,6 +76,13 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
 
 /* ---- start ---------------------------------------------------------------------------------------------------------- */
 
+static void raise_on_all(servo_t *servo, fault_set_t faults)
+{
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        axis_raise(&servo->axis[i], faults);
+    }
+}
+
 void servo_init(servo_t *servo, hal_t *hal)
 {
     servo->catalogue_hash = CATALOGUE_HASH;
@@ -122,8 +129,8 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->host_silence = 0;
     servo->host_seen = false;
 
-    for (uint16_t i = 0; i < HAL_AXES && hal_reset_by_watchdog(hal); i++) {
-        axis_raise(&servo->axis[i], FAULT_WATCHDOG);
+    if (hal_reset_by_watchdog(hal)) {
+        raise_on_all(servo, FAULT_WATCHDOG);
     }
 
     const freemaster_app_t app = {
@@ -265,9 +272,7 @@ static void come_late(servo_t *servo, uint16_t loops)
         return;
     }
     servo->lateness = 0;
-    for (uint16_t i = 0; i < HAL_AXES; i++) {
-        axis_raise(&servo->axis[i], FAULT_LATE_LOOP);
-    }
+    raise_on_all(servo, FAULT_LATE_LOOP);
 }
 
 /* One slow tick. */

@@ -79,8 +79,8 @@ typedef struct {
 
     stop_config_t stop;
     frac32_t regeneration_speed; /* up to it the full current burns in the winding all that braking returns */
-    frac16_t
-        copper_current; /* i_d at most against the flux while braking current is folded back: its losses brake too */
+    /* i_d at most against the flux while braking current is folded back: its losses brake too. */
+    frac16_t copper_current;
 } axis_config_t;
 
 typedef struct {

@@ -17,9 +17,9 @@ typedef struct {
     gain_t heating; /* u^2 -> part of the energy budget that the resistor burns in a slow tick */
     frac32_t cooling; /* part of the budget that leaves it in a slow tick */
     frac16_t start, full; /* bus voltages between which braking current is folded back */
-    frac16_t
-        most_able; /* over-voltage while the resistor is able: what the converter can just tell from its full scale. Nobody
-                         * could see how far beyond that the bus is, and the capacitors' rating is not far away. */
+    /* Over-voltage while the resistor is able: what the converter can just tell from its full scale. Nobody could see
+     * how far beyond that the bus is, and the capacitors' rating is not far away. */
+    frac16_t most_able;
 } brake_config_t;
 
 typedef struct {

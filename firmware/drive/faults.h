@@ -13,7 +13,7 @@ typedef uint32_t fault_set_t;
 
 #define FAULT_SAMPLES 64 /* a power of two */
 
-/* What led to the first fault: a ring that stands still from then on. One sample per slow tick, 32 ms in all: faults of
+/* What led to the first fault: a ring that stands still from then on. One sample per watch, 32 ms in all: faults of
  * motion take that long, and in the frame of the rotor nothing is faster than the current loop but an over-current, which
  * the last sample, taken in the period of the fault, shows. */
 typedef struct {

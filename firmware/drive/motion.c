@@ -127,6 +127,7 @@ static void take_mode(axis_t *axis)
 
 /* What an axis without an encoder cannot do is neither begun nor remembered. */
 static bool impossible(const axis_t *axis) { return axis->sensorless && axis->command.mode == CONTROL_MODE_POSITION; }
+
 /* A stop ends by holding the position: of a drive that is wanted, or for some time. */
 static bool stop_holds(const axis_t *axis) { return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD; }
 

@@ -51,19 +51,11 @@ static void to_ready(axis_t *axis)
     enter(axis, SUBSTATE_READY);
 }
 
-static void calib_ready(axis_t *axis) { to_ready(axis); }
-
 static void ready_align(axis_t *axis)
 {
     choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search looks at voltages */
     rotor_search_start(&axis->search, axis->feedback.position);
     enter(axis, SUBSTATE_ALIGN);
-}
-
-static void align_ready(axis_t *axis)
-{
-    axis_zero_voltage(axis, true);
-    enter(axis, SUBSTATE_READY);
 }
 
 static void align_spin(axis_t *axis)
@@ -76,7 +68,7 @@ static void align_spin(axis_t *axis)
     enter(axis, SUBSTATE_SPIN);
 }
 
-static void spin_freewheel(axis_t *axis)
+static void to_freewheel(axis_t *axis)
 {
     axis_zero_voltage(axis, false);
     estimate_stop(axis);
@@ -97,8 +89,6 @@ static void freewheel_align(axis_t *axis)
     ready_align(axis);
 }
 
-static void freewheel_ready(axis_t *axis) { to_ready(axis); }
-
 static void ready_startup(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
@@ -113,13 +103,6 @@ static void startup_spin(axis_t *axis)
     axis->leaving = false;
     axis->fast = LOOP_OBSERVED;
     enter(axis, SUBSTATE_SPIN);
-}
-
-static void startup_freewheel(axis_t *axis)
-{
-    axis_zero_voltage(axis, false);
-    estimate_stop(axis);
-    enter(axis, SUBSTATE_FREEWHEEL);
 }
 
 /* ---- CALIB: offsets of the current amplifiers, outputs off -------------------------------------------------------- */
@@ -140,7 +123,7 @@ static void calib_slow(axis_t *axis)
         return;
     }
     if (current_sense_offsets_plausible(&axis->sense, axis->config->offset_tolerance)) {
-        calib_ready(axis);
+        to_ready(axis);
     } else {
         axis_raise(axis, FAULT_CURRENT_OFFSET);
     }
@@ -197,7 +180,7 @@ static void align_slow(axis_t *axis)
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
     if (!axis->requested) {
-        align_ready(axis);
+        to_ready(axis);
     } else if (axis->search.phase == ROTOR_SEARCH_BLIND) {
         end_search(axis, FAULT_ENCODER_LOST);
     } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
@@ -249,13 +232,13 @@ static void bring_to_rest(axis_t *axis)
 {
     if (axis->leaving) {
         if (axis->current_ref.q == 0) {
-            spin_freewheel(axis);
+            to_freewheel(axis);
         }
         return;
     }
     const stop_category_t next = axis->requested ? STOP_CATEGORY_HOLD : stop_step(axis);
     if (next == STOP_CATEGORY_COAST) {
-        spin_freewheel(axis);
+        to_freewheel(axis);
     } else if (next == STOP_CATEGORY_SHORT) {
         spin_short(axis);
     }
@@ -288,7 +271,7 @@ static void startup_slow_state(axis_t *axis)
 {
     track_offsets(axis);
     if (!axis->requested || motion_wanted_speed(axis) == 0) {
-        startup_freewheel(axis);
+        to_freewheel(axis);
         return;
     }
     switch (startup_slow(axis)) {
@@ -329,7 +312,7 @@ static void freewheel_slow(axis_t *axis)
     if (axis->requested && !axis->sensorless) {
         freewheel_align(axis);
     } else {
-        freewheel_ready(axis);
+        to_ready(axis);
     }
 }
 

@@ -16,8 +16,9 @@ typedef struct {
     uint16_t disable;         /* default of the writable stop_category_t; hold: for hold_ticks */
     uint16_t quick_stop;      /* default of the writable stop_category_t; hold: as long as the drive is wanted */
     fault_set_t shorted, ramp, hold; /* faults that are answered so; all others coast */
-    frac32_t short_speed; /* up to it the steady current of the short, K_e w / sqrt(R_s^2 + w^2 L_s^2), is allowed (ST
-                               * slide "Winding short") */
+    /* Up to it the steady current of the short, K_e w / sqrt(R_s^2 + w^2 L_s^2), is allowed (ST slide "Winding
+     * short"). */
+    frac32_t short_speed;
     frac16_t short_current; /* and no more than this may flow */
     uint16_t ticks_most; /* slow ticks from the beginning of a stop until the outputs go off in any case */
     uint16_t hold_ticks; /* slow ticks that an axis without a drive holds its position */

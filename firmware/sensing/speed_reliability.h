@@ -12,10 +12,10 @@
 #define SPEED_RELIABILITY_BITS 6
 
 typedef struct {
-    uint16_t period;             /* slow ticks per speed */
-    uint16_t
-        variance_threshold; /* VARIANCE_THRESHOLD: largest variance over the square of the mean, 16 fraction bits */
-    uint16_t hysteresis;         /* RELIABILITY_HYSTERESYS: unreliable speeds in a row that are a fault */
+    uint16_t period; /* slow ticks per speed */
+    /* VARIANCE_THRESHOLD: largest variance over the square of the mean, 16 fraction bits. */
+    uint16_t variance_threshold;
+    uint16_t hysteresis; /* RELIABILITY_HYSTERESYS: unreliable speeds in a row that are a fault */
 } speed_reliability_config_t;
 
 typedef struct {

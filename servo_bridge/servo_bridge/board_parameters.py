@@ -6,12 +6,14 @@ Everything runs in one thread except the link's own work, whose ends come back t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future
 from typing import Any
 
 from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, contradiction, parameters, si
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.value_text import value_text
+
+from servo_bridge.outcome import error_of
 
 __all__ = ["BoardParameters"]
 
@@ -105,14 +107,11 @@ class BoardParameters:
         def take() -> None:
             if number != self._round:
                 return
-            try:
-                values = {
-                    name: [self._raw(name, x) for x in _numbers(future.result(0))] for name, future in futures.items()
-                }
-            except (Exception, CancelledError) as error:
-                self._fail(f"the parameters of the board cannot be read: {error}")
-                return
-            then(values)
+            for error in map(error_of, futures.values()):
+                if error is not None:
+                    self._fail(f"the parameters of the board cannot be read: {error}")
+                    return
+            then({name: [self._raw(name, x) for x in _numbers(job.result())] for name, job in futures.items()})
 
         self._when_done(list(futures.values()), take)
 
@@ -133,7 +132,7 @@ class BoardParameters:
         def written() -> None:
             if number != self._round:
                 return
-            errors = {name: _error_of(future) for name, future in futures.items()}
+            errors = {name: error_of(future) for name, future in futures.items()}
             self._fetch(lambda now: self._verify(names, found, target, now, errors))
 
         self._when_done(list(futures.values()), written)
@@ -144,7 +143,7 @@ class BoardParameters:
         before: RawParameters,
         target: RawParameters,
         now: dict[str, list[int]],
-        errors: dict[str, str],
+        errors: dict[str, str | None],
     ) -> None:
         for name in names:
             if list(now[name]) == list(target[name]):
@@ -176,11 +175,3 @@ class BoardParameters:
 
 def _numbers(value: Value) -> list[float]:
     return list(value) if isinstance(value, (list, bytes)) else [value]
-
-
-def _error_of(done: Future[Any]) -> str:
-    try:
-        error = done.exception(0)
-    except (CancelledError, TimeoutError):
-        return "cancelled"
-    return "" if error is None else str(error)

@@ -10,6 +10,8 @@ from typing import Final
 from servo_msgs_py.catalogue import AXES, Catalogue, Value
 from servo_msgs_py.fault_record import FaultRecord, record_variable
 
+from servo_bridge.outcome import error_of
+
 __all__ = ["FaultRecords"]
 
 SECOND_LOOK: Final = 4000
@@ -70,12 +72,14 @@ class FaultRecords:
         future.add_done_callback(lambda done: self._post(partial(self._take, axis, done)))
 
     def _take(self, axis: int, done: Future[Value]) -> None:
+        if error_of(done) is not None or self._words[axis] == 0:
+            return  # a lost link, or cleared meanwhile; the fault itself is told anyway
         try:
-            record = FaultRecord.of(axis, done.result(0), self._catalogue)
-        except Exception:  # a lost link or a board without records; the fault itself is told anyway
+            record = FaultRecord.of(axis, done.result(), self._catalogue)
+        except ValueError:  # of a firmware with other records; as above
             return
         before = self.records[axis]
-        if record.fault is None or self._words[axis] == 0:
+        if record.fault is None:
             return
         self.records[axis] = record
         if before is None or (before.fault, before.tick) != (record.fault, record.tick):

@@ -8,11 +8,10 @@ thread touches the rest.
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future
 from functools import partial
 from typing import Any, Final, Protocol
 
@@ -34,6 +33,7 @@ from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health
 from servo_bridge.inbox import Inbox
 from servo_bridge.motion_services import MotionServices
+from servo_bridge.outcome import error_of
 from servo_bridge.parameters import PARAMETERS, ParameterError, Settings, declare, watch
 from servo_bridge.publications import Publications
 from servo_bridge.services import DeferredService
@@ -207,7 +207,7 @@ class ServoBridge(Node):
         """Start a write; its end comes back through the inbox, in order with the samples."""
 
         def done(future: Future[WriteResult]) -> None:
-            self._inbox.post(partial(self._dispatcher.acknowledged, write, _error_of(future)))
+            self._inbox.post(partial(self._dispatcher.acknowledged, write, error_of(future)))
 
         self._link.write_raw(write.variable, write.raw, first=write.first).add_done_callback(done)
 
@@ -274,9 +274,10 @@ class ServoBridge(Node):
         futures = [self._link.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES)]
 
         def take() -> None:
-            with contextlib.suppress(Exception):  # a lost link; it is read again when the link is back
-                self._torque_constants = [float(_scalar(future.result(0))) for future in futures]
-                self._arbiter.set_torque_constants(self._torque_constants)
+            if any(error_of(future) is not None for future in futures):
+                return  # a lost link; they are read again when it is back
+            self._torque_constants = [float(_scalar(future.result())) for future in futures]
+            self._arbiter.set_torque_constants(self._torque_constants)
 
         # The link works in order: when the last one is done, all are.
         futures[-1].add_done_callback(lambda _: self._inbox.post(take))
@@ -334,15 +335,6 @@ def _scalar(value: Value) -> float:
     if isinstance(value, (int, float)):
         return value
     raise TypeError(f"{value!r} is not a single number")
-
-
-def _error_of(done: Future[Any]) -> str | None:
-    """Why a future failed, None when it did not."""
-    try:
-        error = done.exception(0)
-    except CancelledError:
-        return "cancelled"
-    return None if error is None else str(error)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -11,6 +11,7 @@ from servo_msgs_py.catalogue import Value, Variable, axis_name
 from servo_msgs_py.convert import columns, row
 from std_msgs.msg import Float64
 
+from servo_bridge.outcome import error_of
 from servo_msgs_py import topics
 
 __all__ = ["VariableTopics"]
@@ -68,7 +69,7 @@ class VariableTopics:
     def _arrived(self, variable: Variable, done: Future[Value]) -> None:
         if done is self._under_way:
             self._under_way = None
-        if not done.cancelled() and done.exception() is None:  # a lost link shows up by itself
+        if error_of(done) is None:  # a lost link shows up by itself
             values = row([variable], {variable.name: done.result()})
             self._publish(dict(zip(columns([variable]), values, strict=True)))
 

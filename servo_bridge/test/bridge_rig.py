@@ -63,6 +63,8 @@ class FakeLink:
         self.epoch = 0
         self.values: dict[str, int] = {}
         self.parameters = {v.name: [v.to_raw(v.minimum)] * v.count for v in parameters(catalogue)}
+        self.blocks: dict[str, bytes] = {}
+        self.held: list[Future[Value]] | None = None  # reads of blocks that wait for ever, once it is a list
         self.stubborn = ""  # a parameter that this board does not let itself be set
         self.catalogue = catalogue
         self.figures = LinkStatistics()
@@ -100,6 +102,10 @@ class FakeLink:
         done: Future[Value] = Future()
         if name in self.parameters:
             done.set_result(self.catalogue[name].decode(self.catalogue[name].encode_raw(self.parameters[name])))
+        elif name in self.blocks and self.held is not None:
+            self.held.append(done)
+        elif name in self.blocks:
+            done.set_result(self.blocks[name])
         else:
             done.set_result(KT.get(name, 1.5))
         return done
@@ -114,6 +120,8 @@ class FakeLink:
 
     def lose(self, state: LinkState = LinkState.DISCONNECTED, reason: str = "gone", remedy: str = "plug it in") -> None:
         self.connected = False
+        for done in self.held or ():
+            done.set_exception(LinkDownError(reason))
         self._on_state(LinkStatus(state, reason, remedy))
 
     def axes(self, *states: tuple[int, int]) -> None:
@@ -168,11 +176,11 @@ class Rig:
             (topics.DIAGNOSTICS, DiagnosticArray),
             ("var/axis1/i_q", Float64),
         ):
-            self._listen(name, kind, topics.telemetry_qos(1000))
-        self._listen("/rosout", Log, ROSOUT)
-        self._listen(topics.PARAMETERS, Float64MultiArray, topics.latched_qos())
-        self._listen(topics.STATE, String, topics.latched_qos())
-        self._listen(topics.ARMED, Bool, topics.latched_qos())
+            self.listen(name, kind, topics.telemetry_qos(1000))
+        self.listen("/rosout", Log, ROSOUT)
+        self.listen(topics.PARAMETERS, Float64MultiArray, topics.latched_qos())
+        self.listen(topics.STATE, String, topics.latched_qos())
+        self.listen(topics.ARMED, Bool, topics.latched_qos())
         qos = topics.command_qos()
         self.joint_commands = self.user.create_publisher(JointState, topics.JOINT_COMMANDS, qos)
         self.commands = self.user.create_publisher(Float64MultiArray, topics.COMMANDS, qos)
@@ -204,7 +212,8 @@ class Rig:
         self.links.append(FakeLink(config, catalogue, **callbacks))
         return self.links[-1]
 
-    def _listen(self, name: str, kind: Any, qos: Any) -> None:
+    def listen(self, name: str, kind: Any, qos: Any) -> None:
+        """Collect the messages of a topic."""
         self.messages[name] = []
         self.user.create_subscription(kind, name, self.messages[name].append, qos)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+import recorded_fault
 from fake_target import CONST, ENUM, NONE, RO, RW, FakeEntry, FakeTarget
 from servo_msgs_py.catalogue import Catalogue
 
@@ -32,7 +33,7 @@ class FakeServo(FakeTarget):
             table.extend(FakeEntry(key, CONST, value, 0, NONE) for key, value in constants.items())
         address = BASE
         for v in catalogue.variables.values():
-            size = v.size or 120
+            size = v.size or (recorded_fault.SIZE if v.name.endswith("fault_record") else 120)
             kind = v.enum.encode() if v.enum else bytes([v.raw_type.tsa])
             table.append(FakeEntry(v.name, kind, address, size, RW if v.writable else RO))
             self.addresses[v.name] = address

@@ -21,6 +21,8 @@ _SAMPLES: Final = 64
 _RINGS: Final = {"i_d": "current", "i_q": "current", "theta_e": "angle", "u_dc": "bus_voltage", "speed": "speed"}
 """Rings of the record in the order of ``fault_record_t``, each of `_SAMPLES` int16, and their scales."""
 _TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
+_WATCH_PERIOD: Final = SLOW_PERIODS // 2
+"""PWM period after a slow tick in which the firmware takes its samples (``firmware/app/servo.h``)."""
 
 COLUMNS: Final = ("time", "i_a", "i_b", "i_d", "i_q", "theta_e", "u_dc", "speed")
 """Columns of `FaultRecord.table`: time before the fault [s], phase currents and currents in the frame of the rotor [A],
@@ -34,7 +36,7 @@ def record_variable(axis: int) -> str:
 
 @dataclass(frozen=True)
 class FaultRecord:
-    """The first fault of an axis and the 64 slow ticks before it.
+    """The first fault of an axis and the 32 ms before it, one sample in each slow tick.
 
     Attributes
     ----------
@@ -112,9 +114,9 @@ def _table(tick: int, following: int, size: int, rings: Mapping[str, NDArray[np.
     size = min(size, _SAMPLES)
     order = (following - size + np.arange(size)) % _SAMPLES
     samples = {name: ring[order] for name, ring in rings.items()}
-    # The last sample is of the fault's own period, the one before of the last slow tick.
-    since_tick = (tick % SLOW_PERIODS or SLOW_PERIODS) * PERIOD_NS * 1e-9
-    time = -since_tick - _TICK * np.arange(size - 2, -2, -1.0)
+    # The last sample is of the fault's own period; no other is taken there if it is the period of the samples.
+    since_watch = ((tick - _WATCH_PERIOD) % SLOW_PERIODS or SLOW_PERIODS) * PERIOD_NS * 1e-9
+    time = -since_watch - _TICK * np.arange(size - 2, -2, -1.0)
     time[-1:] = 0.0
     d, q, theta = samples["i_d"], samples["i_q"], samples["theta_e"]
     alpha, beta = d * np.cos(theta) - q * np.sin(theta), d * np.sin(theta) + q * np.cos(theta)

@@ -34,10 +34,12 @@ def test_samples_come_oldest_first_and_scaled() -> None:
     assert "PHASE_LOST in RUN/SPIN, 0.5002 s after reset" in it.summary()
 
 
-def test_the_last_sample_is_of_the_fault_and_the_others_of_slow_ticks() -> None:
-    time = column(FaultRecord.of(0, record(), CATALOGUE), "time")
+@pytest.mark.parametrize(("tick", "periods"), [(8003, 7), (8004, 8), (8005, 1), (8008, 4)])
+def test_the_last_sample_is_of_the_fault_and_the_others_of_the_periods_of_the_watches(tick: int, periods: int) -> None:
+    """Those are the fourth, the twelfth and so on; a fault that a watch raises is the sample of its period."""
+    time = column(FaultRecord.of(0, record(tick=tick), CATALOGUE), "time")
     assert time[-1] == 0.0
-    assert time[-2] == pytest.approx(-3 * 62.5e-6)
+    assert time[-2] == pytest.approx(-periods * 62.5e-6)
     np.testing.assert_allclose(np.diff(time[:-1]), 0.5e-3)
 
 

@@ -79,13 +79,13 @@ typedef struct {
     double omega_m;        /* mechanical speed [rad/s] */
     double i_d, i_q;       /* [A] */
     double torque_e;       /* air-gap torque [N m] */
-    double u_a, u_b,
-        u_c;  /* mean phase-to-midpoint voltages [V]: of the last half cycle on the ideal level, since the last
-                            * call that moved time began at register level */
     double t_sink;         /* temperature of the axis' power stage [deg C] */
     double u_dc;           /* [V] */
     double e_brake;        /* burnt in the brake resistor so far [J] */
     double t_brake;        /* temperature of the brake resistor [deg C] */
+    /* Mean phase-to-midpoint voltages [V]: of the last half cycle on the ideal level, since the last call that moved
+     * time began at register level. */
+    double u_a, u_b, u_c;
 } board_truth_t;
 
 board_t *board_new(const board_config_t *config); /* NULL when memory is short */

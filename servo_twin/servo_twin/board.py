@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
+from servo_twin.board_memory import BoardError, BoardMemory
 from servo_twin.core_load import CoreLoad
 from servo_twin.harm import Harm
 from servo_twin.plant import PlantConfig
@@ -54,15 +55,7 @@ LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
 
 _MODULES: Final[Mapping[Level, Any]] = {"registers": _registers_module, "ideal": _ideal_module}
 
-_ENTRY_SIZE: Final = 16
 _IDLE: Final = (1 << 64) - 1
-
-_STATUS_TEXT: Final[Mapping[int, str]] = {
-    0x84: "more bytes than the server moves at once",
-    0x86: "wrong number of bytes",
-    0x87: "busy",
-    0x89: "access denied: not inside one variable, or read-only",
-}
 
 
 def chosen_level(level: Level | None = None) -> Level:
@@ -78,20 +71,6 @@ def chosen_level(level: Level | None = None) -> Level:
         if name == known:
             return known
     raise ValueError(f"level {name!r}: a board has the levels {', '.join(_MODULES)}")
-
-
-class BoardError(RuntimeError):
-    """The board refused a request.
-
-    Attributes
-    ----------
-    status : int
-        FreeMASTER status code, 0 where there was none.
-    """
-
-    def __init__(self, message: str, status: int = 0) -> None:
-        super().__init__(message)
-        self.status = status
 
 
 class SimulationError(RuntimeError):
@@ -226,8 +205,7 @@ class Board:
         if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
-        self._addresses: dict[str, int] | None = None
-        self._sizes: dict[str, int] = {}
+        self._own_memory = BoardMemory(self._ffi, self._lib, self._handle)
         self._dtype: np.dtype[np.void] | None = None
         self._harms: list[Harm] = []
 
@@ -252,6 +230,12 @@ class Board:
         if self._handle is None:
             raise BoardError("the board is closed")
         return self._handle
+
+    @property
+    def _memory(self) -> BoardMemory:
+        if self._handle is None:
+            raise BoardError("the board is closed")
+        return self._own_memory
 
     def _check(self) -> None:
         """Raise if the chip has stopped for good."""
@@ -359,9 +343,7 @@ class Board:
     @property
     def addresses(self) -> Mapping[str, int]:
         """Address of every variable in the table of the board."""
-        if self._addresses is None:
-            self._addresses = self._discover()
-        return self._addresses
+        return {name: entry.address for name, entry in self._memory.variables.items()}
 
     def address(self, name: str) -> int:
         """Address of one variable.
@@ -372,7 +354,7 @@ class Board:
             If the board does not have it.
         """
         try:
-            return self.addresses[name]
+            return self._memory.variables[name].address
         except KeyError:
             raise BoardError(f"the board has no variable {name!r}") from None
 
@@ -411,49 +393,21 @@ class Board:
         BoardError
             If the board refuses; `BoardError.status` says why.
         """
-        data = self._ffi.new("uint8_t[]", max(size, 1))
-        status = self._lib.board_read(self._board, address, data, size)
-        if status != 0:
-            raise BoardError(f"reading {size} bytes at {address:#x}: {_status_text(status)}", status)
-        return bytes(self._ffi.buffer(data, size))
+        return self._memory.read(address, size)
 
     def write_memory(self, address: int, data: bytes) -> None:
         """Write bytes at an address, as FreeMASTER WRITEMEM does."""
-        status = self._lib.board_write(self._board, address, data, len(data))
-        if status != 0:
-            raise BoardError(f"writing {len(data)} bytes at {address:#x}: {_status_text(status)}", status)
+        self._memory.write(address, data)
 
     def _read_variable(self, variable: Variable) -> bytes:
         address = self.address(variable.name)
-        return self.read_memory(address, variable.size or self._sizes[variable.name])
+        return self.read_memory(address, variable.size or self._memory.variables[variable.name].size)
 
     def _write_bytes(self, name: str, data: bytes) -> None:
         try:
             self.write_memory(self.address(name), data)
         except BoardError as error:
             raise BoardError(f"{name}: {error}", error.status) from None
-
-    def _discover(self) -> dict[str, int]:
-        """Names and addresses out of the table of the board (16 bytes per entry: name, type, address, info)."""
-        start, size = self._ffi.new("uint32_t *"), self._ffi.new("uint32_t *")
-        self._lib.board_table(start, size)
-        found: dict[str, int] = {}
-        for entry in range(start[0], start[0] + size[0], _ENTRY_SIZE):
-            data = self.read_memory(entry, _ENTRY_SIZE)
-            name, _, address, info = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4, 8, 12))
-            if info & 3:  # not a type, a member or a constant
-                text = self._string(name)
-                found[text] = address
-                self._sizes[text] = info >> 2
-        return found
-
-    def _string(self, address: int) -> str:
-        """Text of the board's memory; its terminating 00 is what the board does not let out."""
-        text = bytearray()
-        byte = self._ffi.new("uint8_t[1]")
-        while self._lib.board_read(self._board, address + len(text), byte, 1) == 0:
-            text.append(byte[0])
-        return text.decode("latin-1")
 
     # ---- serial line ------------------------------------------------------------------------------------------------
 
@@ -551,7 +505,3 @@ def _axis_index(axis: int) -> int:
     if not 0 <= axis < AXES:
         raise IndexError(f"axis {axis}: a board has the axes 0 .. {AXES - 1}")
     return axis
-
-
-def _status_text(status: int) -> str:
-    return _STATUS_TEXT.get(status, f"status {status:02X}h")

@@ -56,16 +56,32 @@ def test_enabling_a_coasting_shaft_waits_until_it_rests(board: Board) -> None:
     assert board.stats().breaks == 0
 
 
-@pytest.mark.parametrize("gap", [0.004, 0.010, 0.016, 0.050])  # the angle is off by more than a quarter of a turn then
+@pytest.mark.parametrize(
+    ("gap", "fault", "within"),
+    [
+        (0.004, "RUNAWAY", 0.040),  # the angle is off by 92 degrees then
+        (0.007, "ENCODER_LOST", 0.007),  # 2 ms without a count, then 4 ms of voltage that turns, and a slow tick
+        (0.010, "ENCODER_LOST", 0.007),
+        (0.016, "ENCODER_LOST", 0.007),
+        (0.050, "ENCODER_LOST", 0.007),
+    ],
+)
 @pytest.mark.parametrize("speed", [200.0, -200.0])
-def test_an_encoder_that_slips_ends_in_a_fault_and_not_in_a_runaway(board: Board, gap: float, speed: float) -> None:
+def test_an_encoder_that_slips_ends_in_a_fault_and_not_in_a_runaway(
+    board: Board, gap: float, fault: str, within: float, speed: float
+) -> None:
     spin(board, speed)
     board.connect_encoder(0, False)
-    board.run(gap)
+    board.run(min(gap, within))
+    if gap < within:
+        board.connect_encoder(0, True)
+        board.run(within - gap)
+    assert faults(board, 1) == {fault}
+    board.run(gap - min(gap, within))
     board.connect_encoder(0, True)
     board.run(0.1)
     assert board.read_raw("axis1.state") == [FAULT]
-    assert faults(board, 1) in ({"ENCODER_LOST"}, {"RUNAWAY"})  # no counts, or an offset: how long the gap was
+    assert faults(board, 1) == {fault}
     assert board.read_raw("axis2.state") == [RUN]  # the other axis goes on
 
 

@@ -12,7 +12,7 @@ from servo_twin.plant import PlantConfig
 
 def run(module: ModuleType) -> list[str]:
     """Figures that do not agree."""
-    return [row.name for row in module.run(PlantConfig.load(), 1).rows if not row.agrees]
+    return [row.name for row in module.run(PlantConfig.load(), 3).rows if not row.agrees]
 
 
 @pytest.mark.parametrize("module", [feed_forward, friction, soft_limits, supervision], ids=lambda m: m.NAME)

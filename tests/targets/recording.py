@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import cffi
+from servo_twin._build_native import declarations
 from servo_twin.plant import PlantConfig
 
 from targets.calls import Call, parse_log
@@ -25,7 +26,6 @@ CHECK_PERIODS: Final = 160
 
 ARITHMETIC_ROUNDS: Final = 150
 
-_DECLARATIONS: Final = re.compile(r"^/\* CFFI-BEGIN.*?\*/$(.*?)^/\* CFFI-END", re.MULTILINE | re.DOTALL)
 _FUNCTION: Final = re.compile(r"^\w+(?: \*)? (\w+)\(", re.MULTILINE)
 _HEADER: Final = struct.Struct("<4sIIII")
 _READ_AHEAD: Final = 8
@@ -99,7 +99,7 @@ class Recording:
     def beginning(self, room: int) -> Recording:
         """As much of the run as surely fits into `room` bytes."""
         checks = bisect_left(self.sizes, room - _READ_AHEAD)
-        if not 0 < checks < len(self.checks):
+        if checks == 0:
             raise ValueError(f"{self.name}: nothing of {len(self.image)} bytes fits into {room}")
         periods = checks * CHECK_PERIODS
         name, every, first, last, _ = _HEADER.unpack_from(self.image)
@@ -156,7 +156,7 @@ class Recorder:
         ]
         ffi = cffi.FFI()
         for header in headers:
-            ffi.cdef(_declarations(header))
+            ffi.cdef(declarations(header.read_text(encoding="utf-8")))
         include = [f"-I{path}" for path in (sources.firmware, sources.twin, sources.native)]
         wrap = [f"-Wl,--wrap={name}" for name in wrapped_functions(sources)]
         # Without contraction of a * b + c the plant computes the same bits on every processor.
@@ -216,10 +216,3 @@ def wrapped_functions(sources: Sources) -> list[str]:
     names = _FUNCTION.findall((sources.firmware / "hal" / "hal.h").read_text(encoding="utf-8"))
     entries = _FUNCTION.findall((sources.firmware / "app" / "servo.h").read_text(encoding="utf-8"))
     return names + [name for name in entries if name not in ("servo_read", "servo_write")]
-
-
-def _declarations(header: Path) -> str:
-    match = _DECLARATIONS.search(header.read_text(encoding="utf-8"))
-    if match is None:
-        raise TargetError(f"{header.name} has no lines between CFFI-BEGIN and CFFI-END")
-    return re.sub(r"/\*.*?\*/", "", match[1], flags=re.DOTALL)

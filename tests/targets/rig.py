@@ -9,12 +9,12 @@ from typing import Any, Final
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.commands import Request
 from servo_msgs_py.catalogue import Catalogue
+from servo_twin.board_memory import BoardMemory
 from servo_twin.harm import Harm
 from servo_twin.plant import PlantConfig
 
 BAUD: Final = 1_000_000.0
 
-_ENTRY_SIZE: Final = 16
 _IDLE: Final = (1 << 64) - 1
 _STEP: Final = 0.0025
 """Time between two looks at a condition [s]."""
@@ -61,7 +61,8 @@ class Rig:
             setattr(config.bus, name, value)
         config.pwm_frequency, config.baud, config.seed = plant.pwm_frequency, BAUD, seed
         self._board = lib.board_new(config)
-        self.entries, self._addresses = self._table()
+        self._memory = BoardMemory(ffi, lib, self._board)
+        self.entries: Sequence[str] = [entry.name for entry in self._memory.table]
         self._spoken_ns = 0
         self.written: list[tuple[str, tuple[int, ...]]] = []
 
@@ -133,12 +134,12 @@ class Rig:
     # ---- looking ----------------------------------------------------------------------------------------------------
 
     def address(self, name: str) -> int:
-        return self._addresses[name]
+        return self._memory.variables[name].address
 
     def get(self, name: str) -> float:
         """Value of a scalar in SI units."""
         variable = self._catalogue[name]
-        value = variable.decode(self._read(self.address(name), variable.size))
+        value = variable.decode(self._memory.read(self.address(name), variable.size))
         if not isinstance(value, (int, float)):
             raise RigError(f"{name} is not a scalar")
         return value
@@ -205,33 +206,3 @@ class Rig:
     def lose_index(self, lost: bool) -> None:
         """Let the index counters of both encoders stand still, or go on."""
         self._lib.record_lose_index(lost)
-
-    # ---- memory -----------------------------------------------------------------------------------------------------
-
-    def _read(self, address: int, size: int) -> bytes:
-        data = self._ffi.new("uint8_t[]", size)
-        status = self._lib.board_read(self._board, address, data, size)
-        if status != 0:
-            raise RigError(f"reading {size} bytes at {address:#x}: status {status:#x}")
-        return bytes(data)
-
-    def _table(self) -> tuple[Sequence[str], dict[str, int]]:
-        """Names of all entries of the table of variables, and addresses of the variables among them."""
-        start, size = self._ffi.new("uint32_t *"), self._ffi.new("uint32_t *")
-        self._lib.board_table(start, size)
-        names: list[str] = []
-        addresses: dict[str, int] = {}
-        for entry in range(start[0], start[0] + size[0], _ENTRY_SIZE):
-            data = self._read(entry, _ENTRY_SIZE)
-            name, _, address, info = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4, 8, 12))
-            names.append(self._string(name))
-            if info & 3:  # not a type, a member or a constant
-                addresses[names[-1]] = address
-        return names, addresses
-
-    def _string(self, address: int) -> str:
-        text = bytearray()
-        byte = self._ffi.new("uint8_t[1]")
-        while self._lib.board_read(self._board, address + len(text), byte, 1) == 0:
-            text.append(byte[0])
-        return text.decode("latin-1")

@@ -251,7 +251,7 @@ class Link:
                 self._hold_port()
             except _StopError:
                 break
-            except Exception as error:
+            except Exception as error:  # also one of our own making: told as such, and the link does not end by it
                 self._lost(error)
             pause = self._config.backoff_min if self._connected_once else min(2 * pause, self._config.backoff_max)
             self._stop.wait(pause)
@@ -370,7 +370,7 @@ class Link:
 
     @staticmethod
     def _call(function: Callable[[Any], None], argument: object) -> None:
-        """Call into the owner's code, whose errors must not end the thread."""
+        """Call into the owner's code, out of which anything may come: the link is not the one to end by it."""
         try:
             function(argument)
         except Exception:

@@ -201,7 +201,7 @@ def _set_low_latency(port: Any, url: str) -> LowLatency:
     try:
         port.set_low_latency_mode(True)
         flag = True
-    except (OSError, ValueError, NotImplementedError, AttributeError):
+    except (ValueError, NotImplementedError):  # of the driver, of the system
         flag = False
     timer = _SYS_TTY / Path(os.path.realpath(url)).name / "device" / "latency_timer"
     try:

@@ -78,8 +78,8 @@ typedef struct {
     uint64_t glitch_clock[QUADRATURE_LINES]; /* beginning or end of the next disturbance on a line */
     uint64_t turn_off; /* a switch still conducts so long after its gate has gone off [clocks] */
     double i_break; /* threshold [A] */
-    double square_break, square_far; /* of a current vector below which no phase is beyond the threshold, or can get
-                                        there within the horizon [A^2] */
+    /* Of a current vector below which no phase is beyond the threshold, or can get there within the horizon [A^2]. */
+    double square_break, square_far;
     double codes_per_ampere, i_offset[3], i_noise;
     double r_s; /* at the reference temperature [ohm] */
     double e_copper, e_switch; /* that the temperatures have seen already [J] */

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant
 
-__all__ = ["pushed", "whole_counts"]
+__all__ = ["answer", "pushed", "whole_counts"]
 
 SPEED_LOOP: Final = 2.0 * math.pi * 75.0
 """Bandwidth of the speed controller [rad/s], which answers such a torque."""
@@ -33,9 +33,6 @@ POSITION_GAIN: Final = 60.0
 def pushed(recording: Recording, axis: AxisPlant, *, position: bool, heavier: float = 1.0) -> NDArray[np.float64]:
     """How far the shaft is from where it would be if the current flowed that was asked for [counts].
 
-    The answer of the linear loops, with the bandwidths that servo.toml gives them, to the torque of the difference of
-    both currents.
-
     Parameters
     ----------
     recording : Recording
@@ -47,11 +44,27 @@ def pushed(recording: Recording, axis: AxisPlant, *, position: bool, heavier: fl
     heavier : float
         Inertia over the one that the loops are tuned for: they are so much slower.
     """
+    lacking = axis.torque_constant * (recording.i_q_true - recording.i_q_ref)
+    return answer(lacking, axis, position=position, heavier=heavier)
+
+
+def answer(
+    torques: NDArray[np.float64], axis: AxisPlant, *, position: bool, heavier: float = 1.0
+) -> NDArray[np.float64]:
+    """How far torques move a shaft against the linear loops, with the bandwidths that servo.toml gives them [counts].
+
+    Parameters
+    ----------
+    torques : ndarray
+        One per slow tick [N m].
+    axis, position, heavier
+        As for `pushed`.
+    """
     bandwidth = SPEED_LOOP / heavier
     gain = POSITION_GAIN if position else 0.0
     speed = way = integral = 0.0
     ways: list[float] = []
-    for torque in axis.torque_constant * (recording.i_q_true - recording.i_q_ref):
+    for torque in torques:
         error = speed + gain * way
         integral += TICK * error
         speed += TICK * (float(torque) / axis.inertia - bandwidth * (error + INTEGRAL * integral))

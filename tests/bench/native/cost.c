@@ -155,7 +155,6 @@ int main(void)
         if (machine_image(0) == ALL_FEATURES) {
             servo.parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX;
         }
-        servo.parameter.faults_enabled[i] = 0; /* the currents of this board are nobody's */
         servo.parameter.speed_limit[i] = RAD_PER_S(500); /* more than the voltage allows */
         servo.parameter.over_speed[i] = RAD_PER_S(520);
     }

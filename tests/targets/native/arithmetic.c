@@ -183,10 +183,13 @@ static void trigonometry(run_t *run)
 {
     const int16_t angle = draw16(run);
     const int32_t square = draw32(run);
+    const int16_t x = draw16(run);
+    const int16_t y = draw16(run);
     const sin_cos_t at = sin_cos(angle);
     take(run, at.sin);
     take(run, at.cos);
     take(run, f16_sqrt(square));
+    take(run, f16_angle(x, y));
 }
 
 static void transforms(run_t *run)
@@ -463,7 +466,7 @@ typedef struct {
 static const group_t groups[] = {
     {"fractions of 16 bits", fractions16},
     {"fractions of 32 bits", fractions32},
-    {"sine, cosine, square root", trigonometry},
+    {"sine, cosine, square root, angle", trigonometry},
     {"Clarke and Park", transforms},
     {"space-vector modulation", modulation},
     {"dead-time compensation", dead_time},

@@ -1,0 +1,224 @@
+"""The record of a first fault on its way to people: over a pty to the link and ``servo-tool``, over ROS to a topic."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bridge_rig import FAULT, STOP, Rig
+from fake_port import FakePort
+from fake_servo import CATALOGUE, FakeServo
+from fake_target import Reader
+from link_watcher import PATIENCE, Watcher
+from rcl_interfaces.msg import Log
+from recorded_fault import NONE, decoded, recorded
+from servo_bridge.freemaster.errors import TransportError
+from servo_bridge.wire.link import LinkState
+from servo_msgs_py.convert import snapshot_table
+from servo_msgs_py.fault_record import COLUMNS
+from std_msgs.msg import Float64MultiArray
+
+from servo_bridge import tool
+from servo_msgs_py import topics
+
+pytestmark = pytest.mark.realtime
+
+READ_MEMORY = 0x21
+TOPIC = topics.fault_record_topic("axis1")
+PHASE_LOST, OVER_VOLTAGE = (
+    next(flag.mask for flag in CATALOGUE.flags["faults"] if flag.name == name)
+    for name in ("PHASE_LOST", "OVER_VOLTAGE")
+)
+LOST = recorded("PHASE_LOST", 8003, i_q=4000)
+LATER = recorded("OVER_VOLTAGE", 90_001, i_q=-2000)
+
+
+@pytest.fixture
+def faulted(fake_board: FakeServo) -> FakeServo:
+    """The first axis of the fake board has a fault."""
+    fake_board.poke(fake_board.addresses["axis1.fault_record"], LOST)
+    return fake_board
+
+
+def never_after_the_first_piece(board: FakeServo, port: FakePort) -> threading.Event:
+    """Let the board fall silent when the middle of the record is asked for; returns what is set by then."""
+    start = board.addresses["axis1.fault_record"]
+    reached = threading.Event()
+
+    def mangle(answer: bytes) -> bytes:
+        command, payload = board.requests[-1]
+        if command == READ_MEMORY and start < Reader(payload).uleb() < start + len(LOST):
+            reached.set()
+        return b"" if reached.is_set() else answer
+
+    port.mangle = mangle
+    return reached
+
+
+# ---- the link -------------------------------------------------------------------------------------------------------
+def test_a_record_comes_whole(faulted: FakeServo, connected: Watcher) -> None:
+    """In several pieces, each as long as the buffer of the board."""
+    before = len(faulted.requests)
+    assert connected.link.read("axis1.fault_record").result(PATIENCE) == LOST
+    addresses = {Reader(payload).uleb() for command, payload in faulted.requests[before:] if command == READ_MEMORY}
+    assert len(addresses) >= 3
+
+
+def test_a_board_that_vanishes_in_the_middle_of_a_record(
+    faulted: FakeServo, fake_port: FakePort, connected: Watcher
+) -> None:
+    """The read fails, the link comes back, and then the record is there."""
+    reached = never_after_the_first_piece(faulted, fake_port)
+    reading = connected.link.read("axis1.fault_record")
+    assert reached.wait(PATIENCE)
+    fake_port.unplug()
+    with pytest.raises(TransportError, match="is gone"):
+        reading.result(PATIENCE)
+    connected.wait_state(LinkState.DISCONNECTED)
+    fake_port.mangle = lambda answer: answer
+    fake_port.plug()
+    connected.wait_state(LinkState.CONNECTED)
+    assert connected.link.read("axis1.fault_record").result(PATIENCE) == LOST
+
+
+# ---- servo-tool -----------------------------------------------------------------------------------------------------
+Run = Callable[..., int]
+
+
+@pytest.fixture
+def run(fake_port: FakePort, monkeypatch: pytest.MonkeyPatch) -> Run:
+    monkeypatch.delenv("SERVO_BAUD", raising=False)
+    return lambda *arguments: tool.main(["--port", fake_port.path, *arguments])
+
+
+def test_snapshot_prints_fault_remedy_and_samples(
+    faulted: FakeServo, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("snapshot") == 0
+    first, cause, heads, *rows, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("axis1: first fault PHASE_LOST in RUN/SPIN, 0.5002 s after reset")
+    flag = next(flag for flag in CATALOGUE.flags["faults"] if flag.name == "PHASE_LOST")
+    assert flag.cause in cause
+    assert flag.remedy in cause
+    assert heads.split()[::2][:1] == ["time"]
+    assert len(rows) == 64
+    numbers = np.array([[float(word) for word in row.split()] for row in rows])
+    table = decoded(LOST).table * np.array([1e3, 1, 1, 1, 1, 1, 1, 1])
+    np.testing.assert_allclose(numbers, table, atol=0.5001e-4)
+    assert second == "axis2: no fault"
+
+
+def test_snapshot_as_json(faulted: FakeServo, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("snapshot", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == [decoded(LOST).plain()]
+
+
+def test_snapshot_as_a_picture(faulted: FakeServo, run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "fault.png"
+    assert run("snapshot", "--plot", str(picture)) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("axis", "status", "text"), [("1", 0, "PHASE_LOST"), ("2", 1, "axis2: no fault")])
+def test_snapshot_of_one_axis(
+    faulted: FakeServo, run: Run, axis: str, status: int, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("snapshot", axis) == status
+    out = capsys.readouterr().out
+    assert text in out
+    assert f"axis{3 - int(axis)}" not in out
+
+
+def test_snapshot_of_a_board_that_vanishes_in_the_middle(
+    faulted: FakeServo, fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reached = never_after_the_first_piece(faulted, fake_port)
+    status: list[int] = []
+    thread = threading.Thread(target=lambda: status.append(run("snapshot")))
+    thread.start()
+    assert reached.wait(PATIENCE)
+    fake_port.unplug()
+    thread.join(PATIENCE)
+    assert status == [1]
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "is gone" in printed.err
+
+
+# ---- the topic ------------------------------------------------------------------------------------------------------
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with Rig() as result:
+        result.listen(TOPIC, Float64MultiArray, topics.latched_qos())
+        result.link.blocks = {"axis1.fault_record": LOST, "axis2.fault_record": NONE}
+        result.up()
+        yield result
+
+
+def fail(rig: Rig, word: int) -> None:
+    """Show samples with these faults of the first axis."""
+    rig.link.axes(FAULT if word else STOP, STOP)
+    rig.link.values["axis1.faults"] = word
+    rig.link.sample()
+    rig.link.sample()
+
+
+def told(message: Float64MultiArray) -> tuple[str, list[Any]]:
+    names, table = snapshot_table(message)
+    assert tuple(names) == COLUMNS
+    return message.layout.dim[0].label, table.tolist()
+
+
+def test_a_fault_is_told_with_its_record(rig: Rig) -> None:
+    fail(rig, PHASE_LOST)
+    rig.until(lambda: rig.messages[TOPIC])
+    record = decoded(LOST)
+    assert [told(message) for message in rig.messages[TOPIC]] == [(record.summary(), record.table.tolist())]
+    rig.until(lambda: f"axis1: {record.summary()}" in rig.logs(Log.ERROR))
+    values = {pair.key: pair.value for pair in rig.diagnosis("axis1").values}
+    assert values["first fault tick"] == "8003"
+    assert values["first fault"] == record.summary().removeprefix("first fault ")
+
+
+def test_who_comes_later_gets_it_too(rig: Rig) -> None:
+    fail(rig, PHASE_LOST)
+    rig.until(lambda: rig.messages[TOPIC])
+    earlier = rig.messages[TOPIC]
+    rig.listen(TOPIC, Float64MultiArray, topics.latched_qos())
+    rig.until(lambda: rig.messages[TOPIC])
+    assert rig.messages[TOPIC] == earlier
+
+
+def test_a_second_fault_is_no_news_and_the_next_one_after_clearing_is(rig: Rig) -> None:
+    fail(rig, PHASE_LOST)
+    rig.until(lambda: rig.messages[TOPIC])
+    fail(rig, PHASE_LOST | OVER_VOLTAGE)
+    rig.link.sample(8000)
+    rig.until(lambda: rig.link.reads.count("axis1.fault_record") == 2)  # the second look
+    rig.settle()
+    assert len(rig.messages[TOPIC]) == 1
+    fail(rig, 0)
+    rig.link.blocks["axis1.fault_record"] = LATER
+    fail(rig, OVER_VOLTAGE)
+    rig.until(lambda: len(rig.messages[TOPIC]) == 2)
+    assert told(rig.messages[TOPIC][-1])[1] == decoded(LATER).table.tolist()
+
+
+def test_a_board_that_vanishes_while_its_record_is_read(rig: Rig) -> None:
+    """Nothing is told of half a record; a board that is back with its fault is asked again."""
+    rig.link.held = []
+    fail(rig, PHASE_LOST)
+    rig.until(lambda: rig.link.held)
+    rig.link.lose()
+    rig.until(lambda: rig.state().startswith("DISCONNECTED"))
+    assert rig.messages[TOPIC] == []
+    rig.link.held = None
+    rig.up(FAULT, STOP)
+    rig.until(lambda: rig.messages[TOPIC])
+    assert told(rig.messages[TOPIC][-1])[1] == decoded(LOST).table.tolist()

@@ -1,0 +1,55 @@
+"""What boards go through while they are recorded: together every state, mode, fault and limit of the firmware.
+
+Each begins with a board that has just been switched on, and is short: a simulator of a small machine needs ten seconds
+for each second of it, and has to hold the recording in its flash.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from targets import server_requests
+from targets.recording import Scenario
+from targets.rig import Rig
+from targets.scenarios import faults, moves, observers, stops
+from targets.scenarios.parts import plant, ready
+
+
+def server(rig: Rig) -> None:
+    """Every FreeMASTER request, right and wrong, to a board at rest."""
+    ready(rig)
+    for frame in server_requests.frames(rig):
+        rig.send(frame)
+
+
+SCENARIOS: Final = (
+    Scenario("start-to-stop", plant((math.pi / 8, -3 * math.pi / 8)), moves.start_to_stop),
+    Scenario("second-thoughts", plant(), moves.second_thoughts),
+    Scenario("once-more", plant(), moves.once_more),
+    Scenario("extremes", plant(capacitance=0.05, i_break=100.0), moves.extremes),
+    Scenario("random-inputs", plant(capacitance=0.05, i_break=100.0), faults.random_inputs),
+    Scenario("bus-faults", plant(capacitance=1e-4), faults.bus_faults),
+    Scenario("bad-supply", plant(), faults.bad_supply),
+    Scenario("searches", plant(), faults.searches),
+    Scenario("reversed-encoder", plant(), faults.reversed_lines),
+    Scenario("caught", plant(), faults.caught),
+    Scenario("stalled", plant(), faults.stalled),
+    Scenario("lost-index", plant(), faults.lost_index),
+    Scenario("over-current", plant(i_break=4.5), faults.over_current),
+    Scenario("wrong-offset", plant(i_offset=(0.0, 2.0, 0.0)), faults.wrong_offset),
+    Scenario("forward", plant(), moves.forward),
+    Scenario("soft-limits", plant(), moves.soft_limits),
+    Scenario("sensorless", plant(capacitance=0.05), observers.sensorless),
+    Scenario("sensorless-lost", plant(i_noise=0.0).with_bus(u_noise=0.0), observers.sensorless_lost),
+    Scenario("slipped-encoder", plant(capacitance=0.05), observers.slipped),
+    Scenario("braking", plant(capacitance=0.5e-3), stops.braking),
+    Scenario("resistor", plant(), stops.resistor),
+    Scenario("shorted", plant(), stops.shorted),
+    Scenario("overloaded", plant(), stops.overloaded),
+    Scenario("held", plant(), stops.held),
+    Scenario("too-fast-for-a-short", plant(), stops.too_fast_for_a_short),
+    Scenario("broken-phases", plant(), faults.broken_phases),
+    Scenario("broken-encoders", plant(), faults.broken_encoders),
+    Scenario("server", plant(), server),
+)
