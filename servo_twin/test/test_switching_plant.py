@@ -255,6 +255,23 @@ class TestComparator:
         assert not switching.events
 
 
+class TestRoot:
+    """Where a parabola comes down to zero within a step."""
+
+    @pytest.mark.parametrize(("f0", "d0"), [(1.0, -2.0), (1.0, 3.0), (0.0, 2.0), (1e-9, 0.0)])
+    def test_is_where_the_parabola_is_zero(self, switching_c: Native, f0: float, d0: float) -> None:
+        h, f1 = 1e-3, -0.5
+        bend = (f1 - f0 - d0 * h) / h**2
+        t = switching_c.lib.root_of(f0, d0, f1, h)
+        assert 0.0 < t <= h
+        assert f0 + d0 * t + bend * t**2 == pytest.approx(0.0, abs=1e-12)
+
+    @pytest.mark.parametrize("f1", [-6.4783e-23, -6.5729e-23, -7e-23, -1e-12])
+    def test_stays_within_the_step_when_it_begins_below_by_rounding(self, switching_c: Native, f1: float) -> None:
+        """A current of 1e-22 A the wrong way: the parabola may be back there after any time at all."""
+        assert 0.0 <= switching_c.lib.root_of(-6.57293e-23, 8.41334e-20, f1, 1.13297e-05) <= 1.13297e-05
+
+
 class TestEncoder:
     def turn(self, switching_c: Native, omega: float, clocks: int, **axis: Any) -> Switching:
         switching = Switching(
