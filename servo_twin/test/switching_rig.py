@@ -50,6 +50,7 @@ class Switching:
 
     def __init__(self, native: Native, plant: PlantConfig, seed: int = 0) -> None:
         self.ffi, self.lib = native.ffi, native.lib
+        self.plant = plant
         self.c = self.ffi.new("switching_t *")
         self.lib.switching_init(self.c, c_config(native, plant, seed))
         self.events: list[tuple[int, int, int, int, bool]] = []

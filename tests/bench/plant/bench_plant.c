@@ -203,6 +203,7 @@ static plant_axis_t motor(void)
         .i_settle = 0.2e-6,
         .encoder_jitter = 0.02,
         .encoder_duty_error = 0.02,
+        .encoder_hysteresis = 0.03,
         .winding_capacity = 25,
         .winding_resistance = 4,
         .sink_capacity = 60,
