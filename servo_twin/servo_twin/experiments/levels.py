@@ -17,7 +17,8 @@ __all__ = ["FILE", "HELP", "LEVELS", "Pair", "pairs", "table", "write"]
 HELP: Final = """\
 All experiments on the ideal chip with the averaged plant, and again on the registers with the switching plant.
 A figure agrees when it lies within its bound at each level, and when the levels differ by no more than that bound
-allows: from one end of it to the other, or its size where it has only one end."""
+allows: from one end of it to the other, or its size where it has only one end; a few figures say themselves how far
+what only one of the plants has may take them."""
 
 LEVELS: Final[tuple[Level, Level]] = ("ideal", "registers")
 FILE: Final = "levels.json"
@@ -58,7 +59,9 @@ class Pair:
     def most(self) -> float | None:
         """How large the difference may be: a bound of the plant's own imperfections is wider where it has them."""
         rows = [row for row in (self.ideal, self.registers) if row is not None]
-        return max(reach(row.bound) for row in rows) if len(rows) == len(LEVELS) else None
+        if len(rows) < len(LEVELS):
+            return None
+        return max(reach(row.bound) if row.apart is None else row.apart for row in rows)
 
     @property
     def agrees(self) -> bool:
