@@ -70,10 +70,10 @@ def test_a_shaft_that_stands_is_not_handed_over(level: Level) -> None:
 @pytest.mark.parametrize("level", LEVELS)
 def test_shorted_windings_give_the_bus_nothing(level: Level) -> None:
     """A capacitor that shows every pulse: 0.5 J would lift it far beyond its limit, and the short would be over."""
-    plant = PLANT.with_bus(capacitance=0.3e-3)
+    plant = PLANT.with_bus(capacitance=0.3e-3).with_axis(0, inertia=2.4e-5)
     motor = plant.axes[0]
     with at_level(level):
-        short = braking.short(plant, 3, 0, 120.0, 0.06)
+        short = braking.short(plant, 3, 0, 120.0, 0.15)
     speeds = np.abs(short.omega)
     formula = np.array([braking.short_current(motor, w, drops=True) for w in speeds])
     settled = np.arange(speeds.size) * TICK > braking.SETTLED * motor.l_q / motor.r_s
