@@ -151,6 +151,15 @@ static void ramp(axis_t *axis)
     axis->current_ref = (dq_t){f16_from_f32(startup->current), damping_current(axis, speed)};
 }
 
+/* Has the back-EMF been seen? At low speed dead time and resistance may explain that there is none, and a PLL that nothing
+ * disturbs goes with the vector. */
+static bool seen(const axis_t *axis)
+{
+    const estimate_t *estimate = &axis->estimate;
+    const frac16_t expected = estimate_emf_at(axis, estimate->speed);
+    return estimate->locked && !emf_check_lacks(&estimate->check, &axis->config->emf_check, expected);
+}
+
 /* The slide's criterion; the upper bound has a tolerance, because at the end of the ramp the mean is the forced speed. */
 static bool converged(const axis_t *axis)
 {
@@ -158,7 +167,7 @@ static bool converged(const axis_t *axis)
     const frac32_t forced = axis->startup.speed;
     const frac32_t mean = turned(speed_reliability_mean(&axis->estimate.reliability), axis->startup.backwards);
     const int64_t ratio = (int64_t)mean * (INT32_C(1) << RATIO_BITS);
-    return axis->estimate.locked && estimate_reliable(axis) && ratio >= (int64_t)forced * config->mean_least &&
+    return seen(axis) && estimate_reliable(axis) && ratio >= (int64_t)forced * config->mean_least &&
            ratio <= (int64_t)forced * config->mean_most;
 }
 

@@ -36,6 +36,9 @@ bool emf_check_deviates(const emf_check_config_t *config, frac16_t floor, dq_t d
 /* Deviation over some periods of a swing: time constant 32 slow ticks. */
 dq_t emf_check_filter(emf_check_t *check, dq_t deviation);
 
+/* True while the filtered deviation is the part of a back-EMF that is expected, or more, whatever else might explain it. */
+bool emf_check_lacks(const emf_check_t *check, const emf_check_config_t *config, frac16_t expected);
+
 /* One slow tick: true after `most` ticks of deviation, less those without. */
 bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t most);
 

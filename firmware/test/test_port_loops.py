@@ -211,12 +211,20 @@ def test_duties_are_symmetrical_pulses(board: FakeBoard, axis: int) -> None:
         assert abs((off - on) - 6250 * duty / 32768) <= 1
 
 
-@pytest.mark.parametrize(("duty", "half"), [(32767, 3125), (0, 2), (1, 2), (-32768, 2), (21, 2), (32, 3)])
+@pytest.mark.parametrize(("duty", "half"), [(32767, 3125), (21, 2), (32, 3)])
 def test_ends_of_the_duty(board: FakeBoard, duty: int, half: int) -> None:
-    """100 % is never switched off (VAL3 is beyond the period), 0 % is too short to get through the dead time."""
+    """100 % is never switched off: VAL3 is beyond the period."""
     board.lib.hal_pwm_duty(board.hal, 0, duty, duty, duty)
     assert signed(board[0xE60B]) == half
     assert signed(board[0xE609]) == -half
+
+
+@pytest.mark.parametrize("duty", [0, 1, 15, -1, -32768])
+def test_no_pulse_leaves_the_low_side_on(board: FakeBoard, duty: int) -> None:
+    """VAL2 is out of the counter's reach; VAL3, past a load at 0, ends a pulse that is under way."""
+    board.lib.hal_pwm_duty(board.hal, 0, duty, duty, duty)
+    assert signed(board[0xE609]) > 3125
+    assert signed(board[0xE60B]) == 2
 
 
 def test_ldok_is_the_last_act(board: FakeBoard) -> None:

@@ -226,6 +226,7 @@ def compile_errors(tmp_path: Path, defines: Sequence[str]) -> str:
         ("PWM_FREQUENCY_HZ=15000UL", "pwm_period_is_whole_clocks"),
         ("PWM_FREQUENCY_HZ=32000UL", "pwm_period_is_even"),
         ("PWM_FREQUENCY_HZ=1000UL", "pwm_period_fits_the_counter"),
+        ("PWM_FREQUENCY_HZ=2500UL", "a_compare_can_be_out_of_reach"),
         ("DEAD_TIME_NS=25000UL", "dead_time_fits_its_counter"),
         ("DEAD_TIME_NS=0UL", "dead_time_is_not_zero"),
         ("DEAD_TIME_NS=8000UL", "dead_time_leaves_a_pulse"),

@@ -134,6 +134,25 @@ def test_a_wrong_resistance_is_tolerated_with_its_current(core: Core) -> None:
     assert not deviates(core, -off, 0.0, -3.0)
 
 
+def lacks(core: Core, emf: float, expected: float, ticks: int) -> bool:
+    """After so many slow ticks of an observed back-EMF, by what a start-up wants to have seen."""
+    config = core.ffi.addressof(core.lib.probe_config().axis[0], "emf_check")
+    check = core.ffi.new("emf_check_t *")
+    core.lib.emf_check_reset(check)
+    volts = frac16(expected / U_FS)
+    for _ in range(ticks):
+        deviation = core.lib.emf_check_deviation({"d": 0, "q": frac16(emf / U_FS)}, volts)
+        core.lib.emf_check_filter(check, deviation)
+    return bool(core.lib.emf_check_lacks(check, config, volts))
+
+
+@pytest.mark.parametrize("volts", [0.4, -0.4, 1.0, 3.0])
+def test_no_back_emf_is_none_however_low_the_speed(core: Core, volts: float) -> None:
+    assert deviates(core, 0j, volts, 2.0) == (abs(volts) > 2.0), "a running axis has to tolerate more"
+    assert lacks(core, 0.1 * volts, volts, ticks=64)
+    assert not lacks(core, 0.8 * volts, volts, ticks=64)
+
+
 def test_deviation_has_to_last(core: Core) -> None:
     check = core.ffi.new("emf_check_t *")
     core.lib.emf_check_reset(check)

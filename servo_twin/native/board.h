@@ -39,6 +39,7 @@ typedef struct {
     double i_settle;       /* time constant of the current amplifiers [s] */
     double encoder_jitter; /* standard deviation of an edge [counts] */
     double encoder_duty_error; /* a line is high for 1/2 + this of its period */
+    double encoder_hysteresis; /* an edge comes back so far behind where it was passed [counts] */
     double winding_capacity, winding_resistance; /* to the ambient air [J/K], [K/W] */
     double sink_capacity, sink_resistance; /* heatsink of the inverter [J/K], [K/W] */
 } plant_axis_t;

@@ -52,6 +52,7 @@ _AXIS_RULES: Final[Mapping[str, _Rule]] = {
     "i_settle": _NOT_NEGATIVE,
     "encoder_jitter": _NOT_NEGATIVE,
     "encoder_duty_error": ("between -0.2 and 0.2", lambda x: -0.2 < x < 0.2),
+    "encoder_hysteresis": ("between 0 and 0.5", lambda x: 0.0 <= x < 0.5),
     "winding_capacity": _POSITIVE,
     "winding_resistance": _POSITIVE,
     "sink_capacity": _POSITIVE,
@@ -122,6 +123,8 @@ class AxisPlant:
         Standard deviation of an edge of the encoder [counts].
     encoder_duty_error : float
         An encoder line is high for 1/2 and this part of its period.
+    encoder_hysteresis : float
+        An edge comes back so far behind where the shaft has passed it [counts]: what keeps comparators from chattering.
     winding_capacity, winding_resistance : float
         Thermal capacity [J/K] of the winding, its resistance to the air [K/W].
     sink_capacity, sink_resistance : float
@@ -149,6 +152,7 @@ class AxisPlant:
     i_settle: float
     encoder_jitter: float
     encoder_duty_error: float
+    encoder_hysteresis: float
     winding_capacity: float
     winding_resistance: float
     sink_capacity: float

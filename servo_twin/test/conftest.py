@@ -59,7 +59,7 @@ def switching_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
         tmp_path_factory.mktemp("switching"),
         "switching_under_test",
         PLANT_CDEF + SWITCHING_CDEF,
-        '#include "plant/plant.h"\n#include "plant/switching.h"',
+        '#include "plant/plant.h"\n#include "plant/switching.h"\n#include "plant/bridge_kernel.h"',
         [NATIVE],
         [],
     )

@@ -30,7 +30,8 @@ typedef struct { double alpha, beta; } plant_vector_t;
 typedef struct {
     double r_s, l_d, l_q, psi_m, pole_pairs, inertia, friction, viscous, encoder_lines, theta_start, i_full_scale;
     double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, turn_off, i_settle;
-    double encoder_jitter, encoder_duty_error, winding_capacity, winding_resistance, sink_capacity, sink_resistance;
+    double encoder_jitter, encoder_duty_error, encoder_hysteresis;
+    double winding_capacity, winding_resistance, sink_capacity, sink_resistance;
 } plant_axis_t;
 typedef struct {
     double u_source, r_source, capacitance, u_full_scale, u_noise, r_brake, brake_capacity, brake_resistance;

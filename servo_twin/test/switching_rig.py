@@ -14,6 +14,7 @@ typedef struct { double theta, omega, phase[3], low, high; int sign[3]; ...; } b
 typedef struct { bridge_t bridge; ...; } switching_axis_t;
 typedef struct { switching_axis_t axis[2]; supply_t supply; ...; } switching_t;
 typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;
+double root_of(double f0, double d0, double f1, double h);
 void switching_init(switching_t *plant, const board_config_t *config);
 void switching_edge(switching_t *plant, int axis, int phase, int leg);
 uint64_t switching_next(switching_t *plant);
@@ -49,6 +50,7 @@ class Switching:
 
     def __init__(self, native: Native, plant: PlantConfig, seed: int = 0) -> None:
         self.ffi, self.lib = native.ffi, native.lib
+        self.plant = plant
         self.c = self.ffi.new("switching_t *")
         self.lib.switching_init(self.c, c_config(native, plant, seed))
         self.events: list[tuple[int, int, int, int, bool]] = []

@@ -47,6 +47,14 @@ class TestCounter:
         for n in range(3):
             assert [c - start for c in rig.clocks("cycle", a=n)] == [PERIOD, 2 * PERIOD, 3 * PERIOD]
 
+    def test_a_trigger_that_has_gone_by_comes_in_the_next_cycle(self, rig: ChipRig) -> None:
+        """Switched on after its count, before any other event of the submodule."""
+        start = prepare(rig, PWMA1_VAL4=55)
+        rig.run(start + HALF + 200)
+        rig.write("PWMA1_TCTRL", 0x10)
+        rig.run(start + 2 * PERIOD)
+        assert [clock - start for clock in rig.clocks("trigger", a=TRIG_A1)] == [PERIOD + HALF + 55]
+
     def test_a_follower_without_sync_counts_on(self, rig: ChipRig) -> None:
         """INIT_SEL = EXT_SYNC and no such signal: the counter goes on past VAL1 and wraps after 65536 counts."""
         start = prepare(rig, PWMA1_CTRL2=0x0304)

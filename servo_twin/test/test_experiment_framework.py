@@ -90,6 +90,27 @@ class TestLevels:
         assert pair.agrees is agrees
         assert pair.difference == (None if registers is None else pytest.approx(registers - ideal))
 
+    @pytest.mark.parametrize(("ideal", "registers", "part"), [(0.5, 0.5, 0.0), (0.5, 0.75, 0.25), (0.5, None, None)])
+    def test_part_of_what_a_difference_may_be(self, ideal: float, registers: float | None, part: float | None) -> None:
+        assert levels.pairs(outcome("a", ideal), outcome("a", registers))[0].part == part
+
+    def test_equal_figures_that_are_not(self) -> None:
+        exact = [Outcome("a", (Row("x", SEED, value, "", Bound(1.0, 1.0)),), ()) for value in (1.0, 0.9)]
+        assert levels.pairs(*exact)[0].part == math.inf
+
+    def test_a_figure_may_say_itself_how_far(self) -> None:
+        rows = [
+            Row("x", SEED, value, "s", Bound(most=0.01), apart=apart) for value, apart in ((-0.5, 0.1), (-0.1, 0.5))
+        ]
+        pair = levels.pairs(*(Outcome("a", (row,), ()) for row in rows))[0]
+        assert pair.most == 0.5
+        assert pair.agrees
+
+    def test_overview_names_the_figure_that_differs_most(self) -> None:
+        pairs = levels.pairs(outcome("a", 0.5, 0.1), outcome("a", 0.6, 0.9))
+        line = levels.overview(pairs).splitlines()[1].split("  ")
+        assert [cell.strip() for cell in line if cell] == ["a", "2", "2", "0.8 rpm", "0.80", "figure 1"]
+
 
 @pytest.mark.parametrize("words", [[], ["all"], ["levels"], *([name] for name in EXPERIMENTS)])
 def test_every_help_can_be_read(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:

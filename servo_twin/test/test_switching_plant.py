@@ -255,11 +255,27 @@ class TestComparator:
         assert not switching.events
 
 
+class TestRoot:
+    """Where a parabola comes down to zero within a step."""
+
+    @pytest.mark.parametrize(("f0", "d0"), [(1.0, -2.0), (1.0, 3.0), (0.0, 2.0), (1e-9, 0.0)])
+    def test_is_where_the_parabola_is_zero(self, switching_c: Native, f0: float, d0: float) -> None:
+        h, f1 = 1e-3, -0.5
+        bend = (f1 - f0 - d0 * h) / h**2
+        t = switching_c.lib.root_of(f0, d0, f1, h)
+        assert 0.0 < t <= h
+        assert f0 + d0 * t + bend * t**2 == pytest.approx(0.0, abs=1e-12)
+
+    @pytest.mark.parametrize("f1", [-6.4783e-23, -6.5729e-23, -7e-23, -1e-12])
+    def test_stays_within_the_step_when_it_begins_below_by_rounding(self, switching_c: Native, f1: float) -> None:
+        """A current of 1e-22 A the wrong way: the parabola may be back there after any time at all."""
+        assert 0.0 <= switching_c.lib.root_of(-6.57293e-23, 8.41334e-20, f1, 1.13297e-05) <= 1.13297e-05
+
+
 class TestEncoder:
     def turn(self, switching_c: Native, omega: float, clocks: int, **axis: Any) -> Switching:
-        switching = Switching(
-            switching_c, plain(**{"encoder_jitter": 0.0, "encoder_duty_error": 0.0, "theta_start": 0.001, **axis})
-        )
+        exact = {"encoder_jitter": 0.0, "encoder_duty_error": 0.0, "encoder_hysteresis": 0.0, "theta_start": 0.001}
+        switching = Switching(switching_c, plain(**{**exact, **axis}))
         switching.spin(0, omega)
         switching.advance(clocks)
         return switching
@@ -312,6 +328,38 @@ class TestEncoder:
         assert abs(len(switching.events) - 2 * up) <= 1
         after = [switching.lib.switching_line(switching.c, 0, line) for line in range(2)]
         assert before == after or abs(len(switching.events) - 2 * up) == 1
+
+    def test_an_edge_comes_back_behind_where_it_was_passed(self, switching_c: Native) -> None:
+        """Half of the hysteresis late in either direction, whatever the jitter."""
+        late, pitch = 0.1, 2 * math.pi / 4000
+        switching = Switching(switching_c, plain(encoder_jitter=0.05, encoder_hysteresis=late, theta_start=0.001))
+        switching.spin(0, 6.0)
+        switching.lib.switching_set_load(switching.c, 0, 0.02)
+        braking = 0.02 / switching.plant.axes[0].inertia
+        switching.advance(400_000)
+        turns = 6.0 / braking / CLOCK
+        up = [event[0] for event in switching.events if event[0] < turns][-1]
+        down = next(event[0] for event in switching.events if event[0] > turns)
+        angles = [6.0 * (clock * CLOCK) - 0.5 * braking * (clock * CLOCK) ** 2 for clock in (up, down)]
+        assert angles[0] - angles[1] == pytest.approx(late * pitch, abs=1e-3 * pitch)
+
+    @pytest.mark.parametrize(("hysteresis", "chatters"), [(0.03, False), (0.015, False), (0.005, True)])
+    def test_a_shaft_that_dithers_on_an_edge(self, switching_c: Native, hysteresis: float, chatters: bool) -> None:
+        """By a hundredth of a count to either side, less than the jitter."""
+        switching = Switching(
+            switching_c, plain(encoder_jitter=0.05, encoder_hysteresis=hysteresis, theta_start=0.0015)
+        )
+        speed, torque, pitch = 0.2, 0.01, 2 * math.pi / 4000
+        acceleration = torque / switching.plant.axes[0].inertia
+        assert speed**2 / (2.0 * acceleration) == pytest.approx(0.01 * pitch, rel=0.05)
+        switching.spin(0, speed)
+        while not switching.events:
+            switching.advance(switching.clock + 100)
+        for _ in range(20):
+            for sign in (1.0, -1.0):
+                switching.lib.switching_set_load(switching.c, 0, sign * torque)
+                switching.advance(switching.clock + round(2.0 * speed / acceleration / CLOCK))
+        assert len(switching.events) == (41 if chatters else 1)
 
     def test_cut_lines_stay_low(self, switching_c: Native) -> None:
         switching = self.turn(switching_c, 100.0, 100_000)

@@ -28,6 +28,7 @@ OPTIONS: Final = (
     "-fno-math-errno",
     "-fno-trapping-math",
     "-fno-tree-vectorize",
+    *("-Wall", "-Wextra", "-Wconversion", "-Werror"),
 )
 
 PERIOD_NS: Final = 62_500

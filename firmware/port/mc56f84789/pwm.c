@@ -82,8 +82,17 @@ void pwm_run(hal_t *hal)
 /* Half the clocks that the high side is on. */
 static int16_t half_pulse(int16_t duty)
 {
-    const int32_t clocks = ((int32_t)duty * PWM_HALF_PERIOD + INT32_C(0x4000)) / INT32_C(0x8000);
-    return (int16_t)((clocks < HALF_PULSE_LEAST_CLOCKS) ? HALF_PULSE_LEAST_CLOCKS : clocks);
+    return (int16_t)(((int32_t)duty * PWM_HALF_PERIOD + INT32_C(0x4000)) / INT32_C(0x8000));
+}
+
+/* Without a pulse the low side stays on. The shortest one would open it for the dead time, and a current out of the motor
+ * would go into the bus meanwhile: windings that are shorted have to be so all the time. VAL3 still ends a pulse that is
+ * under way when the values are loaded. */
+static void write_pulse(hal_t *hal, uint16_t module, uint16_t sm, int16_t half)
+{
+    const bool none = half < HALF_PULSE_LEAST_CLOCKS;
+    write_sm(hal, module, sm, PWM_VAL2, none ? SET_PWM_NEVER : WORD(-half));
+    write_sm(hal, module, sm, PWM_VAL3, none ? WORD(HALF_PULSE_LEAST_CLOCKS) : WORD(half));
 }
 
 void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c)
@@ -96,8 +105,7 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
         REG_WRITE(hal, module + PWM_MCTRL, run | PWM_MCTRL_CLDOK(PWM_ALL));
     }
     for (uint16_t sm = 0; sm < PWM_SM_USED; sm++) {
-        write_sm(hal, module, sm, PWM_VAL2, WORD(-half[sm]));
-        write_sm(hal, module, sm, PWM_VAL3, WORD(half[sm]));
+        write_pulse(hal, module, sm, half[sm]);
     }
     REG_WRITE(hal, module + PWM_MCTRL, run | PWM_MCTRL_LDOK(PWM_ALL));
 }

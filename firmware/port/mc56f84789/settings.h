@@ -29,7 +29,7 @@
 #define DEAD_TIME_NS 1000UL
 #endif
 #ifndef HALF_PULSE_LEAST_CLOCKS
-#define HALF_PULSE_LEAST_CLOCKS 2 /* VAL2 = VAL3 is not defined; the dead time swallows so short a pulse */
+#define HALF_PULSE_LEAST_CLOCKS 2 /* VAL2 = VAL3 is not defined; shorter pulses are none */
 #endif
 #ifndef SYNC_LATENCY_CLOCKS
 #define SYNC_LATENCY_CLOCKS 0 /* VAL0 of PWMA to INIT of PWMB through the crossbar: measure it */
@@ -133,6 +133,7 @@ SETTINGS_CHECK(bus_clock_is_whole_megahertz, BUS_CLOCK_HZ % 1000000UL == 0UL);
 
 #define SET_PWM_INIT WORD(-PWM_HALF_PERIOD)
 #define SET_PWM_VAL1 WORD(PWM_HALF_PERIOD - 1)
+#define SET_PWM_NEVER 0x7FFFU /* far beyond VAL1 */
 #define SET_PWM_VAL0 WORD(0) /* half-cycle reload */
 #define SET_PWMA_SM0_VAL0 WORD(-(int32_t)SYNC_LATENCY_CLOCKS) /* and there the sync of PWMB */
 
@@ -142,6 +143,7 @@ SETTINGS_CHECK(bus_clock_is_whole_megahertz, BUS_CLOCK_HZ % 1000000UL == 0UL);
 SETTINGS_CHECK(pwm_period_is_whole_clocks, BUS_CLOCK_HZ % PWM_FREQUENCY_HZ == 0UL);
 SETTINGS_CHECK(pwm_period_is_even, PWM_PERIOD % 2UL == 0UL);
 SETTINGS_CHECK(pwm_period_fits_the_counter, PWM_HALF_PERIOD <= 0x8000L);
+SETTINGS_CHECK(a_compare_can_be_out_of_reach, PWM_HALF_PERIOD <= 0x4000L);
 SETTINGS_CHECK(dead_time_fits_its_counter, DEAD_TIME_CLOCKS <= (uint32_t)PWM_DTCNT_MASK);
 SETTINGS_CHECK(dead_time_is_not_zero, DEAD_TIME_CLOCKS >= 1UL);
 SETTINGS_CHECK(dead_time_leaves_a_pulse, 8UL * DEAD_TIME_CLOCKS <= PWM_PERIOD);

@@ -273,16 +273,19 @@ static inline bool jerked(const bridge_t *b, const end_t *e)
             open_way(b, e->torque - b->load));
 }
 
-/* First root of the parabola with f(0) = f0 >= 0, f'(0) = d0 and f(h) = f1 < 0. */
+/* First root within h of the parabola with f(0) = f0 >= 0, f'(0) = d0 and f(h) = f1 < 0. What is below zero by rounding
+ * alone counts as zero: it comes back there when it likes, so this root, too, ends with h. */
 static inline double root_of(double f0, double d0, double f1, double h)
 {
     const double c = (f1 - f0 - d0 * h) / (h * h);
+    double t;
     if (f0 <= 0.0) {
-        return (d0 > 0.0 && c < 0.0) ? -d0 / c : 0.0;
+        t = (d0 > 0.0 && c < 0.0) ? -d0 / c : 0.0;
+    } else {
+        const double square = d0 * d0 - 4.0 * c * f0;
+        const double sum = ((square > 0.0) ? sqrt(square) : 0.0) - d0;
+        t = (sum > 0.0) ? 2.0 * f0 / sum : h;
     }
-    const double square = d0 * d0 - 4.0 * c * f0;
-    const double sum = ((square > 0.0) ? sqrt(square) : 0.0) - d0;
-    const double t = (sum > 0.0) ? 2.0 * f0 / sum : h;
     return (t < h) ? t : h;
 }
 

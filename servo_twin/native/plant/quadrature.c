@@ -18,12 +18,12 @@ static double spread(uint64_t bits)
     return (double)sum * (2.449489742783178 / 65535.0);
 }
 
-/* The next edge in the direction of motion. */
-static inline void aim(quadrature_t *q)
+/* Where the next edge in a direction is this time. */
+static inline double draw(quadrature_t *q, bool upwards)
 {
-    const int64_t n = q->position + q->upwards;
+    const int64_t n = q->position + upwards;
     const double shift = (rises(n) ? -q->early : q->early) + q->jitter * spread(plant_random_bits(&q->random));
-    q->target = ((double)n + shift) * q->pitch;
+    return ((double)n + shift) * q->pitch + (upwards ? 0.5 : -0.5) * q->hysteresis;
 }
 
 static double limit(double error)
@@ -38,11 +38,13 @@ void quadrature_init(quadrature_t *q, const plant_axis_t *config, uint64_t seed,
         .jitter = (config->encoder_jitter < MOST_JITTER) ? config->encoder_jitter : MOST_JITTER,
         .early = 2.0 * limit(config->encoder_duty_error),
     };
+    q->hysteresis = config->encoder_hysteresis * q->pitch;
     plant_random_init(&q->random, seed, stream);
     const double x = config->theta_start / q->pitch;
     q->position = (int64_t)x - ((double)(int64_t)x > x);
     q->upwards = true;
-    aim(q);
+    q->edge[0] = draw(q, false);
+    q->edge[1] = q->target = draw(q, true);
     /* the last edge passed upwards has set its line, the one before the other */
     for (int64_t n = q->position - 1; n <= q->position; n++) {
         q->level[(n & 1) == 0] = rises(n);
@@ -56,7 +58,8 @@ quadrature_edge_t quadrature_pass(quadrature_t *q)
     const bool level = rises(n) == q->upwards;
     q->position += q->upwards ? 1 : -1;
     q->level[line] = level;
-    aim(q);
+    q->edge[!q->upwards] = q->target - (q->upwards ? q->hysteresis : -q->hysteresis);
+    q->edge[q->upwards] = q->target = draw(q, q->upwards);
     const quadrature_edge_t edge = {line, level != q->flipped[line], !q->cut[line]};
     return edge;
 }
@@ -67,7 +70,7 @@ quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omeg
     const double drive = (omega != 0.0) ? omega : accel;
     if (drive != 0.0 && (drive > 0.0) != q->upwards) {
         q->upwards = !q->upwards;
-        aim(q);
+        q->target = q->edge[q->upwards];
     }
     const double per_omega = (omega != 0.0) ? 1.0 / omega : 0.0;
     const quadrature_course_t course = {

@@ -4,7 +4,9 @@
  * between the positions n - 1 and n; upwards A rises at 1, B at 2, A falls at 3, B at 4 (and 0). An ideal edge n is at
  * n pitches; a real one is shifted by
  *   duty error   a line stays high for (1/2 + error) of its period: rising edges come early, falling ones late
- *   jitter       drawn anew each time the shaft passes, for mechanics and electronics alike
+ *   jitter       drawn anew each time the shaft comes from the edge before, for mechanics and electronics alike
+ *   hysteresis   of the encoder's comparators: half of it late in either direction, so that a shaft that turns back finds
+ *                the edge that much behind where it passed it, however often it does, and none chatters
  */
 #ifndef PLANT_QUADRATURE_H
 #define PLANT_QUADRATURE_H
@@ -21,9 +23,11 @@ typedef struct {
     double pitch;       /* [rad] per edge */
     double jitter;      /* standard deviation of an edge [pitches] */
     double early;       /* of a rising edge, and delay of a falling one [pitches] */
+    double hysteresis;  /* [rad] */
     int64_t position;   /* edges passed since angle 0 */
     bool upwards;       /* direction in which the shaft moves, or has moved last */
-    double target;      /* angle of the next edge in that direction [rad] */
+    double edge[2];     /* angles of the next edges downwards and upwards [rad] .. */
+    double target;      /* .. and of that in the direction of motion */
     bool level[QUADRATURE_LINES];
     bool cut[QUADRATURE_LINES]; /* the line stays at */
     bool stuck[QUADRATURE_LINES];

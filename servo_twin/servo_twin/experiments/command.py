@@ -162,6 +162,7 @@ def _run_levels(args: argparse.Namespace) -> int:
     if args.json:
         print(path.read_text(encoding="utf-8"), end="")
     else:
+        print(levels.overview(pairs))
         print(f"{sum(pair.agrees for pair in pairs)} of {len(pairs)} figures agree at both levels, and with each other")
         print("".join(f"  does not agree: {pair.name}\n" for pair in pairs if not pair.agrees), end="")
     return 0 if all(pair.agrees for pair in pairs) else 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -88,6 +89,14 @@ class Move:
     speed: float
     recording: Recording
     swerve: float = 0.0
+
+    @property
+    def window(self) -> float:
+        """Distance from the target within which the shaft has settled [counts].
+
+        It comes down to it like exp(-t / lag), so that a wider one, on a plant that lets it swerve, is reached earlier.
+        """
+        return ARRIVED + self.swerve
 
 
 def measure(recording: Recording, target: int, shaft: AxisPlant) -> Move:
@@ -187,6 +196,8 @@ def _rows(what: str, moves: Mapping[str, Move], inertia: Mismatch, friction: Mis
         bound = Bound(most=error_bound(speed, inertia))
         rows.append(Row(f"{what}, following error, {choice}", BEYOND, moves[choice].error, "counts", bound))
     forward = [move for choice, move in moves.items() if choice != "none"]
+    lag = none.error * COUNT / max(none.speed, 1e-9)
+    wider = math.log(max(move.window for move in moves.values()) / ARRIVED)
     overshoot = max(move.overshoot for move in forward)
     pushed = OVERSHOOT_OF_FRICTION * (friction.lighter - 1.0)
     swerve = max(move.swerve for move in forward)
@@ -199,6 +210,7 @@ def _rows(what: str, moves: Mapping[str, Move], inertia: Mismatch, friction: Mis
             _later(none.settling, [move.settling for move in forward]),
             "s",
             Bound(most=SETTLE_WORSE_MOST),
+            apart=SETTLE_WORSE_MOST + lag * wider,
         )
     )
     return rows

@@ -12,12 +12,13 @@ from typing import Any, Final
 from servo_twin.board import Level
 from servo_twin.experiments.outcome import Bound, Outcome, Row
 
-__all__ = ["FILE", "HELP", "LEVELS", "Pair", "pairs", "table", "write"]
+__all__ = ["FILE", "HELP", "LEVELS", "Pair", "overview", "pairs", "table", "write"]
 
 HELP: Final = """\
 All experiments on the ideal chip with the averaged plant, and again on the registers with the switching plant.
 A figure agrees when it lies within its bound at each level, and when the levels differ by no more than that bound
-allows: from one end of it to the other, or its size where it has only one end."""
+allows: from one end of it to the other, or its size where it has only one end; a few figures say themselves how far
+what only one of the plants has may take them."""
 
 LEVELS: Final[tuple[Level, Level]] = ("ideal", "registers")
 FILE: Final = "levels.json"
@@ -58,7 +59,19 @@ class Pair:
     def most(self) -> float | None:
         """How large the difference may be: a bound of the plant's own imperfections is wider where it has them."""
         rows = [row for row in (self.ideal, self.registers) if row is not None]
-        return max(reach(row.bound) for row in rows) if len(rows) == len(LEVELS) else None
+        if len(rows) < len(LEVELS):
+            return None
+        return max(reach(row.bound) if row.apart is None else row.apart for row in rows)
+
+    @property
+    def part(self) -> float | None:
+        """Difference over how large it may be: 0 for equal figures, infinite for others that ought to be equal."""
+        difference, most = self.difference, self.most
+        if difference is None or most is None or math.isnan(difference):
+            return None
+        if difference == 0.0:
+            return 0.0
+        return abs(difference) / most if most > 0.0 else math.inf
 
     @property
     def agrees(self) -> bool:
@@ -117,6 +130,27 @@ def table(name: str, every: Sequence[Pair]) -> str:
     widths = [max(len(line[k]) for line in lines) for k in range(len(_HEAD))]
     rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
     return "\n".join([name, "", *(f"  {row}" for row in rows)]) + "\n"
+
+
+def overview(every: Sequence[Pair]) -> str:
+    """One line per experiment: how many figures agree, and which of them differs most for what it may."""
+    head = ("experiment", "figures", "agree", "largest difference", "of what it may be", "figure")
+    lines = [head]
+    for name in dict.fromkeys(pair.name.partition(": ")[0] for pair in every):
+        mine = [pair for pair in every if pair.name.startswith(f"{name}: ")]
+        agree = sum(pair.agrees for pair in mine)
+        measured = [(pair.part, pair) for pair in mine if pair.part is not None]
+        if measured:
+            part, pair = max(measured, key=lambda found: found[0])
+            unit = next((row.unit for row in (pair.ideal, pair.registers) if row is not None), "")
+            largest = f"{_text(pair.difference)} {unit}".strip()
+            worst = (largest, "inf" if math.isinf(part) else f"{part:.2f}", pair.name.partition(": ")[2])
+        else:
+            worst = ("", "", "")
+        lines.append((name, str(len(mine)), str(agree), *worst))
+    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    return "\n".join(f"  {row}" for row in rows) + "\n"
 
 
 def write(folder: Path, every: Sequence[Pair]) -> Path:

@@ -362,7 +362,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         Row(
             "firmware against E33 and F19 while braking",
             "F19: M2 / TMR3",
-            float(deviation[law].max()),
+            max(float(deviation[law].max()), 0.0),
             "ticks",
             Bound(most=2.0),
         ),

@@ -54,6 +54,8 @@ class Row:
         Unit of `measured` and `bound`.
     bound : Bound
         Where `measured` has to lie.
+    apart : float or None
+        How far the two levels of a board may be apart; None: as far as the bound allows.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Row:
     measured: float | None
     unit: str
     bound: Bound
+    apart: float | None = None
 
     @property
     def agrees(self) -> bool:

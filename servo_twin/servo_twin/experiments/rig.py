@@ -134,11 +134,11 @@ def edge_shift(axis: AxisPlant) -> float:
     """How far an edge of an encoder line may lie from its place [counts]; edges of the averaged plant lie in theirs.
 
     A line is high for 1/2 and the duty error of its period of four counts: its rising edge comes early by half of that,
-    the falling one late. Jitter comes on top.
+    the falling one late. Jitter comes on top, and half of the hysteresis.
     """
     if level() == "ideal":
         return 0.0
-    return 2.0 * abs(axis.encoder_duty_error) + JITTER_REACH * axis.encoder_jitter
+    return 2.0 * abs(axis.encoder_duty_error) + JITTER_REACH * axis.encoder_jitter + 0.5 * axis.encoder_hysteresis
 
 
 @contextmanager

@@ -284,7 +284,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
 def _rows_visit(what: str, most: float, free: Visit, limited: Visit) -> tuple[Row, ...]:
     return (
         Row(f"{what}: beyond without", BEYOND_SEED, free.beyond, "counts", Bound(PASSES_LEAST)),
-        Row(f"{what}: beyond with", BEYOND_SEED, limited.beyond, "counts", Bound(most=most)),
+        Row(f"{what}: beyond with", BEYOND_SEED, limited.beyond, "counts", Bound(most=most), apart=most + NEAR_MOST),
         Row(f"{what}: stops before", BEYOND_SEED, limited.short, "counts", Bound(-most, NEAR_MOST)),
         Row(f"{what}: names itself", BEYOND_SEED, limited.named, "of the time", Bound(1.0, 1.0)),
         Row(f"{what}: comes back", BEYOND_SEED, limited.returned, "counts", Bound(BACK_LEAST)),

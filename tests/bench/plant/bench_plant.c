@@ -159,7 +159,7 @@ static double run_averaged(const board_config_t *config, unsigned groups, case_t
             for (int half = 0; half < 2; half++) {
                 plant_half_cycle(&plant);
                 for (int i = 0; i < 2; i++) {
-                    plant_inverter_load(&plant.axis[i].inverter, duty[g][i], plant.bus.u_dc);
+                    plant_inverter_load(&plant.axis[i].inverter, duty[g][i], plant.bus.u);
                 }
                 for (int k = 0; k < PLANT_STEPS_PER_HALF; k++, clock += plant.step_ns) {
                     plant_step(&plant, clock);
@@ -203,6 +203,7 @@ static plant_axis_t motor(void)
         .i_settle = 0.2e-6,
         .encoder_jitter = 0.02,
         .encoder_duty_error = 0.02,
+        .encoder_hysteresis = 0.03,
         .winding_capacity = 25,
         .winding_resistance = 4,
         .sink_capacity = 60,

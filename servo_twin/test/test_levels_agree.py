@@ -1,0 +1,82 @@
+"""Both levels of the board do the same: some experiments side by side, and cases in which they once did not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from servo_twin.board import Level
+from servo_twin.experiments import braking, fault_matrix, levels, rotor_search, start_up
+from servo_twin.experiments.command import run_experiments
+from servo_twin.experiments.rig import TICK, at_level, spinning
+from servo_twin.plant import PlantConfig
+
+LEVELS: tuple[Level, ...] = ("ideal", "registers")
+PLANT = PlantConfig.load()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["path-filter", "mt-speed", "anti-windup"])
+def test_experiments_agree(name: str) -> None:
+    ideal, registers = (run_experiments([name], PLANT, 1, quiet=True, level=level)[0] for level in LEVELS)
+    pairs = levels.pairs(ideal, registers)
+    assert len(pairs) >= 6
+    assert [pair.name for pair in pairs if not pair.agrees] == []
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_search_on_a_stiff_shaft(level: Level) -> None:
+    """Aligned to a phase's axis, the current of another one stays at zero to within rounding."""
+    stiff = PLANT
+    for axis, entry in enumerate(PLANT.axes):
+        stiff = stiff.with_axis(axis, friction=3.0 * entry.friction)
+    with at_level(level):
+        for search, axis in zip(rotor_search.find(rotor_search.start_at(stiff, 90.0), 55), stiff.axes, strict=True):
+            assert search.faults == frozenset()
+            assert search.error is not None
+            assert abs(search.error) <= rotor_search.error_bound(axis, search.current)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_shaft_that_comes_to_rest_on_an_edge_is_no_dead_line(level: Level) -> None:
+    """The search of axis 2 holds its rotor there for 0.4 s, with 4 A along it."""
+    other = PLANT.with_axis(0, l_d=0.5 * PLANT.axes[0].l_d, l_q=0.5 * PLANT.axes[0].l_q)
+    with at_level(level), spinning(other, 1) as board:
+        assert board.read_raw("axis2.faults")[0] == 0
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize(("state", "seed"), [("STOP", 199), ("CALIB", 200)])
+def test_a_millisecond_without_the_core(level: Level, state: str, seed: int) -> None:
+    """The sequence of the two loops begins anew, whatever edges the duties had when it did."""
+    damage = next(d for d in fault_matrix.damages(PLANT) if d.name == "core stands still 1 ms")
+    with at_level(level):
+        found = fault_matrix.case(PLANT, seed, damage, state)
+    assert (found.name, found.periods, found.other) == ("LATE_LOOP", 24, True)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_shaft_that_stands_is_not_handed_over(level: Level) -> None:
+    """What dead time and damping current leave looks like a back-EMF for a moment, and locks the PLL."""
+    stuck = PLANT
+    for axis in range(2):
+        stuck = stuck.with_axis(axis, friction=10.0)
+    with at_level(level):
+        starts = start_up.start(stuck, 5, start_up.draws(1, 6)[3])
+    assert [(start.end, start.criterion) for start in starts] == [("START_UP", None)] * 2
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_shorted_windings_give_the_bus_nothing(level: Level) -> None:
+    """A capacitor that shows every pulse: 0.5 J would lift it far beyond its limit, and the short would be over."""
+    plant = PLANT.with_bus(capacitance=0.3e-3).with_axis(0, inertia=2.4e-5)
+    motor = plant.axes[0]
+    with at_level(level):
+        short = braking.short(plant, 3, 0, 120.0, 0.15)
+    speeds = np.abs(short.omega)
+    formula = np.array([braking.short_current(motor, w, drops=True) for w in speeds])
+    settled = np.arange(speeds.size) * TICK > braking.SETTLED * motor.l_q / motor.r_s
+    assert np.count_nonzero(settled) > 20
+    harmonics = 4.0 / math.pi * motor.v_drop * (1.0 / 5.0 + 1.0 / 7.0) / (motor.r_s + motor.r_on)
+    assert np.abs(short.current - formula)[settled].max() < 0.05 * formula.max() + harmonics

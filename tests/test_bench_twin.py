@@ -1,0 +1,48 @@
+"""The benches of the virtual board: that they still build and run, and that a growth compares like with like."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+from servo_twin.board import Level
+
+sys.path.insert(0, str(Path(__file__).parent / "bench"))
+
+import plant
+import twin
+
+
+def test_plant_alone_at_both_levels() -> None:
+    rows = plant.rows(plant.run(periods=512))
+    assert len(rows) == 5
+    for row in rows:
+        assert all(math.isfinite(value) for value in row.values())
+        assert row["averaged_ns"] > 0.0
+        assert row["switching_ns"] > 0.0
+        assert row["encoder_edges"] == 0.0 if row["volts"] == 0.0 else row["encoder_edges"] > 1.0
+
+
+@pytest.mark.parametrize("level", get_args(Level))
+def test_boards_at_once(level: Level, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(twin.SIMULATED, level, 0.05)
+    both = twin.together(level, 2)
+    assert both.factor > 0.0
+    assert 0.0 < both.had <= 1.0
+
+
+def boards(had: float) -> dict[str, dict[str, Any]]:
+    return {"1": {"factor": 50.0, "had": 1.0}, "2": {"factor": 90.0, "had": had}}
+
+
+def test_growth_is_over_one_board_by_the_same_clock() -> None:
+    assert twin.growth(boards(0.97)) == [
+        "turning boards, one per thread, all together, by the clock on the wall: 1: 50.0 (x 1.0), 2: 90.0 (x 1.8)"
+    ]
+
+
+def test_growth_on_a_busy_machine_says_so() -> None:
+    assert "the boards had 1: 100%, 2: 40%" in twin.growth(boards(0.4))[1]
