@@ -135,8 +135,8 @@ static void move_events(pwm_submodule_t *s)
     s->moved = false;
 }
 
-/* When the counter's next event is. */
-static void find_next(pwm_submodule_t *s)
+/* When the counter's next event is. What has become one only now, behind the counter, waits for the next cycle. */
+static void find_next(pwm_submodule_t *s, uint64_t now)
 {
     if (!s->running || s->stuck) {
         s->next_clock = CHIP_NEVER;
@@ -149,7 +149,8 @@ static void find_next(pwm_submodule_t *s)
             move_events(s);
         }
         s->next = 0;
-        while ((int64_t)s->event[s->next].distance <= s->done) {
+        while ((int64_t)s->event[s->next].distance <= s->done ||
+               s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler) < now) {
             s->next++;
         }
     }
@@ -157,10 +158,10 @@ static void find_next(pwm_submodule_t *s)
 }
 
 /* The event after the one that has just been handled. */
-static inline void take_next(pwm_submodule_t *s)
+static inline void take_next(pwm_submodule_t *s, uint64_t now)
 {
     if (s->stale || s->moved || s->stuck || !s->running) {
-        find_next(s);
+        find_next(s, now);
     } else {
         s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
     }
@@ -183,7 +184,7 @@ static inline void schedule_module(chip_t *chip, unsigned m)
 void pwm_schedule(chip_t *chip, unsigned m, unsigned n)
 {
     pwm_submodule_t *s = sub_of(chip, m, n);
-    find_next(s);
+    find_next(s, chip->now);
     find_due(s);
     schedule_module(chip, m);
 }
@@ -259,8 +260,12 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
         }
         other->flags = (uint16_t)(other->flags | STS_RF);
         if (((pwm->ldok >> k) & 1u) != 0) {
-            if (k != n && !at_end && other->due <= chip->now) {
-                run(chip, m, k); /* its matches of this clock see the old values */
+            if (k != n && !at_end) { /* its matches of this clock see the old values */
+                if (other->due <= chip->now) {
+                    run(chip, m, k);
+                }
+                const int64_t here = position(other, chip->now);
+                other->done = (here > other->done) ? here : other->done;
             }
             pwm_load(chip, m, k);
         } else if (other->updated) {
@@ -273,7 +278,7 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
             pwm_request(chip, m, k);
         }
         if (k != n) {
-            find_next(other);
+            find_next(other, chip->now);
             find_due(other);
         }
     }
@@ -326,7 +331,7 @@ static void local_sync(chip_t *chip, unsigned m, unsigned n)
         if (CTRL2_FORCE_SEL(other->ctrl2) == FORCE_MASTER_SYNC) {
             pwm_force_out(chip, m, k);
         }
-        find_next(other);
+        find_next(other, chip->now);
         find_due(other);
         if (other->due <= chip->now) {
             run(chip, m, k);
@@ -418,10 +423,10 @@ static void run(chip_t *chip, unsigned m, unsigned n)
         }
     }
     if (s->next_clock <= chip->now || synchronised) {
-        find_next(s);
+        find_next(s, chip->now);
         while (s->next_clock <= chip->now) {
             handle(chip, m, n);
-            take_next(s);
+            take_next(s, chip->now);
         }
     }
     if (s->dead_clock <= chip->now) {
