@@ -164,7 +164,7 @@ static inline bool step(chip_t *chip, uint64_t until)
     const uint64_t clock = chip->next[source];
     if (chip->touched) {
         chip->touched = false;
-        chip->outside = chip->world.next(chip->world.context);
+        chip->outside = world_next(chip->world);
     }
     const uint64_t outside = chip->outside;
     const uint64_t due = (outside < clock) ? outside : clock;
@@ -180,7 +180,7 @@ static inline bool step(chip_t *chip, uint64_t until)
     if (outside <= due) {
         chip_meet_world(chip);
         chip->touched = true;
-        chip->world.events(chip->world.context);
+        world_events(chip->world);
     }
     if (clock <= due) {
         if (source < SOURCE_FAULT) {
@@ -196,7 +196,7 @@ static void boot(chip_t *chip)
 {
     chip->must_boot = false;
     chip->core.booting = true;
-    chip->world.boot(chip->world.context);
+    world_boot(chip->world);
     chip->core.booting = false;
 }
 
@@ -244,11 +244,11 @@ int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
     return 0;
 }
 
-void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *world)
+void chip_init(chip_t *chip, const chip_config_t *config, void *world)
 {
     memset(chip, 0, sizeof *chip);
     chip->config = *config;
-    chip->world = *world;
+    chip->world = world;
     chip->line.byte_clocks = 10.0 * (double)CHIP_BUS_HZ / config->baud;
     chip->line.in_clock = CHIP_NEVER;
     chip->touched = true;

@@ -77,7 +77,7 @@ static inline void chip_meet_world(chip_t *chip)
 {
     if (chip->world_clock < chip->now) {
         chip->world_clock = chip->now;
-        chip->world.advance(chip->world.context, chip->now);
+        world_advance(chip->world, chip->now);
     }
 }
 

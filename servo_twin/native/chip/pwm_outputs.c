@@ -40,7 +40,7 @@ void pwm_show(chip_t *chip, unsigned m, unsigned n)
         chip_note(chip, TRACE_GATES, m * PWM_SUBMODULES + n, levels);
         chip_meet_world(chip);
         chip->touched = true;
-        chip->world.gates(chip->world.context, m, n, levels);
+        world_gates(chip->world, m, n, levels);
     }
 }
 
