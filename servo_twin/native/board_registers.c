@@ -216,7 +216,7 @@ static void boot_once(board_t *board)
     board->zero = board->chip.now;
     if (!board->starting) {
         const pwm_submodule_t *master = &board->chip.pwm[0].sub[0];
-        board->zero = master->origin + master->cycle;
+        board->zero = master->origin + master->distance[PWM_CYCLE];
         board->chip.stop = false;
         (void)chip_run(&board->chip, board->zero - 1u);
     }

@@ -41,20 +41,22 @@ static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32
     }
 }
 
-/* When the next event of a source is. Of the sources behind the PWMs, which have most of the events, the first one is
+/* When the next event of a source is. The PWMs have most of the events; of the sources behind them the first one is
  * searched for only when that may have become another one. */
 static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)
 {
-    chip->next[source] = clock;
-    if (source < SOURCE_FAULT) {
-        return;
-    }
     const uint64_t first = chip->next[chip->quiet];
+    chip->next[source] = clock;
     if (source == chip->quiet) {
         chip->search = true;
     } else if (clock < first || (clock == first && source < chip->quiet)) {
         chip->quiet = source;
     }
+}
+
+static inline void chip_schedule_pwm(chip_t *chip, unsigned module, uint64_t clock)
+{
+    chip->next[SOURCE_PWM + module] = clock;
 }
 
 /* The source whose event is next of all. */

@@ -1,6 +1,7 @@
 #include "chip/pwm_parts.h"
 
-#define NO_DISTANCE UINT32_C(0x10000)
+#define WRAP_DISTANCE UINT32_C(0x10000)
+#define BIT(k) (1u << (k))
 
 /* ---- counter ------------------------------------------------------------------------------------------------------- */
 
@@ -24,8 +25,11 @@ static void find_distances(pwm_submodule_t *s)
     for (unsigned k = 0; k < PWM_VALS; k++) {
         s->distance[k] = distance_of(s, s->active.val[k]);
     }
-    s->cycle = s->distance[1] + 1u;
-    s->moved = true;
+    s->distance[PWM_CYCLE] = s->distance[1] + 1u;
+    s->distance[PWM_WRAP] = WRAP_DISTANCE;
+    if (s->order == PWM_ORDER_KEPT) {
+        s->order = PWM_ORDER_MOVED;
+    }
 }
 
 /* Flags of the compares up to the distance `to`. */
@@ -74,118 +78,81 @@ void pwm_watch(pwm_t *pwm, unsigned n)
     if (((s->ctrl & CTRL_HALF) != 0 && own_reload) || (s->blocked & resume_at_half) != 0) {
         watched |= 1u;
     }
-    s->stale = s->stale || watched != s->watched;
-    s->watched = watched;
+    if (watched != s->watched) {
+        s->watched = watched;
+        s->order = PWM_ORDER_STALE;
+    }
     const bool simple = (s->ctrl2 & CTRL2_INDEP) == 0 && ((pwm->ipol >> n) & 1u) == 0;
     s->plain = simple ? 0x0Cu & ~(unsigned)(s->tctrl | s->inten) : 0u;
 }
 
-/* Put the events of a cycle in order. */
+/* Put the events of a cycle in order again: mostly they still are. */
 static void sort_events(pwm_submodule_t *s)
 {
-    unsigned count = 0;
-    s->merged = false;
-    s->event[count].distance = NO_DISTANCE;
-    s->event[count].first = PWM_VALS + 1u;
-    s->event[count++].what = PWM_WRAP;
-    for (unsigned k = 0; k <= PWM_VALS; k++) {
-        const bool end = k == PWM_VALS;
-        if (!end && ((s->watched >> k) & 1u) == 0) {
-            continue;
+    if (s->order == PWM_ORDER_STALE) {
+        unsigned count = 0;
+        for (unsigned k = 0; k < PWM_EVENTS; k++) {
+            if (((s->watched | BIT(PWM_CYCLE) | BIT(PWM_WRAP)) & BIT(k)) != 0) {
+                s->event[count++] = PWM_EVENT(0, k);
+            }
         }
-        const uint32_t d = end ? s->cycle : s->distance[k];
-        const uint8_t what = (uint8_t)(end ? PWM_CYCLE : 1u << k);
-        unsigned at = count;
-        while (at > 0 && s->event[at - 1u].distance > d) {
-            at--;
-        }
-        if (at > 0 && s->event[at - 1u].distance == d) {
-            s->event[at - 1u].what = (uint8_t)(s->event[at - 1u].what | what);
-            s->merged = true;
-            continue;
-        }
-        for (unsigned i = count; i > at; i--) {
-            s->event[i] = s->event[i - 1u];
-        }
-        s->event[at].distance = d;
-        s->event[at].first = (uint8_t)k;
-        s->event[at].what = what;
-        count++;
+        s->event[count] = PWM_NO_EVENT;
     }
-    s->stale = s->moved = false;
+    for (unsigned i = 0; s->event[i] != PWM_NO_EVENT; i++) {
+        const unsigned number = PWM_EVENT_NUMBER(s->event[i]);
+        const uint32_t event = PWM_EVENT(s->distance[number], number);
+        unsigned at = i;
+        for (; at > 0 && s->event[at - 1u] > event; at--) {
+            s->event[at] = s->event[at - 1u];
+        }
+        s->event[at] = event;
+    }
+    s->order = PWM_ORDER_KEPT;
 }
 
-/* The same events at other distances: usually their order has stayed. */
-static void move_events(pwm_submodule_t *s)
+static inline uint64_t clock_of(const pwm_submodule_t *s, uint32_t event)
 {
-    uint32_t before = 0;
-    for (unsigned i = 0; !s->merged && s->event[i].what != PWM_WRAP; i++) {
-        const unsigned k = s->event[i].first;
-        const uint32_t d = (k < PWM_VALS) ? s->distance[k] : s->cycle;
-        if (d < before) {
-            sort_events(s);
-            return;
-        }
-        s->event[i].distance = d;
-        before = d + 1u;
-    }
-    if (s->merged || before > NO_DISTANCE) {
-        sort_events(s);
-    }
-    s->moved = false;
+    return s->origin + ((uint64_t)PWM_EVENT_DISTANCE(event) << s->active.prescaler);
 }
 
 /* When the counter's next event is. What has become one only now, behind the counter, waits for the next cycle. */
-static void find_next(pwm_submodule_t *s, uint64_t now)
+static inline void find_next(pwm_submodule_t *s, uint64_t now)
 {
     if (!s->running || s->stuck) {
         s->next_clock = CHIP_NEVER;
         return;
     }
-    if (s->stale || s->moved) {
-        if (s->stale) {
-            sort_events(s);
-        } else {
-            move_events(s);
-        }
+    if (s->order != PWM_ORDER_KEPT) {
+        sort_events(s);
         s->next = 0;
-        while ((int64_t)s->event[s->next].distance <= s->done ||
-               s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler) < now) {
+        while ((int64_t)PWM_EVENT_DISTANCE(s->event[s->next]) <= s->done || clock_of(s, s->event[s->next]) < now) {
             s->next++;
         }
     }
-    s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
+    s->next_clock = clock_of(s, s->event[s->next]);
 }
 
-/* The event after the one that has just been handled. */
-static inline void take_next(pwm_submodule_t *s, uint64_t now)
+static inline void find_due(pwm_t *pwm, unsigned n)
 {
-    if (s->stale || s->moved || s->stuck || !s->running) {
-        find_next(s, now);
-    } else {
-        s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
-    }
-}
-
-static inline void find_due(pwm_submodule_t *s)
-{
+    const pwm_submodule_t *s = &pwm->sub[n];
     const uint64_t due = (s->dead_clock < s->next_clock) ? s->dead_clock : s->next_clock;
-    s->due = (s->sync_clock < due) ? s->sync_clock : due;
+    pwm->due[n] = (s->sync_clock < due) ? s->sync_clock : due;
 }
 
 static inline void schedule_module(chip_t *chip, unsigned m)
 {
-    const pwm_submodule_t *s = chip->pwm[m].sub;
-    const uint64_t a = (s[1].due < s[0].due) ? s[1].due : s[0].due;
-    const uint64_t b = (s[3].due < s[2].due) ? s[3].due : s[2].due;
-    chip_schedule(chip, SOURCE_PWM + m, (b < a) ? b : a);
+    pwm_t *pwm = &chip->pwm[m];
+    const uint64_t *due = pwm->due;
+    const unsigned a = (due[1] < due[0]) ? 1u : 0u;
+    const unsigned b = (due[3] < due[2]) ? 3u : 2u;
+    pwm->first = (due[b] < due[a]) ? b : a;
+    chip_schedule_pwm(chip, m, due[pwm->first]);
 }
 
 void pwm_schedule(chip_t *chip, unsigned m, unsigned n)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
-    find_next(s, chip->now);
-    find_due(s);
+    find_next(sub_of(chip, m, n), chip->now);
+    find_due(&chip->pwm[m], n);
     schedule_module(chip, m);
 }
 
@@ -261,7 +228,7 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
         other->flags = (uint16_t)(other->flags | STS_RF);
         if (((pwm->ldok >> k) & 1u) != 0) {
             if (k != n && !at_end) { /* its matches of this clock see the old values */
-                if (other->due <= chip->now) {
+                if (pwm->due[k] <= chip->now) {
                     run(chip, m, k);
                 }
                 const int64_t here = position(other, chip->now);
@@ -279,7 +246,7 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
         }
         if (k != n) {
             find_next(other, chip->now);
-            find_due(other);
+            find_due(pwm, k);
         }
     }
 }
@@ -305,8 +272,8 @@ static void local_sync(chip_t *chip, unsigned m, unsigned n)
 {
     pwm_t *pwm = &chip->pwm[m];
     pwm_submodule_t *s = &pwm->sub[n];
-    settle_to(s, (int64_t)s->cycle - 1);
-    s->done = s->cycle;
+    settle_to(s, (int64_t)s->distance[PWM_CYCLE] - 1);
+    s->done = s->distance[PWM_CYCLE];
     const bool own_reload = n == 0 || (s->ctrl2 & CTRL2_RELOAD_SEL) == 0;
     if ((s->ctrl & CTRL_FULL) != 0 && own_reload) {
         reload(chip, m, n, true);
@@ -332,8 +299,8 @@ static void local_sync(chip_t *chip, unsigned m, unsigned n)
             pwm_force_out(chip, m, k);
         }
         find_next(other, chip->now);
-        find_due(other);
-        if (other->due <= chip->now) {
+        find_due(pwm, k);
+        if (pwm->due[k] <= chip->now) {
             run(chip, m, k);
         }
     }
@@ -353,8 +320,9 @@ static void matches(chip_t *chip, unsigned m, unsigned n, uint32_t d, unsigned h
     pwm_submodule_t *s = sub_of(chip, m, n);
     s->done = d;
     if ((hit & 0x3Cu) != 0) { /* equal edges: off */
-        s->generated[0] = (hit & 0x08u) == 0 && (s->generated[0] || (hit & 0x04u) != 0);
-        s->generated[1] = (hit & 0x20u) == 0 && (s->generated[1] || (hit & 0x10u) != 0);
+        const unsigned on = ((hit & 0x04u) != 0 ? 1u : 0u) | ((hit & 0x10u) != 0 ? 2u : 0u);
+        const unsigned off = ((hit & 0x08u) != 0 ? 1u : 0u) | ((hit & 0x20u) != 0 ? 2u : 0u);
+        s->generated = (s->generated | on) & ~off;
         pwm_drive(chip, m, n);
     }
     const unsigned noted = hit & (s->tctrl | s->inten) & 0x3Fu;
@@ -383,22 +351,24 @@ static void matches(chip_t *chip, unsigned m, unsigned n, uint32_t d, unsigned h
     }
 }
 
-/* The counter's next event. */
+/* The counter's next events, all that share a distance. */
 static void handle(chip_t *chip, unsigned m, unsigned n)
 {
     pwm_submodule_t *s = sub_of(chip, m, n);
-    const uint32_t d = s->event[s->next].distance;
-    const unsigned what = s->event[s->next].what;
-    s->next++;
-    if ((what & PWM_CYCLE) != 0) {
+    const uint32_t d = PWM_EVENT_DISTANCE(s->event[s->next]);
+    unsigned what = 0;
+    do {
+        what |= BIT(PWM_EVENT_NUMBER(s->event[s->next++]));
+    } while (PWM_EVENT_DISTANCE(s->event[s->next]) == d);
+    if ((what & BIT(PWM_CYCLE)) != 0) {
         local_sync(chip, m, n);
         if (s->done != (int64_t)d) {
             return; /* a new cycle */
         }
     }
-    if ((what & PWM_WRAP) != 0) {
-        settle_to(s, (int64_t)NO_DISTANCE - 1);
-        s->origin += (uint64_t)NO_DISTANCE << s->active.prescaler;
+    if ((what & BIT(PWM_WRAP)) != 0) {
+        settle_to(s, (int64_t)WRAP_DISTANCE - 1);
+        s->origin += (uint64_t)WRAP_DISTANCE << s->active.prescaler;
         s->done = s->settled = -1;
         s->next = 0;
     } else if ((what & STS_CMPF) != 0) {
@@ -415,8 +385,9 @@ static void run(chip_t *chip, unsigned m, unsigned n)
         s->sync_clock = CHIP_NEVER;
         if (CTRL2_INIT_SEL(s->ctrl2) == INIT_EXT_SYNC) {
             const int64_t before = position(s, chip->now) - 1;
+            const int64_t end = s->distance[PWM_CYCLE];
             settle_to(s, before);
-            if ((int64_t)s->cycle > s->done && (int64_t)s->cycle <= before + 1) {
+            if (end > s->done && end <= before + 1) {
                 local_sync(chip, m, n); /* its VAL1 was the count before */
             }
             pwm_begin_cycle(chip, m, n);
@@ -426,13 +397,13 @@ static void run(chip_t *chip, unsigned m, unsigned n)
         find_next(s, chip->now);
         while (s->next_clock <= chip->now) {
             handle(chip, m, n);
-            take_next(s, chip->now);
+            find_next(s, chip->now);
         }
     }
     if (s->dead_clock <= chip->now) {
         pwm_end_dead_time(chip, m, n);
     }
-    find_due(s);
+    find_due(&chip->pwm[m], n);
 }
 
 /* Most events are an edge of PWM23 or the end of a dead time, and nothing else: these go the short way. */
@@ -440,36 +411,35 @@ static inline void edge_or_run(chip_t *chip, unsigned m, unsigned n)
 {
     pwm_submodule_t *s = sub_of(chip, m, n);
     const uint64_t now = chip->now;
-    if (s->sync_clock <= now) {
+    if (s->next_clock > now && s->sync_clock > now) {
+        pwm_end_dead_time(chip, m, n);
+        find_due(&chip->pwm[m], n);
+        return;
+    }
+    const uint32_t event = s->event[s->next];
+    const uint32_t after = s->event[s->next + 1u];
+    const bool alone = s->next_clock <= now && s->sync_clock > now && s->dead_clock > now;
+    const bool edge = (s->plain & BIT(PWM_EVENT_NUMBER(event))) != 0 &&
+                      PWM_EVENT_DISTANCE(after) != PWM_EVENT_DISTANCE(event) && s->order == PWM_ORDER_KEPT;
+    if (!alone || !edge) {
         run(chip, m, n);
         return;
     }
-    if (s->next_clock <= now) {
-        const unsigned what = s->event[s->next].what;
-        if ((what & ~s->plain) != 0 || s->stale || s->moved || s->dead_clock <= now) {
-            run(chip, m, n);
-            return;
-        }
-        s->done = s->event[s->next++].distance;
-        s->generated[0] = what == 0x04u; /* VAL2 alone; with VAL3 it is off */
-        s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
-        pwm_drive(chip, m, n);
-    } else {
-        pwm_end_dead_time(chip, m, n);
-    }
-    find_due(s);
+    s->done = PWM_EVENT_DISTANCE(event);
+    s->next++;
+    s->next_clock = clock_of(s, after);
+    s->generated = (s->generated & ~1u) | (PWM_EVENT_NUMBER(event) == 2u ? 1u : 0u); /* VAL2 on, VAL3 off */
+    pwm_drive(chip, m, n);
+    find_due(&chip->pwm[m], n);
 }
 
 void pwm_event(chip_t *chip, unsigned m)
 {
     const pwm_t *pwm = &chip->pwm[m];
-    const uint64_t now = chip->now;
-    for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-        if (pwm->sub[n].due <= now) {
-            edge_or_run(chip, m, n);
-        }
-    }
-    schedule_module(chip, m);
+    do {
+        edge_or_run(chip, m, pwm->first);
+        schedule_module(chip, m);
+    } while (pwm->due[pwm->first] <= chip->now);
 }
 
 void pwm_ext_sync(chip_t *chip, unsigned m, unsigned n)
@@ -539,12 +509,13 @@ void pwm_reset(chip_t *chip)
                 .sync_clock = CHIP_NEVER,
                 .dead_clock = CHIP_NEVER,
                 .next_clock = CHIP_NEVER,
-                .due = CHIP_NEVER,
-                .out = {false, true},
+                .out = 2u,
+                .order = PWM_ORDER_STALE,
                 .done = -1,
                 .settled = -1,
                 .levels = levels[n],
             };
+            pwm->due[n] = CHIP_NEVER;
             find_distances(s);
             pwm_watch(pwm, n);
         }

@@ -78,7 +78,14 @@ void pwm_end_dead_time(chip_t *chip, unsigned m, unsigned n);
 void pwm_force_out(chip_t *chip, unsigned m, unsigned n);
 
 /* The cycle (or half of it) begins: outputs resume that were waiting for it. */
-void pwm_resume(chip_t *chip, unsigned m, unsigned n, uint16_t boundary);
+void pwm_resume_blocked(chip_t *chip, unsigned m, unsigned n, uint16_t boundary);
+
+static inline void pwm_resume(chip_t *chip, unsigned m, unsigned n, uint16_t boundary)
+{
+    if (chip->pwm[m].sub[n].blocked != 0) {
+        pwm_resume_blocked(chip, m, n, boundary);
+    }
+}
 
 void pwm_find_faults(chip_t *chip, unsigned m);
 

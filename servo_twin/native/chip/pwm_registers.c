@@ -131,8 +131,8 @@ static void write_ctrl2(chip_t *chip, uint32_t address, unsigned m, unsigned n, 
                 continue;
             }
             if ((other->ctrl2 & CTRL2_FRCEN) != 0) {
-                other->generated[0] = (other->ctrl2 & CTRL2_PWM23_INIT) != 0;
-                other->generated[1] = (other->ctrl2 & CTRL2_PWM45_INIT) != 0;
+                other->generated = ((other->ctrl2 & CTRL2_PWM23_INIT) != 0 ? 1u : 0u) |
+                                   ((other->ctrl2 & CTRL2_PWM45_INIT) != 0 ? 2u : 0u);
                 if (other->running) {
                     pwm_settle(chip, other);
                     pwm_begin_cycle(chip, m, k);
