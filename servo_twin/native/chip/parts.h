@@ -32,6 +32,23 @@ static inline void chip_only(chip_t *chip, uint32_t address, uint16_t value, uin
 /* Name of a register for people, "PWMA SM1 VAL3"; always terminated. */
 void chip_register_name(uint32_t address, char *name, size_t size);
 
+/* The lowest bit of a word that has one. */
+static inline unsigned chip_lowest_bit(uint64_t word)
+{
+#if defined(__GNUC__)
+    return (unsigned)__builtin_ctzll(word);
+#else
+    unsigned bit = 0;
+    for (unsigned half = 32; half > 0; half /= 2u) {
+        if ((word & ((UINT64_C(1) << half) - 1u)) == 0) {
+            word >>= half;
+            bit += half;
+        }
+    }
+    return bit;
+#endif
+}
+
 CHIP_NORETURN void chip_reset(chip_t *chip, reset_cause_t cause);
 
 static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32_t b)

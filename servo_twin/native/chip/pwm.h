@@ -36,10 +36,12 @@ typedef struct {
 #define PWM_EVENT_NUMBER(event) ((event) % PWM_EVENTS)
 #define PWM_NO_EVENT UINT32_MAX
 
-/* Whether the list of events still fits: their distances have changed, or which there are. */
+/* Whether the list of events still fits: their distances have changed, or which there are. It is never kept while the
+ * counter stands. */
 typedef enum { PWM_ORDER_KEPT, PWM_ORDER_MOVED, PWM_ORDER_STALE } pwm_order_t;
 
 typedef struct {
+    uint8_t module, number; /* whose it is, and which of the four */
     /* registers */
     pwm_buffered_t buffer; /* as written */
     pwm_buffered_t active; /* as loaded */
@@ -62,11 +64,13 @@ typedef struct {
     unsigned watched;      /* bit k: VALk is an event */
     uint64_t next_clock;   /* of the counter's next event */
     uint64_t sync_clock;   /* EXT_SYNC on its way */
+    uint64_t due;          /* the soonest of these and of the end of a dead time */
     /* outputs, bit 0 A and bit 1 B; generated and software: bit 0 PWM23, bit 1 PWM45 */
     unsigned generated;
     unsigned source[2];    /* DTSRCSEL in force: of PWM23, of PWM45 */
     unsigned software;     /* SWCOUT in force */
     unsigned mask;         /* MASK in force */
+    bool from_45;          /* IPOL: the pair follows PWM45 */
     bool pair;             /* input of the dead-time unit */
     unsigned out;          /* its outputs, or those of an independent submodule */
     uint64_t dead_clock;   /* end of the dead time in progress */
@@ -77,8 +81,7 @@ typedef struct {
 
 typedef struct {
     pwm_submodule_t sub[PWM_SUBMODULES];
-    uint64_t due[PWM_SUBMODULES]; /* next of all of a submodule: counter, dead time, sync */
-    unsigned first;        /* the submodule whose is soonest */
+    pwm_submodule_t *first; /* the submodule whose event is next */
     uint16_t outen, mask, swcout, dtsrcsel, mctrl2;
     uint16_t ldok, run, ipol;
     uint16_t fctrl, fsts_full, fsts_half, ffilt, ftst;

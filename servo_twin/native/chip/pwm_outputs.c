@@ -4,10 +4,11 @@
 /* ---- outputs ------------------------------------------------------------------------------------------------------- */
 
 /* Which pins of a pair follow its outputs. One that nobody drives is held low by the resistor of its gate driver. */
-void pwm_prepare(chip_t *chip, unsigned m, unsigned n)
+void pwm_prepare(chip_t *chip, pwm_submodule_t *s)
 {
-    const pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = sub_of(chip, m, n);
+    const pwm_t *pwm = pwm_of(chip, s);
+    const unsigned m = s->module;
+    const unsigned n = s->number;
     unsigned live = 0, high = 0, inverted = 0;
     for (unsigned side = 0; n < 3u && side < 2u; side++) {
         const unsigned pin = chip->config.wiring.gate[m][n][side];
@@ -32,24 +33,23 @@ void pwm_prepare(chip_t *chip, unsigned m, unsigned n)
     s->fixed = inverted | high;
 }
 
-void pwm_show(chip_t *chip, unsigned m, unsigned n)
+void pwm_show(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     const unsigned levels = (s->out & s->live) ^ s->fixed;
     if (levels != s->levels) {
         s->levels = levels;
-        chip_note(chip, TRACE_GATES, m * PWM_SUBMODULES + n, levels);
+        chip_note(chip, TRACE_GATES, pwm_id(s), levels);
         chip_meet_world(chip);
         chip->touched = true;
-        world_gates(chip->world, m, n, levels);
+        world_gates(chip->world, s->module, s->number, levels);
     }
 }
 
 void pwm_show_all(chip_t *chip, unsigned m)
 {
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-        pwm_prepare(chip, m, n);
-        pwm_show(chip, m, n);
+        pwm_prepare(chip, &chip->pwm[m].sub[n]);
+        pwm_show(chip, &chip->pwm[m].sub[n]);
     }
 }
 
@@ -68,15 +68,13 @@ static unsigned selected(const pwm_submodule_t *s, unsigned which)
 }
 
 /* The dead-time unit: the switch that closes waits for its count, the other opens at once. */
-void pwm_drive(chip_t *chip, unsigned m, unsigned n)
+void pwm_drive(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     if ((s->ctrl2 & CTRL2_INDEP) != 0) {
         s->out = selected(s, 0) | selected(s, 1) << 1;
         s->dead_clock = CHIP_NEVER;
     } else {
-        const bool from_45 = ((chip->pwm[m].ipol >> n) & 1u) != 0;
-        const bool pair = from_45 ? selected(s, 1) == 0 : selected(s, 0) != 0;
+        const bool pair = s->from_45 ? selected(s, 1) == 0 : selected(s, 0) != 0;
         if (pair != s->pair || (s->out == 0 && s->dead_clock == CHIP_NEVER)) {
             s->pair = pair;
             const unsigned dead = s->dtcnt[pair ? 0 : 1];
@@ -84,27 +82,26 @@ void pwm_drive(chip_t *chip, unsigned m, unsigned n)
             s->dead_clock = (dead > 0) ? chip->now + dead : CHIP_NEVER;
         }
     }
-    pwm_show(chip, m, n);
+    pwm_show(chip, s);
 }
 
-void pwm_end_dead_time(chip_t *chip, unsigned m, unsigned n)
+void pwm_end_dead_time(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     s->dead_clock = CHIP_NEVER;
     s->out |= s->pair ? 1u : 2u;
-    pwm_show(chip, m, n);
+    pwm_show(chip, s);
 }
 
-void pwm_force_out(chip_t *chip, unsigned m, unsigned n)
+void pwm_force_out(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
+    const pwm_t *pwm = pwm_of(chip, s);
+    const unsigned n = s->number;
     s->source[0] = (pwm->dtsrcsel >> (4u * n + 2u)) & 3u;
     s->source[1] = (pwm->dtsrcsel >> (4u * n)) & 3u;
     s->software = ((pwm->swcout >> (2u * n + 1u)) & 1u) | ((pwm->swcout >> (2u * n)) & 1u) << 1;
     s->mask = ((pwm->mask >> (8u + n)) & 1u) | (((pwm->mask >> (4u + n)) & 1u) << 1);
-    pwm_prepare(chip, m, n);
-    pwm_drive(chip, m, n);
+    pwm_prepare(chip, s);
+    pwm_drive(chip, s);
 }
 
 /* ---- faults ---------------------------------------------------------------------------------------------------------- */
@@ -119,10 +116,9 @@ static bool may_resume(const pwm_t *pwm, unsigned i)
     return !flag && !(FCTRL_FSAFE(pwm->fctrl, i) != 0 && active);
 }
 
-void pwm_resume_blocked(chip_t *chip, unsigned m, unsigned n, uint16_t boundary)
+void pwm_resume_blocked(chip_t *chip, pwm_submodule_t *s, uint16_t boundary)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
+    const pwm_t *pwm = pwm_of(chip, s);
     const unsigned before = s->blocked;
     for (unsigned i = 0; (s->blocked & boundary) != 0 && i < PWM_FAULTS; i++) {
         if (((s->blocked & boundary) >> i & 1u) != 0 && may_resume(pwm, i)) {
@@ -130,9 +126,9 @@ void pwm_resume_blocked(chip_t *chip, unsigned m, unsigned n, uint16_t boundary)
         }
     }
     if (s->blocked != before) {
-        pwm_watch(pwm, n);
-        pwm_prepare(chip, m, n);
-        pwm_show(chip, m, n);
+        pwm_watch(chip, s);
+        pwm_prepare(chip, s);
+        pwm_show(chip, s);
     }
 }
 
@@ -148,11 +144,12 @@ void pwm_find_faults(chip_t *chip, unsigned m)
     }
     pwm->fault_flag |= begun;
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-        pwm->sub[n].blocked |= begun;
-        pwm_watch(pwm, n);
-        pwm_prepare(chip, m, n);
-        pwm_show(chip, m, n);
-        pwm_schedule(chip, m, n);
+        pwm_submodule_t *s = &pwm->sub[n];
+        s->blocked |= begun;
+        pwm_watch(chip, s);
+        pwm_prepare(chip, s);
+        pwm_show(chip, s);
+        pwm_schedule(chip, s);
     }
     pwm_request_fault(chip, m);
 }
