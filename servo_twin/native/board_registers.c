@@ -59,15 +59,15 @@ static const struct {
 
 /* ---- the world of the chip ------------------------------------------------------------------------------------------ */
 
-static void advance(void *context, uint64_t clock)
+void world_advance(void *world, uint64_t clock)
 {
-    board_t *board = (board_t *)context;
+    board_t *board = (board_t *)world;
     switching_advance(&board->plant, clock);
 }
 
-static uint64_t next(void *context)
+uint64_t world_next(void *world)
 {
-    board_t *board = (board_t *)context;
+    board_t *board = (board_t *)world;
     const switching_t *plant = &board->plant;
     return (plant->waiting > 0) ? plant->now : switching_next(&board->plant); /* an edge may have shorted the bus */
 }
@@ -78,9 +78,9 @@ static void encoder_line(board_t *board, int axis, int line, bool level)
     chip_pin(&board->chip, encoder_pin[axis][board->swapped[axis] ? 1 - line : line], level);
 }
 
-static void events(void *context)
+void world_events(void *world)
 {
-    board_t *board = (board_t *)context;
+    board_t *board = (board_t *)world;
     switching_event_t event;
     while (switching_take(&board->plant, &event)) {
         if (event.kind == SWITCHING_ENCODER) {
@@ -93,18 +93,18 @@ static void events(void *context)
     }
 }
 
-static void gates(void *context, unsigned module, unsigned submodule, unsigned levels)
+void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels)
 {
-    board_t *board = (board_t *)context;
+    board_t *board = (board_t *)world;
     if (submodule >= 3u) {
         return; /* the monitor outputs drive no inverter */
     }
     switching_edge(&board->plant, (int)module, (int)submodule, (switching_leg_t)levels);
 }
 
-static uint16_t convert(void *context, unsigned channel)
+uint16_t world_convert(void *world, unsigned channel)
 {
-    board_t *board = (board_t *)context;
+    board_t *board = (board_t *)world;
     switch (analog[channel].kind) {
     case CURRENT:
         return switching_current_code(&board->plant, analog[channel].axis, analog[channel].phase);
@@ -126,9 +126,9 @@ static void follow_brake(board_t *board)
     }
 }
 
-static void boot(void *context)
+void world_boot(void *world)
 {
-    board_t *board = (board_t *)context;
+    board_t *board = (board_t *)world;
     memset(&board->servo, 0, sizeof board->servo);
     memset(&board->hal, 0, sizeof board->hal);
     board->hal.chip = &board->chip;
@@ -137,9 +137,9 @@ static void boot(void *context)
     follow_brake(board);
 }
 
-static uint32_t interrupt(void *context, unsigned vector)
+uint32_t world_interrupt(void *world, unsigned vector)
 {
-    board_t *board = (board_t *)context;
+    board_t *board = (board_t *)world;
     const board_core_t *core = &board->core;
     const bool slow = board->servo.slow_tick;
     const bool watch = board->servo.watch_tick;
@@ -172,9 +172,9 @@ static uint32_t interrupt(void *context, unsigned vector)
     }
 }
 
-static void background(void *context)
+void world_background(void *world)
 {
-    board_t *board = (board_t *)context;
+    board_t *board = (board_t *)world;
     if (board->up) {
         servo_background(&board->servo);
     }
@@ -191,8 +191,7 @@ board_t *board_new(const board_config_t *config)
     board->core = config->core;
     switching_init(&board->plant, config);
     const chip_config_t chip = {.wiring = wiring, .baud = config->baud, .crossbar_clocks = SYNC_CLOCKS};
-    const chip_world_t world = {board, advance, next, events, gates, convert, boot, interrupt, background};
-    chip_init(&board->chip, &chip, &world);
+    chip_init(&board->chip, &chip, board);
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         for (int line = 0; line < 2; line++) {
             chip_pin(&board->chip, encoder_pin[axis][line], switching_line(&board->plant, axis, line));
@@ -217,7 +216,7 @@ static void boot_once(board_t *board)
     board->zero = board->chip.now;
     if (!board->starting) {
         const pwm_submodule_t *master = &board->chip.pwm[0].sub[0];
-        board->zero = master->origin + master->cycle;
+        board->zero = master->origin + master->distance[PWM_CYCLE];
         board->chip.stop = false;
         (void)chip_run(&board->chip, board->zero - 1u);
     }

@@ -15,18 +15,22 @@ NEVER = (1 << 64) - 1
 PERIOD, HALF = 6250, 3125
 """Of the PWM, in bus clocks of 10 ns."""
 
-CDEF = """
+WORLD = """
 typedef struct {
-    void *context;
-    void (*advance)(void *, uint64_t);
-    uint64_t (*next)(void *);
-    void (*events)(void *);
-    void (*gates)(void *, unsigned, unsigned, unsigned);
-    uint16_t (*convert)(void *, unsigned);
-    void (*boot)(void *);
-    uint32_t (*interrupt)(void *, unsigned);
-    void (*background)(void *);
-} chip_world_t;
+    void (*advance)(uint64_t);
+    uint64_t (*next)(void);
+    void (*events)(void);
+    void (*gates)(unsigned, unsigned, unsigned);
+    uint16_t (*convert)(unsigned);
+    void (*boot)(void);
+    uint32_t (*interrupt)(unsigned);
+    void (*background)(void);
+} rig_world_t;
+"""
+
+CDEF = (
+    WORLD
+    + """
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
 typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; } chip_config_t;
 typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
@@ -36,7 +40,7 @@ typedef struct { uint32_t services; ...; } cop_t;
 typedef struct { uint32_t locked_writes; ...; } pwm_t;
 typedef struct { uint64_t now; sci_line_t line; trace_t trace; cop_t cop; pwm_t pwm[2]; bool stop, failed;
                  char error[200]; ...; } chip_t;
-void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *world);
+void chip_init(chip_t *chip, const chip_config_t *config, void *world);
 bool chip_run(chip_t *chip, uint64_t until);
 uint16_t chip_read(chip_t *chip, uint32_t address);
 void chip_write(chip_t *chip, uint32_t address, uint16_t value);
@@ -51,11 +55,30 @@ void chip_register_name(uint32_t address, char *name, size_t size);
 int try_read(chip_t *chip, uint32_t address);
 int try_write(chip_t *chip, uint32_t address, uint16_t value);
 """
+)
 
-PREAMBLE = """
+PREAMBLE = (
+    """
 #include <setjmp.h>
 #include <string.h>
 #include "chip/parts.h"
+"""
+    + WORLD
+    + """
+/* The world is written in Python. */
+static const rig_world_t *rig(void *world) { return (const rig_world_t *)world; }
+
+void world_advance(void *world, uint64_t clock) { rig(world)->advance(clock); }
+uint64_t world_next(void *world) { return rig(world)->next(); }
+void world_events(void *world) { rig(world)->events(); }
+void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels)
+{
+    rig(world)->gates(module, submodule, levels);
+}
+uint16_t world_convert(void *world, unsigned channel) { return rig(world)->convert(channel); }
+void world_boot(void *world) { rig(world)->boot(); }
+uint32_t world_interrupt(void *world, unsigned vector) { return rig(world)->interrupt(vector); }
+void world_background(void *world) { rig(world)->background(); }
 
 /* The tests act as software from outside of chip_run, and from handlers: errors come back to here. */
 static int try_read(chip_t *chip, uint32_t address)
@@ -85,6 +108,7 @@ static int try_write(chip_t *chip, uint32_t address, uint16_t value)
     return (reason == 1) ? -1 : 0;
 }
 """
+)
 
 KINDS = (
     "cycle",
@@ -240,16 +264,16 @@ class ChipRig:
         self.boots = 0
         self.raised: list[BaseException] = []
         self._settled = start
-        world = self.ffi.new("chip_world_t *")
+        world = self.ffi.new("rig_world_t *")
         calls = {
-            "advance": ("void(void *, uint64_t)", lambda _, clock: None),
-            "next": ("uint64_t(void *)", lambda _: self.edges[0][0] if self.edges else NEVER),
-            "events": ("void(void *)", self._events),
-            "gates": ("void(void *, unsigned, unsigned, unsigned)", self._gates),
-            "convert": ("uint16_t(void *, unsigned)", self._convert),
-            "boot": ("void(void *)", self._boot),
-            "interrupt": ("uint32_t(void *, unsigned)", self._interrupt),
-            "background": ("void(void *)", lambda _: self.background()),
+            "advance": ("void(uint64_t)", lambda _: None),
+            "next": ("uint64_t(void)", lambda: self.edges[0][0] if self.edges else NEVER),
+            "events": ("void(void)", self._events),
+            "gates": ("void(unsigned, unsigned, unsigned)", self._gates),
+            "convert": ("uint16_t(unsigned)", self._convert),
+            "boot": ("void(void)", self._boot),
+            "interrupt": ("uint32_t(unsigned)", self._interrupt),
+            "background": ("void(void)", lambda: self.background()),
         }
         self._keep = {name: self.ffi.callback(kind, call) for name, (kind, call) in calls.items()}
         for name, call in self._keep.items():
@@ -264,22 +288,22 @@ class ChipRig:
 
     # ---- the world -------------------------------------------------------------------------------------------------
 
-    def _events(self, _: Any) -> None:
+    def _events(self) -> None:
         while self.edges and self.edges[0][0] <= self.chip.now:
             _, name, level = self.edges.pop(0)
             self.lib.chip_pin(self.chip, pin(name), level)
 
-    def _gates(self, _: Any, module: int, submodule: int, levels: int) -> None:
+    def _gates(self, module: int, submodule: int, levels: int) -> None:
         self.gates.append((self.chip.now, module, submodule, levels))
 
-    def _convert(self, _: Any, channel: int) -> int:
+    def _convert(self, channel: int) -> int:
         code = self.codes[channel]
         return code(self.chip.now) if callable(code) else code
 
-    def _interrupt(self, _: Any, vector: int) -> int:
+    def _interrupt(self, vector: int) -> int:
         return self.handlers[vector]() or 100
 
-    def _boot(self, _: Any) -> None:
+    def _boot(self) -> None:
         self.boots += 1
         if self._settled:
             self.lib.chip_write(self.chip, ADDRESS["COP_CTRL"], 0)

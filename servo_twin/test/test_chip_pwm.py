@@ -282,13 +282,28 @@ class TestLoading:
         assert rig.clocks("load", a=0) == [start + 10]
         assert rig.clocks("load", a=1) == []
 
-    def test_a_falling_edge_in_the_clock_of_the_reload_is_missed(self, rig: ChipRig) -> None:
+    @pytest.mark.parametrize("submodule", [0, 1])
+    def test_a_falling_edge_in_the_clock_of_the_reload_is_missed(self, rig: ChipRig, submodule: int) -> None:
         """VAL3 equals the count in which it is loaded: the switch stays on for a whole period."""
         start = prepare(rig, 1000)
         rig.run(start + 10)
         set_duty(rig, 0)
         rig.run(start + 2 * PERIOD)
-        assert [clock for clock, levels in gates(rig, start) if levels == OPEN] == [HALF - 1000, PERIOD + HALF]
+        openings = [clock for clock, levels in gates(rig, start, submodule) if levels == OPEN]
+        assert openings == [HALF - 1000, PERIOD + HALF]
+
+    def test_an_edge_that_is_loaded_behind_the_counter_waits_for_the_next_cycle(self, rig: ChipRig) -> None:
+        start = prepare(rig, 1000)
+        rig.run(start + HALF - 1000)
+        for n in range(2):  # VAL2 comes later, but still before the reload at VAL0
+            rig.write(f"PWMA{n}_VAL2", -500)
+            rig.write(f"PWMA{n}_VAL3", -400)
+            rig.write(f"PWMA{n}_TCTRL", 0x000C)
+        rig.write("PWMA_MCTRL", 0x0707)
+        rig.run(start + 2 * PERIOD)
+        for n in range(2):
+            assert [c - start for c in rig.clocks("match", a=n, b=2)] == [PERIOD + HALF - 500]
+            assert [c - start for c in rig.clocks("match", a=n, b=3)] == [PERIOD + HALF - 400]
 
     def test_reload_interrupt_and_flag(self, rig: ChipRig) -> None:
         calls: list[int] = []
@@ -558,6 +573,16 @@ def test_compare_flags_are_cleared_by_writing_one(rig: ChipRig) -> None:
     assert rig.read("PWMA0_STS") & 0x3F == 0b101111
     rig.run(start + PERIOD + 100)
     assert rig.read("PWMA0_STS") & 0x3F == 0b111111
+
+
+def test_a_compare_that_is_watched_too_late_comes_with_the_next_cycle(rig: ChipRig) -> None:
+    start = prepare(rig)
+    rig.run(start + 1000)
+    rig.write("PWMA1_TCTRL", 0x0010)
+    rig.run(start + 1001)
+    assert rig.now == start + 1001
+    rig.run(start + PERIOD + 1000)
+    assert [c - start for c in rig.clocks("match", a=1, b=4)] == [PERIOD + 100]
 
 
 def test_compare_interrupt(rig: ChipRig) -> None:

@@ -344,6 +344,15 @@ def test_count_modes_that_are_not_modelled(rig: ChipRig, mode: int) -> None:
         rig.write("TMRA1_CTRL", mode << 13 | 0x1E80)
 
 
+def test_an_output_reaches_an_input_through_its_filter(rig: ChipRig) -> None:
+    """OFLAG of TMRB1, toggled after 99 clocks, led to TB0 through the crossbar: 20 clocks later it is captured."""
+    rig.write_all({"SIM_IPS0": 0x1000, "XBARA_SEL17": 17, "TMRB0_FILT": 0x0105, "TMRB2_SCTRL": 0x0040})
+    rig.write_all({"TMRB2_CTRL": 0x3000, "TMRB1_COMP1": 99, "TMRB1_CTRL": 0x3003})
+    start = rig.now
+    rig.step(350)
+    assert [c - start for c in rig.clocks("capture", a=6)] == [99 + 20]
+
+
 def test_gated_off(rig: ChipRig) -> None:
     rig.write_all(LINES | timer("A"))
     rig.write("SIM_PCE0", 0x7F7F)  # TA0

@@ -92,20 +92,12 @@ static inline const block_t *block_of(chip_t *chip, uint32_t address)
     return (page == 0xE600u >> 9) ? &blocks[0] : search_block(chip, address);
 }
 
-static inline bool step(chip_t *chip, uint64_t until);
-
-/* An access has taken its time. */
-static void pass(chip_t *chip)
-{
-    const uint64_t clock = chip->now + chip->core.access_clocks;
-    while (step(chip, clock)) {
-    }
-}
+static void run_until(chip_t *chip, uint64_t until);
 
 uint16_t chip_read(chip_t *chip, uint32_t address)
 {
     if (chip->core.booting) {
-        pass(chip);
+        run_until(chip, chip->now + chip->core.access_clocks); /* an access takes its time */
     }
     uint16_t value;
     if (chip->core.deferred_count > 0 && core_deferred(chip, address, &value)) {
@@ -122,7 +114,7 @@ uint16_t chip_read(chip_t *chip, uint32_t address)
 void chip_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     if (chip->core.booting) {
-        pass(chip);
+        run_until(chip, chip->now + chip->core.access_clocks); /* an access takes its time */
     }
     if (chip->core.deferring && core_defers(chip, address)) {
         core_defer(chip, address, value);
@@ -140,9 +132,11 @@ void chip_interrupts(chip_t *chip, bool on)
 
 /* ---- time --------------------------------------------------------------------------------------------------------- */
 
-static void serve(chip_t *chip, unsigned source)
+static inline void serve(chip_t *chip, unsigned source)
 {
-    if (source == SOURCE_FAULT) {
+    if (source < SOURCE_FAULT) {
+        pwm_event(chip, source - SOURCE_PWM);
+    } else if (source == SOURCE_FAULT) {
         pwm_fault_event(chip);
     } else if (source < SOURCE_ADC) {
         qtmr_event(chip, source - SOURCE_TIMER);
@@ -164,7 +158,7 @@ static inline bool step(chip_t *chip, uint64_t until)
     const uint64_t clock = chip->next[source];
     if (chip->touched) {
         chip->touched = false;
-        chip->outside = chip->world.next(chip->world.context);
+        chip->outside = world_next(chip->world);
     }
     const uint64_t outside = chip->outside;
     const uint64_t due = (outside < clock) ? outside : clock;
@@ -180,23 +174,29 @@ static inline bool step(chip_t *chip, uint64_t until)
     if (outside <= due) {
         chip_meet_world(chip);
         chip->touched = true;
-        chip->world.events(chip->world.context);
+        world_events(chip->world);
     }
     if (clock <= due) {
-        if (source < SOURCE_FAULT) {
-            pwm_event(chip, source - SOURCE_PWM);
-        } else {
-            serve(chip, source);
-        }
+        serve(chip, source);
     }
     return true;
+}
+
+static void run_until(chip_t *chip, uint64_t until)
+{
+    while (!chip->stop && step(chip, until)) {
+        const core_t *core = &chip->core;
+        if ((core->changed || core->background_due) && !core->booting && chip->next[chip_soonest(chip)] > chip->now) {
+            core_step(chip); /* all that happens in one clock comes first */
+        }
+    }
 }
 
 static void boot(chip_t *chip)
 {
     chip->must_boot = false;
     chip->core.booting = true;
-    chip->world.boot(chip->world.context);
+    world_boot(chip->world);
     chip->core.booting = false;
 }
 
@@ -213,11 +213,7 @@ bool chip_run(chip_t *chip, uint64_t until)
         boot(chip);
     }
     core_step(chip);
-    while (!chip->stop && step(chip, until)) {
-        if ((chip->core.changed || chip->core.background_due) && chip->next[chip_soonest(chip)] > chip->now) {
-            core_step(chip); /* all that happens in one clock comes first */
-        }
-    }
+    run_until(chip, until);
     chip_meet_world(chip);
     chip->touched = true; /* who called may do things to it */
     return true;
@@ -244,11 +240,11 @@ int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
     return 0;
 }
 
-void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *world)
+void chip_init(chip_t *chip, const chip_config_t *config, void *world)
 {
     memset(chip, 0, sizeof *chip);
     chip->config = *config;
-    chip->world = *world;
+    chip->world = world;
     chip->line.byte_clocks = 10.0 * (double)CHIP_BUS_HZ / config->baud;
     chip->line.in_clock = CHIP_NEVER;
     chip->touched = true;

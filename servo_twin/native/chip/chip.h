@@ -57,7 +57,7 @@ typedef struct chip {
     uint64_t outside;        /* clock of the world's next event */
     bool touched;            /* since then something has been done to the world */
     uint64_t world_clock;    /* the world stands here */
-    chip_world_t world;
+    void *world;                 /* of the functions of world.h */
     chip_config_t config;
     core_t core;
     pwm_t pwm[PWM_MODULES];
@@ -79,7 +79,7 @@ typedef struct chip {
 } chip_t;
 
 /* Power on. The software boots in the first chip_run. */
-void chip_init(chip_t *chip, const chip_config_t *config, const chip_world_t *world);
+void chip_init(chip_t *chip, const chip_config_t *config, void *world);
 
 /* Everything up to and including `until`; booting may take longer. Returns false if an error has ended the run. */
 bool chip_run(chip_t *chip, uint64_t until);

@@ -123,7 +123,7 @@ static void start(chip_t *chip, unsigned vector, int level)
     }
     const bool outer = core->deferring;
     core->deferring = true;
-    const uint32_t clocks = chip->world.interrupt(chip->world.context, vector);
+    const uint32_t clocks = world_interrupt(chip->world, vector);
     core->deferring = outer;
     const uint64_t length = (clocks > 0) ? clocks : 1u;
     frame->end_clock = chip->now + length;
@@ -157,7 +157,7 @@ void core_step(chip_t *chip)
     start_handlers(chip);
     if (core->background_due && core->depth == 0 && !core->booting) {
         core->background_due = false;
-        chip->world.background(chip->world.context);
+        world_background(chip->world);
         start_handlers(chip);
     }
 }

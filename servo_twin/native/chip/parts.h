@@ -32,6 +32,23 @@ static inline void chip_only(chip_t *chip, uint32_t address, uint16_t value, uin
 /* Name of a register for people, "PWMA SM1 VAL3"; always terminated. */
 void chip_register_name(uint32_t address, char *name, size_t size);
 
+/* The lowest bit of a word that has one. */
+static inline unsigned chip_lowest_bit(uint64_t word)
+{
+#if defined(__GNUC__)
+    return (unsigned)__builtin_ctzll(word);
+#else
+    unsigned bit = 0;
+    for (unsigned half = 32; half > 0; half /= 2u) {
+        if ((word & ((UINT64_C(1) << half) - 1u)) == 0) {
+            word >>= half;
+            bit += half;
+        }
+    }
+    return bit;
+#endif
+}
+
 CHIP_NORETURN void chip_reset(chip_t *chip, reset_cause_t cause);
 
 static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32_t b)
@@ -41,20 +58,22 @@ static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32
     }
 }
 
-/* When the next event of a source is. Of the sources behind the PWMs, which have most of the events, the first one is
+/* When the next event of a source is. The PWMs have most of the events; of the sources behind them the first one is
  * searched for only when that may have become another one. */
 static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)
 {
-    chip->next[source] = clock;
-    if (source < SOURCE_FAULT) {
-        return;
-    }
     const uint64_t first = chip->next[chip->quiet];
+    chip->next[source] = clock;
     if (source == chip->quiet) {
         chip->search = true;
     } else if (clock < first || (clock == first && source < chip->quiet)) {
         chip->quiet = source;
     }
+}
+
+static inline void chip_schedule_pwm(chip_t *chip, unsigned module, uint64_t clock)
+{
+    chip->next[SOURCE_PWM + module] = clock;
 }
 
 /* The source whose event is next of all. */
@@ -77,7 +96,7 @@ static inline void chip_meet_world(chip_t *chip)
 {
     if (chip->world_clock < chip->now) {
         chip->world_clock = chip->now;
-        chip->world.advance(chip->world.context, chip->now);
+        world_advance(chip->world, chip->now);
     }
 }
 

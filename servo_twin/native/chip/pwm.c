@@ -1,6 +1,7 @@
 #include "chip/pwm_parts.h"
 
-#define NO_DISTANCE UINT32_C(0x10000)
+#define WRAP_DISTANCE UINT32_C(0x10000)
+#define BIT(k) (1u << (k))
 
 /* ---- counter ------------------------------------------------------------------------------------------------------- */
 
@@ -24,8 +25,11 @@ static void find_distances(pwm_submodule_t *s)
     for (unsigned k = 0; k < PWM_VALS; k++) {
         s->distance[k] = distance_of(s, s->active.val[k]);
     }
-    s->cycle = s->distance[1] + 1u;
-    s->moved = true;
+    s->distance[PWM_CYCLE] = s->distance[1] + 1u;
+    s->distance[PWM_WRAP] = WRAP_DISTANCE;
+    if (s->order == PWM_ORDER_KEPT) {
+        s->order = PWM_ORDER_MOVED;
+    }
 }
 
 /* Flags of the compares up to the distance `to`. */
@@ -60,112 +64,95 @@ void pwm_settle(const chip_t *chip, pwm_submodule_t *s)
     }
 }
 
+/* Loads and forces itself, rather than with submodule 0. */
+static bool reloads_itself(const pwm_submodule_t *s) { return s->number == 0 || (s->ctrl2 & CTRL2_RELOAD_SEL) == 0; }
+
 /* Which compares are events. */
-void pwm_watch(pwm_t *pwm, unsigned n)
+void pwm_watch(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = &pwm->sub[n];
+    const pwm_t *pwm = pwm_of(chip, s);
     const unsigned resume_at_half = pwm->fsts_half;
     unsigned watched = (s->tctrl | s->inten) & 0x3Fu;
     watched |= 0x0Cu; /* PWM23 */
     if ((s->ctrl2 & CTRL2_INDEP) != 0) {
         watched |= 0x30u;
     }
-    const bool own_reload = n == 0 || (s->ctrl2 & CTRL2_RELOAD_SEL) == 0;
-    if (((s->ctrl & CTRL_HALF) != 0 && own_reload) || (s->blocked & resume_at_half) != 0) {
+    if (((s->ctrl & CTRL_HALF) != 0 && reloads_itself(s)) || (s->blocked & resume_at_half) != 0) {
         watched |= 1u;
     }
-    s->stale = s->stale || watched != s->watched;
-    s->watched = watched;
-    const bool simple = (s->ctrl2 & CTRL2_INDEP) == 0 && ((pwm->ipol >> n) & 1u) == 0;
+    if (watched != s->watched) {
+        s->watched = watched;
+        s->order = PWM_ORDER_STALE;
+    }
+    s->from_45 = ((pwm->ipol >> s->number) & 1u) != 0;
+    const bool simple = (s->ctrl2 & CTRL2_INDEP) == 0 && !s->from_45;
     s->plain = simple ? 0x0Cu & ~(unsigned)(s->tctrl | s->inten) : 0u;
 }
 
-/* Put the events of a cycle in order. */
-static void sort_events(pwm_submodule_t *s)
+/* ---- the next event -------------------------------------------------------------------------------------------------- */
+
+static void list_events(pwm_submodule_t *s)
 {
     unsigned count = 0;
-    s->merged = false;
-    s->event[count].distance = NO_DISTANCE;
-    s->event[count].first = PWM_VALS + 1u;
-    s->event[count++].what = PWM_WRAP;
-    for (unsigned k = 0; k <= PWM_VALS; k++) {
-        const bool end = k == PWM_VALS;
-        if (!end && ((s->watched >> k) & 1u) == 0) {
-            continue;
+    for (unsigned k = 0; k < PWM_EVENTS; k++) {
+        if (((s->watched | BIT(PWM_CYCLE) | BIT(PWM_WRAP)) & BIT(k)) != 0) {
+            s->event[count++] = PWM_EVENT(0, k);
         }
-        const uint32_t d = end ? s->cycle : s->distance[k];
-        const uint8_t what = (uint8_t)(end ? PWM_CYCLE : 1u << k);
-        unsigned at = count;
-        while (at > 0 && s->event[at - 1u].distance > d) {
-            at--;
-        }
-        if (at > 0 && s->event[at - 1u].distance == d) {
-            s->event[at - 1u].what = (uint8_t)(s->event[at - 1u].what | what);
-            s->merged = true;
-            continue;
-        }
-        for (unsigned i = count; i > at; i--) {
-            s->event[i] = s->event[i - 1u];
-        }
-        s->event[at].distance = d;
-        s->event[at].first = (uint8_t)k;
-        s->event[at].what = what;
-        count++;
     }
-    s->stale = s->moved = false;
+    s->event[count] = PWM_NO_EVENT;
 }
 
-/* The same events at other distances: usually their order has stayed. */
-static void move_events(pwm_submodule_t *s)
+/* Put the events of a cycle in order again: mostly they still are. */
+static void sort_events(pwm_submodule_t *s)
 {
+    if (s->order == PWM_ORDER_STALE) {
+        list_events(s);
+    }
+    s->order = PWM_ORDER_KEPT;
     uint32_t before = 0;
-    for (unsigned i = 0; !s->merged && s->event[i].what != PWM_WRAP; i++) {
-        const unsigned k = s->event[i].first;
-        const uint32_t d = (k < PWM_VALS) ? s->distance[k] : s->cycle;
-        if (d < before) {
-            sort_events(s);
-            return;
+    for (uint32_t *at = s->event; *at != PWM_NO_EVENT; at++) {
+        const unsigned number = PWM_EVENT_NUMBER(*at);
+        const uint32_t event = PWM_EVENT(s->distance[number], number);
+        if (event >= before) {
+            *at = before = event;
+            continue;
         }
-        s->event[i].distance = d;
-        before = d + 1u;
+        uint32_t *to = at;
+        for (; to > s->event && to[-1] > event; to--) {
+            *to = to[-1];
+        }
+        *to = event;
     }
-    if (s->merged || before > NO_DISTANCE) {
-        sort_events(s);
-    }
-    s->moved = false;
 }
 
-/* When the counter's next event is. What begins to be watched, or is loaded, after the count has gone by comes in the next
- * cycle. */
-static void find_next(pwm_submodule_t *s, uint64_t now)
+static inline uint64_t clock_of(const pwm_submodule_t *s, uint32_t event)
+{
+    return s->origin + ((uint64_t)PWM_EVENT_DISTANCE(event) << s->active.prescaler);
+}
+
+/* What has become an event only now, behind the counter, waits for the next cycle. */
+static void find_anew(pwm_submodule_t *s, uint64_t now)
 {
     if (!s->running || s->stuck) {
         s->next_clock = CHIP_NEVER;
         return;
     }
-    if (s->stale || s->moved) {
-        if (s->stale) {
-            sort_events(s);
-        } else {
-            move_events(s);
-        }
-        const int64_t gone = (now > s->origin) ? position(s, now - 1u) : -1;
-        const int64_t done = (gone > s->done) ? gone : s->done;
-        s->next = 0;
-        while ((int64_t)s->event[s->next].distance <= done) {
-            s->next++;
-        }
+    sort_events(s);
+    const uint32_t *next = s->event;
+    while ((int64_t)PWM_EVENT_DISTANCE(*next) <= s->done || clock_of(s, *next) < now) {
+        next++;
     }
-    s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
+    s->next = (unsigned)(next - s->event);
+    s->next_clock = clock_of(s, *next);
 }
 
-/* The event after the one that has just been handled. */
-static inline void take_next(pwm_submodule_t *s, uint64_t now)
+/* When the counter's next event is. */
+static inline void find_next(pwm_submodule_t *s, uint64_t now)
 {
-    if (s->stale || s->moved || s->stuck || !s->running) {
-        find_next(s, now);
+    if (s->order == PWM_ORDER_KEPT) {
+        s->next_clock = clock_of(s, s->event[s->next]);
     } else {
-        s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
+        find_anew(s, now);
     }
 }
 
@@ -177,40 +164,39 @@ static inline void find_due(pwm_submodule_t *s)
 
 static inline void schedule_module(chip_t *chip, unsigned m)
 {
-    const pwm_submodule_t *s = chip->pwm[m].sub;
-    const uint64_t a = (s[1].due < s[0].due) ? s[1].due : s[0].due;
-    const uint64_t b = (s[3].due < s[2].due) ? s[3].due : s[2].due;
-    chip_schedule(chip, SOURCE_PWM + m, (b < a) ? b : a);
+    pwm_submodule_t *s = chip->pwm[m].sub;
+    pwm_submodule_t *a = (s[1].due < s[0].due) ? &s[1] : &s[0];
+    pwm_submodule_t *b = (s[3].due < s[2].due) ? &s[3] : &s[2];
+    pwm_submodule_t *first = (b->due < a->due) ? b : a;
+    chip->pwm[m].first = first;
+    chip_schedule_pwm(chip, m, first->due);
 }
 
-void pwm_schedule(chip_t *chip, unsigned m, unsigned n)
+void pwm_schedule(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     find_next(s, chip->now);
     find_due(s);
-    schedule_module(chip, m);
+    schedule_module(chip, s->module);
 }
 
-static void run(chip_t *chip, unsigned m, unsigned n);
+static void run(chip_t *chip, pwm_submodule_t *s);
 
 /* ---- interrupts ---------------------------------------------------------------------------------------------------- */
 
 static const uint8_t compare_vector[PWM_MODULES][PWM_SUBMODULES] = {{87, 85, 83, 81}, {76, 73, 70, 67}};
 static const uint8_t reload_vector[PWM_MODULES][PWM_SUBMODULES] = {{86, 84, 82, 79}, {74, 71, 68, 65}};
 
-void pwm_request(chip_t *chip, unsigned m, unsigned n)
+void pwm_request(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     if ((s->inten & STS_CMPF) != 0) {
         pwm_settle(chip, s);
     }
-    intc_request(chip, compare_vector[m][n], (s->flags & s->inten & STS_CMPF) != 0);
-    intc_request(chip, reload_vector[m][n], (s->flags & s->inten & STS_RF) != 0);
-    bool error = false;
-    for (unsigned i = 0; i < PWM_SUBMODULES; i++) {
-        error = error || (chip->pwm[m].sub[i].flags & chip->pwm[m].sub[i].inten & STS_REF) != 0;
-    }
-    intc_request(chip, (m == 0) ? VECTOR_PWMA_RERR : VECTOR_PWMB_RERR, error);
+    intc_request(chip, compare_vector[s->module][s->number], (s->flags & s->inten & STS_CMPF) != 0);
+    intc_request(chip, reload_vector[s->module][s->number], (s->flags & s->inten & STS_RF) != 0);
+    const pwm_submodule_t *all = pwm_of(chip, s)->sub;
+    const unsigned errors = (all[0].flags & all[0].inten) | (all[1].flags & all[1].inten) |
+                            (all[2].flags & all[2].inten) | (all[3].flags & all[3].inten);
+    intc_request(chip, (s->module == 0) ? VECTOR_PWMA_RERR : VECTOR_PWMB_RERR, (errors & STS_REF) != 0);
 }
 
 void pwm_request_fault(chip_t *chip, unsigned m)
@@ -227,10 +213,9 @@ static bool never_counts(const pwm_submodule_t *s)
     return CTRL2_INIT_SEL(s->ctrl2) == INIT_LOCAL && s->active.val[1] == s->active.init;
 }
 
-void pwm_load(chip_t *chip, unsigned m, unsigned n)
+void pwm_load(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
+    pwm_t *pwm = pwm_of(chip, s);
     pwm_settle(chip, s);
     if (s->buffer.prescaler != s->active.prescaler && s->running) {
         s->base = pwm_counter(s, chip->now);
@@ -239,43 +224,45 @@ void pwm_load(chip_t *chip, unsigned m, unsigned n)
     }
     s->active = s->buffer;
     s->updated = false;
-    pwm->ldok = (uint16_t)(pwm->ldok & ~(1u << n));
+    pwm->ldok = (uint16_t)(pwm->ldok & ~BIT(s->number));
     find_distances(s);
     s->stuck = s->running && never_counts(s) && s->base == s->active.init;
-    chip_note(chip, TRACE_LOAD, m * PWM_SUBMODULES + n, 0);
+    chip_note(chip, TRACE_LOAD, pwm_id(s), 0);
 }
 
-/* A reload point of submodule n: counts for LDFQ, then loads what is ready in it and in those that follow it. */
-static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
+/* A reload point of a submodule: counts for LDFQ, then loads what is ready in it and in those that follow it. */
+static void reload(chip_t *chip, pwm_submodule_t *s, bool at_end)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
+    pwm_t *pwm = pwm_of(chip, s);
     if (++s->opportunities <= CTRL_LDFQ(s->ctrl)) {
         return;
     }
     s->opportunities = 0;
-    for (unsigned k = n; k < PWM_SUBMODULES; k++) {
-        pwm_submodule_t *other = &pwm->sub[k];
-        const bool follows = k == n || (n == 0 && (other->ctrl2 & CTRL2_RELOAD_SEL) != 0);
+    for (pwm_submodule_t *other = s; other < pwm->sub + PWM_SUBMODULES; other++) {
+        const bool follows = other == s || (s->number == 0 && (other->ctrl2 & CTRL2_RELOAD_SEL) != 0);
         if (!follows || !other->running) {
             continue;
         }
         other->flags = (uint16_t)(other->flags | STS_RF);
-        if (((pwm->ldok >> k) & 1u) != 0) {
-            if (k != n && !at_end && other->due <= chip->now) {
-                run(chip, m, k); /* its matches of this clock see the old values */
+        if ((pwm->ldok & BIT(other->number)) != 0) {
+            if (other != s && !at_end) { /* its matches of this clock see the old values */
+                if (other->due <= chip->now) {
+                    run(chip, other);
+                }
+                const int64_t here = position(other, chip->now);
+                other->done = (here > other->done) ? here : other->done;
             }
-            pwm_load(chip, m, k);
+            pwm_load(chip, other);
         } else if (other->updated) {
             other->flags = (uint16_t)(other->flags | STS_REF);
         }
         if (CTRL2_FORCE_SEL(other->ctrl2) == FORCE_RELOAD) {
-            pwm_force_out(chip, m, k);
+            pwm_force_out(chip, other);
         }
         if ((other->inten & (STS_RF | STS_REF)) != 0) {
-            pwm_request(chip, m, k);
+            pwm_request(chip, other);
         }
-        if (k != n) {
+        if (other != s) {
             find_next(other, chip->now);
             find_due(other);
         }
@@ -283,9 +270,8 @@ static void reload(chip_t *chip, unsigned m, unsigned n, bool at_end)
 }
 
 /* The counter begins anew from INIT in the present clock. */
-void pwm_begin_cycle(chip_t *chip, unsigned m, unsigned n)
+void pwm_begin_cycle(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     s->origin = chip->now;
     s->done = s->settled = -1;
     s->next = 0;
@@ -294,188 +280,193 @@ void pwm_begin_cycle(chip_t *chip, unsigned m, unsigned n)
         find_distances(s);
     }
     s->stuck = never_counts(s);
-    chip_note(chip, TRACE_CYCLE, m * PWM_SUBMODULES + n, s->base);
-    pwm_resume(chip, m, n, chip->pwm[m].fsts_full);
+    if (s->stuck) {
+        s->order = PWM_ORDER_STALE;
+    }
+    chip_note(chip, TRACE_CYCLE, pwm_id(s), s->base);
+    pwm_resume(chip, s, pwm_of(chip, s)->fsts_full);
+}
+
+/* What a submodule does at the local sync of submodule 0. */
+static inline void follow_sync(chip_t *chip, pwm_submodule_t *s)
+{
+    if (CTRL2_INIT_SEL(s->ctrl2) == INIT_MASTER_SYNC) {
+        const int64_t here = position(s, chip->now);
+        if (here > 0) {
+            settle_to(s, here - 1);
+        }
+        pwm_begin_cycle(chip, s);
+    }
+    if (CTRL2_FORCE_SEL(s->ctrl2) == FORCE_MASTER_SYNC) {
+        pwm_force_out(chip, s);
+    }
+    find_next(s, chip->now);
+    find_due(s);
+    if (s->due <= chip->now) {
+        run(chip, s);
+    }
 }
 
 /* One past VAL1: the submodule's own sync. */
-static void local_sync(chip_t *chip, unsigned m, unsigned n)
+static void local_sync(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
-    settle_to(s, (int64_t)s->cycle - 1);
-    s->done = s->cycle;
-    const bool own_reload = n == 0 || (s->ctrl2 & CTRL2_RELOAD_SEL) == 0;
-    if ((s->ctrl & CTRL_FULL) != 0 && own_reload) {
-        reload(chip, m, n, true);
+    settle_to(s, (int64_t)s->distance[PWM_CYCLE] - 1);
+    s->done = s->distance[PWM_CYCLE];
+    if ((s->ctrl & CTRL_FULL) != 0 && reloads_itself(s)) {
+        reload(chip, s, true);
     }
     if (CTRL2_INIT_SEL(s->ctrl2) == INIT_LOCAL) {
-        pwm_begin_cycle(chip, m, n);
+        pwm_begin_cycle(chip, s);
     }
     if (CTRL2_FORCE_SEL(s->ctrl2) == FORCE_SYNC) {
-        pwm_force_out(chip, m, n);
+        pwm_force_out(chip, s);
     }
-    for (unsigned k = 1; n == 0 && k < PWM_SUBMODULES; k++) {
-        pwm_submodule_t *other = &pwm->sub[k];
-        if (!other->running) {
-            continue;
-        }
-        if (CTRL2_INIT_SEL(other->ctrl2) == INIT_MASTER_SYNC) {
-            if (position(other, chip->now) > 0) {
-                settle_to(other, position(other, chip->now) - 1);
-            }
-            pwm_begin_cycle(chip, m, k);
-        }
-        if (CTRL2_FORCE_SEL(other->ctrl2) == FORCE_MASTER_SYNC) {
-            pwm_force_out(chip, m, k);
-        }
-        find_next(other, chip->now);
-        find_due(other);
-        if (other->due <= chip->now) {
-            run(chip, m, k);
+    for (unsigned k = 1; s->number == 0 && k < PWM_SUBMODULES; k++) {
+        if (s[k].running) {
+            follow_sync(chip, &s[k]);
         }
     }
 }
 
-static void trigger(chip_t *chip, unsigned m, unsigned n, unsigned odd)
+static void trigger(chip_t *chip, const pwm_submodule_t *s, unsigned odd)
 {
-    int a = (m == 0) ? (int)(20u + 2u * n + odd) : (n < 3u) ? (int)(40u + n) : (int)(43u + odd);
-    const int b = (m == 0) ? (int)(8u + n) : (int)(22u + n);
-    chip_note(chip, TRACE_TRIGGER, (uint32_t)a, 0);
-    xbar_signal(chip, a, b, XBAR_PULSE);
+    const unsigned n = s->number;
+    const unsigned a = (s->module == 0) ? 20u + 2u * n + odd : (n < 3u) ? 40u + n : 43u + odd;
+    const unsigned b = (s->module == 0) ? 8u + n : 22u + n;
+    chip_note(chip, TRACE_TRIGGER, a, 0);
+    xbar_signal(chip, (int)a, (int)b, XBAR_PULSE);
 }
 
 /* Watched compares at the distance d, in the present clock. */
-static void matches(chip_t *chip, unsigned m, unsigned n, uint32_t d, unsigned hit)
+static void matches(chip_t *chip, pwm_submodule_t *s, uint32_t d, unsigned hit)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     s->done = d;
     if ((hit & 0x3Cu) != 0) { /* equal edges: off */
-        s->generated[0] = (hit & 0x08u) == 0 && (s->generated[0] || (hit & 0x04u) != 0);
-        s->generated[1] = (hit & 0x20u) == 0 && (s->generated[1] || (hit & 0x10u) != 0);
-        pwm_drive(chip, m, n);
+        const unsigned on = ((hit >> 2) & 1u) | ((hit >> 3) & 2u);
+        const unsigned off = ((hit >> 3) & 1u) | ((hit >> 4) & 2u);
+        s->generated = (s->generated | on) & ~off;
+        pwm_drive(chip, s);
     }
     const unsigned noted = hit & (s->tctrl | s->inten) & 0x3Fu;
     if (noted != 0) {
-        for (unsigned k = 0; k < PWM_VALS; k++) {
-            if (((noted >> k) & 1u) != 0) {
-                chip_note(chip, TRACE_MATCH, m * PWM_SUBMODULES + n, k);
-            }
+        for (unsigned left = noted; left != 0; left &= left - 1u) {
+            chip_note(chip, TRACE_MATCH, pwm_id(s), chip_lowest_bit(left));
         }
         if ((noted & s->inten) != 0) {
-            pwm_request(chip, m, n);
+            pwm_request(chip, s);
         }
         const unsigned triggers = hit & s->tctrl & 0x3Fu;
         if ((triggers & 0x15u) != 0) {
-            trigger(chip, m, n, 0);
+            trigger(chip, s, 0);
         }
         if ((triggers & 0x2Au) != 0) {
-            trigger(chip, m, n, 1);
+            trigger(chip, s, 1);
         }
     }
     if ((hit & 1u) != 0) {
-        pwm_resume(chip, m, n, chip->pwm[m].fsts_half);
-        if ((s->ctrl & CTRL_HALF) != 0 && (n == 0 || (s->ctrl2 & CTRL2_RELOAD_SEL) == 0)) {
-            reload(chip, m, n, false);
+        pwm_resume(chip, s, pwm_of(chip, s)->fsts_half);
+        if ((s->ctrl & CTRL_HALF) != 0 && reloads_itself(s)) {
+            reload(chip, s, false);
         }
     }
 }
 
-/* The counter's next event. */
-static void handle(chip_t *chip, unsigned m, unsigned n)
+/* The counter's next events, all that share a distance. */
+static void handle(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
-    const uint32_t d = s->event[s->next].distance;
-    const unsigned what = s->event[s->next].what;
-    s->next++;
-    if ((what & PWM_CYCLE) != 0) {
-        local_sync(chip, m, n);
+    const uint32_t d = PWM_EVENT_DISTANCE(s->event[s->next]);
+    unsigned what = 0;
+    do {
+        what |= BIT(PWM_EVENT_NUMBER(s->event[s->next++]));
+    } while (PWM_EVENT_DISTANCE(s->event[s->next]) == d);
+    if ((what & BIT(PWM_CYCLE)) != 0) {
+        local_sync(chip, s);
         if (s->done != (int64_t)d) {
             return; /* a new cycle */
         }
     }
-    if ((what & PWM_WRAP) != 0) {
-        settle_to(s, (int64_t)NO_DISTANCE - 1);
-        s->origin += (uint64_t)NO_DISTANCE << s->active.prescaler;
+    if ((what & BIT(PWM_WRAP)) != 0) {
+        settle_to(s, (int64_t)WRAP_DISTANCE - 1);
+        s->origin += (uint64_t)WRAP_DISTANCE << s->active.prescaler;
         s->done = s->settled = -1;
         s->next = 0;
     } else if ((what & STS_CMPF) != 0) {
-        matches(chip, m, n, d, what & STS_CMPF); /* unless it ends a cycle VAL1 + 1 is a count like any other */
+        matches(chip, s, d, what & STS_CMPF); /* unless it ends a cycle VAL1 + 1 is a count like any other */
     }
 }
 
 /* All events of a submodule up to the present clock. */
-static void run(chip_t *chip, unsigned m, unsigned n)
+static void run(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     const bool synchronised = s->running && s->sync_clock <= chip->now;
     if (synchronised) {
         s->sync_clock = CHIP_NEVER;
         if (CTRL2_INIT_SEL(s->ctrl2) == INIT_EXT_SYNC) {
             const int64_t before = position(s, chip->now) - 1;
+            const int64_t end = s->distance[PWM_CYCLE];
             settle_to(s, before);
-            if ((int64_t)s->cycle > s->done && (int64_t)s->cycle <= before + 1) {
-                local_sync(chip, m, n); /* its VAL1 was the count before */
+            if (end > s->done && end <= before + 1) {
+                local_sync(chip, s); /* its VAL1 was the count before */
             }
-            pwm_begin_cycle(chip, m, n);
+            pwm_begin_cycle(chip, s);
         }
     }
     if (s->next_clock <= chip->now || synchronised) {
         find_next(s, chip->now);
         while (s->next_clock <= chip->now) {
-            handle(chip, m, n);
-            take_next(s, chip->now);
+            handle(chip, s);
+            find_next(s, chip->now);
         }
     }
     if (s->dead_clock <= chip->now) {
-        pwm_end_dead_time(chip, m, n);
+        pwm_end_dead_time(chip, s);
     }
     find_due(s);
 }
 
 /* Most events are an edge of PWM23 or the end of a dead time, and nothing else: these go the short way. */
-static inline void edge_or_run(chip_t *chip, unsigned m, unsigned n)
+static inline void edge_or_run(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     const uint64_t now = chip->now;
-    if (s->sync_clock <= now) {
-        run(chip, m, n);
+    if (s->order != PWM_ORDER_KEPT || s->sync_clock <= now) {
+        run(chip, s);
         return;
     }
-    if (s->next_clock <= now) {
-        const unsigned what = s->event[s->next].what;
-        if ((what & ~s->plain) != 0 || s->stale || s->moved || s->dead_clock <= now) {
-            run(chip, m, n);
-            return;
-        }
-        s->done = s->event[s->next++].distance;
-        s->generated[0] = what == 0x04u; /* VAL2 alone; with VAL3 it is off */
-        s->next_clock = s->origin + ((uint64_t)s->event[s->next].distance << s->active.prescaler);
-        pwm_drive(chip, m, n);
-    } else {
-        pwm_end_dead_time(chip, m, n);
+    if (s->next_clock > now) {
+        pwm_end_dead_time(chip, s);
+        find_due(s);
+        return;
     }
+    const uint32_t event = s->event[s->next];
+    const uint32_t after = s->event[s->next + 1u];
+    if ((s->plain & BIT(PWM_EVENT_NUMBER(event))) == 0 || PWM_EVENT_DISTANCE(after) == PWM_EVENT_DISTANCE(event) ||
+        s->dead_clock <= now) {
+        run(chip, s);
+        return;
+    }
+    s->done = PWM_EVENT_DISTANCE(event);
+    s->next++;
+    s->next_clock = clock_of(s, after);
+    s->generated = (s->generated & ~1u) | (PWM_EVENT_NUMBER(event) == 2u ? 1u : 0u); /* VAL2 on, VAL3 off */
+    pwm_drive(chip, s);
     find_due(s);
 }
 
 void pwm_event(chip_t *chip, unsigned m)
 {
     const pwm_t *pwm = &chip->pwm[m];
-    const uint64_t now = chip->now;
-    for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-        if (pwm->sub[n].due <= now) {
-            edge_or_run(chip, m, n);
-        }
-    }
-    schedule_module(chip, m);
+    do {
+        edge_or_run(chip, pwm->first);
+        schedule_module(chip, m);
+    } while (pwm->first->due <= chip->now);
 }
 
 void pwm_ext_sync(chip_t *chip, unsigned m, unsigned n)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
+    pwm_submodule_t *s = &chip->pwm[m].sub[n];
     if (s->running) {
         s->sync_clock = chip->now + chip->config.crossbar_clocks + 1u;
-        pwm_schedule(chip, m, n);
+        pwm_schedule(chip, s);
     }
 }
 
@@ -497,17 +488,18 @@ void pwm_follow_run(chip_t *chip, unsigned m)
         if (run) {
             occs_need_bus_clock(chip, "a PWM");
             if (((pwm->ldok >> n) & 1u) != 0) {
-                pwm_load(chip, m, n);
+                pwm_load(chip, s);
             }
             s->running = true;
-            pwm_begin_cycle(chip, m, n);
+            pwm_begin_cycle(chip, s);
         } else {
             pwm_settle(chip, s);
             s->base = clocked ? s->active.init : pwm_counter(s, chip->now);
             s->running = false;
+            s->order = PWM_ORDER_STALE;
             s->sync_clock = CHIP_NEVER;
         }
-        pwm_schedule(chip, m, n);
+        pwm_schedule(chip, s);
     }
 }
 
@@ -526,10 +518,12 @@ void pwm_reset(chip_t *chip)
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
             levels[n] = pwm->sub[n].levels;
         }
-        *pwm = (pwm_t){.fault_pin = pins, .fault_filtered = pins};
+        *pwm = (pwm_t){.first = pwm->sub, .fault_pin = pins, .fault_filtered = pins};
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
             pwm_submodule_t *s = &pwm->sub[n];
             *s = (pwm_submodule_t){
+                .module = (uint8_t)m,
+                .number = (uint8_t)n,
                 .ctrl = CTRL_FULL,
                 .dismap0 = 0xFFFF,
                 .dismap1 = 0xFFFF,
@@ -538,13 +532,14 @@ void pwm_reset(chip_t *chip)
                 .dead_clock = CHIP_NEVER,
                 .next_clock = CHIP_NEVER,
                 .due = CHIP_NEVER,
-                .out = {false, true},
+                .out = 2u,
+                .order = PWM_ORDER_STALE,
                 .done = -1,
                 .settled = -1,
                 .levels = levels[n],
             };
             find_distances(s);
-            pwm_watch(pwm, n);
+            pwm_watch(chip, s);
         }
         for (unsigned i = 0; i < PWM_FAULTS; i++) {
             pwm->fault_clock[i] = CHIP_NEVER;

@@ -20,8 +20,9 @@
 #define PWM_MODULES 2
 #define PWM_SUBMODULES 4
 #define PWM_VALS 6
-#define PWM_CYCLE 0x40u /* one past VAL1 */
-#define PWM_WRAP 0x80u  /* nothing has ended the cycle: the counter wraps */
+#define PWM_CYCLE 6u /* of the events of a counter, behind the VALs: one past VAL1 */
+#define PWM_WRAP 7u  /* nothing has ended the cycle: the counter wraps */
+#define PWM_EVENTS 8u
 #define PWM_FAULTS 4 /* inputs 0-3; 4-7 are not modelled */
 
 typedef struct {
@@ -30,7 +31,17 @@ typedef struct {
     uint16_t prescaler; /* exponent of two */
 } pwm_buffered_t;
 
+#define PWM_EVENT(distance, number) ((uint32_t)(distance) * PWM_EVENTS + (number))
+#define PWM_EVENT_DISTANCE(event) ((event) / PWM_EVENTS)
+#define PWM_EVENT_NUMBER(event) ((event) % PWM_EVENTS)
+#define PWM_NO_EVENT UINT32_MAX
+
+/* Whether the list of events still fits: their distances have changed, or which there are. It is never kept while the
+ * counter stands. */
+typedef enum { PWM_ORDER_KEPT, PWM_ORDER_MOVED, PWM_ORDER_STALE } pwm_order_t;
+
 typedef struct {
+    uint8_t module, number; /* whose it is, and which of the four */
     /* registers */
     pwm_buffered_t buffer; /* as written */
     pwm_buffered_t active; /* as loaded */
@@ -43,38 +54,34 @@ typedef struct {
     bool stuck;            /* a cycle of a single clock: VAL1 == INIT, the state after reset */
     uint64_t origin;
     uint16_t base;
-    uint32_t distance[PWM_VALS];
-    uint32_t cycle;        /* distance of the end: that of VAL1, and one */
+    uint32_t distance[PWM_EVENTS]; /* of each event */
     int64_t done;          /* events up to this distance have been handled */
-    struct {
-        uint32_t distance;
-        uint8_t first;     /* the lowest of them: 0-5 a VAL, then the cycle's end */
-        uint8_t what;      /* bits 0-5: the VALs that match there and are watched; PWM_CYCLE, PWM_WRAP */
-    } event[PWM_VALS + 2]; /* of a cycle, in order of distance */
+    pwm_order_t order;     /* of the list of events */
+    uint32_t event[PWM_EVENTS + 1]; /* of a cycle, PWM_EVENT(distance, number) in rising order; ends with PWM_NO_EVENT */
     unsigned next;         /* index of the first that is still to come */
-    bool merged;           /* two events share a distance */
-    bool stale, moved;     /* the list does not fit any more: other events, or only other distances */
     int64_t settled;       /* flags up to this distance have been found */
     unsigned plain;        /* VALs that do nothing but switch the pair */
     unsigned watched;      /* bit k: VALk is an event */
     uint64_t next_clock;   /* of the counter's next event */
-    uint64_t due;          /* of the next of all: counter, dead time, sync */
     uint64_t sync_clock;   /* EXT_SYNC on its way */
-    /* outputs */
-    bool generated[2];     /* PWM23, PWM45 */
+    uint64_t due;          /* the soonest of these and of the end of a dead time */
+    /* outputs, bit 0 A and bit 1 B; generated and software: bit 0 PWM23, bit 1 PWM45 */
+    unsigned generated;
     unsigned source[2];    /* DTSRCSEL in force: of PWM23, of PWM45 */
-    bool software[2];      /* SWCOUT in force */
-    unsigned mask;         /* MASK in force: bit 0 A, bit 1 B */
+    unsigned software;     /* SWCOUT in force */
+    unsigned mask;         /* MASK in force */
+    bool from_45;          /* IPOL: the pair follows PWM45 */
     bool pair;             /* input of the dead-time unit */
-    bool out[2];           /* its outputs A and B, or those of an independent submodule */
+    unsigned out;          /* its outputs, or those of an independent submodule */
     uint64_t dead_clock;   /* end of the dead time in progress */
     unsigned blocked;      /* faults that hold the outputs */
-    unsigned live, high, inverted; /* pins that follow the outputs; that are high whatever these do; polarity */
+    unsigned live, fixed;  /* pins that follow the outputs; the levels that these are added to, modulo two */
     unsigned levels;       /* what the pins show: bit 0 the upper, bit 1 the lower switch */
 } pwm_submodule_t;
 
 typedef struct {
     pwm_submodule_t sub[PWM_SUBMODULES];
+    pwm_submodule_t *first; /* the submodule whose event is next */
     uint16_t outen, mask, swcout, dtsrcsel, mctrl2;
     uint16_t ldok, run, ipol;
     uint16_t fctrl, fsts_full, fsts_half, ffilt, ftst;

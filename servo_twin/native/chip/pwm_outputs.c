@@ -4,11 +4,12 @@
 /* ---- outputs ------------------------------------------------------------------------------------------------------- */
 
 /* Which pins of a pair follow its outputs. One that nobody drives is held low by the resistor of its gate driver. */
-void pwm_prepare(chip_t *chip, unsigned m, unsigned n)
+void pwm_prepare(chip_t *chip, pwm_submodule_t *s)
 {
-    const pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = sub_of(chip, m, n);
-    s->live = s->high = s->inverted = 0;
+    const pwm_t *pwm = pwm_of(chip, s);
+    const unsigned m = s->module;
+    const unsigned n = s->number;
+    unsigned live = 0, high = 0, inverted = 0;
     for (unsigned side = 0; n < 3u && side < 2u; side++) {
         const unsigned pin = chip->config.wiring.gate[m][n][side];
         const pin_function_t function = pins_function(chip, pin);
@@ -17,38 +18,38 @@ void pwm_prepare(chip_t *chip, unsigned m, unsigned n)
         const unsigned on_fault = (side == 0) ? OCTRL_PWMAFS(s->octrl) : OCTRL_PWMBFS(s->octrl);
         if (function == FUNCTION_GPIO) {
             const gpio_port_t *port = &chip->pins.port[pin >> 4];
-            s->high |= (((unsigned)(port->direction & port->data) >> (pin & 15u)) & 1u) << side;
+            high |= (((unsigned)(port->direction & port->data) >> (pin & 15u)) & 1u) << side;
         } else if (function != (pin_function_t)(FUNCTION_PWM_A0A + 8u * m + 2u * n + side) ||
                    ((pwm->outen >> (((side == 0) ? 8u : 4u) + n)) & 1u) == 0) {
             continue;
         } else if ((s->blocked & map & 0xFu) != 0) {
-            s->high |= (on_fault == 1u) ? bit : 0u;
+            high |= (on_fault == 1u) ? bit : 0u;
         } else {
-            s->live |= bit;
-            s->inverted |= ((s->octrl & ((side == 0) ? OCTRL_POLA : OCTRL_POLB)) != 0) ? bit : 0u;
+            live |= bit;
+            inverted |= ((s->octrl & ((side == 0) ? OCTRL_POLA : OCTRL_POLB)) != 0) ? bit : 0u;
         }
     }
+    s->live = live & ~s->mask;
+    s->fixed = inverted | high;
 }
 
-void pwm_show(chip_t *chip, unsigned m, unsigned n)
+void pwm_show(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
-    const unsigned out = ((s->out[0] ? 1u : 0u) | (s->out[1] ? 2u : 0u)) & ~s->mask;
-    const unsigned levels = ((out ^ s->inverted) & s->live) | s->high;
+    const unsigned levels = (s->out & s->live) ^ s->fixed;
     if (levels != s->levels) {
         s->levels = levels;
-        chip_note(chip, TRACE_GATES, m * PWM_SUBMODULES + n, levels);
+        chip_note(chip, TRACE_GATES, pwm_id(s), levels);
         chip_meet_world(chip);
         chip->touched = true;
-        chip->world.gates(chip->world.context, m, n, levels);
+        world_gates(chip->world, s->module, s->number, levels);
     }
 }
 
 void pwm_show_all(chip_t *chip, unsigned m)
 {
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-        pwm_prepare(chip, m, n);
-        pwm_show(chip, m, n);
+        pwm_prepare(chip, &chip->pwm[m].sub[n]);
+        pwm_show(chip, &chip->pwm[m].sub[n]);
     }
 }
 
@@ -59,58 +60,48 @@ void pwm_pins_changed(chip_t *chip)
 }
 
 /* What DTSRCSEL takes: 0 generated, 1 inverted, 2 software. */
-static bool selected(const pwm_submodule_t *s, unsigned which)
+static unsigned selected(const pwm_submodule_t *s, unsigned which)
 {
-    switch (s->source[which]) {
-    case 0:
-        return s->generated[which];
-    case 1:
-        return !s->generated[which];
-    default:
-        return s->software[which];
-    }
+    const unsigned source = s->source[which];
+    const unsigned values = (source == 2u) ? s->software : s->generated;
+    return (((values >> which) & 1u) ^ (source == 1u ? 1u : 0u));
 }
 
 /* The dead-time unit: the switch that closes waits for its count, the other opens at once. */
-void pwm_drive(chip_t *chip, unsigned m, unsigned n)
+void pwm_drive(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     if ((s->ctrl2 & CTRL2_INDEP) != 0) {
-        s->out[0] = selected(s, 0);
-        s->out[1] = selected(s, 1);
+        s->out = selected(s, 0) | selected(s, 1) << 1;
         s->dead_clock = CHIP_NEVER;
     } else {
-        const bool from_45 = ((chip->pwm[m].ipol >> n) & 1u) != 0;
-        const bool pair = from_45 ? !selected(s, 1) : selected(s, 0);
-        if (pair != s->pair || (!s->out[0] && !s->out[1] && s->dead_clock == CHIP_NEVER)) {
+        const bool pair = s->from_45 ? selected(s, 1) == 0 : selected(s, 0) != 0;
+        if (pair != s->pair || (s->out == 0 && s->dead_clock == CHIP_NEVER)) {
             s->pair = pair;
-            s->out[pair ? 1 : 0] = false;
             const unsigned dead = s->dtcnt[pair ? 0 : 1];
-            s->out[pair ? 0 : 1] = dead == 0;
-            s->dead_clock = (dead == 0) ? CHIP_NEVER : chip->now + dead;
+            s->out = (dead > 0) ? 0u : pair ? 1u : 2u;
+            s->dead_clock = (dead > 0) ? chip->now + dead : CHIP_NEVER;
         }
     }
-    pwm_show(chip, m, n);
+    pwm_show(chip, s);
 }
 
-void pwm_end_dead_time(chip_t *chip, unsigned m, unsigned n)
+void pwm_end_dead_time(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
     s->dead_clock = CHIP_NEVER;
-    s->out[s->pair ? 0 : 1] = true;
-    pwm_show(chip, m, n);
+    s->out |= s->pair ? 1u : 2u;
+    pwm_show(chip, s);
 }
 
-void pwm_force_out(chip_t *chip, unsigned m, unsigned n)
+void pwm_force_out(chip_t *chip, pwm_submodule_t *s)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
+    const pwm_t *pwm = pwm_of(chip, s);
+    const unsigned n = s->number;
     s->source[0] = (pwm->dtsrcsel >> (4u * n + 2u)) & 3u;
     s->source[1] = (pwm->dtsrcsel >> (4u * n)) & 3u;
-    s->software[0] = ((pwm->swcout >> (2u * n + 1u)) & 1u) != 0;
-    s->software[1] = ((pwm->swcout >> (2u * n)) & 1u) != 0;
+    s->software = ((pwm->swcout >> (2u * n + 1u)) & 1u) | ((pwm->swcout >> (2u * n)) & 1u) << 1;
     s->mask = ((pwm->mask >> (8u + n)) & 1u) | (((pwm->mask >> (4u + n)) & 1u) << 1);
-    pwm_drive(chip, m, n);
+    pwm_prepare(chip, s);
+    pwm_drive(chip, s);
 }
 
 /* ---- faults ---------------------------------------------------------------------------------------------------------- */
@@ -125,14 +116,9 @@ static bool may_resume(const pwm_t *pwm, unsigned i)
     return !flag && !(FCTRL_FSAFE(pwm->fctrl, i) != 0 && active);
 }
 
-/* The cycle (or half of it) begins: outputs resume that were waiting for it. */
-void pwm_resume(chip_t *chip, unsigned m, unsigned n, uint16_t boundary)
+void pwm_resume_blocked(chip_t *chip, pwm_submodule_t *s, uint16_t boundary)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
-    if (s->blocked == 0) {
-        return;
-    }
+    const pwm_t *pwm = pwm_of(chip, s);
     const unsigned before = s->blocked;
     for (unsigned i = 0; (s->blocked & boundary) != 0 && i < PWM_FAULTS; i++) {
         if (((s->blocked & boundary) >> i & 1u) != 0 && may_resume(pwm, i)) {
@@ -140,9 +126,9 @@ void pwm_resume(chip_t *chip, unsigned m, unsigned n, uint16_t boundary)
         }
     }
     if (s->blocked != before) {
-        pwm_watch(pwm, n);
-        pwm_prepare(chip, m, n);
-        pwm_show(chip, m, n);
+        pwm_watch(chip, s);
+        pwm_prepare(chip, s);
+        pwm_show(chip, s);
     }
 }
 
@@ -158,11 +144,12 @@ void pwm_find_faults(chip_t *chip, unsigned m)
     }
     pwm->fault_flag |= begun;
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-        pwm->sub[n].blocked |= begun;
-        pwm_watch(pwm, n);
-        pwm_prepare(chip, m, n);
-        pwm_show(chip, m, n);
-        pwm_schedule(chip, m, n);
+        pwm_submodule_t *s = &pwm->sub[n];
+        s->blocked |= begun;
+        pwm_watch(chip, s);
+        pwm_prepare(chip, s);
+        pwm_show(chip, s);
+        pwm_schedule(chip, s);
     }
     pwm_request_fault(chip, m);
 }

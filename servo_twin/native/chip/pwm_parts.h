@@ -37,7 +37,10 @@ enum { FORCE_LOCAL, FORCE_MASTER, FORCE_RELOAD, FORCE_MASTER_RELOAD, FORCE_SYNC,
 #define FCTRL_FAUTO(x, i) ((((x) >> 8) >> (i)) & 1u)
 #define FCTRL_FLVL(x) (((x) >> 12) & 0xFu)
 
-static inline pwm_submodule_t *sub_of(chip_t *chip, unsigned m, unsigned n) { return &chip->pwm[m].sub[n]; }
+static inline pwm_t *pwm_of(chip_t *chip, const pwm_submodule_t *s) { return &chip->pwm[s->module]; }
+
+/* As traces count them. */
+static inline uint32_t pwm_id(const pwm_submodule_t *s) { return (uint32_t)s->module * PWM_SUBMODULES + s->number; }
 
 /* ---- counters and compares (pwm.c) ---------------------------------------------------------------------------------- */
 
@@ -47,19 +50,19 @@ uint16_t pwm_counter(const pwm_submodule_t *s, uint64_t now);
 void pwm_settle(const chip_t *chip, pwm_submodule_t *s);
 
 /* Which compares are events: after a change of what they do. */
-void pwm_watch(pwm_t *pwm, unsigned n);
+void pwm_watch(chip_t *chip, pwm_submodule_t *s);
 
 /* When the next event is: after a change of when. */
-void pwm_schedule(chip_t *chip, unsigned m, unsigned n);
+void pwm_schedule(chip_t *chip, pwm_submodule_t *s);
 
 /* Interrupts, after a change of flags or enables. */
-void pwm_request(chip_t *chip, unsigned m, unsigned n);
+void pwm_request(chip_t *chip, pwm_submodule_t *s);
 void pwm_request_fault(chip_t *chip, unsigned m);
 
-void pwm_load(chip_t *chip, unsigned m, unsigned n);
+void pwm_load(chip_t *chip, pwm_submodule_t *s);
 
 /* The counter begins anew from INIT in the present clock. */
-void pwm_begin_cycle(chip_t *chip, unsigned m, unsigned n);
+void pwm_begin_cycle(chip_t *chip, pwm_submodule_t *s);
 
 /* Submodule n counts while its RUN bit, or that of submodule 0 with whose clock it runs, and its gate are open. */
 void pwm_follow_run(chip_t *chip, unsigned m);
@@ -67,18 +70,25 @@ void pwm_follow_run(chip_t *chip, unsigned m);
 /* ---- outputs and faults (pwm_outputs.c) ------------------------------------------------------------------------------ */
 
 /* Which pins of a pair follow its outputs. */
-void pwm_prepare(chip_t *chip, unsigned m, unsigned n);
-void pwm_show(chip_t *chip, unsigned m, unsigned n);
+void pwm_prepare(chip_t *chip, pwm_submodule_t *s);
+void pwm_show(chip_t *chip, pwm_submodule_t *s);
 void pwm_show_all(chip_t *chip, unsigned m);
 
 /* The dead-time unit, after a change of its inputs and at its end. */
-void pwm_drive(chip_t *chip, unsigned m, unsigned n);
-void pwm_end_dead_time(chip_t *chip, unsigned m, unsigned n);
+void pwm_drive(chip_t *chip, pwm_submodule_t *s);
+void pwm_end_dead_time(chip_t *chip, pwm_submodule_t *s);
 
-void pwm_force_out(chip_t *chip, unsigned m, unsigned n);
+void pwm_force_out(chip_t *chip, pwm_submodule_t *s);
 
 /* The cycle (or half of it) begins: outputs resume that were waiting for it. */
-void pwm_resume(chip_t *chip, unsigned m, unsigned n, uint16_t boundary);
+void pwm_resume_blocked(chip_t *chip, pwm_submodule_t *s, uint16_t boundary);
+
+static inline void pwm_resume(chip_t *chip, pwm_submodule_t *s, uint16_t boundary)
+{
+    if (s->blocked != 0) {
+        pwm_resume_blocked(chip, s, boundary);
+    }
+}
 
 void pwm_find_faults(chip_t *chip, unsigned m);
 

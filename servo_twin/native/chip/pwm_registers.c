@@ -62,7 +62,7 @@ static bool is_fraction(uint32_t r) { return r >= FRACVAL1 && r < VAL5 && (r & 1
 
 static uint16_t read_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r)
 {
-    pwm_submodule_t *s = sub_of(chip, m, n);
+    pwm_submodule_t *s = &chip->pwm[m].sub[n];
     if (r == INIT) {
         return s->buffer.init;
     }
@@ -121,28 +121,28 @@ static void write_ctrl2(chip_t *chip, uint32_t address, unsigned m, unsigned n, 
         chip_no_value(chip, address, value, "this INIT_SEL or FORCE_SEL is not modelled");
     }
     s->ctrl2 = (uint16_t)(value & ~CTRL2_FORCE);
-    pwm_watch(pwm, n);
+    pwm_watch(chip, s);
     pwm_follow_run(chip, m);
     if ((value & CTRL2_FORCE) != 0) {
         for (unsigned k = n; k < PWM_SUBMODULES; k++) {
-            pwm_submodule_t *other = sub_of(chip, m, k);
+            pwm_submodule_t *other = &pwm->sub[k];
             const unsigned by = CTRL2_FORCE_SEL(other->ctrl2);
             if ((k != n || by != FORCE_LOCAL) && !(n == 0 && k > 0 && by == FORCE_MASTER)) {
                 continue;
             }
             if ((other->ctrl2 & CTRL2_FRCEN) != 0) {
-                other->generated[0] = (other->ctrl2 & CTRL2_PWM23_INIT) != 0;
-                other->generated[1] = (other->ctrl2 & CTRL2_PWM45_INIT) != 0;
+                other->generated = ((other->ctrl2 & CTRL2_PWM23_INIT) != 0 ? 1u : 0u) |
+                                   ((other->ctrl2 & CTRL2_PWM45_INIT) != 0 ? 2u : 0u);
                 if (other->running) {
                     pwm_settle(chip, other);
-                    pwm_begin_cycle(chip, m, k);
+                    pwm_begin_cycle(chip, other);
                 }
             }
-            pwm_force_out(chip, m, k);
-            pwm_schedule(chip, m, k);
+            pwm_force_out(chip, other);
+            pwm_schedule(chip, other);
         }
     }
-    pwm_schedule(chip, m, n);
+    pwm_schedule(chip, s);
 }
 
 static void write_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r, uint16_t value)
@@ -164,29 +164,29 @@ static void write_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, ui
             s->updated = s->updated || CTRL_PRSC(value) != s->buffer.prescaler;
             s->buffer.prescaler = CTRL_PRSC(value);
         }
-        pwm_watch(pwm, n);
-        pwm_schedule(chip, m, n);
+        pwm_watch(chip, s);
+        pwm_schedule(chip, s);
         break;
     case FRCTRL:
         chip_only(chip, address, value, 0, "the fractional unit is not modelled");
         break;
     case OCTRL:
         s->octrl = value & 0x073Fu;
-        pwm_prepare(chip, m, n);
-        pwm_show(chip, m, n);
+        pwm_prepare(chip, s);
+        pwm_show(chip, s);
         break;
     case STS:
         pwm_settle(chip, s);
         s->flags = (uint16_t)(s->flags & ~value);
-        pwm_request(chip, m, n);
+        pwm_request(chip, s);
         break;
     case INTEN:
         chip_only(chip, address, value, 0x303F, "the capture unit is not modelled");
         pwm_settle(chip, s);
         s->inten = value;
-        pwm_watch(pwm, n);
-        pwm_request(chip, m, n);
-        pwm_schedule(chip, m, n);
+        pwm_watch(chip, s);
+        pwm_request(chip, s);
+        pwm_schedule(chip, s);
         break;
     case DMAEN:
         chip_only(chip, address, value, 0, "DMA is not modelled");
@@ -194,13 +194,13 @@ static void write_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, ui
     case TCTRL:
         chip_only(chip, address, value, 0x003F, "PWM waveforms as triggers are not modelled");
         s->tctrl = value;
-        pwm_watch(pwm, n);
-        pwm_schedule(chip, m, n);
+        pwm_watch(chip, s);
+        pwm_schedule(chip, s);
         break;
     case DISMAP0:
         s->dismap0 = value;
-        pwm_prepare(chip, m, n);
-        pwm_show(chip, m, n);
+        pwm_prepare(chip, s);
+        pwm_show(chip, s);
         break;
     case DISMAP1: /* faults 4-7 have no pins here */
         s->dismap1 = value;
@@ -223,7 +223,7 @@ static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
     if (ipol != pwm->ipol) {
         pwm->ipol = ipol;
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-            pwm_watch(pwm, n);
+            pwm_watch(chip, &pwm->sub[n]);
         }
     }
     pwm->run = (value >> 8) & 0xFu;
@@ -234,11 +234,11 @@ static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
         const bool led = first_stuck && n > 0 && (s->ctrl2 & CTRL2_RELOAD_SEL) != 0;
         const bool stuck = s->running && (s->stuck || led);
         if (((pwm->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || stuck)) {
-            pwm_load(chip, m, n);
+            pwm_load(chip, s);
             if (stuck) {
-                pwm_begin_cycle(chip, m, n);
+                pwm_begin_cycle(chip, s);
             }
-            pwm_schedule(chip, m, n);
+            pwm_schedule(chip, s);
         }
     }
     if (!same_run) {
@@ -329,8 +329,8 @@ static void write_module(chip_t *chip, uint32_t address, unsigned m, uint32_t r,
         pwm->fsts_full = (value >> 4) & 0xFu;
         pwm->fsts_half = (uint16_t)(value >> 12);
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-            pwm_watch(pwm, n);
-            pwm_schedule(chip, m, n);
+            pwm_watch(chip, &pwm->sub[n]);
+            pwm_schedule(chip, &pwm->sub[n]);
         }
         pwm_request_fault(chip, m);
         break;

@@ -214,14 +214,18 @@ static bool has_events(const qtmr_channel_t *c)
 static void schedule(chip_t *chip, unsigned m)
 {
     qtmr_t *timer = &chip->timer[m];
+    for (unsigned n = 0; timer->heard >> n != 0; n++) {
+        if (((timer->heard >> n) & 1u) != 0) {
+            settle(chip, m, n); /* an output may lead to an input */
+        }
+    }
     uint64_t next = CHIP_NEVER;
     for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
         next = (timer->change_clock[i] < next) ? timer->change_clock[i] : next;
     }
     for (unsigned n = 0; timer->heard >> n != 0; n++) {
-        qtmr_channel_t *c = &timer->channel[n];
+        const qtmr_channel_t *c = &timer->channel[n];
         if (((timer->heard >> n) & 1u) != 0 && runs_on_bus(timer, n)) {
-            settle(chip, m, n);
             const unsigned shift = prescaler(c);
             const uint64_t clock = ((chip->now >> shift) + counts_to_event(c)) << shift;
             next = (clock < next) ? clock : next;

@@ -1,6 +1,7 @@
 /* world.h - what the chip's pins are soldered to, and the software that its core runs.
  *
- * The chip calls these functions and includes nothing of plant and firmware, so that a test can be the world too.
+ * The chip calls these functions and includes nothing of plant and firmware. Whoever links the chip defines them, the
+ * board or a test; `world` is what it has given to chip_init.
  */
 #ifndef CHIP_WORLD_H
 #define CHIP_WORLD_H
@@ -9,26 +10,26 @@
 
 #define CHIP_NEVER UINT64_MAX /* clock of what is not going to happen */
 
-typedef struct {
-    void *context; /* handed to each function */
+/* Come along to `clock` (never back). */
+void world_advance(void *world, uint64_t clock);
 
-    /* Come along to `clock` (never back). */
-    void (*advance)(void *context, uint64_t clock);
-    /* Clock of the next event of the world's own, CHIP_NEVER if there is none; called again after everything that the
-     * chip does to it. */
-    uint64_t (*next)(void *context);
-    /* That clock has come: hand over what happened by chip_pin. */
-    void (*events)(void *context);
-    /* Levels of a pair of gate signals from now on: bit 0 the upper switch (PWM_A), bit 1 the lower one (PWM_B). */
-    void (*gates)(void *context, unsigned module, unsigned submodule, unsigned levels);
-    /* 12-bit code of an analogue pin at this instant: 0..7 ANA0-7, 8..15 ANB0-7. */
-    uint16_t (*convert)(void *context, unsigned channel);
+/* Clock of the next event of the world's own, CHIP_NEVER if there is none; called again after everything that the chip
+ * does to it. */
+uint64_t world_next(void *world);
 
-    /* Software: after reset (memory lost); the body of an interrupt, which returns how many clocks it takes; and what
-     * runs when there is nothing else to do. */
-    void (*boot)(void *context);
-    uint32_t (*interrupt)(void *context, unsigned vector);
-    void (*background)(void *context);
-} chip_world_t;
+/* That clock has come: hand over what happened by chip_pin. */
+void world_events(void *world);
+
+/* Levels of a pair of gate signals from now on: bit 0 the upper switch (PWM_A), bit 1 the lower one (PWM_B). */
+void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels);
+
+/* 12-bit code of an analogue pin at this instant: 0..7 ANA0-7, 8..15 ANB0-7. */
+uint16_t world_convert(void *world, unsigned channel);
+
+/* Software: after reset (memory lost); the body of an interrupt, which returns how many clocks it takes; and what runs
+ * when there is nothing else to do. */
+void world_boot(void *world);
+uint32_t world_interrupt(void *world, unsigned vector);
+void world_background(void *world);
 
 #endif
