@@ -35,6 +35,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->command = (axis_command_t){0};
     axis->feedback = (feedback_t){0};
     axis->search = (rotor_search_t){0};
+    axis->proof = (stall_proof_t){0};
     axis->motion = (motion_state_t){0};
     supervision_start(&axis->supervision);
     axis->calibrated = false;

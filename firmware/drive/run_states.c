@@ -57,6 +57,7 @@ static void ready_align(axis_t *axis)
 {
     choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search looks at voltages */
     rotor_search_start(&axis->search, axis->feedback.position);
+    axis->proof.runs = false;
     enter(axis, SUBSTATE_ALIGN);
 }
 
@@ -74,6 +75,16 @@ static void align_spin(axis_t *axis)
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);
     enter(axis, SUBSTATE_SPIN);
+}
+
+/* Before a shaft is called stalled: where is the rotor? */
+static void spin_align(axis_t *axis)
+{
+    estimate_stop(axis);
+    axis->fast = LOOP_FAST;
+    choose_dead_time(axis, FEATURE_DEAD_TIME);
+    stall_proof_start(axis);
+    enter(axis, SUBSTATE_ALIGN);
 }
 
 static void spin_freewheel(axis_t *axis)
@@ -167,7 +178,9 @@ static void ready_slow(axis_t *axis)
 
 static void align_fast(axis_t *axis)
 {
-    if (rotor_search_drives(&axis->search)) {
+    if (axis->proof.runs) {
+        stall_proof_fast(axis);
+    } else if (rotor_search_drives(&axis->search)) {
         drive_current(axis, rotor_search_angle(&axis->search));
         rotor_search_watch(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
                            axis->current_loop.voltage.q);
@@ -191,6 +204,10 @@ static void end_search(axis_t *axis, fault_set_t reason)
 static void align_slow(axis_t *axis)
 {
     track_offsets(axis);
+    if (axis->proof.runs && axis->requested) {
+        stall_proof_slow(axis);
+        return;
+    }
     const bool driven = rotor_search_drives(&axis->search);
     const fault_set_t failure = search_failure(axis);
     rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
@@ -278,7 +295,12 @@ static void spin_slow(axis_t *axis)
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
-    axis_raise(axis, supervision_step(axis));
+    const fault_set_t faults = supervision_step(axis) & axis->faults_enabled;
+    if (faults == FAULT_STALLED && axis->requested && !axis->sensorless) {
+        spin_align(axis);
+        return;
+    }
+    axis_raise(axis, faults);
     if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
         bring_to_rest(axis);
     }
