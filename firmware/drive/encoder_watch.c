@@ -8,6 +8,7 @@
 #define TOGGLES_LEAST 12  /* changes of the count in it: 375 Hz, no shaft dithers so fast */
 #define WINDOWS_MOST 2
 #define TURNING_TICKS 8
+#define SWEPT_MOST 16384U /* a quarter of a turn; an eighth is looked for */
 #define STILL_TICKS 60    /* of voltage that stays where it is */
 #define SHORT_TICKS 8
 #define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
@@ -80,12 +81,16 @@ static int32_t tolerated(const axis_t *axis)
     return (exact ? 1 : 2) * (int32_t)config->emf_floor + half;
 }
 
-static void note_voltage(encoder_watch_t *w, dq_t voltage)
+/* What the controllers add up for a current that does not flow turns, too, but more slowly than a rotor with a back-EMF of
+ * that size. `beyond`: more than other reasons may account for. */
+static void note_voltage(encoder_watch_t *w, dq_t voltage, int32_t beyond, int32_t turn_per_voltage)
 {
-    if (w->turning == 0U) {
+    if (w->turning == 0U || (!w->turned && w->swept > SWEPT_MOST)) {
         w->emf = voltage;
+        w->swept = 0;
         w->turned = false;
     }
+    w->swept += (uint32_t)asr64((int64_t)beyond * turn_per_voltage, 15);
     const int32_t along = asr32((int32_t)voltage.d * w->emf.d, 1) + asr32((int32_t)voltage.q * w->emf.q, 1);
     const int32_t across = asr32((int32_t)voltage.d * w->emf.q, 1) - asr32((int32_t)voltage.q * w->emf.d, 1);
     w->turned = w->turned || along < across || along < -across; /* more than an eighth of a turn */
@@ -103,8 +108,9 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
     }
     const dq_t voltage = unexplained(axis);
     const int32_t size = length_about(voltage.d, voltage.q);
-    if (size > tolerated(axis)) {
-        note_voltage(w, voltage);
+    const int32_t beyond = size - tolerated(axis);
+    if (beyond > 0) {
+        note_voltage(w, voltage, beyond, axis->config->phases.turn_per_voltage);
     } else if (w->turning > 0U) {
         w->turning--;
     }

@@ -24,7 +24,8 @@ typedef struct {
     uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
     uint16_t in_vain; /* slow ticks of much of it */
     dq_t emf;         /* that voltage at first .. */
-    bool turned;      /* .. and it has pointed elsewhere since */
+    uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
+    bool turned;      /* .. and it has pointed elsewhere */
 } encoder_watch_t;
 
 struct axis;

@@ -15,6 +15,7 @@ typedef struct {
     frac16_t least;       /* largest phase current from which on the directions of silence are noted */
     gain_t resistance;    /* full-scale current over full-scale voltage */
     frac16_t emf_floor;   /* voltage that switches and dead time leave unexplained */
+    int32_t turn_per_voltage; /* of a rotor within a slow tick, for its back-EMF at full scale, 2^16 is a turn */
 } phase_watch_config_t;
 
 typedef struct {
