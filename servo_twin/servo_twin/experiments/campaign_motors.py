@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.board import Board, Firmware
+from servo_twin.board import Board, Firmware, Level
 from servo_twin.experiments.rig import fresh_board, level
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -37,6 +37,9 @@ OTHERS: Final = tuple(_TABLES)
 
 MOTORS: Final = OWN + OTHERS
 """All of them."""
+
+OBSERVED_LEAST: Final = 0.2
+"""Part of the speed limit from which on an axis without an encoder has to bear its full current."""
 
 DEVIATION: Final[Mapping[str, tuple[float, float]]] = {
     "r_s": (0.9, 1.25),  # a warm winding has a quarter more
@@ -95,9 +98,18 @@ class Motor:
         """What the controller takes this motor for."""
         return self.plant.axes[self.axis]
 
+    @property
+    def observable(self) -> bool:
+        """Whether the observer can tell its back-EMF from what a warm winding takes beside the believed resistance."""
+        if not self.group:
+            return True  # the experiments without an encoder show that
+        motor, limits = self.believed, _TABLES[self.name]["limits"]
+        unknown = (DEVIATION["r_s"][1] - 1.0) * motor.r_s * float(limits["current"])
+        return motor.pole_pairs * motor.psi_m * OBSERVED_LEAST * float(limits["speed"]) > unknown
+
     def firmware(self) -> Firmware | None:
         """The firmware for its board, of the level of this bench; None: the usual one."""
-        return build_firmware(_configuration(self.group), level()) if self.group else None
+        return _firmware(self.group, level()) if self.group else None
 
     def board(self, plant: PlantConfig, seed: int) -> Board:
         """Its board, just switched on, on a plant that may deviate from what the controller believes."""
@@ -111,6 +123,11 @@ def _truth(table: Mapping[str, Any]) -> dict[str, float]:
 
 
 @functools.cache
+def _firmware(group: str, kind: Level) -> Firmware:
+    """Built once: a campaign is of one state of the sources."""
+    return build_firmware(_configuration(group), kind)
+
+
 def _configuration(group: str) -> str:
     """Text of the ``servo.toml`` for two motors."""
     table = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))

@@ -132,6 +132,11 @@ class Bench:
         """Load torque, a part of what the current limit gives."""
         self.board.set_load(self.axis, part * self.current * self.motor.torque_constant)
 
+    def blow(self, part: float) -> None:
+        """The same, if somebody stands against it."""
+        if self.place() == "SPIN":
+            self.load(part)
+
     def provoke(self, sign: float) -> None:
         """Ask the axis to move, whatever it was told before."""
         self.load(0.0)
@@ -429,7 +434,7 @@ def _manoeuvres(bench: Bench, rng: random.Random) -> Script:
         events.append((moment + 1e-3, bench.enable))  # the one that has withdrawn the drive, too
         events.append((moment + 1e-3, lambda: set_axis(bench.board, "cmd.quick_stop", bench.axis, 0.0)))
         blow, length = rng.uniform(-0.4, 0.4), rng.uniform(0.005, 0.1)
-        events.append((moment + 0.01, lambda blow=blow: bench.load(blow)))  # type: ignore[misc]
+        events.append((moment + 0.01, lambda blow=blow: bench.blow(blow)))  # type: ignore[misc]
         events.append((moment + 0.01 + length, lambda: bench.load(0.0)))
         moment += rng.uniform(0.12, 0.5)
     return Script(0.0, events, LENGTH)
@@ -444,7 +449,7 @@ def _observed_manoeuvres(bench: Bench, rng: random.Random) -> Script:
         speed = rng.choice((_part(bench, rng, 0.2, 0.95), _part(bench, rng, 0.2, 0.95), 0.0))
         blow, length = rng.uniform(-0.1, 0.1), rng.uniform(0.005, 0.1)
         events.append((moment, lambda speed=speed: bench.speed(speed)))  # type: ignore[misc]
-        events.append((moment + 0.3, lambda blow=blow: bench.load(blow)))  # type: ignore[misc]
+        events.append((moment + 0.3, lambda blow=blow: bench.blow(blow)))  # type: ignore[misc]
         events.append((moment + 0.3 + length, lambda: bench.load(0.0)))
         moment += rng.uniform(0.45, 1.5)
     return Script(0.0, events, LENGTH)
