@@ -9,6 +9,7 @@
 #define WINDOWS_MOST 2
 #define TURNING_TICKS 8
 #define SWEPT_MOST 16384U /* a quarter of a turn; an eighth is looked for */
+#define ASK_TICKS 4         /* the current controllers take less */
 #define STILL_TICKS 60    /* of voltage that stays where it is */
 #define SHORT_TICKS 8
 #define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
@@ -97,6 +98,35 @@ static void note_voltage(encoder_watch_t *w, dq_t voltage, int32_t beyond, int32
     w->turning++;
 }
 
+static bool current_flows(const axis_t *axis)
+{
+    const dq_t i = axis->current_loop.current;
+    return length_about(i.d, i.q) >= (int32_t)axis->config->phases.silent;
+}
+
+frac16_t encoder_watch_asks(const axis_t *axis)
+{
+    const int32_t asked = 4 * (int32_t)axis->config->phases.silent;
+    const frac16_t most = axis->limits.i_q;
+    return (axis->encoder_watch.asking == 0U) ? 0 : (asked < most) ? (frac16_t)asked : most;
+}
+
+/* The voltage turns like a back-EMF. Without a motor, what the controllers add up may do so by chance while no current is
+ * wanted: then some is, for as long as the current controllers take. */
+static fault_set_t lost(axis_t *axis)
+{
+    encoder_watch_t *w = &axis->encoder_watch;
+    if (w->asking == 0U && current_flows(axis)) {
+        return phase_watch_rather(axis, FAULT_ENCODER_LOST);
+    }
+    w->asking++;
+    if (w->asking <= ASK_TICKS) {
+        return 0;
+    }
+    w->asking = 0;
+    return phase_watch_rather(axis, current_flows(axis) ? FAULT_ENCODER_LOST : FAULT_PHASE_LOST);
+}
+
 /* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
 fault_set_t encoder_watch_voltage(axis_t *axis)
 {
@@ -107,16 +137,16 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
         return 0;
     }
     const dq_t voltage = unexplained(axis);
-    const int32_t size = length_about(voltage.d, voltage.q);
-    const int32_t beyond = size - tolerated(axis);
+    const int32_t floor = axis->config->phases.emf_floor;
+    const int32_t beyond = length_about(voltage.d, voltage.q) - tolerated(axis);
     if (beyond > 0) {
         note_voltage(w, voltage, beyond, axis->config->phases.turn_per_voltage);
     } else if (w->turning > 0U) {
         w->turning--;
     }
-    w->in_vain = (size > 4 * (int32_t)axis->config->phases.emf_floor) ? (uint16_t)(w->in_vain + 1U) : 0U;
-    if (w->turning >= TURNING_TICKS && w->turned) {
-        return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST);
+    w->in_vain = (beyond > 3 * floor) ? (uint16_t)(w->in_vain + 1U) : 0U;
+    if (w->asking > 0U || (w->turning >= TURNING_TICKS && w->turned)) {
+        return lost(axis);
     }
     return (w->in_vain >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
 }

@@ -5,6 +5,7 @@
 #define SILENT_TICKS 8  /* 4 ms: longer than any phase is silent at a speed at which currents do not follow */
 #define NOTHING_TICKS 40
 #define SUSPECT_TICKS 2
+#define NOTHING_SUSPECT 8
 #define WINDOW 64       /* samples of a code */
 #define NOISE_LEAST 4   /* codes between the extremes of a window: less may be quiet by chance */
 #define SAME_BY_CHANCE 16
@@ -15,6 +16,7 @@
 #define FADE_TICKS 128
 #define FAINT_MOST 14   /* of these ticks without enough current to tell directions */
 #define DIRECTIONS 6    /* of 8: a whole phase is silent in 4 of them at most, where it changes its sign */
+#define SUSPECT_DIRECTIONS 3 /* of these 2 in a row at most */
 
 void phase_watch_start(phase_watch_t *watch) { *watch = (phase_watch_t){0}; }
 
@@ -247,9 +249,18 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
 fault_set_t phase_watch_suspects(const phase_watch_t *watch)
 {
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
-        if (watch->silent[x] >= SUSPECT_TICKS && !doubtful(watch) && !frozen(watch, x, SUSPECT_TICKS)) {
+        const bool silent = watch->silent[x] >= SUSPECT_TICKS || count_bits(watch->sectors[x]) >= SUSPECT_DIRECTIONS;
+        if (silent && !doubtful(watch) && !frozen(watch, x, SUSPECT_TICKS)) {
             return FAULT_PHASE_LOST;
         }
     }
     return 0;
+}
+
+fault_set_t phase_watch_rather(const axis_t *axis, fault_set_t fault)
+{
+    const phase_watch_t *w = &axis->phases;
+    const bool phase = phase_watch_suspects(w) != 0U || w->nothing >= NOTHING_SUSPECT;
+    const bool told = phase && (axis->faults_enabled & FAULT_PHASE_LOST) != 0U;
+    return phase_watch_or(w, told ? FAULT_PHASE_LOST : fault);
 }

@@ -50,6 +50,9 @@ fault_set_t phase_watch_currents(struct axis *axis, frac16_t theta_e);
 /* `fault`, or CURRENT_SENSE while a converter looks wrong: then nothing else can be believed. */
 fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault);
 
+/* `fault`, or what is already suspected to be its cause: a converter or a phase. */
+fault_set_t phase_watch_rather(const struct axis *axis, fault_set_t fault);
+
 /* What an over-current may really have been. */
 fault_set_t phase_watch_suspects(const phase_watch_t *watch);
 

@@ -259,7 +259,7 @@ static void spin_sensorless(axis_t *axis)
     pll_push(&estimate->pll, &axis->config->pll, axis->current_loop.current.q, estimate->along);
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
     if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost) {
-        axis_raise(axis, FAULT_SPEED_FEEDBACK);
+        axis_raise(axis, phase_watch_rather(axis, FAULT_SPEED_FEEDBACK));
     }
 }
 
@@ -286,6 +286,7 @@ static void spin_slow(axis_t *axis)
     choose_dead_time(axis, axis->features);
     current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
     motion_step(axis);
+    axis->current_ref.d = f16_add(axis->current_ref.d, encoder_watch_asks(axis));
     if (axis->sensorless) {
         spin_sensorless(axis);
     } else if (axis->estimate.runs || (axis->features & FEATURE_ANGLE_CHECK) != 0U) {
