@@ -27,6 +27,7 @@ typedef struct {
     dq_t emf;         /* that voltage at first .. */
     uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
     bool turned;      /* .. and it has pointed elsewhere */
+    bool rigid;       /* it has not for longer than that */
 } encoder_watch_t;
 
 struct axis;

@@ -301,7 +301,7 @@ static void spin_slow(axis_t *axis)
         spin_align(axis);
         return;
     }
-    axis_raise(axis, faults);
+    axis_raise(axis, (faults == FAULT_RUNAWAY) ? phase_watch_rather(axis, FAULT_RUNAWAY) : faults);
     if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
         bring_to_rest(axis);
     }

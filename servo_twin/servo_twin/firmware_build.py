@@ -7,11 +7,13 @@ compiler, as the first build did.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.machinery
 import importlib.util
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -71,13 +73,22 @@ def build_firmware(config: str, level: Level | None = None, folder: Path = _CACH
     name = f"_{kind}_{_digest(config)}"
     place = folder / name
     if place not in _loaded:
-        if not (done := place / "done").is_file():
-            place.mkdir(parents=True, exist_ok=True)
-            _tune(place, config)
-            _compile(place, name, kind)
-            done.touch()
+        if not place.is_dir():
+            _build(place, name, kind, config)
         _loaded[place] = _load(place, name)
     return _loaded[place]
+
+
+def _build(place: Path, name: str, kind: Level, config: str) -> None:
+    """Beside its place, and there when it is done: somebody else may be building the same."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=place.parent) as folder:
+        work = Path(folder) / name
+        work.mkdir()
+        _tune(work, config)
+        _compile(work, name, kind)
+        with contextlib.suppress(OSError):  # the other one was first
+            work.rename(place)
 
 
 def _sources() -> list[Path]:
