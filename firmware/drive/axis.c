@@ -35,6 +35,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->command = (axis_command_t){0};
     axis->feedback = (feedback_t){0};
     axis->search = (rotor_search_t){0};
+    axis->proof = (stall_proof_t){0};
     axis->motion = (motion_state_t){0};
     supervision_start(&axis->supervision);
     axis->calibrated = false;
@@ -83,6 +84,9 @@ static fault_set_t root_of(const axis_t *axis, fault_set_t faults)
 /* A converter that repeats itself shows within 50 ms, sometimes only after what it has led to. */
 #define SECOND_THOUGHTS UINT32_C(2048)
 
+/* The loops are counted once in a slow tick, the over-current that they have let happen is seen at once. */
+#define LATE_THOUGHTS UINT32_C(16)
+
 /* Faults that are concluded from currents. */
 #define CONCLUSIONS                                                                                                    \
     (FAULT_CURRENT_OFFSET | FAULT_ROTOR_SEARCH | FAULT_ENCODER_LOST | FAULT_ENCODER_REVERSED | FAULT_ANGLE_MISMATCH |  \
@@ -102,6 +106,9 @@ static void capture(axis_t *axis, fault_set_t faults)
                (axis->faults & (CONCLUSIONS | FAULT_OVER_CURRENT)) != 0U) {
         axis->record->code = fault_code(FAULT_CURRENT_SENSE); /* the controller has been lied to, and so were we */
         axis->faults &= ~CONCLUSIONS;
+    } else if ((fresh & FAULT_LATE_LOOP) != 0U && *axis->clock - axis->record->tick < LATE_THOUGHTS &&
+               (axis->faults & FAULT_OVER_CURRENT) != 0U) {
+        axis->record->code = fault_code(FAULT_LATE_LOOP); /* duties stood still while the shaft went on */
     }
     axis->first_fault = axis->record->code;
     axis->faults |= fresh;

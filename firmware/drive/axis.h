@@ -15,6 +15,7 @@
 #include "drive/feedback.h"
 #include "drive/heat_watch.h"
 #include "drive/phase_watch.h"
+#include "drive/stall_proof.h"
 #include "drive/startup.h"
 #include "drive/state_machine.h"
 #include "drive/stop.h"
@@ -133,6 +134,7 @@ typedef struct axis {
     uint16_t bus_limits; /* LIMIT_ bits that the bus sets on every axis */
     bool calibrated;
     rotor_search_t search;
+    stall_proof_t proof;
     current_loop_t current_loop;
     dq_t current_ref;
     motion_state_t motion;

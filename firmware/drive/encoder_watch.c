@@ -8,6 +8,8 @@
 #define TOGGLES_LEAST 12  /* changes of the count in it: 375 Hz, no shaft dithers so fast */
 #define WINDOWS_MOST 2
 #define TURNING_TICKS 8
+#define SWEPT_MOST 16384U /* a quarter of a turn; an eighth is looked for */
+#define ASK_TICKS 4         /* the current controllers take less */
 #define STILL_TICKS 60    /* of voltage that stays where it is */
 #define SHORT_TICKS 8
 #define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
@@ -69,27 +71,67 @@ static dq_t unexplained(const axis_t *axis)
     return rest;
 }
 
+/* Half of the resistance's voltage. */
+static int32_t half_drop(const axis_t *axis)
+{
+    const dq_t i = axis->current_loop.current;
+    return asr32(f32_gain(length_about(i.d, i.q) * INT32_C(32768), axis->config->phases.resistance), 16);
+}
+
 /* What half of the resistance, dead time and switches may account for. Nobody compensates these at small currents. */
 static int32_t tolerated(const axis_t *axis)
 {
     const phase_watch_config_t *config = &axis->config->phases;
     const dq_t i = axis->current_loop.current;
-    const int32_t size = length_about(i.d, i.q);
-    const bool exact = (axis->features & FEATURE_DEAD_TIME) != 0U && size > config->silent;
-    const int32_t half = asr32(f32_gain(size * INT32_C(32768), config->resistance), 16);
-    return (exact ? 1 : 2) * (int32_t)config->emf_floor + half;
+    const bool exact = (axis->features & FEATURE_DEAD_TIME) != 0U && length_about(i.d, i.q) > config->silent;
+    return (exact ? 1 : 2) * (int32_t)config->emf_floor + half_drop(axis);
 }
 
-static void note_voltage(encoder_watch_t *w, dq_t voltage)
+/* What the controllers add up for a current that does not flow turns, too, but more slowly than a rotor with a back-EMF of
+ * that size. `beyond`: more than other reasons may account for. */
+static void note_voltage(encoder_watch_t *w, dq_t voltage, int32_t beyond, int32_t turn_per_voltage)
 {
-    if (w->turning == 0U) {
+    const bool rigid = !w->turned && w->swept > SWEPT_MOST;
+    if (w->turning == 0U || rigid) {
         w->emf = voltage;
+        w->swept = 0;
         w->turned = false;
+        w->rigid = rigid || (w->turning > 0U && w->rigid);
     }
+    w->swept += (uint32_t)asr64((int64_t)beyond * turn_per_voltage, 15);
     const int32_t along = asr32((int32_t)voltage.d * w->emf.d, 1) + asr32((int32_t)voltage.q * w->emf.q, 1);
     const int32_t across = asr32((int32_t)voltage.d * w->emf.q, 1) - asr32((int32_t)voltage.q * w->emf.d, 1);
     w->turned = w->turned || along < across || along < -across; /* more than an eighth of a turn */
     w->turning++;
+}
+
+static bool current_flows(const axis_t *axis)
+{
+    const dq_t i = axis->current_loop.current;
+    return length_about(i.d, i.q) >= (int32_t)axis->config->phases.silent;
+}
+
+frac16_t encoder_watch_asks(const axis_t *axis)
+{
+    const int32_t asked = 4 * (int32_t)axis->config->phases.silent;
+    const frac16_t most = axis->limits.i_q;
+    return (axis->encoder_watch.asking == 0U) ? 0 : (asked < most) ? (frac16_t)asked : most;
+}
+
+/* The voltage turns like a back-EMF. Where no current flows, or the voltage has stood before for longer than a back-EMF
+ * does, it may be what the controllers add up in vain: then a current is asked for, for as long as they take. */
+static fault_set_t lost(axis_t *axis)
+{
+    encoder_watch_t *w = &axis->encoder_watch;
+    if (w->asking == 0U && !w->rigid && current_flows(axis)) {
+        return phase_watch_rather(axis, FAULT_ENCODER_LOST);
+    }
+    w->asking++;
+    if (w->asking <= ASK_TICKS) {
+        return 0;
+    }
+    w->asking = 0;
+    return phase_watch_rather(axis, current_flows(axis) ? FAULT_ENCODER_LOST : FAULT_PHASE_LOST);
 }
 
 /* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
@@ -103,14 +145,16 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
     }
     const dq_t voltage = unexplained(axis);
     const int32_t size = length_about(voltage.d, voltage.q);
-    if (size > tolerated(axis)) {
-        note_voltage(w, voltage);
+    const int32_t beyond = size - tolerated(axis);
+    if (beyond > 0) {
+        note_voltage(w, voltage, beyond, axis->config->phases.turn_per_voltage);
     } else if (w->turning > 0U) {
         w->turning--;
     }
-    w->in_vain = (size > 4 * (int32_t)axis->config->phases.emf_floor) ? (uint16_t)(w->in_vain + 1U) : 0U;
-    if (w->turning >= TURNING_TICKS && w->turned) {
-        return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST);
+    const int32_t much = 4 * (int32_t)axis->config->phases.emf_floor + half_drop(axis);
+    w->in_vain = (size > much) ? (uint16_t)(w->in_vain + 1U) : 0U;
+    if (w->asking > 0U || (w->turning >= TURNING_TICKS && w->turned)) {
+        return lost(axis);
     }
     return (w->in_vain >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
 }

@@ -23,8 +23,11 @@ typedef struct {
     bool sudden;      /* it has come to rest at once */
     uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
     uint16_t in_vain; /* slow ticks of much of it */
+    uint16_t asking;  /* slow ticks for which a current has been asked to see whether any flows */
     dq_t emf;         /* that voltage at first .. */
-    bool turned;      /* .. and it has pointed elsewhere since */
+    uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
+    bool turned;      /* .. and it has pointed elsewhere */
+    bool rigid;       /* it has not for longer than that */
 } encoder_watch_t;
 
 struct axis;
@@ -36,6 +39,9 @@ fault_set_t encoder_watch_count(struct axis *axis);
 
 /* One slow tick of current control with the encoder's angle. */
 fault_set_t encoder_watch_voltage(struct axis *axis);
+
+/* i_d that is asked for to see whether any current flows. */
+frac16_t encoder_watch_asks(const struct axis *axis);
 
 /* What an over-current may really have been: windings shorted because the shaft seemed to rest. */
 fault_set_t encoder_watch_suspects(const struct axis *axis);

@@ -5,6 +5,8 @@
 #define SILENT_TICKS 8  /* 4 ms: longer than any phase is silent at a speed at which currents do not follow */
 #define NOTHING_TICKS 40
 #define SUSPECT_TICKS 2
+#define NOTHING_SUSPECT 8
+#define NOTHING_FADE_TICKS 4
 #define WINDOW 64       /* samples of a code */
 #define NOISE_LEAST 4   /* codes between the extremes of a window: less may be quiet by chance */
 #define SAME_BY_CHANCE 16
@@ -15,6 +17,7 @@
 #define FADE_TICKS 128
 #define FAINT_MOST 14   /* of these ticks without enough current to tell directions */
 #define DIRECTIONS 6    /* of 8: a whole phase is silent in 4 of them at most, where it changes its sign */
+#define SUSPECT_DIRECTIONS 3 /* of these 2 in a row at most */
 
 void phase_watch_start(phase_watch_t *watch) { *watch = (phase_watch_t){0}; }
 
@@ -206,11 +209,21 @@ static bool nothing_flows(const axis_t *axis)
            length_about(u.d, u.q - emf) > 2 * (int32_t)config->emf_floor + larger(emf, -emf) / 2 + 2 * drop;
 }
 
+/* Quickly seen and slowly forgotten: an observer that has lost its rotor asks for anything. */
+static void note_nothing(phase_watch_t *w, bool nothing)
+{
+    if (nothing) {
+        w->nothing++;
+    } else if (w->nothing > 0U && w->age % NOTHING_FADE_TICKS == 0U) {
+        w->nothing--;
+    }
+}
+
 /* Current is asked of a phase, the others have some, it has none. */
 static void compare(phase_watch_t *w, int32_t silent, const phases_t *is, const phases_t *wanted)
 {
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
-        if (is->phase[x] < silent && wanted->phase[x] > 3 * silent) {
+        if (is->phase[x] < silent && wanted->phase[x] > 2 * silent) {
             w->silent[x]++;
             w->lost = w->lost || w->silent[x] >= SILENT_TICKS;
         }
@@ -233,13 +246,13 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
             note_silence(w, config, x, is.phase[x], largest, bit);
         }
     }
-    if (largest > 3 * (int32_t)config->silent) {
+    if (largest > 2 * (int32_t)config->silent) {
         const phases_t wanted = sizes(axis->current_ref, at);
         compare(w, config->silent, &is, &wanted);
     }
     w->faint = (uint16_t)(w->faint + ((largest > config->least) ? 0U : 1U));
     forget(w);
-    w->nothing = nothing_flows(axis) ? (uint16_t)(w->nothing + 1U) : 0U;
+    note_nothing(w, nothing_flows(axis));
     const bool nothing = w->nothing >= NOTHING_TICKS && axis->substate == SUBSTATE_SPIN; /* the other states search */
     return (w->lost || nothing) ? phase_watch_or(w, FAULT_PHASE_LOST) : 0U;
 }
@@ -247,9 +260,18 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
 fault_set_t phase_watch_suspects(const phase_watch_t *watch)
 {
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
-        if (watch->silent[x] >= SUSPECT_TICKS && !doubtful(watch) && !frozen(watch, x, SUSPECT_TICKS)) {
+        const bool silent = watch->silent[x] >= SUSPECT_TICKS || count_bits(watch->sectors[x]) >= SUSPECT_DIRECTIONS;
+        if (silent && !doubtful(watch) && !frozen(watch, x, SUSPECT_TICKS)) {
             return FAULT_PHASE_LOST;
         }
     }
     return 0;
+}
+
+fault_set_t phase_watch_rather(const axis_t *axis, fault_set_t fault)
+{
+    const phase_watch_t *w = &axis->phases;
+    const bool phase = phase_watch_suspects(w) != 0U || w->nothing >= NOTHING_SUSPECT;
+    const bool told = phase && (axis->faults_enabled & FAULT_PHASE_LOST) != 0U;
+    return phase_watch_or(w, told ? FAULT_PHASE_LOST : fault);
 }

@@ -15,6 +15,7 @@ typedef struct {
     frac16_t least;       /* largest phase current from which on the directions of silence are noted */
     gain_t resistance;    /* full-scale current over full-scale voltage */
     frac16_t emf_floor;   /* voltage that switches and dead time leave unexplained */
+    int32_t turn_per_voltage; /* of a rotor within a slow tick, for its back-EMF at full scale, 2^16 is a turn */
 } phase_watch_config_t;
 
 typedef struct {
@@ -48,6 +49,9 @@ fault_set_t phase_watch_currents(struct axis *axis, frac16_t theta_e);
 
 /* `fault`, or CURRENT_SENSE while a converter looks wrong: then nothing else can be believed. */
 fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault);
+
+/* `fault`, or what is already suspected to be its cause: a converter or a phase. */
+fault_set_t phase_watch_rather(const struct axis *axis, fault_set_t fault);
 
 /* What an over-current may really have been. */
 fault_set_t phase_watch_suspects(const phase_watch_t *watch);

@@ -55,6 +55,7 @@ static void ready_align(axis_t *axis)
 {
     choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search looks at voltages */
     rotor_search_start(&axis->search, axis->feedback.position);
+    axis->proof.runs = false;
     enter(axis, SUBSTATE_ALIGN);
 }
 
@@ -66,6 +67,16 @@ static void align_spin(axis_t *axis)
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);
     enter(axis, SUBSTATE_SPIN);
+}
+
+/* Before a shaft is called stalled: where is the rotor? */
+static void spin_align(axis_t *axis)
+{
+    estimate_stop(axis);
+    axis->fast = LOOP_FAST;
+    choose_dead_time(axis, FEATURE_DEAD_TIME);
+    stall_proof_start(axis);
+    enter(axis, SUBSTATE_ALIGN);
 }
 
 static void to_freewheel(axis_t *axis)
@@ -150,7 +161,9 @@ static void ready_slow(axis_t *axis)
 
 static void align_fast(axis_t *axis)
 {
-    if (rotor_search_drives(&axis->search)) {
+    if (axis->proof.runs) {
+        stall_proof_fast(axis);
+    } else if (rotor_search_drives(&axis->search)) {
         drive_current(axis, rotor_search_angle(&axis->search));
         rotor_search_watch(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
                            axis->current_loop.voltage.q);
@@ -174,6 +187,10 @@ static void end_search(axis_t *axis, fault_set_t reason)
 static void align_slow(axis_t *axis)
 {
     track_offsets(axis);
+    if (axis->proof.runs && axis->requested) {
+        stall_proof_slow(axis);
+        return;
+    }
     const bool driven = rotor_search_drives(&axis->search);
     const fault_set_t failure = search_failure(axis);
     rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
@@ -183,6 +200,8 @@ static void align_slow(axis_t *axis)
         to_ready(axis);
     } else if (axis->search.phase == ROTOR_SEARCH_BLIND) {
         end_search(axis, FAULT_ENCODER_LOST);
+    } else if (axis->search.phase == ROTOR_SEARCH_STARVED) {
+        end_search(axis, phase_watch_or(&axis->phases, FAULT_PHASE_LOST));
     } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
         axis_raise(axis, FAULT_ENCODER_REVERSED);
     } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {
@@ -223,7 +242,7 @@ static void spin_sensorless(axis_t *axis)
     pll_push(&estimate->pll, &axis->config->pll, axis->current_loop.current.q, estimate->along);
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
     if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost) {
-        axis_raise(axis, FAULT_SPEED_FEEDBACK);
+        axis_raise(axis, phase_watch_rather(axis, FAULT_SPEED_FEEDBACK));
     }
 }
 
@@ -250,6 +269,7 @@ static void spin_slow(axis_t *axis)
     choose_dead_time(axis, axis->features);
     current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
     motion_step(axis);
+    axis->current_ref.d = f16_add(axis->current_ref.d, encoder_watch_asks(axis));
     if (axis->sensorless) {
         spin_sensorless(axis);
     } else if (axis->estimate.runs || (axis->features & FEATURE_ANGLE_CHECK) != 0U) {
@@ -259,7 +279,12 @@ static void spin_slow(axis_t *axis)
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
-    axis_raise(axis, supervision_step(axis));
+    const fault_set_t faults = supervision_step(axis) & axis->faults_enabled;
+    if (faults == FAULT_STALLED && axis->requested && !axis->sensorless) {
+        spin_align(axis);
+        return;
+    }
+    axis_raise(axis, (faults == FAULT_RUNAWAY) ? phase_watch_rather(axis, FAULT_RUNAWAY) : faults);
     if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
         bring_to_rest(axis);
     }

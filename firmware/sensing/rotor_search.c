@@ -329,7 +329,7 @@ void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *con
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (search->starved >= STARVED_MOST) {
-        finish(search, ROTOR_SEARCH_HELD);
+        finish(search, ROTOR_SEARCH_STARVED);
         return;
     }
     switch (search->phase) {

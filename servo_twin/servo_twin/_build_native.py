@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from cffi import FFI
@@ -78,8 +78,19 @@ def _relative(paths: Iterable[Path]) -> list[str]:
     return [os.path.relpath(path) for path in paths]
 
 
-def make_ffi(module: str, native: Iterable[Path], options: Iterable[str] = ()) -> FFI:
-    """Description of one extension module for the compiler."""
+def _absolute(paths: Iterable[Path]) -> list[str]:
+    """Paths for a compiler that is started from another folder."""
+    return [str(path.resolve()) for path in paths]
+
+
+def make_ffi(
+    module: str,
+    native: Iterable[Path],
+    options: Iterable[str] = (),
+    sources: Iterable[Path] | None = None,
+    paths: Callable[[Iterable[Path]], list[str]] = _relative,
+) -> FFI:
+    """Description of one extension module for the compiler; `sources` in the place of the firmware's."""
     headers = sorted([*NATIVE.rglob("*.h"), *FIRMWARE.rglob("*.h")])
     builder = FFI()
     for header in (NATIVE / "chip" / "trace.h", NATIVE / "board.h"):
@@ -87,18 +98,28 @@ def make_ffi(module: str, native: Iterable[Path], options: Iterable[str] = ()) -
     builder.set_source(
         module,
         _PREAMBLE,
-        sources=_relative([NATIVE / "board.c", *native, *sorted((NATIVE / "plant").glob("*.c")), *firmware_sources()]),
-        include_dirs=_relative([NATIVE, FIRMWARE]),
-        depends=_relative(headers),
+        sources=paths(
+            [NATIVE / "board.c", *native, *sorted((NATIVE / "plant").glob("*.c")), *(sources or firmware_sources())]
+        ),
+        include_dirs=paths([NATIVE, FIRMWARE]),
+        depends=paths(headers),
         libraries=["m"],
         extra_compile_args=[*_OPTIONS, *_WARNINGS, *options, f"-isystem{sysconfig.get_paths()['include']}"],
     )
     return builder
 
 
-ffi = make_ffi("servo_twin._native", [NATIVE / name for name in ("board_ideal.c", "ideal_chip.c", "uart.c")])
-registers_ffi = make_ffi(
-    "servo_twin._registers",
-    [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c")), *sorted(PORT.glob("*.c"))],
-    ["-DCHIP_ON_HOST"],
-)
+_IDEAL = [NATIVE / name for name in ("board_ideal.c", "ideal_chip.c", "uart.c")]
+_REGISTERS = [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c")), *sorted(PORT.glob("*.c"))]
+_ON_HOST = ["-DCHIP_ON_HOST"]
+
+
+def board_ffi(module: str, level: str, config: Path) -> FFI:
+    """A module with another ``servo_config_gen.c``, for `cffi.FFI.compile` in a folder of its own."""
+    sources = [config if path.name == "servo_config_gen.c" else path for path in firmware_sources()]
+    native, options = (_IDEAL, []) if level == "ideal" else (_REGISTERS, _ON_HOST)
+    return make_ffi(module, native, options, sources, _absolute)
+
+
+ffi = make_ffi("servo_twin._native", _IDEAL)
+registers_ffi = make_ffi("servo_twin._registers", _REGISTERS, _ON_HOST)

@@ -14,7 +14,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ __all__ = [
     "BoardError",
     "BoardStats",
     "ChipError",
+    "Firmware",
     "Level",
     "SimulationError",
     "Truth",
@@ -53,7 +54,18 @@ Level = Literal["registers", "ideal"]
 LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
 """Environment variable that names the level of boards for which nobody does."""
 
-_MODULES: Final[Mapping[Level, Any]] = {"registers": _registers_module, "ideal": _ideal_module}
+
+class Firmware(NamedTuple):
+    """Firmware, chip and plant as cffi has compiled them."""
+
+    ffi: Any
+    lib: Any
+
+
+_FIRMWARE: Final[Mapping[Level, Firmware]] = {
+    "registers": Firmware(_registers_module.ffi, _registers_module.lib),
+    "ideal": Firmware(_ideal_module.ffi, _ideal_module.lib),
+}
 
 _IDLE: Final = (1 << 64) - 1
 
@@ -67,10 +79,10 @@ def chosen_level(level: Level | None = None) -> Level:
         If there is no such level.
     """
     name = level or os.environ.get(LEVEL_VARIABLE, "ideal")
-    for known in _MODULES:
+    for known in _FIRMWARE:
         if name == known:
             return known
-    raise ValueError(f"level {name!r}: a board has the levels {', '.join(_MODULES)}")
+    raise ValueError(f"level {name!r}: a board has the levels {', '.join(_FIRMWARE)}")
 
 
 class SimulationError(RuntimeError):
@@ -181,6 +193,8 @@ class Board:
         else ``ideal``.
     core : CoreLoad, optional
         How long the handlers take at register level; the packaged ``core.toml`` by default.
+    firmware : Firmware, optional
+        Compiled with another configuration (`servo_twin.firmware_build`), for a board of that level.
     """
 
     def __init__(
@@ -192,13 +206,14 @@ class Board:
         catalogue: Catalogue | None = None,
         level: Level | None = None,
         core: CoreLoad | None = None,
+        firmware: Firmware | None = None,
     ) -> None:
         if not 0 <= seed < 1 << 64:
             raise ValueError(f"seed {seed} is not within 0 .. 2^64 - 1")
         if not 100.0 <= baud <= 1e8:
             raise ValueError(f"baud {baud} is not within 100 .. 100 million")
         self.level = chosen_level(level)
-        self._ffi, self._lib = _MODULES[self.level].ffi, _MODULES[self.level].lib
+        self._ffi, self._lib = firmware or _FIRMWARE[self.level]
         self.plant = plant or PlantConfig.load()
         self.catalogue = catalogue or Catalogue.load()
         handle = self._lib.board_new(_native_config(self._ffi, self.plant, core or CoreLoad.load(), seed, baud))

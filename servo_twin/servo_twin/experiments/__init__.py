@@ -6,14 +6,17 @@ Bounds come from the reference design or from the physics of the plant that is g
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Final
 
 from servo_twin.experiments import (
     anti_windup,
     braking,
     bus_ripple,
+    fault_campaign,
     fault_matrix,
     feed_forward,
     friction,
@@ -40,15 +43,32 @@ __all__ = ["EXPERIMENTS", "Experiment"]
 
 @dataclass(frozen=True)
 class Experiment:
-    """An entry of the registry."""
+    """An entry of the registry.
+
+    Attributes
+    ----------
+    name, help : str
+        For the command line.
+    run : callable
+        The experiment on a plant with a seed.
+    add_options, with_options : callable or None
+        What it can be told beyond these: options for its parser, and the experiment as parsed options ask for it.
+    """
 
     name: str
     help: str
     run: Callable[[PlantConfig, int], Outcome]
+    add_options: Callable[[argparse.ArgumentParser], None] | None = None
+    with_options: Callable[[argparse.Namespace], Callable[[PlantConfig, int], Outcome]] | None = None
+
+
+def _entry(module: ModuleType) -> Experiment:
+    options = (getattr(module, name, None) for name in ("add_options", "with_options"))
+    return Experiment(module.NAME, module.HELP, module.run, *options)
 
 
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {
-    module.NAME: Experiment(module.NAME, module.HELP, module.run)
+    module.NAME: _entry(module)
     for module in (
         anti_windup,
         position,
@@ -70,5 +90,6 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         minimum_speed,
         stall,
         fault_matrix,
+        fault_campaign,
     )
 }

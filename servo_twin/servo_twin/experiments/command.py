@@ -46,6 +46,8 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
             description=entry.help,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
+        if entry.add_options is not None:
+            entry.add_options(parser)
         parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the picture to this file")
         parser.add_argument("--out", type=Path, metavar="FOLDER", help="table, picture and summary to this folder")
         parser.set_defaults(run=_run, names=[entry.name])
@@ -80,6 +82,7 @@ def run_experiments(
     folder: Path | None = None,
     quiet: bool = False,
     level: Level | None = None,
+    options: argparse.Namespace | None = None,
 ) -> list[Outcome]:
     """Run experiments one after the other, print their tables and fill the folder as they finish.
 
@@ -97,13 +100,15 @@ def run_experiments(
         Print no tables.
     level : {"registers", "ideal"}, optional
         Of the boards; by default as in `Board`.
+    options : argparse.Namespace, optional
+        Parsed options of the only experiment that is named.
     """
     outcomes: list[Outcome] = []
     with at_level(level):
         notes = _differences(plant, seed)
     for name in names:
         with at_level(level):
-            attempt = _attempt(name, plant, seed)
+            attempt = _attempt(name, plant, seed, options)
         outcome = dataclasses.replace(attempt, notes=attempt.notes + notes, level=chosen_level(level))
         outcomes.append(outcome)
         if not quiet:
@@ -124,10 +129,12 @@ def _differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
         return ()
 
 
-def _attempt(name: str, plant: PlantConfig, seed: int) -> Outcome:
+def _attempt(name: str, plant: PlantConfig, seed: int, options: argparse.Namespace | None) -> Outcome:
     """Run one experiment; a plant that it cannot run on is a result, too."""
+    entry = EXPERIMENTS[name]
+    run = entry.run if options is None or entry.with_options is None else entry.with_options(options)
     try:
-        return EXPERIMENTS[name].run(plant, seed)
+        return run(plant, seed)
     except SimulationError as error:
         row = Row("can be run", "it was", None, "", Bound(1.0, 1.0))
         return Outcome(name, (row,), (), (str(error),))
@@ -135,7 +142,8 @@ def _attempt(name: str, plant: PlantConfig, seed: int) -> Outcome:
 
 def _run(args: argparse.Namespace) -> int:
     plant = PlantConfig.load(args.plant)
-    outcomes = run_experiments(args.names, plant, args.seed, args.out, quiet=args.json, level=args.level)
+    options = args if len(args.names) == 1 else None
+    outcomes = run_experiments(args.names, plant, args.seed, args.out, args.json, args.level, options)
     if args.plot is not None:
         draw(outcomes[0], args.plot)
     if args.json:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.board import Board, Level, chosen_level
+from servo_twin.board import Board, Firmware, Level, chosen_level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError, enable
 
@@ -122,9 +122,9 @@ def level() -> Level:
     return chosen_level(_level.get())
 
 
-def fresh_board(plant: PlantConfig, seed: int) -> Board:
+def fresh_board(plant: PlantConfig, seed: int, firmware: Firmware | None = None) -> Board:
     """A board of the level of this bench, just switched on."""
-    return Board(plant, seed=seed, level=level())
+    return Board(plant, seed=seed, level=level(), firmware=firmware)
 
 
 JITTER_REACH: Final = math.sqrt(6.0)  # standard deviations of an edge's jitter, which go no further

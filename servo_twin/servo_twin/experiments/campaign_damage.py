@@ -1,0 +1,222 @@
+"""What can break in the experiment fault-campaign, with random parameters, and what it may be called."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from servo_twin.board import Board
+from servo_twin.experiments.campaign_states import State
+from servo_twin.harm import (
+    BusNoise,
+    CurrentNoise,
+    EncoderGlitches,
+    Harm,
+    HotPowerStage,
+    LockedRotor,
+    OpenPhase,
+    ShortedPhase,
+    StalledCore,
+    StuckConverter,
+    StuckLine,
+    SupplyDip,
+)
+from servo_twin.plant import PlantConfig
+
+__all__ = ["DAMAGES", "NOTHING", "NO_DAMAGE", "Damage", "Seen", "Where", "no_damage"]
+
+NO_DAMAGE: Final = "no damage"
+"""Kind of the trials that look for false alarms."""
+
+NOTHING: Final = ""
+"""Name of no fault."""
+
+PHASES: Final = ("a", "b", "c")
+UNDER, OVER = 16.0, 33.0  # limits of the bus in servo.toml [V]
+NEAR: Final = 0.5  # noise and filter leave it open on which side of them the bus was [V]
+WATCHDOG: Final = 0.05  # s
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the plant went through between the cause and the name.
+
+    Attributes
+    ----------
+    u_least, u_most : float
+        Extremes of the bus [V].
+    """
+
+    u_least: float
+    u_most: float
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One kind of damage with its parameters.
+
+    Attributes
+    ----------
+    kind : str
+        One of `DAMAGES`.
+    text : str
+        The same with the parameters.
+    strike : callable
+        Does it to a board.
+    names : callable
+        Names that are right, given what the plant went through; `NOTHING` for none.
+    shows : bool
+        It has to be found at the latest when the axis is asked to move.
+    stalls : bool
+        The firmware loses count of its periods.
+    """
+
+    kind: str
+    text: str
+    strike: Callable[[Board], None]
+    names: Callable[[Seen], tuple[str, ...]]
+    shows: bool = True
+    stalls: bool = False
+
+
+@dataclass(frozen=True)
+class Where:
+    """What a damage is drawn for."""
+
+    plant: PlantConfig
+    axis: int
+    state: State
+
+
+def _harm(kind: str, harm: Harm, *names: str) -> Damage:
+    return Damage(kind, str(harm), lambda board: board.inject(harm), lambda seen: names, shows=NOTHING not in names)
+
+
+def _open(rng: random.Random, at: Where) -> Damage:
+    return _harm("open phase", OpenPhase(at.axis, rng.choice("abc")), "PHASE_LOST")  # type: ignore[arg-type]
+
+
+def _cable(rng: random.Random, at: Where) -> Damage:
+    return Damage(
+        "motor cable", "no motor", lambda board: board.connect_motor(at.axis, False), lambda seen: ("PHASE_LOST",)
+    )
+
+
+def _to_minus(rng: random.Random, at: Where) -> Damage:
+    phase = rng.choice("abc")
+    return _harm("short to minus", ShortedPhase(at.axis, phase, "minus"), "OVER_CURRENT")  # type: ignore[arg-type]
+
+
+def _between(rng: random.Random, at: Where) -> Damage:
+    one, other = rng.sample("abc", 2)
+    return _harm("short between phases", ShortedPhase(at.axis, one, other), "OVER_CURRENT")  # type: ignore[arg-type]
+
+
+def _converter(rng: random.Random, at: Where) -> Damage:
+    code = rng.choice((0, 4095, rng.randint(0, 4095), rng.randint(0, 4095), rng.randint(1990, 2110)))
+    # Stuck before the offsets are measured it is an offset that cannot be.
+    names = ("CURRENT_SENSE",) if at.state.calibrated else ("CURRENT_SENSE", "CURRENT_OFFSET")
+    return _harm("converter stuck", StuckConverter(at.axis, rng.choice("abc"), code), *names)  # type: ignore[arg-type]
+
+
+def _line(rng: random.Random, at: Where) -> Damage:
+    line = StuckLine(at.axis, rng.choice("AB"), rng.random() < 0.5)  # type: ignore[arg-type]
+    return _harm("encoder line", line, "ENCODER_LOST")
+
+
+def _plug(rng: random.Random, at: Where) -> Damage:
+    return Damage(
+        "encoder plug",
+        "no encoder",
+        lambda board: board.connect_encoder(at.axis, False),
+        lambda seen: ("ENCODER_LOST",),
+    )
+
+
+def _held(rng: random.Random, at: Where) -> Damage:
+    # In motion, during the search; without an encoder: where the observer had it, or where it was to be started.
+    names = ("SPEED_FEEDBACK", "START_UP") if at.state.sensorless else ("STALLED", "ROTOR_SEARCH")
+    return _harm("rotor held", LockedRotor(at.axis), *names)
+
+
+def _by_voltage(seen: Seen) -> tuple[str, ...]:
+    names: list[str] = []
+    if seen.u_least < UNDER + NEAR:
+        names.append("UNDER_VOLTAGE")
+    if seen.u_most > OVER - NEAR:
+        names.append("OVER_VOLTAGE")
+    if seen.u_least > UNDER - NEAR and seen.u_most < OVER + NEAR:
+        names.append(NOTHING)
+    return tuple(names)
+
+
+def _dip(rng: random.Random, at: Where) -> Damage:
+    seconds = rng.choice((math.inf, 10.0 ** rng.uniform(-3.0, 0.0)))
+    dip = SupplyDip(rng.choice((0.0, rng.uniform(0.0, 23.0), rng.uniform(16.5, 23.0))), seconds)
+    return Damage("supply dip", str(dip), lambda board: board.inject(dip), _by_voltage, shows=False)
+
+
+def _surge(rng: random.Random, at: Where) -> Damage:
+    surge = SupplyDip(rng.uniform(25.0, 36.0), rng.choice((math.inf, 10.0 ** rng.uniform(-3.0, 0.0))))
+    return Damage("supply surge", str(surge), lambda board: board.inject(surge), _by_voltage, shows=False)
+
+
+def _heat(rng: random.Random, at: Where) -> Damage:
+    return _harm("heat", HotPowerStage(at.axis, rng.uniform(87.0, 145.0)), "OVER_TEMPERATURE")
+
+
+def _stall(rng: random.Random, at: Where) -> Damage:
+    harm = StalledCore(10.0 ** rng.uniform(-3.3, -0.7))
+    late, dead = harm.seconds < 1.1 * WATCHDOG, harm.seconds > 0.9 * WATCHDOG
+    names = (*(("LATE_LOOP",) if late else ()), *(("WATCHDOG",) if dead else ()))
+    return Damage(
+        "core stalled", str(harm), lambda board: board.inject(harm), lambda seen: names, shows=False, stalls=True
+    )
+
+
+def _noise(rng: random.Random, at: Where) -> Damage:
+    noise = CurrentNoise(at.axis, rng.uniform(1.0, 3.0) * at.plant.axes[at.axis].i_noise)
+    return _harm("current noise", noise, NOTHING)
+
+
+def _bus_noise(rng: random.Random, at: Where) -> Damage:
+    return _harm("bus noise", BusNoise(rng.uniform(1.0, 10.0) * at.plant.bus.u_noise), NOTHING)
+
+
+def _glitches(rng: random.Random, at: Where) -> Damage:
+    glitches = EncoderGlitches(at.axis, rng.choice("AB"), rng.uniform(10.0, 300.0))  # type: ignore[arg-type]
+    return _harm("encoder glitches", glitches, NOTHING)
+
+
+DAMAGES: Final[Mapping[str, tuple[Callable[[random.Random, Where], Damage], bool]]] = {
+    "open phase": (_open, True),
+    "motor cable": (_cable, True),
+    "short to minus": (_to_minus, True),
+    "short between phases": (_between, True),
+    "converter stuck": (_converter, True),
+    "encoder line": (_line, False),
+    "encoder plug": (_plug, False),
+    "rotor held": (_held, True),
+    "supply dip": (_dip, True),
+    "supply surge": (_surge, True),
+    "heat": (_heat, True),
+    "core stalled": (_stall, True),
+    "current noise": (_noise, True),
+    "bus noise": (_bus_noise, True),
+    "encoder glitches": (_glitches, False),
+}
+"""How each kind is drawn, and whether it means anything to an axis without an encoder."""
+
+
+def no_damage(where: Where) -> Damage:
+    """Three times the usual noise, which is none."""
+    axis, bus = where.plant.axes[where.axis], where.plant.bus
+
+    def strike(board: Board) -> None:
+        board.inject(CurrentNoise(where.axis, 3.0 * axis.i_noise))
+        board.inject(BusNoise(3.0 * bus.u_noise))
+
+    return Damage(NO_DAMAGE, "noise", strike, lambda seen: (NOTHING,), shows=False)

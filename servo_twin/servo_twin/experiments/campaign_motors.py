@@ -1,0 +1,144 @@
+"""Motors of the experiment fault-campaign: those of the plant, and others, each with a firmware tuned for it."""
+
+from __future__ import annotations
+
+import functools
+import random
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.board import Board, Firmware, Level
+from servo_twin.experiments.rig import fresh_board, level
+from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
+from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.simulation import SimulationError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["MOTORS", "OTHERS", "OWN", "Motor", "deviating"]
+
+OWN: Final = ("axis1", "axis2")
+"""The motors of the plant, as the experiment names them."""
+
+_TABLES: Final[Mapping[str, Mapping[str, Any]]] = tomllib.loads(
+    Path(__file__).with_name("motors.toml").read_text(encoding="utf-8")
+)
+
+OTHERS: Final = tuple(_TABLES)
+"""The motors of ``motors.toml``."""
+
+MOTORS: Final = OWN + OTHERS
+"""All of them."""
+
+OBSERVED_LEAST: Final = 0.2
+"""Part of the speed limit from which on an axis without an encoder has to bear its full current."""
+
+DEVIATION: Final[Mapping[str, tuple[float, float]]] = {
+    "r_s": (0.9, 1.25),  # a warm winding has a quarter more
+    "l_d": (0.85, 1.15),
+    "l_q": (0.85, 1.15),
+    "psi_m": (0.95, 1.05),
+    "inertia": (0.8, 1.25),
+    "friction": (0.5, 1.5),
+    "viscous": (0.5, 1.5),
+}
+"""Least and largest part of what the controller believes that a motor really has."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """One motor on its board.
+
+    Attributes
+    ----------
+    name : str
+        One of `MOTORS`.
+    axis : int
+        Index of its axis.
+    plant : PlantConfig
+        Both motors of the board, as the controller believes.
+    group : str
+        Names the board: that of the plant, or what to tune the firmware for.
+    """
+
+    name: str
+    axis: int
+    plant: PlantConfig
+    group: str
+
+    @classmethod
+    def of(cls, name: str, plant: PlantConfig) -> Motor:
+        """A motor by its name; `plant` has those that are not in ``motors.toml``, and bus and sensors of all.
+
+        Raises
+        ------
+        SimulationError
+            If there is none of that name.
+        """
+        if name in OWN:
+            return cls(name, OWN.index(name), plant, "")
+        if name not in OTHERS:
+            raise SimulationError(f"no motor {name!r}; there are {', '.join(MOTORS)}")
+        first = OTHERS.index(name) // AXES * AXES
+        pair = [OTHERS[(first + k) % len(OTHERS)] for k in range(AXES)]
+        for axis, other in enumerate(pair):
+            plant = plant.with_axis(axis, **_truth(_TABLES[other]))
+        return cls(name, pair.index(name), plant, " ".join(pair))
+
+    @property
+    def believed(self) -> AxisPlant:
+        """What the controller takes this motor for."""
+        return self.plant.axes[self.axis]
+
+    @property
+    def observable(self) -> bool:
+        """Whether the observer can tell its back-EMF from what a warm winding takes beside the believed resistance."""
+        if not self.group:
+            return True  # the experiments without an encoder show that
+        motor, limits = self.believed, _TABLES[self.name]["limits"]
+        unknown = (DEVIATION["r_s"][1] - 1.0) * motor.r_s * float(limits["current"])
+        return motor.pole_pairs * motor.psi_m * OBSERVED_LEAST * float(limits["speed"]) > unknown
+
+    def firmware(self) -> Firmware | None:
+        """The firmware for its board, of the level of this bench; None: the usual one."""
+        return _firmware(self.group, level()) if self.group else None
+
+    def board(self, plant: PlantConfig, seed: int) -> Board:
+        """Its board, just switched on, on a plant that may deviate from what the controller believes."""
+        return fresh_board(plant, seed, self.firmware())
+
+
+def _truth(table: Mapping[str, Any]) -> dict[str, float]:
+    motor, friction = table["motor"], table["friction"]
+    values = {name: motor[name] for name in ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia")}
+    return {**values, "friction": friction["coulomb"], "viscous": friction["viscous"]}
+
+
+@functools.cache
+def _firmware(group: str, kind: Level) -> Firmware:
+    """Built once: a campaign is of one state of the sources."""
+    return build_firmware(_configuration(group), kind)
+
+
+def _configuration(group: str) -> str:
+    """Text of the ``servo.toml`` for two motors."""
+    table = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
+    for axis, name in enumerate(group.split()):
+        table[axis_name(axis)] = {"feedback": "encoder", **_TABLES[name]}
+    return as_toml(table)
+
+
+def deviating(plant: PlantConfig, rng: random.Random) -> PlantConfig:
+    """Copy of a plant whose motors are not quite what the controller believes."""
+    for axis, believed in enumerate(plant.axes):
+        changes = {name: getattr(believed, name) * rng.uniform(*part) for name, part in DEVIATION.items()}
+        plant = plant.with_axis(axis, **changes)
+    return plant

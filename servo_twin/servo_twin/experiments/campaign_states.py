@@ -1,0 +1,465 @@
+"""What an axis is doing when something breaks: states of the experiment fault-campaign, with random parameters."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from servo_msgs_py.catalogue import axis_name
+
+from servo_twin.board import Board
+from servo_twin.experiments.rig import TICK, choose_mode, command_position, command_speed, position_of, set_axis
+from servo_twin.plant import AxisPlant
+from servo_twin.simulation import SimulationError
+
+__all__ = ["MANOEUVRES", "STATES", "Bench", "Event", "Script", "State"]
+
+BOOT: Final = 0.03  # reset to STOP [s]
+SETTLED: Final = 0.1  # after the rotor search, whose last vector has moved the shaft [s]
+REACHED: Final = 5.0  # for any state [s]
+OTHER_PART: Final = 0.3  # of its speed limit, at which the other axis turns
+PROVOKED_PART: Final = 0.2  # of its speed limit, at which a silent axis is asked to move
+OBSERVED_PART: Final = 0.3  # the same without an encoder
+LOAD_STEPS: Final = 20  # of a load that grows, as an axis without an encoder cannot bear a blow
+
+
+@dataclass
+class Bench:
+    """A board, the axis that is looked at, and the other one.
+
+    Attributes
+    ----------
+    board : Board
+    axis : int
+    motor : AxisPlant
+        What is really there.
+    sensorless : bool
+        The axis does without its encoder.
+    wanted : float
+        Largest speed that the axis has been asked for, in size [rad/s]; the speed limit where it was a current.
+    """
+
+    board: Board
+    axis: int
+    motor: AxisPlant
+    sensorless: bool = False
+    wanted: float = 0.0
+    speed_limit: float = field(init=False)
+    acceleration: float = field(init=False)
+    current: float = field(init=False)
+    other_limit: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.speed_limit = self._parameter("param.speed_limit", self.axis)
+        self.acceleration = self._parameter("param.acceleration_limit", self.axis)
+        self.current = self._parameter("param.i_q_limit", self.axis)
+        self.other_limit = self._parameter("param.speed_limit", self.other)
+
+    def _parameter(self, name: str, axis: int) -> float:
+        values = self.board.read(name)
+        assert isinstance(values, list)
+        return float(values[axis])
+
+    @property
+    def other(self) -> int:
+        return 1 - self.axis
+
+    @property
+    def other_speed(self) -> float:
+        """At which the other axis turns [rad/s]."""
+        return OTHER_PART * self.other_limit
+
+    # ---- what it says
+    def word(self, name: str, axis: int | None = None) -> int:
+        """A variable of an axis as it stands in memory."""
+        return self.board.read_raw(f"{axis_name(self.axis if axis is None else axis)}.{name}")[0]
+
+    def place(self, axis: int | None = None) -> str:
+        """Sub-state of an axis, or its state."""
+        catalogue = self.board.catalogue
+        state = catalogue.label("state_t", self.word("state", axis))
+        return catalogue.label("substate_t", self.word("substate", axis)) if state == "RUN" else state
+
+    def faults(self, axis: int | None = None) -> set[str]:
+        """Faults of an axis by their names."""
+        return {f.name for f in self.board.catalogue.active("faults", self.word("faults", axis))}
+
+    def first_fault(self, axis: int | None = None) -> str:
+        """Name of the first fault, empty without one."""
+        code = self.word("first_fault", axis)
+        return next((f.name for f in self.board.catalogue.flags["faults"] if f.bit + 1 == code), "")
+
+    def until(self, what: str, holds: Callable[[], bool]) -> None:
+        """Run until something holds, which nothing but a fault prevents."""
+        for _ in range(round(REACHED / TICK)):
+            if holds():
+                return
+            if self.word("faults") or self.word("faults", self.other):
+                break
+            self.board.run(TICK)
+        faults = self.faults() | self.faults(self.other)
+        raise SimulationError(f"{what} was not reached but {self.place()}; faults: {', '.join(sorted(faults)) or '-'}")
+
+    # ---- what it is told
+    def enable(self, on: bool = True) -> None:
+        set_axis(self.board, "cmd.enable", self.axis, float(on))
+
+    def speed(self, speed: float) -> None:
+        """Speed set-point [rad/s] in speed mode."""
+        self.wanted = max(self.wanted, abs(speed))
+        choose_mode(self.board, self.axis, "SPEED")
+        command_speed(self.board, self.axis, speed)
+
+    def turn(self, turns: float) -> None:
+        """Position set-point so far from here, in position mode."""
+        self.wanted = self.speed_limit
+        choose_mode(self.board, self.axis, "POSITION")
+        command_position(self.board, self.axis, position_of(self.board, self.axis) + round(4000.0 * turns))
+
+    def torque(self, current: float) -> None:
+        """Current set-point [A] in torque mode."""
+        self.wanted = self.speed_limit
+        choose_mode(self.board, self.axis, "TORQUE")
+        set_axis(self.board, "cmd.i_q", self.axis, current)
+
+    def quick_stop(self) -> None:
+        set_axis(self.board, "cmd.quick_stop", self.axis, 1.0)
+
+    def load(self, part: float) -> None:
+        """Load torque, a part of what the current limit gives."""
+        self.board.set_load(self.axis, part * self.current * self.motor.torque_constant)
+
+    def blow(self, part: float) -> None:
+        """The same, if somebody stands against it."""
+        if self.place() == "SPIN":
+            self.load(part)
+
+    def provoke(self, sign: float) -> None:
+        """Ask the axis to move, whatever it was told before."""
+        self.load(0.0)
+        set_axis(self.board, "cmd.quick_stop", self.axis, 0.0)
+        self.enable()
+        self.speed(sign * (OBSERVED_PART if self.sensorless else PROVOKED_PART) * self.speed_limit)
+
+    # ---- ways into the states
+    def boot(self, other: bool = True) -> None:
+        """From reset to STOP; the other axis turns."""
+        self.board.write("param.host_timeout", 30.0)
+        self.board.run(BOOT)
+        if self.sensorless:
+            observer = self.board.catalogue.enums["feedback_kind_t"]["OBSERVER"]
+            set_axis(self.board, "param.feedback", self.axis, observer)
+        if other:
+            set_axis(self.board, "cmd.enable", self.other, 1.0)
+            self.until("SPIN of the other axis", lambda: self.place(self.other) == "SPIN")
+            choose_mode(self.board, self.other, "SPEED")
+            command_speed(self.board, self.other, self.other_speed)
+            self.board.run(0.2)
+
+    def hold(self) -> None:
+        self.enable()
+        self.until("SPIN", lambda: self.place() == "SPIN")
+        self.board.run(SETTLED)
+
+    def turning(self, speed: float) -> None:
+        """At a constant speed, with the encoder or without."""
+        if self.sensorless:
+            self.enable()
+            self.speed(speed)
+            self.until("SPIN", lambda: self.place() == "SPIN")
+        else:
+            self.hold()
+            self.speed(speed)
+        self.board.run(abs(speed) / self.acceleration + 0.15)
+
+
+Event = tuple[float, Callable[[], None]]
+"""Something that is done after so many seconds."""
+
+
+@dataclass(frozen=True)
+class Script:
+    """What goes on from the moment at which a state is reached.
+
+    Attributes
+    ----------
+    window : float
+        Something breaks within so many seconds.
+    events : list of Event
+        What the axis is told meanwhile and afterwards.
+    wait : float
+        For a fault, after something has broken [s].
+    """
+
+    window: float
+    events: list[Event] = field(default_factory=list)
+    wait: float = 0.7
+
+
+@dataclass(frozen=True)
+class State:
+    """What an axis is doing.
+
+    Attributes
+    ----------
+    name : str
+    begin : callable
+        Brings a board that has just been switched on there.
+    sensorless : bool
+        It does so without an encoder.
+    calibrated : bool
+        The offsets of the current amplifiers have been measured.
+    """
+
+    name: str
+    begin: Callable[[Bench, random.Random], Script]
+    sensorless: bool = False
+    calibrated: bool = True
+
+
+def _sign(rng: random.Random) -> float:
+    return rng.choice((-1.0, 1.0))
+
+
+def _part(bench: Bench, rng: random.Random, least: float, most: float) -> float:
+    return _sign(rng) * rng.uniform(least, most) * bench.speed_limit
+
+
+def _power_on(bench: Bench, rng: random.Random) -> Script:
+    bench.board.write("param.host_timeout", 30.0)
+    return Script(BOOT, [(rng.uniform(0.0, 2.0 * BOOT), bench.enable)])
+
+
+def _stop(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    return Script(0.1)
+
+
+def _calib(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    return Script(0.05, [(0.0, bench.enable)])
+
+
+def _search(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    bench.enable()
+    bench.until("ALIGN", lambda: bench.place() == "ALIGN")
+    return Script(1.0)
+
+
+def _hold(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    bench.hold()
+    return Script(0.2)
+
+
+def _move(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    bench.hold()
+    turns = _sign(rng) * 10.0 ** rng.uniform(-1.5, 1.0)
+    return Script(0.6, [(0.0, lambda: bench.turn(turns))])
+
+
+def _constant(least: float, most: float, load: float = 0.0) -> Callable[[Bench, random.Random], Script]:
+    """At a speed between parts of the limit. A load brakes: what drives the shaft for long, no bus would take back."""
+
+    def begin(bench: Bench, rng: random.Random) -> Script:
+        bench.boot()
+        speed = _part(bench, rng, least, most)
+        bench.turning(speed)
+        part = math.copysign(rng.uniform(0.5 * load, load), speed)
+        for k in range(LOAD_STEPS):
+            bench.load(part * (k + 1) / LOAD_STEPS)
+            bench.board.run(0.005)
+        return Script(0.3)
+
+    return begin
+
+
+def _acceleration(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    bench.hold()
+    speed = _part(bench, rng, 0.3, 1.0)
+    return Script(abs(speed) / bench.acceleration + 0.05, [(0.0, lambda: bench.speed(speed))])
+
+
+def _reversal(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    speed = _part(bench, rng, 0.2, 0.8)
+    bench.turning(speed)
+    return Script(2.0 * abs(speed) / bench.acceleration + 0.05, [(0.0, lambda: bench.speed(-speed))])
+
+
+def _braking(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    speed = _part(bench, rng, 0.3, 1.0)
+    bench.turning(speed)
+    how = rng.choice((lambda: bench.speed(0.0), bench.quick_stop, lambda: bench.enable(False)))
+    return Script(abs(speed) / bench.acceleration + 0.05, [(0.0, how)])
+
+
+def _torque(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    bench.hold()
+    friction = bench.motor.friction / bench.motor.torque_constant
+    current = _sign(rng) * (friction + rng.uniform(0.05, 0.4) * bench.current)
+    return Script(0.3, [(0.0, lambda: bench.torque(current))])
+
+
+def _coasting(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    bench.turning(_part(bench, rng, 0.1, 1.0))
+    coast = bench.board.catalogue.enums["stop_category_t"]["COAST"]
+    set_axis(bench.board, "param.on_disable", bench.axis, coast)
+    bench.enable(False)
+    return Script(0.3)
+
+
+def _swinging(bench: Bench, rng: random.Random) -> Script:
+    """Speed set-points of a sine, for as long as there are any."""
+    bench.boot()
+    bench.hold()
+    speed, frequency = _part(bench, rng, 0.1, 0.6), rng.uniform(2.0, 10.0)
+    step = 0.005
+
+    def at(k: int) -> Event:
+        return k * step, lambda: bench.speed(speed * math.sin(2.0 * math.pi * frequency * k * step))
+
+    return Script(0.5, [at(k) for k in range(round(1.5 / step))])
+
+
+def _rest(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    bench.enable()
+    return Script(0.2)
+
+
+def _start_up(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    bench.enable()
+    choose_mode(bench.board, bench.axis, "SPEED")
+    bench.board.run(0.1)
+    speed = _part(bench, rng, 0.1, 0.5)
+    return Script(0.8, [(0.0, lambda: bench.speed(speed))])
+
+
+def _observed_change(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    speed = _part(bench, rng, 0.1, 0.9)
+    bench.turning(speed)
+    another = math.copysign(rng.uniform(0.1, 0.9) * bench.speed_limit, speed)
+    change = abs(another - speed) / bench.acceleration
+    return Script(change + 0.05, [(0.0, lambda: bench.speed(another))])
+
+
+def _observed_stop(bench: Bench, rng: random.Random) -> Script:
+    bench.boot()
+    speed = _part(bench, rng, 0.1, 0.9)
+    bench.turning(speed)
+    another = rng.choice((0.0, -speed))
+    return Script(abs(speed) / bench.acceleration + 0.1, [(0.0, lambda: bench.speed(another))])
+
+
+STATES: Final[Mapping[str, State]] = {
+    state.name: state
+    for state in (
+        State("power-on", _power_on, calibrated=False),
+        State("stop", _stop, calibrated=False),
+        State("calibration", _calib, calibrated=False),
+        State("rotor search", _search),
+        State("hold", _hold),
+        State("position move", _move),
+        State("low speed", _constant(0.01, 0.08)),
+        State("high speed", _constant(0.5, 1.0)),
+        State("under load", _constant(0.1, 0.6, load=0.5)),
+        State("acceleration", _acceleration),
+        State("reversal", _reversal),
+        State("braking", _braking),
+        State("torque", _torque),
+        State("coasting", _coasting),
+        State("swinging", _swinging),
+        State("observer, rest", _rest, sensorless=True, calibrated=False),
+        State("observer, start-up", _start_up, sensorless=True),
+        State("observer, speed", _constant(0.06, 0.95), sensorless=True),
+        State("observer, under load", _constant(0.2, 0.6, load=0.25), sensorless=True),
+        State("observer, change", _observed_change, sensorless=True),
+        State("observer, stop", _observed_stop, sensorless=True),
+    )
+}
+"""All of them, by name."""
+
+
+# ---- nothing breaks
+LENGTH: Final = 3.0  # s
+
+
+def _ripple(bench: Bench, rng: random.Random) -> list[Event]:
+    """The supply swings by two volts."""
+    frequency, step = rng.uniform(50.0, 300.0), 0.001
+
+    def at(k: int) -> Event:
+        volts = 24.0 + 2.0 * math.sin(2.0 * math.pi * frequency * k * step)
+        return k * step, lambda: bench.board.set_supply(volts)
+
+    return [at(k) for k in range(round(LENGTH / step))]
+
+
+def _order(bench: Bench, rng: random.Random) -> Callable[[], None]:
+    """Anything that a host may ask of an axis, at any time."""
+    speed = _part(bench, rng, 0.0, 1.0)
+    turns = _sign(rng) * 10.0 ** rng.uniform(-2.0, 1.0)
+    current = rng.uniform(-1.0, 1.0) * bench.current
+    return rng.choice(
+        (
+            lambda: bench.speed(speed),
+            lambda: bench.speed(speed),
+            lambda: bench.turn(turns),
+            lambda: bench.torque(current),
+            bench.quick_stop,
+            lambda: bench.enable(False),
+        )
+    )
+
+
+def _manoeuvres(bench: Bench, rng: random.Random) -> Script:
+    """One order after the other, whether the last one has been carried out or not, and blows of the load."""
+    bench.boot()
+    bench.hold()
+    events, moment = _ripple(bench, rng), 0.0
+    while moment < LENGTH:
+        events.append((moment, _order(bench, rng)))
+        events.append((moment + 1e-3, bench.enable))  # the one that has withdrawn the drive, too
+        events.append((moment + 1e-3, lambda: set_axis(bench.board, "cmd.quick_stop", bench.axis, 0.0)))
+        blow, length = rng.uniform(-0.4, 0.4), rng.uniform(0.005, 0.1)
+        events.append((moment + 0.01, lambda blow=blow: bench.blow(blow)))  # type: ignore[misc]
+        events.append((moment + 0.01 + length, lambda: bench.load(0.0)))
+        moment += rng.uniform(0.12, 0.5)
+    return Script(0.0, events, LENGTH)
+
+
+def _observed_manoeuvres(bench: Bench, rng: random.Random) -> Script:
+    """Speeds of either sign, stops among them, and small blows."""
+    bench.boot()
+    bench.turning(_part(bench, rng, 0.1, 0.9))
+    events, moment = _ripple(bench, rng), 0.0
+    while moment < LENGTH:
+        speed = rng.choice((_part(bench, rng, 0.2, 0.95), _part(bench, rng, 0.2, 0.95), 0.0))
+        blow, length = rng.uniform(-0.1, 0.1), rng.uniform(0.005, 0.1)
+        events.append((moment, lambda speed=speed: bench.speed(speed)))  # type: ignore[misc]
+        events.append((moment + 0.3, lambda blow=blow: bench.blow(blow)))  # type: ignore[misc]
+        events.append((moment + 0.3 + length, lambda: bench.load(0.0)))
+        moment += rng.uniform(0.45, 1.5)
+    return Script(0.0, events, LENGTH)
+
+
+MANOEUVRES: Final[Mapping[str, State]] = {
+    state.name: state
+    for state in (
+        State("manoeuvres", _manoeuvres),
+        State("observer, manoeuvres", _observed_manoeuvres, sensorless=True),
+    )
+}
+"""States in which nothing is to break."""

@@ -1,0 +1,321 @@
+"""Random damage at random moments to motors that are not ours: the right name, in time, no motion, no false alarm."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+import random
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.fault_record import FaultRecord, record_variable
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, NOTHING, Damage, Seen, Where, no_damage
+from servo_twin.experiments.campaign_motors import MOTORS, Motor, deviating
+from servo_twin.experiments.campaign_states import MANOEUVRES, STATES, Bench, Script, State
+from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import TICK, TICK_NS
+from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.simulation import SimulationError
+
+NAME: Final = "fault-campaign"
+HELP: Final = """\
+Beyond the reference design. Random trials: one of several motors, each with a firmware tuned for it and a plant that
+deviates from what that believes; one of many things that an axis may be doing, with an encoder or without; one kind of
+damage with random parameters, at a random moment. Where nothing shows, the axis is then asked to move. Judged: the name
+of the fault, that the drive does not move the shaft afterwards, and that the other axis goes on unless bus or core are
+concerned. A part of the trials has no damage at all but hard manoeuvres, noise, load steps and a supply that swings: no
+fault may appear there."""
+
+BEYOND: Final = "beyond the reference design"
+COUNT: Final = 150
+"""Trials, if nobody asks for more."""
+
+WHOLE: Final = 5
+"""One trial of so many has no damage."""
+
+PROVOKED: Final = 3.0  # for a fault when the axis is asked to move [s]
+NAMED: Final = 0.15  # until the name of a first fault is final [s]
+GAIN: Final = 0.5  # of speed, by the load of the friction or the end of a count [rad/s]
+OTHER_OFF: Final = 0.05  # speed error of the other axis that bus and noise may cause, part of its speed limit
+RUNAWAY_MARGIN: Final = 40.0  # beyond its limit that no axis may come (timing.runaway_margin) [rad/s]
+EVERYTHING: Final = ("OVER_VOLTAGE", "UNDER_VOLTAGE", "LATE_LOOP", "WATCHDOG")
+"""Faults that concern both axes."""
+
+
+# ---- drawing
+@dataclass(frozen=True)
+class Trial:
+    """One trial before it is run.
+
+    Attributes
+    ----------
+    seed, number : int
+        What it follows from, with the plant and the motors.
+    motor : Motor
+    state : State
+    damage : Damage
+    plant : PlantConfig
+        What is really there.
+    """
+
+    seed: int
+    number: int
+    motor: Motor
+    state: State
+    damage: Damage
+    plant: PlantConfig
+
+    @property
+    def random(self) -> random.Random:
+        """For whatever is drawn while it runs."""
+        return random.Random(f"{NAME}, run {self.seed} {self.number}")
+
+
+def draw(plant: PlantConfig, seed: int, number: int, motors: Sequence[str] = MOTORS) -> Trial:
+    """Everything about a trial follows from its seed and number."""
+    rng = random.Random(f"{NAME} {seed} {number}")
+    motor = Motor.of(rng.choice(tuple(motors)), plant)
+    there = deviating(motor.plant, rng)
+    whole = number % WHOLE == WHOLE - 1
+    states = (MANOEUVRES if whole else STATES).values()
+    state = rng.choice([s for s in states if motor.observable or not s.sensorless])
+    where = Where(there, motor.axis, state)
+    if whole:
+        return Trial(seed, number, motor, state, no_damage(where), there)
+    make = rng.choice([make for make, observed in DAMAGES.values() if observed or not state.sensorless])
+    return Trial(seed, number, motor, state, make(rng, where), there)
+
+
+# ---- running
+@dataclass(frozen=True)
+class Result:
+    """What came of a trial.
+
+    Attributes
+    ----------
+    trial : Trial
+    name : str
+        First fault, once it is final; empty without one.
+    right : tuple of str
+        Names that are right.
+    seconds : float or None
+        From the cause to outputs off; None if the axis had to be asked to move, or there was no fault.
+    beyond : float
+        Speed beyond what the axis had been asked for, or had already, between cause and outputs off [rad/s].
+    gained : float
+        Speed that the shaft gained after the outputs were off [rad/s].
+    complaints : tuple of str
+        What is wrong; a trial without any is not lost.
+    """
+
+    trial: Trial
+    name: str
+    right: tuple[str, ...]
+    seconds: float | None
+    beyond: float
+    gained: float
+    complaints: tuple[str, ...]
+
+    @property
+    def lost(self) -> bool:
+        return bool(self.complaints)
+
+    def __str__(self) -> str:
+        t = self.trial
+        when = "" if self.seconds is None else f" after {1e3 * self.seconds:.1f} ms"
+        what = "; ".join(self.complaints) or "right"
+        return f"--seed {t.seed} --trial {t.number}: {t.motor.name}, {t.state.name}, {t.damage.text}{when}: {what}"
+
+
+class _Watch:
+    """The axis from the cause on, slow tick by slow tick."""
+
+    def __init__(self, bench: Bench, script: Script, start: int) -> None:
+        self._bench = bench
+        self._events = sorted(script.events, key=lambda event: event[0])
+        self._start = start
+        self.wait = script.wait
+        self.speed_most = 0.0
+        self.u_least, self.u_most = np.inf, 0.0
+
+    def play(self, until_ns: int) -> None:
+        """Run to a moment, and do what is to be done before."""
+        board = self._bench.board
+        while self._events and self._start + round(self._events[0][0] * 1e9) <= until_ns:
+            moment, act = self._events.pop(0)
+            board.advance(self._start + round(moment * 1e9))
+            act()
+        board.advance(until_ns)
+
+    def fault_within(self, seconds: float) -> bool:
+        board = self._bench.board
+        end = board.time_ns + round(seconds * 1e9)
+        while board.time_ns < end:
+            self.play(min(board.time_ns + TICK_NS, end))
+            self.look()
+            if self._bench.word("faults"):
+                return True
+        return False
+
+    def look(self) -> None:
+        truth = self._bench.board.truth(self._bench.axis)
+        self.speed_most = max(self.speed_most, abs(truth.omega_m))
+        self.u_least, self.u_most = min(self.u_least, truth.u_dc), max(self.u_most, truth.u_dc)
+
+    def forget(self) -> None:
+        """No more of what was to be done."""
+        self._events.clear()
+
+
+def _gain(motor: AxisPlant, plant: PlantConfig) -> float:
+    """Speed that the largest current gives while the bus takes it back: half of torque times decay, over inertia."""
+    torque = motor.torque_constant * motor.i_break
+    return 0.5 * torque * max(motor.l_d, motor.l_q) * motor.i_break / plant.bus.u_source / motor.inertia + GAIN
+
+
+def run_trial(trial: Trial) -> Result:
+    """Break something, and see."""
+    rng = trial.random
+    with trial.motor.board(trial.plant, rng.getrandbits(32)) as board:
+        bench = Bench(board, trial.motor.axis, trial.plant.axes[trial.motor.axis], trial.state.sensorless)
+        try:
+            script = trial.state.begin(bench, rng)
+        except SimulationError as error:
+            return Result(trial, NOTHING, (), None, 0.0, 0.0, (str(error),))
+        watch = _Watch(bench, script, board.time_ns)
+        watch.play(board.time_ns + round(rng.uniform(0.0, script.window) * 1e9))
+        if early := bench.faults() | bench.faults(bench.other):
+            return Result(trial, NOTHING, (), None, 0.0, 0.0, (f"before any cause: {', '.join(sorted(early))}",))
+        return _break(trial, bench, watch, rng.choice((-1.0, 1.0)))
+
+
+def _break(trial: Trial, bench: Bench, watch: _Watch, sign: float) -> Result:
+    board, damage = bench.board, trial.damage
+    watch.look()
+    at_first, cause = watch.speed_most, board.time_ns
+    damage.strike(board)
+    found = watch.fault_within(watch.wait)
+    seconds = None
+    if found:
+        seconds = _seconds(bench, cause, damage)
+    elif damage.shows:
+        watch.forget()
+        bench.provoke(sign)
+        found = watch.fault_within(PROVOKED)
+    before = abs(board.truth(bench.axis).omega_m)
+    fastest = watch.speed_most
+    beyond = fastest - max(at_first, bench.wanted)
+    board.set_load(bench.axis, 0.0)  # whatever moves the shaft now is the drive
+    watch.speed_most = before
+    watch.forget()
+    for _ in range(round(NAMED / TICK)):
+        watch.fault_within(TICK)
+    gained = watch.speed_most - before if found else 0.0
+    name = bench.first_fault()
+    right = damage.names(Seen(watch.u_least, watch.u_most))
+    blows = damage.kind == NO_DAMAGE  # of a load, which may well drive a light shaft beyond its limit
+    most = np.inf if blows else RUNAWAY_MARGIN + max(at_first, bench.speed_limit)
+    complaints = [
+        *([] if name in right else [f"{name or 'no fault'} instead of {' or '.join(n or 'none' for n in right)}"]),
+        *([] if fastest <= most else [f"{fastest:.0f} rad/s"]),
+        *([] if gained <= _gain(bench.motor, trial.plant) else [f"{gained:.3g} rad/s gained with the outputs off"]),
+        *_others(bench, name),
+    ]
+    return Result(trial, name, right, seconds, beyond, gained, tuple(complaints))
+
+
+def _seconds(bench: Bench, cause: int, damage: Damage) -> float:
+    if damage.stalls:  # it has lost count
+        return (bench.board.time_ns - cause) * 1e-9
+    record = FaultRecord.of(bench.axis, bench.board.read(record_variable(bench.axis)), bench.board.catalogue)
+    return max(record.tick * PERIOD_NS - cause, 0) * 1e-9
+
+
+def _others(bench: Bench, name: str) -> list[str]:
+    """What is wrong with the other axis."""
+    theirs = bench.first_fault(bench.other)
+    if theirs != (name if name in EVERYTHING else NOTHING):
+        return [f"the other axis has {theirs or 'no fault'}"]
+    if theirs or bench.place(bench.other) != "SPIN":
+        return []  # it was never asked to turn
+    error = abs(bench.board.truth(bench.other).omega_m - bench.other_speed)
+    most = OTHER_OFF * bench.other_limit
+    return [] if error <= most else [f"the other axis is {error:.3g} rad/s off its speed"]
+
+
+# ---- all of them
+def trials(plant: PlantConfig, seed: int, numbers: Iterable[int], motors: Sequence[str] = MOTORS) -> list[Result]:
+    """Trials by their numbers."""
+    return [run_trial(draw(plant, seed, number, motors)) for number in numbers]
+
+
+def run(plant: PlantConfig, seed: int, count: int = COUNT, motors: Sequence[str] = MOTORS) -> Outcome:
+    """A campaign."""
+    return judge(trials(plant, seed, range(count), motors))
+
+
+def judge(results: Sequence[Result]) -> Outcome:
+    """A row per kind of damage, the lost trials, a table by damage and motor, and a picture of the times."""
+    kinds = [kind for kind in (*DAMAGES, NO_DAMAGE) if any(r.trial.damage.kind == kind for r in results)]
+    motors = [motor for motor in MOTORS if any(r.trial.motor.name == motor for r in results)]
+
+    def among(kind: str, motor: str = "") -> list[Result]:
+        return [r for r in results if r.trial.damage.kind == kind and motor in ("", r.trial.motor.name)]
+
+    rows = [_row(kind, among(kind)) for kind in kinds]
+    table = [_line("trials not lost of all", motors)]
+    table += [_line(kind, [_cell(among(kind, motor)) for motor in motors]) for kind in kinds]
+    curves = []
+    for motor in motors:
+        points = [(k, r.seconds) for k, kind in enumerate(kinds) for r in among(kind, motor) if r.seconds is not None]
+        if points:
+            x, y = (np.array(numbers, dtype=np.float64) for numbers in zip(*points, strict=True))
+            curves.append(Curve(motor, x, np.maximum(1e3 * y, 0.05), "o"))
+    title = "from cause to outputs off: " + ", ".join(f"{k} {kind}" for k, kind in enumerate(kinds))
+    panel = Panel("\n".join(textwrap.wrap(title, 90)), "damage", "ms", tuple(curves), log_y=True)
+    notes = (*table, *(f"LOST {r}" for r in results if r.lost))
+    return Outcome(NAME, tuple(rows), (panel,), notes)
+
+
+def _row(kind: str, mine: Sequence[Result]) -> Row:
+    share = sum(not r.lost for r in mine) / len(mine)
+    times = sorted(r.seconds for r in mine if r.seconds is not None)
+    when = f", off after {1e3 * times[len(times) // 2]:.1f} ms, {1e3 * times[-1]:.0f} ms at most" if times else ""
+    return Row(f"{kind}: not lost", f"{BEYOND}; {len(mine)} trials{when}", share, "of all", Bound(1.0, 1.0))
+
+
+def _cell(mine: Sequence[Result]) -> str:
+    return f"{sum(not r.lost for r in mine)}/{len(mine)}"
+
+
+def _line(head: str, cells: Sequence[str]) -> str:
+    return f"{head:<24}" + "".join(f"{cell:>8}" for cell in cells)
+
+
+# ---- command line
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What this experiment can be told beyond plant and seed."""
+    parser.add_argument("--count", type=int, default=COUNT, help="number of trials (default: %(default)s)")
+    parser.add_argument(
+        "--trial", type=int, nargs="+", metavar="K", help="only these trials, each with what came of it"
+    )
+    parser.add_argument("--motors", nargs="+", choices=MOTORS, default=MOTORS, help="only these (other trials, then)")
+
+
+def with_options(args: argparse.Namespace) -> Callable[[PlantConfig, int], Outcome]:
+    """The experiment as it was asked for."""
+    if args.trial is None:
+        return functools.partial(run, count=args.count, motors=args.motors)
+
+    def replay(plant: PlantConfig, seed: int) -> Outcome:
+        results = trials(plant, seed, args.trial, args.motors)
+        outcome = judge(results)
+        return dataclasses.replace(outcome, notes=(*outcome.notes, *map(str, results)))
+
+    return replay

@@ -1,0 +1,149 @@
+"""Virtual boards with another configuration: tuned and compiled by the project's own tools, beside the usual one.
+
+What `Board` has in it is the firmware with the committed ``servo_config_gen.c``. Another ``servo.toml`` is another
+firmware; here it becomes an extension module of its own. That needs a checkout of the whole repository and a C
+compiler, as the first build did.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib.machinery
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from servo_twin.board import Firmware, Level, SimulationError, chosen_level
+
+__all__ = ["CHECKOUT", "SERVO_TOML", "as_toml", "build_firmware"]
+
+CHECKOUT: Final = Path(__file__).resolve().parents[2]
+"""Folder with ``firmware`` in it, where there is one."""
+
+SERVO_TOML: Final = CHECKOUT / "firmware" / "config" / "servo.toml"
+
+_CACHE: Final = CHECKOUT / "build" / "boards"
+_loaded: Final[dict[Path, Firmware]] = {}
+
+
+def as_toml(table: Mapping[str, Any], name: str = "") -> str:
+    """A table of tables as TOML; numbers, truth values, texts and lists of them are all that there may be in it."""
+    groups = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    entries = [f"{key} = {_value(value)}\n" for key, value in table.items() if key not in groups]
+    head = f"[{name}]\n" if name else ""
+    prefix = f"{name}." if name else ""
+    return head + "".join(entries) + "".join(as_toml(group, prefix + key) for key, group in groups.items())
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    return repr(value)
+
+
+def build_firmware(config: str, level: Level | None = None, folder: Path = _CACHE) -> Firmware:
+    """Tune a configuration and compile a virtual board with it.
+
+    Parameters
+    ----------
+    config : str
+        Text of a ``servo.toml``.
+    level : {"registers", "ideal"}, optional
+        Of the boards that are to be made; by default as in `Board`.
+    folder : Path
+        Where builds are kept. What has been built from the same text and the same sources is taken from there.
+
+    Raises
+    ------
+    SimulationError
+        If the configuration is refused, or there is nothing to build from or with.
+    """
+    if not SERVO_TOML.is_file():
+        raise SimulationError(f"another motor needs the firmware's sources, and {CHECKOUT} has none: use a checkout")
+    kind = chosen_level(level)
+    name = f"_{kind}_{_digest(config)}"
+    place = folder / name
+    if place not in _loaded:
+        if not place.is_dir():
+            _build(place, name, kind, config)
+        _loaded[place] = _load(place, name)
+    return _loaded[place]
+
+
+def _build(place: Path, name: str, kind: Level, config: str) -> None:
+    """Beside its place, and there when it is done: somebody else may be building the same."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=place.parent) as folder:
+        work = Path(folder) / name
+        work.mkdir()
+        _tune(work, config)
+        _compile(work, name, kind)
+        with contextlib.suppress(OSError):  # the other one was first
+            work.rename(place)
+
+
+def _sources() -> list[Path]:
+    folders = [CHECKOUT / "firmware", CHECKOUT / "servo_twin" / "native"]
+    files = [path for folder in folders for path in folder.rglob("*") if path.suffix in (".c", ".h", ".py")]
+    tables = [*(CHECKOUT / "servo_msgs_py").rglob("*.toml"), Path(__file__).with_name("_build_native.py")]
+    return sorted([*files, *tables])
+
+
+def _digest(config: str) -> str:
+    digest = hashlib.sha256(config.encode())
+    digest.update(sys.version.encode())
+    for path in _sources():
+        digest.update(str(path).encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _run(what: str, *arguments: str | Path, folder: Path) -> None:
+    command = [sys.executable, "-W", "ignore", *map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise SimulationError(f"{what}: {(done.stderr or done.stdout).strip()}")
+
+
+def _tune(place: Path, config: str) -> None:
+    file = place / "servo.toml"
+    file.write_text(config, encoding="utf-8")
+    tool = SERVO_TOML.with_name("tune.py")
+    output = place / "servo_config_gen.c"
+    _run("the configuration is refused", tool, "generate", "--config", file, "--output", output, folder=place)
+
+
+_SCRIPT: Final = """\
+import sys
+from pathlib import Path
+from servo_twin._build_native import board_ffi
+board_ffi(sys.argv[1], sys.argv[2], Path(sys.argv[3])).compile(tmpdir=".")
+"""
+
+
+def _compile(place: Path, name: str, level: Level) -> None:
+    """In a process of its own: cffi changes the working folder meanwhile."""
+    config = place / "servo_config_gen.c"
+    _run("the board does not compile", "-c", _SCRIPT, name, level, config, folder=place)
+
+
+def _load(place: Path, name: str) -> Firmware:
+    for suffix in importlib.machinery.EXTENSION_SUFFIXES:
+        path = place / (name + suffix)
+        if path.is_file():
+            loader = importlib.machinery.ExtensionFileLoader(name, str(path))
+            spec = importlib.util.spec_from_loader(name, loader)
+            if spec is not None:
+                module = importlib.util.module_from_spec(spec)
+                loader.exec_module(module)
+                return Firmware(module.ffi, module.lib)
+    raise SimulationError(f"{place} has no module {name}")

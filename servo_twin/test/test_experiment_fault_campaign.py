@@ -1,0 +1,92 @@
+"""A few trials of the fault campaign; a thorough one is an experiment of some minutes."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from typing import Any
+
+import pytest
+from servo_twin.experiments.campaign_damage import NO_DAMAGE, Damage
+from servo_twin.experiments.campaign_motors import MOTORS, OTHERS, OWN, Motor
+from servo_twin.experiments.campaign_states import STATES
+from servo_twin.experiments.fault_campaign import Trial, draw, judge, run_trial
+from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
+from servo_twin.harm import OpenPhase
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PLANT = PlantConfig.load()
+
+
+def open_phase(*names: str) -> Trial:
+    """A phase of axis 1 opens at 0.1 .. 0.6 of the speed limit."""
+    harm = OpenPhase(0, "b")
+    damage = Damage("open phase", str(harm), lambda board: board.inject(harm), lambda seen: names)
+    return Trial(1, 0, Motor.of("axis1", PLANT), STATES["under load"], damage, PLANT)
+
+
+def test_trials_on_the_own_motors() -> None:
+    results = [run_trial(draw(PLANT, 4, number, OWN)) for number in range(25)]
+    assert not [str(result) for result in results if result.lost]
+    assert {result.trial.damage.kind for result in results} > {NO_DAMAGE, "supply dip"}
+
+
+@pytest.mark.slow
+def test_trials_on_a_motor_with_a_firmware_of_its_own() -> None:
+    """Two motors that are not those of the plant, on one board, which is tuned and compiled here."""
+    results = [run_trial(draw(PLANT, 4, number, OTHERS[:2])) for number in range(20)]
+    assert not [str(result) for result in results if result.lost]
+    assert {result.trial.motor.name for result in results} == set(OTHERS[:2])
+
+
+def test_a_wrong_name_is_a_lost_trial() -> None:
+    right, wrong = run_trial(open_phase("PHASE_LOST")), run_trial(open_phase("ENCODER_LOST"))
+    assert (right.name, right.lost) == ("PHASE_LOST", False)
+    assert wrong.lost
+    outcome = judge([right, wrong])
+    assert outcome.row("open phase: not lost").measured == 0.5
+    assert any(note.startswith("LOST --seed 1 --trial 0: axis1, under load") for note in outcome.notes)
+
+
+def test_a_fault_that_nobody_wants_is_noticed() -> None:
+    """With the check switched off, the shaft goes on with a phase less."""
+    trial = open_phase("PHASE_LOST")
+
+    def deaf(bench: Any, rng: Any) -> Any:
+        script = trial.state.begin(bench, rng)
+        bench.board.write("param.faults_enabled", [0, 0])
+        return script
+
+    result = run_trial(dataclasses.replace(trial, state=dataclasses.replace(trial.state, begin=deaf)))
+    assert result.lost
+    assert result.name != "PHASE_LOST"
+
+
+def test_a_trial_follows_from_its_number() -> None:
+    one, again, another = (draw(PLANT, 1, number) for number in (7, 7, 8))
+    assert (one.motor, one.plant, one.damage.text) == (again.motor, again.plant, again.damage.text)
+    assert one.plant != another.plant
+
+
+def test_motors_differ_and_are_known_by_name() -> None:
+    believed = [Motor.of(name, PLANT).believed for name in MOTORS]
+    assert len(set(believed)) == len(MOTORS)
+    with pytest.raises(SimulationError, match="no motor 'steam'"):
+        Motor.of("steam", PLANT)
+
+
+def test_a_configuration_survives_being_written() -> None:
+    table = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
+    assert tomllib.loads(as_toml(table)) == table
+
+
+def test_a_configuration_that_cannot_work_is_refused(tmp_path: Any) -> None:
+    text = SERVO_TOML.read_text(encoding="utf-8").replace("pole_pairs = 2", "pole_pairs = -2")
+    with pytest.raises(SimulationError, match=r"axis1\.motor\.pole_pairs = -2"):
+        build_firmware(text, folder=tmp_path)
