@@ -26,7 +26,7 @@ METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
 # For processors that know AVX2, like the one at hand: 7 % fewer instructions, the same bits. ARCH= for any x86-64.
 ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64-v3 .supported' && \
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3)
-COMPILE = echo "compiling firmware and virtual board$(1)" && cd servo_twin && CFLAGS='$(ARCH) $(2)' LDFLAGS='$(ARCH) $(2)' \
+COMPILE = echo "compiling firmware and virtual board$(1)" && cd servo_twin && SERVO_TWIN_FLAGS='$(ARCH) $(2)' \
           ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
 PROFILE := $(abspath $(VENV))/profile
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
@@ -133,7 +133,7 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 	@echo "[3/4] servo_bridge"
 	@$(INSTALL) --editable ./servo_bridge
 	@echo "[4/4] servo_twin: rerun, matplotlib, and the C of firmware and virtual board"
-	@CFLAGS='$(ARCH)' LDFLAGS='$(ARCH)' $(INSTALL) --editable './servo_twin[viewer]'
+	@SERVO_TWIN_FLAGS='$(ARCH)' $(INSTALL) --editable './servo_twin[viewer]'
 	@# An editable install leaves data files out: the ament index, launch files and what `ros2 run` starts.
 	@for package in $(PACKAGES); do \
 	  (cd $$package && ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done
