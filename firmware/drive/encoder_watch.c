@@ -16,15 +16,18 @@
 
 void encoder_watch_start(encoder_watch_t *watch) { *watch = (encoder_watch_t){0}; }
 
-/* A window of a count that does not leave its place. */
-static bool chatters(encoder_watch_t *w, bool changed)
+/* A window of a count that goes one back and forth; a shaft that hunts takes several. */
+static bool chatters(encoder_watch_t *w, int32_t moved)
 {
     w->window++;
-    w->toggles = (uint16_t)(w->toggles + (changed ? 1U : 0U));
+    w->toggles = (uint16_t)(w->toggles + ((moved != 0) ? 1U : 0U));
+    w->hunts = w->hunts || (moved != 0 && moved != -w->toggled && w->toggled != 0);
+    w->toggled = (moved != 0) ? moved : w->toggled;
     if (w->window < WINDOW) {
         return false;
     }
-    w->windows = (w->toggles >= TOGGLES_LEAST) ? (uint16_t)(w->windows + 1U) : 0U;
+    w->windows = (w->toggles >= TOGGLES_LEAST && !w->hunts) ? (uint16_t)(w->windows + 1U) : 0U;
+    w->hunts = false;
     w->window = 0;
     w->toggles = 0;
     return w->windows >= WINDOWS_MOST;
@@ -42,7 +45,6 @@ fault_set_t encoder_watch_count(axis_t *axis)
     const int32_t position = axis->feedback.position;
     const int32_t away = i32_sub_wrap(position, w->anchor);
     const int32_t moved = i32_sub_wrap(position, w->last);
-    const bool changed = moved != 0;
     w->last = position;
     if (away > REST_COUNTS || away < -REST_COUNTS) {
         *w = (encoder_watch_t){.anchor = position, .last = position, .pace = size_of(moved)};
@@ -53,7 +55,7 @@ fault_set_t encoder_watch_count(axis_t *axis)
     if (w->calm < UINT16_MAX) {
         w->calm++;
     }
-    return chatters(w, changed) ? FAULT_ENCODER_LOST : 0U;
+    return chatters(w, moved) ? FAULT_ENCODER_LOST : 0U;
 }
 
 static frac16_t drop(frac16_t current, gain_t resistance)
@@ -105,39 +107,62 @@ static void note_voltage(encoder_watch_t *w, dq_t voltage, int32_t beyond, int32
     w->turning++;
 }
 
-static bool current_flows(const axis_t *axis)
+static frac16_t asked(const axis_t *axis)
 {
-    const dq_t i = axis->current_loop.current;
-    return length_about(i.d, i.q) >= (int32_t)axis->config->phases.silent;
+    const int32_t wanted = 4 * (int32_t)axis->config->phases.silent;
+    return (wanted < axis->limits.i_q) ? (frac16_t)wanted : axis->limits.i_q;
 }
 
-frac16_t encoder_watch_asks(const axis_t *axis)
+dq_t encoder_watch_asks(const axis_t *axis)
 {
-    const int32_t asked = 4 * (int32_t)axis->config->phases.silent;
-    const frac16_t most = axis->limits.i_q;
-    return (axis->encoder_watch.asking == 0U) ? 0 : (asked < most) ? (frac16_t)asked : most;
+    const encoder_watch_t *w = &axis->encoder_watch;
+    const frac16_t current = (w->asking != 0U) ? asked(axis) : 0;
+    return w->along_q ? (dq_t){0, current} : (dq_t){current, 0};
 }
 
-/* The voltage turns like a back-EMF. Where no current flows, or the voltage has stood before for longer than a back-EMF
- * does, it may be what the controllers add up in vain: then a current is asked for, for as long as they take. */
-static fault_set_t lost(axis_t *axis)
+static frac16_t current_along(const axis_t *axis)
+{
+    return axis->encoder_watch.along_q ? axis->current_loop.current.q : axis->current_loop.current.d;
+}
+
+/* The voltage turns like a back-EMF. Where hardly any current flows, or the voltage has stood before for longer than a
+ * back-EMF does, it may be what the controllers add up in vain: then a current is asked for, where most of the voltage is,
+ * for as long as they take. */
+static fault_set_t lost(axis_t *axis, dq_t voltage)
 {
     encoder_watch_t *w = &axis->encoder_watch;
-    if (w->asking == 0U && !w->rigid && current_flows(axis)) {
-        return phase_watch_rather(axis, FAULT_ENCODER_LOST);
+    const dq_t i = axis->current_loop.current;
+    if (w->asking == 0U) {
+        if (!w->rigid && length_about(i.d, i.q) >= 2 * (int32_t)axis->config->phases.silent) {
+            return phase_watch_rather(axis, FAULT_ENCODER_LOST);
+        }
+        w->along_q = f16_abs(voltage.q) > f16_abs(voltage.d);
+        w->before = current_along(axis);
     }
     w->asking++;
     if (w->asking <= ASK_TICKS) {
         return 0;
     }
     w->asking = 0;
-    return phase_watch_rather(axis, current_flows(axis) ? FAULT_ENCODER_LOST : FAULT_PHASE_LOST);
+    const bool flows = 2 * ((int32_t)current_along(axis) - w->before) >= asked(axis);
+    return phase_watch_rather(axis, flows ? FAULT_ENCODER_LOST : FAULT_PHASE_LOST);
+}
+
+/* A step of the set-point asks for voltage beyond that, through the current controllers' gain. */
+static bool steps(axis_t *axis)
+{
+    encoder_watch_t *w = &axis->encoder_watch;
+    const int32_t step = f16_abs(f16_sub(axis->current_ref.q, w->wanted));
+    w->wanted = axis->current_ref.q;
+    return asr32(f32_gain(step * INT32_C(32768), axis->config->current_loop.q.kp), 15) >
+           (int32_t)axis->config->phases.emf_floor;
 }
 
 /* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
 fault_set_t encoder_watch_voltage(axis_t *axis)
 {
     encoder_watch_t *w = &axis->encoder_watch;
+    const bool stepped = steps(axis);
     if (w->calm < CALM_TICKS) {
         w->turning = 0;
         w->in_vain = 0;
@@ -146,15 +171,15 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
     const dq_t voltage = unexplained(axis);
     const int32_t size = length_about(voltage.d, voltage.q);
     const int32_t beyond = size - tolerated(axis);
-    if (beyond > 0) {
+    if (beyond > 0 && !stepped) {
         note_voltage(w, voltage, beyond, axis->config->phases.turn_per_voltage);
-    } else if (w->turning > 0U) {
+    } else if (beyond <= 0 && w->turning > 0U) {
         w->turning--;
     }
     const int32_t much = 4 * (int32_t)axis->config->phases.emf_floor + half_drop(axis);
     w->in_vain = (size > much) ? (uint16_t)(w->in_vain + 1U) : 0U;
     if (w->asking > 0U || (w->turning >= TURNING_TICKS && w->turned)) {
-        return lost(axis);
+        return lost(axis, voltage);
     }
     return (w->in_vain >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
 }

@@ -18,12 +18,17 @@ typedef struct {
     uint16_t calm;    /* slow ticks that it has not */
     uint16_t window;  /* slow ticks of the present window .. */
     uint16_t toggles; /* .. and those in which the count has changed */
+    int32_t toggled;  /* way of the last change .. */
+    bool hunts;       /* .. and one of this window was not its opposite */
     uint16_t windows; /* windows in a row with more changes than a resting shaft makes */
     uint16_t pace;    /* counts of the last tick that moved the shaft */
     bool sudden;      /* it has come to rest at once */
+    frac16_t wanted;  /* i_q* of the last tick */
     uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
     uint16_t in_vain; /* slow ticks of much of it */
-    uint16_t asking;  /* slow ticks for which a current has been asked to see whether any flows */
+    uint16_t asking;  /* slow ticks for which a current has been asked to see whether any flows .. */
+    bool along_q;     /* .. in this direction .. */
+    frac16_t before;  /* .. in which this has flowed before */
     dq_t emf;         /* that voltage at first .. */
     uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
     bool turned;      /* .. and it has pointed elsewhere */
@@ -40,8 +45,8 @@ fault_set_t encoder_watch_count(struct axis *axis);
 /* One slow tick of current control with the encoder's angle. */
 fault_set_t encoder_watch_voltage(struct axis *axis);
 
-/* i_d that is asked for to see whether any current flows. */
-frac16_t encoder_watch_asks(const struct axis *axis);
+/* Current that is asked for to see whether any flows. */
+dq_t encoder_watch_asks(const struct axis *axis);
 
 /* What an over-current may really have been: windings shorted because the shaft seemed to rest. */
 fault_set_t encoder_watch_suspects(const struct axis *axis);

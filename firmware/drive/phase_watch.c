@@ -28,6 +28,7 @@ void phase_watch_restart(phase_watch_t *watch)
         watch->sectors[x] = 0;
     }
     watch->nothing = 0;
+    watch->missed = 0;
     watch->lost = false;
 }
 
@@ -189,33 +190,34 @@ static void forget(phase_watch_t *w)
     w->faint = 0;
 }
 
-/* The current is where the controllers want it. */
-static bool follows(const axis_t *axis)
+/* How far the current is from where the controllers want it. */
+static int32_t missing(const axis_t *axis)
 {
     const dq_t is = axis->current_loop.current;
     const dq_t wanted = axis->current_ref;
-    return length_about(is.d - wanted.d, is.q - wanted.q) < axis->config->phases.least;
+    return length_about(is.d - wanted.d, is.q - wanted.q);
 }
 
-/* The current does not follow, and neither the windings nor the back-EMF are what holds it back. */
-static bool nothing_flows(const axis_t *axis)
+/* Neither the windings nor the back-EMF are what holds the current back. */
+static bool in_vain(const axis_t *axis)
 {
     const phase_watch_config_t *config = &axis->config->phases;
     const dq_t u = axis->current_loop.voltage;
     const dq_t is = axis->current_loop.current;
     const int32_t emf = asr32(f32_gain(axis->current_loop.omega_e, axis->config->current_loop.omega_psi), 16);
     const int32_t drop = asr32(f32_gain((frac32_t)length_about(is.d, is.q) * 32768, config->resistance), 15);
-    return (axis->sensorless || axis->encoder_watch.calm < ENCODER_CALM_TICKS) && !follows(axis) &&
+    return (axis->sensorless || axis->encoder_watch.calm < ENCODER_CALM_TICKS) &&
            length_about(u.d, u.q - emf) > 2 * (int32_t)config->emf_floor + larger(emf, -emf) / 2 + 2 * drop;
 }
 
-/* Quickly seen and slowly forgotten: an observer that has lost its rotor asks for anything. */
-static void note_nothing(phase_watch_t *w, bool nothing)
+/* As a suspicion it is forgotten slowly: an observer that has lost its rotor asks for anything. */
+static void note_nothing(phase_watch_t *w, bool nothing, bool missed)
 {
-    if (nothing) {
-        w->nothing++;
-    } else if (w->nothing > 0U && w->age % NOTHING_FADE_TICKS == 0U) {
-        w->nothing--;
+    w->nothing = nothing ? (uint16_t)(w->nothing + 1U) : 0U;
+    if (missed && w->missed < NOTHING_TICKS) {
+        w->missed++;
+    } else if (!missed && w->missed > 0U && w->age % NOTHING_FADE_TICKS == 0U) {
+        w->missed--;
     }
 }
 
@@ -252,7 +254,9 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
     }
     w->faint = (uint16_t)(w->faint + ((largest > config->least) ? 0U : 1U));
     forget(w);
-    note_nothing(w, nothing_flows(axis));
+    const bool vain = in_vain(axis);
+    const bool missed = 2 * largest < config->silent && missing(axis) > config->least;
+    note_nothing(w, vain && 4 * missing(axis) > 3 * (int32_t)config->silent, vain && missed);
     const bool nothing = w->nothing >= NOTHING_TICKS && axis->substate == SUBSTATE_SPIN; /* the other states search */
     return (w->lost || nothing) ? phase_watch_or(w, FAULT_PHASE_LOST) : 0U;
 }
@@ -271,7 +275,7 @@ fault_set_t phase_watch_suspects(const phase_watch_t *watch)
 fault_set_t phase_watch_rather(const axis_t *axis, fault_set_t fault)
 {
     const phase_watch_t *w = &axis->phases;
-    const bool phase = phase_watch_suspects(w) != 0U || w->nothing >= NOTHING_SUSPECT;
+    const bool phase = phase_watch_suspects(w) != 0U || w->missed >= NOTHING_SUSPECT;
     const bool told = phase && (axis->faults_enabled & FAULT_PHASE_LOST) != 0U;
     return phase_watch_or(w, told ? FAULT_PHASE_LOST : fault);
 }

@@ -24,7 +24,8 @@ typedef struct {
     uint16_t faint;                 /* recent slow ticks with too little current for that */
     bool lost;                      /* one of them is */
     uint16_t age;                   /* slow ticks */
-    uint16_t nothing;               /* slow ticks without current in any phase */
+    uint16_t nothing;               /* slow ticks in a row in which the current did not follow the voltage .. */
+    uint16_t missed;                /* .. and of late, in a row or not */
     uint16_t wrong[SENSE_PHASES];   /* samples without current that are off the offset */
     uint16_t last[SENSE_PHASES];    /* the code before .. */
     uint16_t same[SENSE_PHASES];    /* .. and how often it has come again */
