@@ -2,7 +2,6 @@
 
 #include <string.h>
 
-#define STEPS (2 * PLANT_STEPS_PER_HALF) /* of the plant, per period */
 #define WATCHDOG_NS UINT64_C(50000000)
 #define DUTY_FULL (1.0 / 32767.0)
 
@@ -19,7 +18,7 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->bus_code = 0;
     chip->now_ns = 0;
     chip->grid_ns = 0;
-    chip->step = 0;
+    chip->sampled = 0;
     chip->scans = 0;
     chip->breaks = 0;
     chip->watchdog = 0;
@@ -85,7 +84,6 @@ static void watch_dog(hal_t *chip)
 static void half_cycle(hal_t *chip, int sampled)
 {
     const int other = 1 - sampled;
-    plant_half_cycle(&chip->plant);
     chip->axis[sampled].currents = convert(chip, sampled, true);
     chip->axis[other].offsets = convert(chip, other, false);
     chip->bus_code = plant_bus_code(&chip->plant);
@@ -121,17 +119,15 @@ static void grid(hal_t *chip)
             }
         }
     }
-    const unsigned step = chip->step;
-    chip->step = (step + 1u) % STEPS;
+    const int sampled = chip->sampled;
+    chip->sampled = 1 - sampled;
     chip->grid_ns += plant->step_ns;
     for (int i = 0; i < HAL_AXES; i++) {
         if (plant->axis[i].encoder.latched && awake(chip)) {
             servo_edge_isr(chip->servo, (uint16_t)i);
         }
     }
-    if (step % PLANT_STEPS_PER_HALF == 0u) {
-        half_cycle(chip, (step == 0u) ? 0 : 1);
-    }
+    half_cycle(chip, sampled);
 }
 
 bool chip_run(hal_t *chip, uint64_t until_ns, bool stop_after_scan)

@@ -36,7 +36,7 @@ struct hal {
     uint16_t bus_code;
     uint64_t now_ns;     /* what the software would see on a clock */
     uint64_t grid_ns;    /* next step of the plant ends here */
-    unsigned step;       /* number of that step within the PWM period */
+    int sampled;         /* axis whose low sides are at their centre then */
     uint32_t scans;      /* M2 interrupts so far */
     uint32_t breaks;     /* times an over-current latch has tripped */
     uint16_t monitor[HAL_MONITORS];

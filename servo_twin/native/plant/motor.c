@@ -222,6 +222,7 @@ void plant_motor_lock(plant_motor_t *motor, bool locked)
 
 void plant_motor_obstruct(plant_motor_t *motor, double below, double above)
 {
+    motor->obstructed = isfinite(below) || isfinite(above);
     motor->low = motor->theta - below;
     motor->high = motor->theta + above;
 }

@@ -37,6 +37,7 @@ typedef struct {
     double load;         /* external torque against positive motion [N m] */
     bool locked;         /* shaft held fast */
     double low, high;    /* end stops, inelastic, mechanical [rad] */
+    bool obstructed;     /* there are some */
     /* state */
     double i_d, i_q;     /* [A] */
     double omega;        /* mechanical [rad/s] */

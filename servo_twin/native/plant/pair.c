@@ -31,6 +31,15 @@ static inline pair_t limit_pair(pair_t x, double low, double high)
 #endif
 }
 
+static inline pair_t size_of(pair_t x)
+{
+#ifdef __SSE2__
+    return (pair_t)_mm_max_pd((__m128d)x, (__m128d)(-x));
+#else
+    return (pair_t){fabs(x[0]), fabs(x[1])};
+#endif
+}
+
 #define NUM pair_t
 #define KERNEL(name) pair_##name
 #define LIMIT(x, low, high) limit_pair(x, low, high)
@@ -42,11 +51,8 @@ static bool plain_case(const plant_lane_t *lane, double *direction)
 {
     plant_motor_t *motor = lane->motor;
     *direction = 0.0;
-    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken ||
+    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->obstructed ||
         motor->steps >= PLANT_FRESH_TRIG) {
-        return false;
-    }
-    if (isfinite(motor->low) || isfinite(motor->high)) {
         return false;
     }
     if (motor->locked) {
@@ -68,7 +74,7 @@ static bool plain_case(const plant_lane_t *lane, double *direction)
 typedef struct {
     pair_state_t x;
     pair_t theta, sine, cosine;
-    pair_t phase[3], share[3], leg[3], voltage[3], charge;
+    pair_t phase[3], share[3], leg[3], voltage[3], charge, heat;
 } ends_t;
 
 static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
@@ -85,8 +91,9 @@ static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
         motor->phase[k] = ends->phase[k][n];
         lane->inverter->share[k] = ends->share[k][n];
         lane->inverter->leg[k] = ends->leg[k][n];
-        lane->voltage_sum[k] += ends->voltage[k][n];
+        lane->voltage[k] = ends->voltage[k][n];
     }
+    *lane->heat += ends->heat[n];
 }
 
 #define MOTOR(member) ((pair_t){lane[0].motor->member, lane[1].motor->member})
@@ -138,10 +145,14 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
     pair_phases(ends.x.i_d, ends.x.i_q, ends.sine, ends.cosine, ends.phase);
     const pair_t r_on = pair_of(pair->r_on);
     pair_t charge_twice = both(0.0);
+    pair_t power = both(0.0);
     for (int k = 0; k < 3; k++) {
         charge_twice += ends.share[k] * (before[k] + ends.phase[k]);
         ends.voltage[k] = ends.leg[k] - r_on * ends.phase[k] - 0.5 * u_dc;
+        const pair_t current = size_of(ends.phase[k]);
+        power += current * (v_drop + r_on * current);
     }
+    ends.heat = power * pair->step;
     ends.charge = charge_twice * (0.5 * pair->step);
     const pair_t onwards = ends.x.omega * direction;
     unsigned taken = 0;

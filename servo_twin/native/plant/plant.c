@@ -4,13 +4,13 @@
 
 static inline plant_lane_t lane_of(plant_drive_t *axis)
 {
-    return (plant_lane_t){&axis->inverter, &axis->motor, axis->voltage_sum};
+    return (plant_lane_t){&axis->inverter, &axis->motor, axis->voltage, &axis->e_switch};
 }
 
 void plant_init(plant_t *plant, const board_config_t *config)
 {
     *plant = (plant_t){.u_noise = config->bus.u_noise, .u_noise_whole = config->bus.u_noise};
-    plant->step_ns = (uint64_t)(1e9 / config->pwm_frequency / (2.0 * PLANT_STEPS_PER_HALF) + 0.5);
+    plant->step_ns = (uint64_t)(0.5e9 / config->pwm_frequency + 0.5);
     const double step = (double)plant->step_ns * 1e-9;
     plant->step = step;
     plant->steps_per_second = 1.0 / step;
@@ -52,9 +52,13 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
         /* less than a nanosecond left is only the rounding of the units */
         done = (rest - used < 0.5) ? step : done + used;
     }
+    double power = 0.0;
     for (int k = 0; k < 3; k++) {
-        axis->voltage_sum[k] += axis->inverter.leg[k] - axis->inverter.r_on * motor->phase[k] - 0.5 * u_dc;
+        axis->voltage[k] = axis->inverter.leg[k] - axis->inverter.r_on * motor->phase[k] - 0.5 * u_dc;
+        const double current = fabs(motor->phase[k]);
+        power += current * (axis->inverter.v_drop + axis->inverter.r_on * current);
     }
+    axis->e_switch += power * 1e-9 * step;
     return charge;
 }
 
@@ -67,6 +71,19 @@ static void glitch(plant_drive_t *axis, double step, uint64_t now_ns)
             plant_encoder_glitch(&axis->encoder, (plant_line_t)line, now_ns);
         }
     }
+}
+
+static void warm_up(plant_t *plant)
+{
+    const double h = plant->step * PLANT_STEPS_PER_WARMTH;
+    for (int i = 0; i < BOARD_AXES; i++) {
+        plant_drive_t *axis = &plant->axis[i];
+        if (!axis->harm.heated) {
+            thermal_advance(&axis->sink, h, axis->e_switch);
+        }
+        axis->e_switch = 0.0;
+    }
+    supply_warm(&plant->bus, h);
 }
 
 void plant_step(plant_t *plant, uint64_t now_ns)
@@ -90,36 +107,8 @@ void plant_step(plant_t *plant, uint64_t now_ns)
         glitch(axis, plant->step, now_ns);
     }
     (void)supply_advance(&plant->bus, plant->step, charge * plant->steps_per_second);
-}
-
-static void warm_up(plant_t *plant)
-{
-    const double h = plant->step * (PLANT_STEPS_PER_HALF * PLANT_HALVES_PER_WARMTH);
-    for (int i = 0; i < BOARD_AXES; i++) {
-        plant_drive_t *axis = &plant->axis[i];
-        if (!axis->harm.heated) {
-            thermal_advance(&axis->sink, h, axis->e_switch);
-        }
-        axis->e_switch = 0.0;
-    }
-    supply_warm(&plant->bus, h);
-}
-
-void plant_half_cycle(plant_t *plant)
-{
-    for (int i = 0; i < BOARD_AXES; i++) {
-        plant_drive_t *axis = &plant->axis[i];
-        double power = 0.0;
-        for (int k = 0; k < 3; k++) {
-            axis->voltage[k] = axis->voltage_sum[k] * (1.0 / PLANT_STEPS_PER_HALF);
-            axis->voltage_sum[k] = 0.0;
-            const double current = fabs(axis->motor.phase[k]);
-            power += current * (axis->config.v_drop + axis->config.r_on * current);
-        }
-        axis->e_switch += power * (PLANT_STEPS_PER_HALF * plant->step);
-    }
-    if (++plant->halves == PLANT_HALVES_PER_WARMTH) {
-        plant->halves = 0;
+    if (++plant->steps == PLANT_STEPS_PER_WARMTH) {
+        plant->steps = 0;
         warm_up(plant);
     }
 }

@@ -15,8 +15,7 @@
 #include "plant/supply.h"
 #include "plant/thermal.h"
 
-#define PLANT_STEPS_PER_HALF 1 /* steps per half cycle of the PWM */
-#define PLANT_HALVES_PER_WARMTH 32u /* half cycles per step of the temperatures */
+#define PLANT_STEPS_PER_WARMTH 32u /* steps per step of the temperatures */
 
 typedef struct {
     plant_axis_t config;
@@ -24,12 +23,11 @@ typedef struct {
     plant_motor_t motor;
     plant_encoder_t encoder;
     plant_random_t noise;
-    double voltage_sum[3]; /* phase voltages of the steps since the last half cycle began [V] */
     double codes_per_ampere;
     plant_harm_t harm;
     thermal_t sink;        /* heatsink of the inverter */
     double e_switch;       /* burnt there since its temperature was worked out [J] */
-    double voltage[3];     /* their mean over the last complete half cycle [V] */
+    double voltage[3];     /* of the phases against the midpoint of the bus, in the last step [V] */
 } plant_drive_t;
 
 typedef struct {
@@ -41,16 +39,13 @@ typedef struct {
     double codes_per_volt;
     uint64_t step_ns;
     double step, steps_per_second;
-    unsigned halves; /* since the temperatures were worked out */
+    unsigned steps; /* since the temperatures were worked out */
 } plant_t;
 
 void plant_init(plant_t *plant, const board_config_t *config);
 
-/* One step of plant->step_ns that begins at `now_ns`. */
+/* One step of plant->step_ns, a half cycle of the PWM, that begins at `now_ns`. */
 void plant_step(plant_t *plant, uint64_t now_ns);
-
-/* A half cycle of the PWM has ended. */
-void plant_half_cycle(plant_t *plant);
 
 /* True if a phase current of the axis is beyond the threshold of the hardware. */
 bool plant_over_current(const plant_t *plant, int axis);

@@ -157,13 +157,11 @@ static double run_averaged(const board_config_t *config, unsigned groups, case_t
         const double begin = now_ns();
         for (unsigned g = 0; g < GROUP; g++) {
             for (int half = 0; half < 2; half++) {
-                plant_half_cycle(&plant);
                 for (int i = 0; i < 2; i++) {
                     plant_inverter_load(&plant.axis[i].inverter, duty[g][i], plant.bus.u);
                 }
-                for (int k = 0; k < PLANT_STEPS_PER_HALF; k++, clock += plant.step_ns) {
-                    plant_step(&plant, clock);
-                }
+                plant_step(&plant, clock);
+                clock += plant.step_ns;
                 for (int k = 0; k < 2; k++) {
                     code = plant_current_code(&plant, 0, k, half == 0);
                     code = plant_current_code(&plant, 1, k, half != 0);
