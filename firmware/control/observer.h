@@ -17,7 +17,6 @@
 
 /* F1 and F2 of the slide, as powers of two: what the states have more than the 15 bits of a sample. With 11 of them a
  * state holds sixteen times the full scale, more than any transient needs. */
-#define OBSERVER_BITS_MOST 11
 
 typedef struct {
     uint16_t f1; /* fraction bits of currents, less 15 */

@@ -66,11 +66,4 @@ static inline frac32_t pi_limit(pi_state_t *state, pi_sum_t sum, frac32_t limit)
     return u_out;
 }
 
-/* One sample: error e(k), feed-forward added before the limit, result within +-limit. */
-static inline frac32_t pi_step(pi_state_t *state, const pi_gains_t *gains, frac32_t error, frac32_t feed_forward,
-                               frac32_t limit)
-{
-    return pi_limit(state, pi_sum(state, gains, error) + pi_sum_of(feed_forward), limit);
-}
-
 #endif

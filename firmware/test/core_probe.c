@@ -23,6 +23,11 @@ frac32_t probe_f32_from_f16(frac16_t a) { return f32_from_f16(a); }
 frac16_t probe_f16_from_f32(frac32_t a) { return f16_from_f32(a); }
 frac32_t probe_f32_gain(frac32_t x, gain_t gain) { return f32_gain(x, gain); }
 
+frac32_t probe_pi(pi_state_t *state, const pi_gains_t *gains, frac32_t error, frac32_t feed_forward, frac32_t limit)
+{
+    return pi_limit(state, pi_sum(state, gains, error) + pi_sum_of(feed_forward), limit);
+}
+
 probe_period_t probe_current_loop(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
                                   dq_t reference, frac16_t theta_e, frac16_t omega_e, frac16_t u_dc)
 {

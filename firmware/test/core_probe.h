@@ -31,6 +31,9 @@ frac32_t probe_f32_from_f16(frac16_t a);
 frac16_t probe_f16_from_f32(frac32_t a);
 frac32_t probe_f32_gain(frac32_t x, gain_t gain);
 
+/* One sample of a PI controller: both halves, and a feed-forward between them. */
+frac32_t probe_pi(pi_state_t *state, const pi_gains_t *gains, frac32_t error, frac32_t feed_forward, frac32_t limit);
+
 /* One PWM period at the electrical speed `omega_e`. */
 typedef struct {
     dq_t current; /* measured */

@@ -60,16 +60,6 @@ def sleb(value: int) -> bytes:
     return bytes(group | 0x80 for group in groups[:-1]) + bytes(groups[-1:])
 
 
-def from_uleb(data: bytes) -> tuple[int, bytes]:
-    """Decode one number; returns it and the rest."""
-    value = 0
-    for i, byte in enumerate(data):
-        value |= (byte & 0x7F) << 7 * i
-        if byte < 0x80:
-            return value, data[i + 1 :]
-    raise ValueError("number does not end")
-
-
 def double(body: bytes) -> bytes:
     """Put a body on the wire: start byte, then every 2B twice."""
     return bytes([SOB]) + body.replace(b"\x2b", b"\x2b\x2b")

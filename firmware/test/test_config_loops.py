@@ -113,7 +113,7 @@ def test_current_loop_is_the_pi_of_the_firmware(core: Core) -> None:
     for _ in range(200):
         currents.append(current)
         error = round((1.0 - current) / scales.i * 2**31)
-        raw = core.lib.pi_step(state, pointer, error, 0, 2**31 - 1)
+        raw = core.lib.probe_pi(state, pointer, error, 0, 2**31 - 1)
         after = decay * current + (1.0 - decay) / r * voltage
         voltage = raw / 2**31 * scales.u_s
         current = decay * after + (1.0 - decay) / r * voltage

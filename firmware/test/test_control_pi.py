@@ -29,7 +29,7 @@ class Controller:
         self._lib.pi_reset(self.state, 0)
 
     def step(self, error: float, limit: float, feed_forward: float = 0.0) -> float:
-        return float(self._lib.pi_step(self.state, self._gains, raw(error), raw(feed_forward), raw(limit)) / ONE)
+        return float(self._lib.probe_pi(self.state, self._gains, raw(error), raw(feed_forward), raw(limit)) / ONE)
 
     @property
     def integral(self) -> float:
@@ -108,7 +108,7 @@ def test_every_bit_over_the_whole_range(
         wanted = nearest(integral + error * kp + forward * GAIN_ONE, GAIN_ONE)
         out = clip(wanted, -limit, limit)
         excess = clip32(out - wanted)
-        assert core.lib.pi_step(state, g, error, forward, limit) == out
+        assert core.lib.probe_pi(state, g, error, forward, limit) == out
         assert (state.integral, state.excess) == (integral, excess)
 
 

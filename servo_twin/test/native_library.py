@@ -80,7 +80,7 @@ uint32_t plant_encoder_age(const plant_encoder_t *encoder, uint64_t now_ns);
 
 void plant_random_init(plant_random_t *random, uint64_t seed, uint64_t stream);
 double plant_random_gauss(plant_random_t *random);
-uint16_t plant_code_bipolar(double value, double full_scale);
+uint16_t plant_code(double code);
 uint16_t plant_code_unipolar(double value, double full_scale);
 
 typedef struct { plant_inverter_t inverter; plant_motor_t motor; plant_encoder_t encoder; ...; } plant_drive_t;

@@ -41,7 +41,6 @@ void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level)
 typedef struct { int kind, axis, part; double value, seconds; } board_harm_t;
 void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed);
 void switching_brake(switching_t *plant, bool on);
-void switching_set_temperature(switching_t *plant, int axis, double winding, double sink);
 """
 
 

@@ -14,17 +14,25 @@ def test_24_volts_are_2708(plant_c: Native) -> None:
 
 
 @pytest.mark.parametrize(
-    ("current", "code"),
-    [(0.0, 2048), (8.25 / 2048, 2049), (-8.25 / 2048, 2047), (4.125, 3072), (-4.125, 1024), (8.3, 4095), (-8.3, 0)],
+    ("value", "code"),
+    [
+        (2048.0, 2048),
+        (2048.49, 2048),
+        (2047.51, 2048),
+        (0.49, 0),
+        (0.51, 1),
+        (4094.51, 4095),
+        (4096.0, 4095),
+        (-9.0, 0),
+    ],
 )
-def test_codes_of_currents(plant_c: Native, current: float, code: int) -> None:
-    assert plant_c.lib.plant_code_bipolar(current, 8.25) == code
+def test_codes_are_the_nearest(plant_c: Native, value: float, code: int) -> None:
+    assert plant_c.lib.plant_code(value) == code
 
 
-def test_codes_saturate(plant_c: Native) -> None:
-    for value, unipolar, bipolar in [(1e6, 4095, 4095), (-1e6, 0, 0), (36.3, 4095, 4095)]:
-        assert plant_c.lib.plant_code_unipolar(value, 36.3) == unipolar
-        assert plant_c.lib.plant_code_bipolar(value, 36.3) == bipolar
+@pytest.mark.parametrize(("volts", "code"), [(1e6, 4095), (-1e6, 0), (36.3, 4095), (0.0, 0)])
+def test_codes_saturate(plant_c: Native, volts: float, code: int) -> None:
+    assert plant_c.lib.plant_code_unipolar(volts, 36.3) == code
 
 
 def gauss(plant_c: Native, size: int, seed: int = 1, stream: int = 0) -> list[float]:

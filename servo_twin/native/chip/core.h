@@ -44,7 +44,6 @@ typedef struct {
     bool booting;                   /* every access takes time, no interrupts */
     bool masked;                    /* all interrupts of peripherals */
     bool background_due;
-    bool in_background;
     core_frame_t frame[CORE_LEVELS];
     int depth;
     struct {

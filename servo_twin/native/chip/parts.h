@@ -196,9 +196,6 @@ typedef enum {
 
 pin_function_t pins_function(const chip_t *chip, unsigned pin);
 
-/* Level that the board puts on the pin of a function; low if no pin has it. */
-bool pins_input(const chip_t *chip, pin_function_t function);
-
 void pins_reroute(chip_t *chip); /* a function select, a port's PER or SIM_IPS0 has changed */
 
 static inline bool sim_gate_open(const chip_t *chip, unsigned index, unsigned bit)

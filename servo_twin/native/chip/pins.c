@@ -112,16 +112,6 @@ pin_function_t pins_function(const chip_t *chip, unsigned pin)
 
 static bool level_of(const chip_t *chip, unsigned pin) { return ((chip->pins.in[pin >> 4] >> (pin & 15u)) & 1u) != 0; }
 
-bool pins_input(const chip_t *chip, pin_function_t function)
-{
-    for (unsigned i = 0; i < CHOICES; i++) {
-        if (pins_function(chip, choices[i].pin) == function) {
-            return level_of(chip, choices[i].pin);
-        }
-    }
-    return false;
-}
-
 /* ---- signals from pins ----------------------------------------------------------------------------------------------- */
 
 /* Input of a timer or of the fault logic comes from its pin, unless SIM_IPS0 gives it to the crossbar. */

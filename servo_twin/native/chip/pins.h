@@ -10,7 +10,6 @@
 /* Pins by port and number: CHIP_PIN('C', 3). */
 #define CHIP_PIN(port, number) ((((unsigned)(port) - 'A') << 4) | (unsigned)(number))
 #define CHIP_PINS (GPIO_PORTS * 16u)
-#define CHIP_NO_PIN CHIP_PINS
 
 /* What the board has soldered to them; a peripheral that is routed to another pin drives or hears nothing. */
 typedef struct {

@@ -15,7 +15,6 @@
 typedef struct {
     uint16_t comp1, comp2, capt, load, hold, cntr, ctrl, sctrl, cmpld1, cmpld2, csctrl, filt;
     bool oflag;
-    bool alternate; /* OFLAG mode 4: COMP2 is next */
     uint64_t since; /* clock to which a channel on the bus clock has been brought up */
 } qtmr_channel_t;
 

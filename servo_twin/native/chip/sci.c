@@ -21,7 +21,6 @@ enum { RATE, CTRL1, CTRL2, STAT, DATA, CTRL3 };
 #define STAT_RDRF 0x2000u
 #define STAT_TIDLE 0x4000u
 #define STAT_TDRE 0x8000u
-#define STAT_RAF 0x0001u
 
 #define BITS 10u /* start, eight data, stop */
 

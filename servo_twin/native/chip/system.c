@@ -12,7 +12,6 @@ enum { OCCS_CTRL, DIVBY, OCCS_STAT, OSCTL1 = 4, OSCTL2, CLKCHKR, CLKCHKT, OCCS_P
 #define CTRL_PRECS(x) (((x) >> 2) & 3u)
 #define CTRL_PLLPD 0x0010u
 #define CTRL_LCKON 0x0080u
-#define OSCTL1_EXT_SEL 0x0400u
 #define OSCTL1_ROPD 0x8000u
 #define OSCTL2_COPD 0x4000u
 #define PRECS_INTERNAL 0u
@@ -312,9 +311,7 @@ enum { COP_CTRL, TOUT, COP_CNTR, INTVAL };
 
 #define COP_CWP 0x0001u
 #define COP_CEN 0x0002u
-#define COP_CLOREN 0x0010u
 #define COP_CLKSEL(x) (((x) >> 5) & 3u)
-#define COP_INTEN 0x0080u
 #define COP_PSS(x) (((x) >> 8) & 3u)
 #define COP_FIRST_WORD 0x5555u
 #define COP_SECOND_WORD 0xAAAAu

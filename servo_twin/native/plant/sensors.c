@@ -5,9 +5,4 @@ void plant_random_init(plant_random_t *random, uint64_t seed, uint64_t stream)
     random->state = plant_random_scramble(seed ^ plant_random_scramble(stream + UINT64_C(1)));
 }
 
-uint16_t plant_code_bipolar(double value, double full_scale)
-{
-    return plant_code(2048.0 + value / full_scale * 2048.0);
-}
-
 uint16_t plant_code_unipolar(double value, double full_scale) { return plant_code(value / full_scale * 4096.0); }

@@ -47,9 +47,6 @@ static inline uint16_t plant_code(double code)
     return (code >= (double)PLANT_CODE_MAX) ? (uint16_t)PLANT_CODE_MAX : (uint16_t)(code + 0.5);
 }
 
-/* Code of a bipolar signal: -full_scale .. +full_scale around mid-scale 2048, saturated at 0 and 4095. */
-uint16_t plant_code_bipolar(double value, double full_scale);
-
 /* Code of a unipolar signal: 24 V of 36.3 V is 2708 (DRM E46). */
 uint16_t plant_code_unipolar(double value, double full_scale);
 

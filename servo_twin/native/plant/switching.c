@@ -555,12 +555,6 @@ void switching_cut(switching_t *plant, int i, int line, bool cut, bool level)
     set_line(plant, i, line, before);
 }
 
-void switching_set_temperature(switching_t *plant, int i, double winding, double sink)
-{
-    plant->axis[i].winding.t = winding;
-    plant->axis[i].sink.t = sink;
-}
-
 /* ---- what breaks ---------------------------------------------------------------------------------------------------- */
 
 static void harm_sensor(switching_t *plant, const board_harm_t *harm, bool healed)

@@ -189,7 +189,6 @@ void switching_obstruct(switching_t *plant, int axis, double below, double above
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level); /* encoder line stuck at a level */
 void switching_brake(switching_t *plant, bool on); /* brake resistor across the bus */
-void switching_set_temperature(switching_t *plant, int axis, double winding, double sink);
 
 /* Something breaks, or is whole again. */
 void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed);

@@ -234,7 +234,8 @@ static void controller(run_t *run)
     for (uint16_t i = 0; i < STEPS; i++) {
         const int32_t error = draw32(run);
         const int32_t forward = draw32(run);
-        take(run, pi_step(&state, &gains, error, forward, draw_limit32(run)));
+        const pi_sum_t sum = pi_sum(&state, &gains, error) + pi_sum_of(forward);
+        take(run, pi_limit(&state, sum, draw_limit32(run)));
         take_pi(run, &state);
     }
 }

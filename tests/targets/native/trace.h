@@ -23,7 +23,6 @@
 
 #include "exchange.h"
 
-#define TRACE_HEADER_SIZE 20
 #define TRACE_SHAPES 63
 #define TRACE_SHAPE_BITS 6
 #define TRACE_WORDS 600      /* of all shapes together */
