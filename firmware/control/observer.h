@@ -15,8 +15,8 @@
 
 #include "control/transforms.h"
 
-/* F1 and F2 of the slide, as powers of two: what the states have more than the 15 bits of a sample. With 11 of them, the
- * most that the tool gives, a state holds sixteen times the full scale, more than any transient needs. */
+/* F1 and F2 of the slide, as powers of two: what the states have more than the 15 bits of a sample. With 11 of them a
+ * state holds sixteen times the full scale, more than any transient needs. */
 typedef struct {
     uint16_t f1; /* fraction bits of currents, less 15 */
     uint16_t f2; /* fraction bits of voltages, less 15 */
