@@ -24,6 +24,15 @@ static void guide_pll(axis_t *axis, int32_t step)
     estimate->pll.backwards = estimate->pll.integral < 0;
 }
 
+/* Near zero a current's direction does not tell what the switches take: not the rest of it, all of it is in doubt. */
+static frac16_t floor_of(const axis_t *axis)
+{
+    const dq_t i = axis->current_loop.current;
+    const bool certain = length_about(i.d, i.q) > 2 * (int32_t)axis->config->phases.silent;
+    return certain ? axis->config->emf_check.floor
+                   : f16_add(axis->config->emf_check.floor, axis->config->phases.emf_floor);
+}
+
 void angle_check_step(axis_t *axis)
 {
     estimate_t *estimate = &axis->estimate;
@@ -46,8 +55,8 @@ void angle_check_step(axis_t *axis)
     const dq_t emf = park(estimate->emf, sin_cos(middle));
     const frac16_t expected = estimate_emf_at(axis, axis->feedback.speed);
     const bool deviates =
-        emf_check_deviates(&axis->config->emf_check, axis->config->emf_check.floor, emf_check_deviation(emf, expected),
-                           expected, axis->current_loop.current.q);
+        emf_check_deviates(&axis->config->emf_check, floor_of(axis), emf_check_deviation(emf, expected), expected,
+                           axis->current_loop.current.q);
     if (emf_check_lasts(&estimate->check, deviates, axis->config->emf_check.ticks_check)) {
         axis_raise(axis, FAULT_ANGLE_MISMATCH);
     }

@@ -17,6 +17,8 @@ STOP, RUN = 2, 3
 READY, SPIN, FREEWHEEL, STARTUP = 1, 3, 4, 5
 PAIRS = 2
 LIMIT_SETPOINT = 8
+UNKNOWN = 0.35 / math.sqrt(2.0)
+"""What dead time and switches leave of the voltage, root mean square [V] (emf_check.floor)."""
 
 
 def sensorless(
@@ -321,14 +323,17 @@ def test_observer_agrees_with_the_encoder() -> None:
         for speed in (50.0, -150.0, 300.0):
             set_axis(board, "cmd.speed", 0, speed)
             board.run(0.4)
-            angles = []
+            angles, speeds = [], []
             for _ in range(100):
                 board.advance(board.time_ns + TICK_NS)
+                speeds.append(board.read("axis1.estimate_speed"))
                 seen, encoder = board.read("axis1.estimate_theta_e"), board.read("axis1.theta_e")
                 assert isinstance(seen, float)
                 assert isinstance(encoder, float)
                 angles.append(math.degrees(math.remainder(seen - encoder, 2.0 * math.pi)))
             # the rotor search leaves a degree or two of the friction's doing
             assert abs(np.mean(angles)) < 6.0
-            assert np.std(angles) < 1.5
-            assert board.read("axis1.estimate_speed") == pytest.approx(speed, abs=4.0)
+            # without load the currents are too small to tell what the switches take, which the averaged plant knows
+            unknown = 0.0 if board.level == "ideal" else UNKNOWN / (PAIRS * abs(speed) * board.plant.axes[0].psi_m)
+            assert np.std(angles) < 1.5 + math.degrees(unknown)
+            assert np.mean(speeds) == pytest.approx(speed, abs=4.0)
