@@ -40,6 +40,10 @@ enum { OUT_ACTIVE, OUT_CLEAR, OUT_SET, OUT_TOGGLE, OUT_ALTERNATE, OUT_SET_SECOND
 
 #define FIRST_BUS_SOURCE 8u
 
+/* Each channel that a mask names, as it is now. */
+#define FOR_EACH(n, mask)                                                                                              \
+    for (unsigned left = (mask), n = 0; left != 0 && (n = chip_lowest_bit(left), true); left &= left - 1u)
+
 static bool enabled(const qtmr_t *timer, unsigned n) { return ((timer->enable >> n) & 1u) != 0; }
 
 static bool runs_on_bus(const qtmr_t *timer, unsigned n) { return ((timer->on_bus >> n) & 1u) != 0; }
@@ -72,12 +76,11 @@ static void set_oflag(chip_t *chip, unsigned m, unsigned n, bool level)
     const bool out = level != ((c->sctrl & 2u) != 0); /* OPS inverts what leaves the timer */
     xbar_signal(chip, (int)((m == 0) ? 36u + n : 16u + n), (int)((m == 0) ? 16u + n : 4u + n),
                 out ? XBAR_RISE : XBAR_FALL);
-    for (unsigned k = 0; timer->follows[n] >> k != 0; k++) {
-        if (((timer->follows[n] >> k) & 1u) != 0) {
-            const unsigned mode = CTRL_CM(timer->channel[k].ctrl);
-            if (level || mode == CM_BOTH) {
-                count(chip, m, k, !counts_down(&timer->channel[k]));
-            }
+    FOR_EACH(k, timer->follows[n])
+    {
+        const unsigned mode = CTRL_CM(timer->channel[k].ctrl);
+        if (level || mode == CM_BOTH) {
+            count(chip, m, k, !counts_down(&timer->channel[k]));
         }
     }
 }
@@ -104,8 +107,9 @@ static void compare(chip_t *chip, unsigned m, unsigned n, bool up)
     default:
         break;
     }
-    for (unsigned k = 0; timer->cascade >> k != 0; k++) {
-        if (((timer->cascade >> k) & 1u) != 0 && CTRL_PCS(timer->channel[k].ctrl) == 4u + n) {
+    FOR_EACH(k, timer->cascade)
+    {
+        if (CTRL_PCS(timer->channel[k].ctrl) == 4u + n) {
             count(chip, m, k, up);
         }
     }
@@ -199,9 +203,7 @@ static void settle(chip_t *chip, unsigned m, unsigned n)
 
 static void settle_all(chip_t *chip, unsigned m)
 {
-    for (unsigned n = 0; chip->timer[m].on_bus >> n != 0; n++) {
-        settle(chip, m, n);
-    }
+    FOR_EACH(n, chip->timer[m].on_bus) { settle(chip, m, n); }
 }
 
 /* A channel on the bus clock whose compares nobody hears of has no events. */
@@ -211,48 +213,48 @@ static bool has_events(const qtmr_channel_t *c)
            CTRL_OUTMODE(c->ctrl) != OUT_ACTIVE || (c->ctrl & CTRL_ONCE) != 0;
 }
 
-static void schedule(chip_t *chip, unsigned m)
+/* The next event of the channels whose events somebody hears of. */
+CHIP_APART static uint64_t next_heard(chip_t *chip, unsigned m)
 {
-    qtmr_t *timer = &chip->timer[m];
-    for (unsigned n = 0; timer->heard >> n != 0; n++) {
-        if (((timer->heard >> n) & 1u) != 0) {
-            settle(chip, m, n); /* an output may lead to an input */
-        }
-    }
+    const qtmr_t *timer = &chip->timer[m];
+    FOR_EACH(n, timer->heard) { settle(chip, m, n); }
     uint64_t next = CHIP_NEVER;
-    for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
-        next = (timer->change_clock[i] < next) ? timer->change_clock[i] : next;
-    }
-    for (unsigned n = 0; timer->heard >> n != 0; n++) {
+    FOR_EACH(n, timer->heard & timer->on_bus)
+    {
         const qtmr_channel_t *c = &timer->channel[n];
-        if (((timer->heard >> n) & 1u) != 0 && runs_on_bus(timer, n)) {
-            const unsigned shift = prescaler(c);
-            const uint64_t clock = ((chip->now >> shift) + counts_to_event(c)) << shift;
-            next = (clock < next) ? clock : next;
-        }
+        const unsigned shift = prescaler(c);
+        const uint64_t clock = ((chip->now >> shift) + counts_to_event(c)) << shift;
+        next = (clock < next) ? clock : next;
     }
-    chip_schedule(chip, SOURCE_TIMER + m, next);
+    return next;
+}
+
+static inline void schedule(chip_t *chip, unsigned m)
+{
+    const qtmr_t *timer = &chip->timer[m];
+    const uint64_t heard = (timer->heard != 0) ? next_heard(chip, m) : CHIP_NEVER; /* may change an input */
+    const uint64_t *change = timer->change_clock;
+    const uint64_t a = (change[1] < change[0]) ? change[1] : change[0];
+    const uint64_t b = (change[3] < change[2]) ? change[3] : change[2];
+    const uint64_t first = (b < a) ? b : a;
+    chip_schedule(chip, SOURCE_TIMER + m, (first < heard) ? first : heard);
 }
 
 /* ---- inputs ---------------------------------------------------------------------------------------------------------- */
 
-/* Each channel that a mask names. */
-#define FOR_EACH(n, mask)                                                                                              \
-    for (unsigned n = 0; (mask) >> n != 0; n++)                                                                        \
-        if ((((mask) >> n) & 1u) != 0)
-
 static void capture(chip_t *chip, unsigned m, unsigned n, bool rises)
 {
-    const qtmr_t *timer = &chip->timer[m];
-    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    qtmr_t *timer = &chip->timer[m];
+    qtmr_channel_t *c = &timer->channel[n];
     const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
     const unsigned edge = (rises != inverted) ? 1u : 2u;
-    if ((SCTRL_CAPTURE(c->sctrl) & edge) == 0 || (c->sctrl & SCTRL_IEF) != 0) {
-        return; /* what has been captured stays until software clears IEF */
+    if ((SCTRL_CAPTURE(c->sctrl) & edge) == 0) {
+        return;
     }
     settle(chip, m, n);
     c->capt = c->cntr;
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_IEF);
+    timer->captured |= 1u << n;
     if ((c->csctrl & CSCTRL_ROC) != 0) {
         c->cntr = c->load;
         if (timer->heard != 0) {
@@ -272,9 +274,6 @@ static void decode(chip_t *chip, unsigned m, unsigned n, unsigned input)
     const qtmr_channel_t *c = &timer->channel[n];
     const unsigned a = CTRL_PCS(c->ctrl);
     const unsigned b = CTRL_SCS(c->ctrl);
-    if (a > 3u || (input != a && input != b)) {
-        return;
-    }
     const bool differ = (((timer->in >> a) ^ (timer->in >> b)) & 1u) != 0;
     const bool up = (input == a) ? differ : !differ;
     count(chip, m, n, up != counts_down(c));
@@ -288,7 +287,7 @@ static void edge(chip_t *chip, unsigned m, unsigned input)
     timer->in ^= 1u << input;
     const bool rises = ((timer->in >> input) & 1u) != 0;
     FOR_EACH(n, timer->cleared_by[input]) { set_oflag(chip, m, n, false); }
-    FOR_EACH(n, timer->quadrature) { decode(chip, m, n, input); }
+    FOR_EACH(n, timer->decodes[input]) { decode(chip, m, n, input); }
     FOR_EACH(n, timer->counts_edges[input])
     {
         const qtmr_channel_t *c = &timer->channel[n];
@@ -297,7 +296,8 @@ static void edge(chip_t *chip, unsigned m, unsigned input)
             count(chip, m, n, !counts_down(c));
         }
     }
-    FOR_EACH(n, timer->captures[input]) { capture(chip, m, n, rises); }
+    /* what has been captured stays until software clears IEF */
+    FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(chip, m, n, rises); }
 }
 
 void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
@@ -308,8 +308,7 @@ void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
         return;
     }
     timer->raw ^= bit;
-    const uint16_t filter = timer->channel[input].filt;
-    const uint64_t delay = (uint64_t)(filter & 0xFFu) * (((unsigned)filter >> 8 & 7u) + 3u);
+    const uint32_t delay = timer->delay[input];
     if (((timer->in & bit) != 0) == level) {
         timer->change_clock[input] = CHIP_NEVER; /* shorter than the filter */
     } else if (delay == 0) {
@@ -348,9 +347,10 @@ static void derive(chip_t *chip, unsigned m)
 {
     qtmr_t *timer = &chip->timer[m];
     settle_all(chip, m);
-    timer->on_bus = timer->quadrature = timer->cascade = 0;
+    timer->on_bus = timer->cascade = 0;
     for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
         timer->counts_edges[i] = timer->follows[i] = timer->captures[i] = timer->cleared_by[i] = 0;
+        timer->decodes[i] = 0;
     }
     for (unsigned n = 0; n < QTMR_CHANNELS; n++) {
         qtmr_channel_t *c = &timer->channel[n];
@@ -362,7 +362,10 @@ static void derive(chip_t *chip, unsigned m)
             continue;
         }
         if (mode == CM_QUADRATURE) {
-            timer->quadrature |= bit;
+            if (source < QTMR_CHANNELS) {
+                timer->decodes[source] |= bit;
+                timer->decodes[CTRL_SCS(c->ctrl)] |= bit;
+            }
         } else if (mode == CM_CASCADE) {
             timer->cascade |= bit;
         } else if (source >= FIRST_BUS_SOURCE) {
@@ -488,6 +491,7 @@ static void write_sctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, 
     const unsigned before = c->sctrl;
     const unsigned flags = before & value & SCTRL_FLAGS; /* a flag is cleared by writing 0, never set */
     c->sctrl = (uint16_t)((value & ~(SCTRL_FLAGS | SCTRL_INPUT | SCTRL_FORCE)) | flags);
+    chip->timer[m].captured &= ~((flags & SCTRL_IEF) != 0 ? 0u : 1u << n);
     if ((value & SCTRL_FORCE) != 0) {
         set_oflag(chip, m, n, (value & SCTRL_VAL) != 0);
     }
@@ -551,6 +555,7 @@ static void write_channel(chip_t *chip, uint32_t address, unsigned m, unsigned n
     case FILT:
         chip_only(chip, address, value, 0x07FF, "reserved");
         c->filt = value;
+        timer->delay[n] = (value & 0xFFu) * (((uint32_t)value >> 8) + 3u);
         return;
     case DMA:
         chip_only(chip, address, value, 0, "DMA is not modelled");
