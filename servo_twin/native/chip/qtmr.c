@@ -65,13 +65,10 @@ static void request(chip_t *chip, unsigned m, unsigned n)
 
 static void count(chip_t *chip, unsigned m, unsigned n, bool up);
 
-static void set_oflag(chip_t *chip, unsigned m, unsigned n, bool level)
+CHIP_APART static void change_oflag(chip_t *chip, unsigned m, unsigned n, bool level)
 {
     qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
-    if (c->oflag == level) {
-        return;
-    }
     c->oflag = level;
     const bool out = level != ((c->sctrl & 2u) != 0); /* OPS inverts what leaves the timer */
     xbar_signal(chip, (int)((m == 0) ? 36u + n : 16u + n), (int)((m == 0) ? 16u + n : 4u + n),
@@ -85,8 +82,15 @@ static void set_oflag(chip_t *chip, unsigned m, unsigned n, bool level)
     }
 }
 
+static inline void set_oflag(chip_t *chip, unsigned m, unsigned n, bool level)
+{
+    if (chip->timer[m].channel[n].oflag != level) {
+        change_oflag(chip, m, n, level);
+    }
+}
+
 /* The count has met COMP1 (up) or COMP2 (down). */
-static void compare(chip_t *chip, unsigned m, unsigned n, bool up)
+CHIP_APART static void compare(chip_t *chip, unsigned m, unsigned n, bool up)
 {
     qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
@@ -120,7 +124,7 @@ static void compare(chip_t *chip, unsigned m, unsigned n, bool up)
     request(chip, m, n);
 }
 
-static void rollover(chip_t *chip, unsigned m, unsigned n)
+CHIP_APART static void rollover(chip_t *chip, unsigned m, unsigned n)
 {
     qtmr_channel_t *c = &chip->timer[m].channel[n];
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_TOF);
@@ -168,7 +172,7 @@ static uint32_t counts_to_event(const qtmr_channel_t *c)
     return (to_limit != 0 && to_limit < to_wrap) ? to_limit : to_wrap;
 }
 
-static void settle_to(chip_t *chip, unsigned m, unsigned n, uint64_t clock)
+static inline void settle_to(chip_t *chip, unsigned m, unsigned n, uint64_t clock)
 {
     qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
@@ -187,18 +191,22 @@ static void settle_to(chip_t *chip, unsigned m, unsigned n, uint64_t clock)
     }
 }
 
-static void settle(chip_t *chip, unsigned m, unsigned n)
+CHIP_APART static void settle_on_bus(chip_t *chip, unsigned m, unsigned n)
 {
     qtmr_t *timer = &chip->timer[m];
-    if (!runs_on_bus(timer, n)) {
-        return;
-    }
     if (((timer->holds >> n) & 1u) != 0) {
         timer->holds &= ~(1u << n);
         settle_to(chip, m, n, timer->hold_clock);
         timer->channel[n].hold = timer->channel[n].cntr;
     }
     settle_to(chip, m, n, chip->now);
+}
+
+static inline void settle(chip_t *chip, unsigned m, unsigned n)
+{
+    if (runs_on_bus(&chip->timer[m], n)) {
+        settle_on_bus(chip, m, n);
+    }
 }
 
 static void settle_all(chip_t *chip, unsigned m)
@@ -242,7 +250,7 @@ static inline void schedule(chip_t *chip, unsigned m)
 
 /* ---- inputs ---------------------------------------------------------------------------------------------------------- */
 
-static void capture(chip_t *chip, unsigned m, unsigned n, bool rises)
+CHIP_APART static void capture(chip_t *chip, unsigned m, unsigned n, bool rises)
 {
     qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
@@ -281,7 +289,7 @@ static void decode(chip_t *chip, unsigned m, unsigned n, unsigned input)
 
 /* A level behind the filter has changed. What a secondary input does to OFLAG comes before the count, its capture after:
  * the captured count includes the edge. */
-static void edge(chip_t *chip, unsigned m, unsigned input)
+CHIP_APART static void edge(chip_t *chip, unsigned m, unsigned input)
 {
     qtmr_t *timer = &chip->timer[m];
     timer->in ^= 1u << input;
