@@ -21,6 +21,7 @@ typedef struct {
 
 typedef struct {
     qtmr_channel_t channel[QTMR_CHANNELS];
+    unsigned module;
     uint16_t enable;
     unsigned holds;                      /* channels on the bus clock whose HOLD is still to be taken, ... */
     uint64_t hold_clock;                 /* ... as of this clock */
