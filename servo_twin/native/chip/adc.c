@@ -63,11 +63,12 @@ static bool powered(const chip_t *chip, unsigned c)
 }
 
 /* Results whose time has come. */
-static void settle(chip_t *chip)
+CHIP_APART static void settle(chip_t *chip)
 {
     adc_t *adc = &chip->adc;
-    for (unsigned n = 0; adc->waits >> n != 0; n++) {
-        if (((adc->waits >> n) & 1u) != 0 && adc->ready[n] <= chip->now) {
+    for (unsigned left = adc->waits; left != 0; left &= left - 1u) {
+        const unsigned n = chip_lowest_bit(left);
+        if (adc->ready[n] <= chip->now) {
             adc->result[n] = adc->waiting[n];
             adc->rdy = (uint16_t)(adc->rdy | (1u << n));
             adc->waits &= ~(1u << n);
@@ -75,7 +76,7 @@ static void settle(chip_t *chip)
     }
 }
 
-static void request(chip_t *chip)
+CHIP_APART static void request(chip_t *chip)
 {
     const adc_t *adc = &chip->adc;
     const bool end_a = (adc->stat & 0x0800u) != 0 && (adc->ctrl1 & CTRL_EOSIE) != 0;
@@ -85,29 +86,34 @@ static void request(chip_t *chip)
     intc_request(chip, VECTOR_ADC_CC1, !together(adc) && (end_b || (halted & 0xFF00u) != 0));
 }
 
-static void schedule(chip_t *chip, unsigned c)
+/* When a sample is ready whose interrupt stops the scan. */
+CHIP_APART static uint64_t next_halt(const adc_t *adc)
 {
-    const adc_converter_t *converter = &chip->adc.converter[c];
+    uint64_t next = CHIP_NEVER;
+    for (unsigned left = adc->waits & adc->schlten; left != 0; left &= left - 1u) {
+        const uint64_t ready = adc->ready[chip_lowest_bit(left)];
+        next = (ready < next) ? ready : next;
+    }
+    return next;
+}
+
+static inline void schedule(chip_t *chip, unsigned c)
+{
+    const adc_t *adc = &chip->adc;
+    const adc_converter_t *converter = &adc->converter[c];
+    const uint64_t halt = (adc->schlten != 0) ? next_halt(adc) : CHIP_NEVER;
     uint64_t next = CHIP_NEVER;
     if (converter->converting) {
         next = (converter->hold_clock < converter->end_clock) ? converter->hold_clock : converter->end_clock;
     }
-    if (chip->adc.schlten != 0) {
-        for (unsigned n = 0; n < ADC_SAMPLES; n++) {
-            if (((chip->adc.waits & chip->adc.schlten) >> n & 1u) != 0 && chip->adc.ready[n] < next) {
-                next = chip->adc.ready[n];
-            }
-        }
-    }
-    chip_schedule(chip, SOURCE_ADC + c, next);
+    chip_schedule(chip, SOURCE_ADC + c, (halt < next) ? halt : next);
 }
 
 /* A scan ends before the first pair of which a sample is disabled. */
-static bool disabled(const adc_t *adc, unsigned c, unsigned pair)
+static inline bool disabled(const adc_t *adc, unsigned c, unsigned pair)
 {
-    const bool a = ((adc->sdis >> pair) & 1u) != 0;
-    const bool b = ((adc->sdis >> (pair + ADC_PAIRS)) & 1u) != 0;
-    return together(adc) ? a || b : (c == A) ? a : b;
+    const unsigned samples = together(adc) ? 0x0101u : (c == A) ? 0x0001u : 0x0100u;
+    return (adc->sdis & (samples << pair)) != 0;
 }
 
 /* The first pair of a row. */

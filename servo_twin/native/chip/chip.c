@@ -67,56 +67,66 @@ typedef struct {
     void (*write)(chip_t *chip, uint32_t address, uint16_t value);
 } block_t;
 
-static const block_t blocks[] = {
-    {0xE600, 0xE800, pwm_read, pwm_write},   {0xE500, 0xE556, adc_read, adc_write},
-    {0xE140, 0xE1C0, qtmr_read, qtmr_write}, {0xE200, 0xE270, gpio_read, gpio_write},
-    {0xE080, 0xE0B0, sci_read, sci_write},   {0xE320, 0xE324, cop_read, cop_write},
-    {0xE300, 0xE31C, intc_read, intc_write}, {0xE340, 0xE388, xbar_read, xbar_write},
-    {0xE400, 0xE42E, sim_read, sim_write},   {0xE2B0, 0xE2B9, occs_read, occs_write},
+static const block_t blocks[] = { /* in order of address */
+    {0xE080, 0xE0B0, sci_read, sci_write},   {0xE140, 0xE1C0, qtmr_read, qtmr_write}, {0xE200, 0xE270, gpio_read, gpio_write},
+    {0xE2B0, 0xE2B9, occs_read, occs_write}, {0xE300, 0xE31C, intc_read, intc_write}, {0xE320, 0xE324, cop_read, cop_write},
+    {0xE340, 0xE388, xbar_read, xbar_write}, {0xE400, 0xE42E, sim_read, sim_write},   {0xE500, 0xE556, adc_read, adc_write},
+    {0xE600, 0xE800, pwm_read, pwm_write},
 };
 
-static const block_t *search_block(chip_t *chip, uint32_t address)
-{
-    for (size_t i = 0; i < sizeof blocks / sizeof blocks[0]; i++) {
-        if (address >= blocks[i].begin && address < blocks[i].end) {
-            return &blocks[i];
-        }
-    }
-    chip_no_register(chip, address);
-}
+/* The first block that may hold an address, by its bits 8 to 10. */
+static const block_t *const first_block[8] = {&blocks[0], &blocks[1], &blocks[2], &blocks[4],
+                                               &blocks[7], &blocks[8], &blocks[9], &blocks[9]};
 
-/* The blocks that handlers use come first. */
 static inline const block_t *block_of(chip_t *chip, uint32_t address)
 {
-    const unsigned page = (unsigned)(address >> 9);
-    return (page == 0xE600u >> 9) ? &blocks[0] : search_block(chip, address);
+    if (address >> 11 != 0xE000u >> 11) {
+        chip_no_register(chip, address);
+    }
+    const block_t *block = first_block[(address >> 8) & 7u];
+    while (address >= block->end) {
+        block++;
+    }
+    if (address < block->begin) {
+        chip_no_register(chip, address);
+    }
+    return block;
 }
 
-static void run_until(chip_t *chip, uint64_t until);
+CHIP_APART static void run_until(chip_t *chip, uint64_t until);
+
+/* An access takes its time while the software boots. */
+static inline void take_time(chip_t *chip)
+{
+    if (chip->core.booting) {
+        run_until(chip, chip->now + chip->core.access_clocks);
+    }
+}
+
+CHIP_NORETURN CHIP_APART static void fail_waiting(chip_t *chip, uint32_t address)
+{
+    char name[64];
+    chip_register_name(address, name, sizeof name);
+    chip_fail(chip, "the software waits for %s, which cannot change meanwhile", name);
+}
 
 uint16_t chip_read(chip_t *chip, uint32_t address)
 {
-    if (chip->core.booting) {
-        run_until(chip, chip->now + chip->core.access_clocks); /* an access takes its time */
-    }
-    uint16_t value;
-    if (chip->core.deferred_count > 0 && core_deferred(chip, address, &value)) {
-        return value;
+    take_time(chip);
+    const uint16_t *deferred = core_deferred(chip, address);
+    if (deferred != NULL) {
+        return *deferred;
     }
     if (++chip->core.polls > POLLS_MOST) {
-        char name[64];
-        chip_register_name(address, name, sizeof name);
-        chip_fail(chip, "the software waits for %s, which cannot change meanwhile", name);
+        fail_waiting(chip, address);
     }
     return block_of(chip, address)->read(chip, address);
 }
 
 void chip_write(chip_t *chip, uint32_t address, uint16_t value)
 {
-    if (chip->core.booting) {
-        run_until(chip, chip->now + chip->core.access_clocks); /* an access takes its time */
-    }
-    if (chip->core.deferring && core_defers(chip, address)) {
+    take_time(chip);
+    if (core_defers(chip, address)) {
         core_defer(chip, address, value);
         return;
     }

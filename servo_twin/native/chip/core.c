@@ -76,18 +76,6 @@ void intc_write(chip_t *chip, uint32_t address, uint16_t value)
     }
 }
 
-static unsigned lowest_bit(uint64_t word)
-{
-    unsigned bit = 0;
-    for (unsigned half = 32; half > 0; half /= 2u) {
-        if ((word & ((UINT64_C(1) << half) - 1u)) == 0) {
-            word >>= half;
-            bit += half;
-        }
-    }
-    return bit;
-}
-
 /* Most urgent request above `level`; the lower vector of two at one level. */
 static bool most_urgent(const core_t *core, int level, unsigned *vector, int *its_level)
 {
@@ -95,7 +83,7 @@ static bool most_urgent(const core_t *core, int level, unsigned *vector, int *it
         for (unsigned word = 0; word < 2u; word++) {
             const uint64_t pending = core->request[word] & core->enabled[l][word];
             if (pending != 0) {
-                *vector = 64u * word + lowest_bit(pending);
+                *vector = 64u * word + chip_lowest_bit(pending);
                 *its_level = l;
                 return true;
             }
@@ -118,9 +106,7 @@ static void start(chip_t *chip, unsigned vector, int level)
     core_frame_t *frame = &core->frame[core->depth++];
     *frame = (core_frame_t){.vector = vector, .level = level, .end_clock = 0, .deferred = core->deferred_count};
     chip_note(chip, TRACE_ENTER, vector, (uint32_t)level);
-    for (unsigned port = 0; port < GPIO_PORTS; port++) {
-        chip->pins.port[port].written_in_handler = false;
-    }
+    chip->pins.written = 0;
     const bool outer = core->deferring;
     core->deferring = true;
     const uint32_t clocks = world_interrupt(chip->world, vector);
@@ -186,13 +172,13 @@ void core_event(chip_t *chip)
 
 /* ---- last acts of a handler ----------------------------------------------------------------------------------------- */
 
-bool core_defers(const chip_t *chip, uint32_t address)
+bool core_acts_last(const chip_t *chip, uint32_t address)
 {
     if (address >= 0xE600u && address < 0xE800u) {
         return pwm_buffers(address);
     }
     if (address >= 0xE200u && address < 0xE270u && (address & 0xFu) == 1u) {
-        return chip->pins.port[(address - 0xE200u) >> 4].written_in_handler;
+        return ((chip->pins.written >> ((address - 0xE200u) >> 4)) & 1u) != 0;
     }
     return false;
 }
@@ -207,17 +193,15 @@ void core_defer(chip_t *chip, uint32_t address, uint16_t value)
     core->deferred[core->deferred_count++].value = value;
 }
 
-bool core_deferred(const chip_t *chip, uint32_t address, uint16_t *value)
+const uint16_t *core_find_deferred(const chip_t *chip, uint32_t address)
 {
     const core_t *core = &chip->core;
-    if (core->depth == 0 || !core->deferring) {
-        return false;
-    }
-    for (unsigned i = core->deferred_count; i > core->frame[core->depth - 1].deferred; i--) {
-        if (core->deferred[i - 1u].address == address) {
-            *value = core->deferred[i - 1u].value;
-            return true;
+    if (core->depth > 0 && core->deferring) {
+        for (unsigned i = core->deferred_count; i > core->frame[core->depth - 1].deferred; i--) {
+            if (core->deferred[i - 1u].address == address) {
+                return &core->deferred[i - 1u].value;
+            }
         }
     }
-    return false;
+    return NULL;
 }

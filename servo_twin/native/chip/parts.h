@@ -7,9 +7,11 @@
 #if defined(__GNUC__)
 #define CHIP_NORETURN __attribute__((noreturn))
 #define CHIP_PRINTF(text, first) __attribute__((format(printf, text, first)))
+#define CHIP_APART __attribute__((noinline)) /* what is rare stays out of its callers: their short way needs no frame */
 #else
 #define CHIP_NORETURN
 #define CHIP_PRINTF(text, first)
+#define CHIP_APART
 #endif
 
 /* ---- errors (chip.c) ------------------------------------------------------------------------------------------------ */
@@ -148,9 +150,19 @@ void cop_event(chip_t *chip);
 void core_step(chip_t *chip);
 
 /* Register writes of a handler that wait for its end. */
-bool core_defers(const chip_t *chip, uint32_t address);
+bool core_acts_last(const chip_t *chip, uint32_t address);
 void core_defer(chip_t *chip, uint32_t address, uint16_t value);
-bool core_deferred(const chip_t *chip, uint32_t address, uint16_t *value);
+CHIP_APART const uint16_t *core_find_deferred(const chip_t *chip, uint32_t address); /* NULL if there is none */
+
+static inline bool core_defers(const chip_t *chip, uint32_t address)
+{
+    return chip->core.deferring && core_acts_last(chip, address);
+}
+
+static inline const uint16_t *core_deferred(const chip_t *chip, uint32_t address)
+{
+    return (chip->core.deferred_count > 0) ? core_find_deferred(chip, address) : NULL;
+}
 
 /* ---- signals --------------------------------------------------------------------------------------------------------- */
 

@@ -243,6 +243,7 @@ uint16_t gpio_read(chip_t *chip, uint32_t address)
 void gpio_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     gpio_port_t *port = port_of(chip, address);
+    const unsigned index = (address - BASE) >> 4;
     unsigned changed;
     switch (address & 0xFu) {
     case PUR:
@@ -251,8 +252,8 @@ void gpio_write(chip_t *chip, uint32_t address, uint16_t value)
     case DR:
         changed = port->data ^ value;
         port->data = value;
-        port->written_in_handler = true;
-        if ((changed & chip->pins.gates[(address - BASE) >> 4]) != 0) {
+        chip->pins.written |= 1u << index;
+        if ((changed & chip->pins.gates[index]) != 0) {
             pwm_pins_changed(chip);
         }
         break;

@@ -381,12 +381,12 @@ static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned wh
 {
     const unsigned n = (what >> 3) - 2u;
     pwm_t *pwm = &chip->pwm[m];
+    pwm_submodule_t *s = &pwm->sub[n];
     sim_gate(chip, address, 3, ((m == 0) ? 7u : 3u) - n);
     if (((pwm->ldok >> n) & 1u) != 0) {
         pwm->locked_writes++;
         return;
     }
-    pwm_submodule_t *s = &pwm->sub[n];
     if ((what & 7u) == 0) {
         s->buffer.init = value;
     } else {
@@ -395,18 +395,24 @@ static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned wh
     s->updated = true;
 }
 
-void pwm_write(chip_t *chip, uint32_t address, uint16_t value)
+CHIP_APART static void write_plain(chip_t *chip, uint32_t address, uint16_t value)
 {
     const unsigned m = (address - BASE) / MODULE_SIZE;
     const uint32_t offset = (address - BASE) % MODULE_SIZE;
-    if (buffered[offset] > 1u) {
-        write_buffer(chip, address, m, buffered[offset], value);
-        return;
-    }
     check_gate(chip, address, m, offset);
     if (offset < SUB_REGISTERS) {
         write_sub(chip, address, m, offset / SUB_SIZE, offset % SUB_SIZE, value);
     } else {
         write_module(chip, address, m, offset, value);
+    }
+}
+
+void pwm_write(chip_t *chip, uint32_t address, uint16_t value)
+{
+    const unsigned what = buffered[address % MODULE_SIZE];
+    if (what > 1u) {
+        write_buffer(chip, address, (address - BASE) / MODULE_SIZE, what, value);
+    } else {
+        write_plain(chip, address, value);
     }
 }

@@ -40,6 +40,10 @@ enum { OUT_ACTIVE, OUT_CLEAR, OUT_SET, OUT_TOGGLE, OUT_ALTERNATE, OUT_SET_SECOND
 
 #define FIRST_BUS_SOURCE 8u
 
+/* Each channel that a mask names, as it is now. */
+#define FOR_EACH(n, mask)                                                                                              \
+    for (unsigned left = (mask), n = 0; left != 0 && (n = chip_lowest_bit(left), true); left &= left - 1u)
+
 static bool enabled(const qtmr_t *timer, unsigned n) { return ((timer->enable >> n) & 1u) != 0; }
 
 static bool runs_on_bus(const qtmr_t *timer, unsigned n) { return ((timer->on_bus >> n) & 1u) != 0; }
@@ -48,90 +52,91 @@ static unsigned prescaler(const qtmr_channel_t *c) { return CTRL_PCS(c->ctrl) - 
 
 static bool counts_down(const qtmr_channel_t *c) { return (c->ctrl & CTRL_DIR) != 0; }
 
-static void request(chip_t *chip, unsigned m, unsigned n)
+static void request(chip_t *chip, qtmr_t *timer, unsigned n)
 {
-    const qtmr_channel_t *c = &chip->timer[m].channel[n];
+    const qtmr_channel_t *c = &timer->channel[n];
     const unsigned flags = c->sctrl & (SCTRL_FLAGS);
     const unsigned wanted = ((unsigned)c->sctrl << 1) & SCTRL_FLAGS; /* each enable stands below its flag */
     const bool compare = (((unsigned)c->csctrl << 2) & c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0;
-    intc_request(chip, ((m == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & wanted) != 0 || compare);
+    intc_request(chip, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & wanted) != 0 || compare);
 }
 
 /* ---- counting -------------------------------------------------------------------------------------------------------- */
 
-static void count(chip_t *chip, unsigned m, unsigned n, bool up);
+static void count(chip_t *chip, qtmr_t *timer, unsigned n, bool up);
 
-static void set_oflag(chip_t *chip, unsigned m, unsigned n, bool level)
+CHIP_APART static void change_oflag(chip_t *chip, qtmr_t *timer, unsigned n, bool level)
 {
-    qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
-    if (c->oflag == level) {
-        return;
-    }
     c->oflag = level;
     const bool out = level != ((c->sctrl & 2u) != 0); /* OPS inverts what leaves the timer */
-    xbar_signal(chip, (int)((m == 0) ? 36u + n : 16u + n), (int)((m == 0) ? 16u + n : 4u + n),
+    xbar_signal(chip, (int)((timer->module == 0) ? 36u + n : 16u + n), (int)((timer->module == 0) ? 16u + n : 4u + n),
                 out ? XBAR_RISE : XBAR_FALL);
-    for (unsigned k = 0; timer->follows[n] >> k != 0; k++) {
-        if (((timer->follows[n] >> k) & 1u) != 0) {
-            const unsigned mode = CTRL_CM(timer->channel[k].ctrl);
-            if (level || mode == CM_BOTH) {
-                count(chip, m, k, !counts_down(&timer->channel[k]));
-            }
+    FOR_EACH(k, timer->follows[n])
+    {
+        const unsigned mode = CTRL_CM(timer->channel[k].ctrl);
+        if (level || mode == CM_BOTH) {
+            count(chip, timer, k, !counts_down(&timer->channel[k]));
         }
     }
 }
 
-/* The count has met COMP1 (up) or COMP2 (down). */
-static void compare(chip_t *chip, unsigned m, unsigned n, bool up)
+static inline void set_oflag(chip_t *chip, qtmr_t *timer, unsigned n, bool level)
 {
-    qtmr_t *timer = &chip->timer[m];
+    if (timer->channel[n].oflag != level) {
+        change_oflag(chip, timer, n, level);
+    }
+}
+
+/* The count has met COMP1 (up) or COMP2 (down). */
+CHIP_APART static void compare(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
+{
     qtmr_channel_t *c = &timer->channel[n];
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_TCF);
     c->csctrl = (uint16_t)(c->csctrl | (up ? CSCTRL_TCF1 : CSCTRL_TCF2));
     switch (CTRL_OUTMODE(c->ctrl)) {
     case OUT_CLEAR:
-        set_oflag(chip, m, n, false);
+        set_oflag(chip, timer, n, false);
         break;
     case OUT_SET:
     case OUT_SET_SECONDARY:
     case OUT_SET_ROLLOVER:
-        set_oflag(chip, m, n, true);
+        set_oflag(chip, timer, n, true);
         break;
     case OUT_TOGGLE:
-        set_oflag(chip, m, n, !c->oflag);
+        set_oflag(chip, timer, n, !c->oflag);
         break;
     default:
         break;
     }
-    for (unsigned k = 0; timer->cascade >> k != 0; k++) {
-        if (((timer->cascade >> k) & 1u) != 0 && CTRL_PCS(timer->channel[k].ctrl) == 4u + n) {
-            count(chip, m, k, up);
+    FOR_EACH(k, timer->cascade)
+    {
+        if (CTRL_PCS(timer->channel[k].ctrl) == 4u + n) {
+            count(chip, timer, k, up);
         }
     }
     if ((c->ctrl & CTRL_ONCE) != 0) {
         c->ctrl = (uint16_t)(c->ctrl & 0x1FFFu);
         timer->on_bus &= ~(1u << n);
     }
-    request(chip, m, n);
+    request(chip, timer, n);
 }
 
-static void rollover(chip_t *chip, unsigned m, unsigned n)
+CHIP_APART static void rollover(chip_t *chip, qtmr_t *timer, unsigned n)
 {
-    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    qtmr_channel_t *c = &timer->channel[n];
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_TOF);
     if (CTRL_OUTMODE(c->ctrl) == OUT_SET_ROLLOVER) {
-        set_oflag(chip, m, n, false);
+        set_oflag(chip, timer, n, false);
     }
     if ((c->sctrl & SCTRL_TOFIE) != 0) {
-        request(chip, m, n);
+        request(chip, timer, n);
     }
 }
 
 /* One count. With LENGTH the count after a match is LOAD, in the direction of that match. */
-static void count(chip_t *chip, unsigned m, unsigned n, bool up)
+static void count(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
 {
-    qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
     if (!enabled(timer, n)) {
         return;
@@ -143,11 +148,11 @@ static void count(chip_t *chip, unsigned m, unsigned n, bool up)
     } else {
         c->cntr = (uint16_t)(c->cntr + (up ? 1u : 0xFFFFu));
         if (c->cntr == (up ? 0u : 0xFFFFu)) {
-            rollover(chip, m, n);
+            rollover(chip, timer, n);
         }
     }
     if (c->cntr == limit) {
-        compare(chip, m, n, up);
+        compare(chip, timer, n, up);
     }
 }
 
@@ -164,9 +169,8 @@ static uint32_t counts_to_event(const qtmr_channel_t *c)
     return (to_limit != 0 && to_limit < to_wrap) ? to_limit : to_wrap;
 }
 
-static void settle_to(chip_t *chip, unsigned m, unsigned n, uint64_t clock)
+static inline void settle_to(chip_t *chip, qtmr_t *timer, unsigned n, uint64_t clock)
 {
-    qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
     const unsigned shift = prescaler(c);
     uint64_t counts = (clock >> shift) - (c->since >> shift);
@@ -178,30 +182,31 @@ static void settle_to(chip_t *chip, unsigned m, unsigned n, uint64_t clock)
             break;
         }
         c->cntr = (uint16_t)(counts_down(c) ? c->cntr - (next - 1u) : c->cntr + (next - 1u));
-        count(chip, m, n, !counts_down(c));
+        count(chip, timer, n, !counts_down(c));
         counts -= next;
     }
 }
 
-static void settle(chip_t *chip, unsigned m, unsigned n)
+CHIP_APART static void settle_on_bus(chip_t *chip, qtmr_t *timer, unsigned n)
 {
-    qtmr_t *timer = &chip->timer[m];
-    if (!runs_on_bus(timer, n)) {
-        return;
-    }
     if (((timer->holds >> n) & 1u) != 0) {
         timer->holds &= ~(1u << n);
-        settle_to(chip, m, n, timer->hold_clock);
+        settle_to(chip, timer, n, timer->hold_clock);
         timer->channel[n].hold = timer->channel[n].cntr;
     }
-    settle_to(chip, m, n, chip->now);
+    settle_to(chip, timer, n, chip->now);
 }
 
-static void settle_all(chip_t *chip, unsigned m)
+static inline void settle(chip_t *chip, qtmr_t *timer, unsigned n)
 {
-    for (unsigned n = 0; chip->timer[m].on_bus >> n != 0; n++) {
-        settle(chip, m, n);
+    if (runs_on_bus(timer, n)) {
+        settle_on_bus(chip, timer, n);
     }
+}
+
+static void settle_all(chip_t *chip, qtmr_t *timer)
+{
+    FOR_EACH(n, timer->on_bus) { settle(chip, timer, n); }
 }
 
 /* A channel on the bus clock whose compares nobody hears of has no events. */
@@ -211,93 +216,86 @@ static bool has_events(const qtmr_channel_t *c)
            CTRL_OUTMODE(c->ctrl) != OUT_ACTIVE || (c->ctrl & CTRL_ONCE) != 0;
 }
 
-static void schedule(chip_t *chip, unsigned m)
+/* The next event of the channels whose events somebody hears of. */
+CHIP_APART static uint64_t next_heard(chip_t *chip, qtmr_t *timer)
 {
-    qtmr_t *timer = &chip->timer[m];
-    for (unsigned n = 0; timer->heard >> n != 0; n++) {
-        if (((timer->heard >> n) & 1u) != 0) {
-            settle(chip, m, n); /* an output may lead to an input */
-        }
-    }
+    FOR_EACH(n, timer->heard) { settle(chip, timer, n); }
     uint64_t next = CHIP_NEVER;
-    for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
-        next = (timer->change_clock[i] < next) ? timer->change_clock[i] : next;
-    }
-    for (unsigned n = 0; timer->heard >> n != 0; n++) {
+    FOR_EACH(n, timer->heard & timer->on_bus)
+    {
         const qtmr_channel_t *c = &timer->channel[n];
-        if (((timer->heard >> n) & 1u) != 0 && runs_on_bus(timer, n)) {
-            const unsigned shift = prescaler(c);
-            const uint64_t clock = ((chip->now >> shift) + counts_to_event(c)) << shift;
-            next = (clock < next) ? clock : next;
-        }
+        const unsigned shift = prescaler(c);
+        const uint64_t clock = ((chip->now >> shift) + counts_to_event(c)) << shift;
+        next = (clock < next) ? clock : next;
     }
-    chip_schedule(chip, SOURCE_TIMER + m, next);
+    return next;
+}
+
+static inline void schedule(chip_t *chip, qtmr_t *timer)
+{
+    const uint64_t heard = (timer->heard != 0) ? next_heard(chip, timer) : CHIP_NEVER; /* may change an input */
+    const uint64_t *change = timer->change_clock;
+    const uint64_t a = (change[1] < change[0]) ? change[1] : change[0];
+    const uint64_t b = (change[3] < change[2]) ? change[3] : change[2];
+    const uint64_t first = (b < a) ? b : a;
+    chip_schedule(chip, SOURCE_TIMER + timer->module, (first < heard) ? first : heard);
 }
 
 /* ---- inputs ---------------------------------------------------------------------------------------------------------- */
 
-/* Each channel that a mask names. */
-#define FOR_EACH(n, mask)                                                                                              \
-    for (unsigned n = 0; (mask) >> n != 0; n++)                                                                        \
-        if ((((mask) >> n) & 1u) != 0)
-
-static void capture(chip_t *chip, unsigned m, unsigned n, bool rises)
+CHIP_APART static void capture(chip_t *chip, qtmr_t *timer, unsigned n, bool rises)
 {
-    const qtmr_t *timer = &chip->timer[m];
-    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    qtmr_channel_t *c = &timer->channel[n];
     const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
     const unsigned edge = (rises != inverted) ? 1u : 2u;
-    if ((SCTRL_CAPTURE(c->sctrl) & edge) == 0 || (c->sctrl & SCTRL_IEF) != 0) {
-        return; /* what has been captured stays until software clears IEF */
+    if ((SCTRL_CAPTURE(c->sctrl) & edge) == 0) {
+        return;
     }
-    settle(chip, m, n);
+    settle(chip, timer, n);
     c->capt = c->cntr;
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_IEF);
+    timer->captured |= 1u << n;
     if ((c->csctrl & CSCTRL_ROC) != 0) {
         c->cntr = c->load;
         if (timer->heard != 0) {
-            schedule(chip, m);
+            schedule(chip, timer);
         }
     }
-    chip_note(chip, TRACE_CAPTURE, m * QTMR_CHANNELS + n, c->capt);
+    chip_note(chip, TRACE_CAPTURE, timer->module * QTMR_CHANNELS + n, c->capt);
     if ((c->sctrl & SCTRL_IEFIE) != 0) {
-        request(chip, m, n);
+        request(chip, timer, n);
     }
 }
 
 /* A leads B upwards: after an edge of A the lines differ then, after one of B they are equal. */
-static void decode(chip_t *chip, unsigned m, unsigned n, unsigned input)
+static void decode(chip_t *chip, qtmr_t *timer, unsigned n, unsigned input)
 {
-    const qtmr_t *timer = &chip->timer[m];
     const qtmr_channel_t *c = &timer->channel[n];
     const unsigned a = CTRL_PCS(c->ctrl);
     const unsigned b = CTRL_SCS(c->ctrl);
-    if (a > 3u || (input != a && input != b)) {
-        return;
-    }
     const bool differ = (((timer->in >> a) ^ (timer->in >> b)) & 1u) != 0;
     const bool up = (input == a) ? differ : !differ;
-    count(chip, m, n, up != counts_down(c));
+    count(chip, timer, n, up != counts_down(c));
 }
 
 /* A level behind the filter has changed. What a secondary input does to OFLAG comes before the count, its capture after:
  * the captured count includes the edge. */
-static void edge(chip_t *chip, unsigned m, unsigned input)
+CHIP_APART static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
 {
-    qtmr_t *timer = &chip->timer[m];
     timer->in ^= 1u << input;
     const bool rises = ((timer->in >> input) & 1u) != 0;
-    FOR_EACH(n, timer->cleared_by[input]) { set_oflag(chip, m, n, false); }
-    FOR_EACH(n, timer->quadrature) { decode(chip, m, n, input); }
+    FOR_EACH(n, timer->cleared_by[input]) { set_oflag(chip, timer, n, false); }
+    FOR_EACH(n, timer->decodes[input]) { decode(chip, timer, n, input); }
     FOR_EACH(n, timer->counts_edges[input])
     {
         const qtmr_channel_t *c = &timer->channel[n];
         const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
         if (CTRL_CM(c->ctrl) == CM_BOTH || rises != inverted) {
-            count(chip, m, n, !counts_down(c));
+            count(chip, timer, n, !counts_down(c));
         }
     }
-    FOR_EACH(n, timer->captures[input]) { capture(chip, m, n, rises); }
+    /* what has been captured stays until software clears IEF */
+    FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(chip, timer, n, rises); }
 }
 
 void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
@@ -308,24 +306,24 @@ void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
         return;
     }
     timer->raw ^= bit;
-    const uint16_t filter = timer->channel[input].filt;
-    const uint64_t delay = (uint64_t)(filter & 0xFFu) * (((unsigned)filter >> 8 & 7u) + 3u);
+    const uint32_t delay = timer->delay[input];
     if (((timer->in & bit) != 0) == level) {
         timer->change_clock[input] = CHIP_NEVER; /* shorter than the filter */
     } else if (delay == 0) {
-        edge(chip, m, input);
+        edge(chip, timer, input);
         return;
     } else {
         timer->change_clock[input] = chip->now + delay;
     }
-    schedule(chip, m);
+    schedule(chip, timer);
 }
 
 void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
 {
-    if ((chip->timer[m].channel[input].filt & 0xFFu) == 0) {
-        edge(chip, m, input);
-        edge(chip, m, input);
+    qtmr_t *timer = &chip->timer[m];
+    if (timer->delay[input] == 0) {
+        edge(chip, timer, input);
+        edge(chip, timer, input);
     }
 }
 
@@ -335,34 +333,37 @@ void qtmr_event(chip_t *chip, unsigned m)
     for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
         if (timer->change_clock[input] <= chip->now) {
             timer->change_clock[input] = CHIP_NEVER;
-            edge(chip, m, input);
+            edge(chip, timer, input);
         }
     }
-    schedule(chip, m);
+    schedule(chip, timer);
 }
 
 /* ---- registers ------------------------------------------------------------------------------------------------------- */
 
 /* Who counts, captures and follows what. */
-static void derive(chip_t *chip, unsigned m)
+static void derive(chip_t *chip, qtmr_t *timer)
 {
-    qtmr_t *timer = &chip->timer[m];
-    settle_all(chip, m);
-    timer->on_bus = timer->quadrature = timer->cascade = 0;
+    settle_all(chip, timer);
+    timer->on_bus = timer->cascade = 0;
     for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
         timer->counts_edges[i] = timer->follows[i] = timer->captures[i] = timer->cleared_by[i] = 0;
+        timer->decodes[i] = 0;
     }
     for (unsigned n = 0; n < QTMR_CHANNELS; n++) {
         qtmr_channel_t *c = &timer->channel[n];
         const unsigned bit = 1u << n;
         const unsigned mode = CTRL_CM(c->ctrl);
         const unsigned source = CTRL_PCS(c->ctrl);
-        const bool gate = sim_gate_open(chip, 0, ((m == 0) ? 15u : 11u) - n);
+        const bool gate = sim_gate_open(chip, 0, ((timer->module == 0) ? 15u : 11u) - n);
         if (mode == CM_STOP || !gate) {
             continue;
         }
         if (mode == CM_QUADRATURE) {
-            timer->quadrature |= bit;
+            if (source < QTMR_CHANNELS) {
+                timer->decodes[source] |= bit;
+                timer->decodes[CTRL_SCS(c->ctrl)] |= bit;
+            }
         } else if (mode == CM_CASCADE) {
             timer->cascade |= bit;
         } else if (source >= FIRST_BUS_SOURCE) {
@@ -392,18 +393,17 @@ static void derive(chip_t *chip, unsigned m)
     if (timer->on_bus != 0) {
         occs_need_bus_clock(chip, "a timer");
     }
-    schedule(chip, m);
+    schedule(chip, timer);
 }
 
 void qtmr_gates_changed(chip_t *chip)
 {
-    derive(chip, 0);
-    derive(chip, 1);
+    derive(chip, &chip->timer[0]);
+    derive(chip, &chip->timer[1]);
 }
 
-static void write_ctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint16_t value)
+static void write_ctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint16_t value)
 {
-    qtmr_t *timer = &chip->timer[m];
     const unsigned mode = CTRL_CM(value);
     const unsigned source = CTRL_PCS(value);
     const unsigned out = CTRL_OUTMODE(value);
@@ -422,14 +422,13 @@ static void write_ctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, u
     if (mode != CM_STOP && source == 4u + n) {
         chip_no_value(chip, address, value, "a channel cannot count its own output");
     }
-    settle(chip, m, n);
+    settle(chip, timer, n);
     timer->channel[n].ctrl = value;
-    derive(chip, m);
+    derive(chip, timer);
 }
 
-static uint16_t read_channel(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r)
+static uint16_t read_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint32_t r)
 {
-    qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
     switch (r) {
     case COMP1:
@@ -441,10 +440,10 @@ static uint16_t read_channel(chip_t *chip, uint32_t address, unsigned m, unsigne
     case LOAD:
         return c->load;
     case HOLD:
-        settle(chip, m, n);
+        settle(chip, timer, n);
         return c->hold;
     case CNTR:
-        settle(chip, m, n);
+        settle(chip, timer, n);
         for (unsigned k = 0; k < QTMR_CHANNELS; k++) { /* of those on the bus clock it is enough to know when */
             timer->channel[k].hold = timer->channel[k].cntr;
         }
@@ -452,10 +451,10 @@ static uint16_t read_channel(chip_t *chip, uint32_t address, unsigned m, unsigne
         timer->hold_clock = chip->now;
         return c->cntr;
     case CTRL:
-        settle(chip, m, n);
+        settle(chip, timer, n);
         return c->ctrl;
     case SCTRL: {
-        settle(chip, m, n);
+        settle(chip, timer, n);
         const bool level = ((timer->in >> CTRL_SCS(c->ctrl)) & 1u) != 0;
         return (uint16_t)(c->sctrl | ((level != ((c->sctrl & SCTRL_IPS) != 0)) ? SCTRL_INPUT : 0u));
     }
@@ -464,7 +463,7 @@ static uint16_t read_channel(chip_t *chip, uint32_t address, unsigned m, unsigne
     case CMPLD2:
         return c->cmpld2;
     case CSCTRL:
-        settle(chip, m, n);
+        settle(chip, timer, n);
         return c->csctrl;
     case FILT:
         return c->filt;
@@ -480,40 +479,40 @@ static uint16_t read_channel(chip_t *chip, uint32_t address, unsigned m, unsigne
     }
 }
 
-static void write_sctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint16_t value)
+static void write_sctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint16_t value)
 {
-    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    qtmr_channel_t *c = &timer->channel[n];
     chip_only(chip, address, value, 0xFFCF, "master and external OFLAG modes are not modelled");
-    settle(chip, m, n);
+    settle(chip, timer, n);
     const unsigned before = c->sctrl;
     const unsigned flags = before & value & SCTRL_FLAGS; /* a flag is cleared by writing 0, never set */
     c->sctrl = (uint16_t)((value & ~(SCTRL_FLAGS | SCTRL_INPUT | SCTRL_FORCE)) | flags);
+    timer->captured &= ~((flags & SCTRL_IEF) != 0 ? 0u : 1u << n);
     if ((value & SCTRL_FORCE) != 0) {
-        set_oflag(chip, m, n, (value & SCTRL_VAL) != 0);
+        set_oflag(chip, timer, n, (value & SCTRL_VAL) != 0);
     }
     if (((before ^ c->sctrl) & ~(SCTRL_FLAGS | SCTRL_IEFIE)) != 0) {
-        derive(chip, m);
+        derive(chip, timer);
     }
-    request(chip, m, n);
+    request(chip, timer, n);
 }
 
-static void write_csctrl(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint16_t value)
+static void write_csctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint16_t value)
 {
-    qtmr_channel_t *c = &chip->timer[m].channel[n];
+    qtmr_channel_t *c = &timer->channel[n];
     chip_only(chip, address, value, 0xCAF0, "preloads, TCI, FAULT and ALT_LOAD are not modelled");
-    settle(chip, m, n);
+    settle(chip, timer, n);
     const unsigned flags = c->csctrl & value & (CSCTRL_TCF1 | CSCTRL_TCF2);
     const unsigned kept = c->csctrl & CSCTRL_UP;
     c->csctrl = (uint16_t)((value & ~(CSCTRL_TCF1 | CSCTRL_TCF2 | CSCTRL_UP)) | flags | kept);
-    derive(chip, m);
-    request(chip, m, n);
+    derive(chip, timer);
+    request(chip, timer, n);
 }
 
-static void write_channel(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r, uint16_t value)
+static void write_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint32_t r, uint16_t value)
 {
-    qtmr_t *timer = &chip->timer[m];
     qtmr_channel_t *c = &timer->channel[n];
-    settle(chip, m, n);
+    settle(chip, timer, n);
     switch (r) {
     case COMP1:
         c->comp1 = value;
@@ -534,10 +533,10 @@ static void write_channel(chip_t *chip, uint32_t address, unsigned m, unsigned n
         c->cntr = value;
         break;
     case CTRL:
-        write_ctrl(chip, address, m, n, value);
+        write_ctrl(chip, address, timer, n, value);
         return;
     case SCTRL:
-        write_sctrl(chip, address, m, n, value);
+        write_sctrl(chip, address, timer, n, value);
         return;
     case CMPLD1:
         c->cmpld1 = value;
@@ -546,27 +545,28 @@ static void write_channel(chip_t *chip, uint32_t address, unsigned m, unsigned n
         c->cmpld2 = value;
         return;
     case CSCTRL:
-        write_csctrl(chip, address, m, n, value);
+        write_csctrl(chip, address, timer, n, value);
         return;
     case FILT:
         chip_only(chip, address, value, 0x07FF, "reserved");
         c->filt = value;
+        timer->delay[n] = (value & 0xFFu) * (((uint32_t)value >> 8) + 3u);
         return;
     case DMA:
         chip_only(chip, address, value, 0, "DMA is not modelled");
         return;
     case ENBL:
         if (n == 0) {
-            settle_all(chip, m);
+            settle_all(chip, timer);
             timer->enable = value & 0xFu;
-            derive(chip, m);
+            derive(chip, timer);
             return;
         }
         chip_no_register(chip, address);
     default:
         chip_no_register(chip, address);
     }
-    schedule(chip, m);
+    schedule(chip, timer);
 }
 
 static void check_gate(chip_t *chip, uint32_t address, unsigned m, unsigned n)
@@ -579,7 +579,7 @@ uint16_t qtmr_read(chip_t *chip, uint32_t address)
     const unsigned m = (address - BASE) / MODULE_SIZE;
     const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
     check_gate(chip, address, m, n);
-    return read_channel(chip, address, m, n, address & 0xFu);
+    return read_channel(chip, address, &chip->timer[m], n, address & 0xFu);
 }
 
 void qtmr_write(chip_t *chip, uint32_t address, uint16_t value)
@@ -587,13 +587,13 @@ void qtmr_write(chip_t *chip, uint32_t address, uint16_t value)
     const unsigned m = (address - BASE) / MODULE_SIZE;
     const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
     check_gate(chip, address, m, n);
-    write_channel(chip, address, m, n, address & 0xFu, value);
+    write_channel(chip, address, &chip->timer[m], n, address & 0xFu, value);
 }
 
 void qtmr_reset(chip_t *chip)
 {
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
-        chip->timer[m] = (qtmr_t){.enable = 0xF};
+        chip->timer[m] = (qtmr_t){.module = m, .enable = 0xF};
         for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
             chip->timer[m].change_clock[i] = CHIP_NEVER;
         }

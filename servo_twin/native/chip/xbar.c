@@ -107,14 +107,8 @@ static void follow(chip_t *chip, unsigned input, xbar_edge_t edge)
     if (edge != XBAR_PULSE) {
         xbar->level = (edge == XBAR_RISE) ? (xbar->level | bit) : (xbar->level & ~bit);
     }
-    uint64_t outputs = xbar->reaches[input];
-    for (unsigned output = 0; outputs != 0; output++, outputs >>= 1) {
-        if ((outputs & 0xFFu) == 0) {
-            output += 7u;
-            outputs >>= 7;
-        } else if ((outputs & 1u) != 0) {
-            lead(chip, output, edge);
-        }
+    for (uint64_t outputs = xbar->reaches[input]; outputs != 0; outputs &= outputs - 1u) {
+        lead(chip, chip_lowest_bit(outputs), edge);
     }
 }
 
