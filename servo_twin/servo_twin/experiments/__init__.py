@@ -17,6 +17,7 @@ from servo_twin.experiments import (
     fault_matrix,
     feed_forward,
     friction,
+    load_step,
     low_speed,
     minimum_speed,
     mt_speed,
@@ -68,6 +69,7 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         observer,
         start_up,
         minimum_speed,
+        load_step,
         stall,
         fault_matrix,
     )
