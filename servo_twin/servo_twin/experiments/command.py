@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_twin.board import Level, chosen_level
-from servo_twin.experiments import EXPERIMENTS, levels
+from servo_twin.experiments import EXPERIMENTS, levels, start_up
 from servo_twin.experiments.ability import differences
 from servo_twin.experiments.outcome import Bound, Outcome, Row
 from servo_twin.experiments.report import draw, summary, table, update_summary
@@ -48,6 +48,13 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         )
         parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the picture to this file")
         parser.add_argument("--out", type=Path, metavar="FOLDER", help="table, picture and summary to this folder")
+        if entry.name == start_up.NAME:
+            parser.add_argument(
+                "--count",
+                type=_positive,
+                metavar="N",
+                help=f"random starts (default: {start_up.STARTS}, at register level {start_up.STARTS_SLOWLY})",
+            )
         parser.set_defaults(run=_run, names=[entry.name])
     everything = names.add_parser("all", parents=[common, levelled], help="all of them, one after the other")
     everything.add_argument(
@@ -66,6 +73,14 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     both.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="for levels.json (default: %(default)s)")
     both.set_defaults(run=_run_levels)
+
+
+def _positive(text: str) -> int:
+    """A number of something, from 1."""
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 1")
+    return count
 
 
 def _first_sentence(text: str) -> str:
@@ -135,7 +150,8 @@ def _attempt(name: str, plant: PlantConfig, seed: int) -> Outcome:
 
 def _run(args: argparse.Namespace) -> int:
     plant = PlantConfig.load(args.plant)
-    outcomes = run_experiments(args.names, plant, args.seed, args.out, quiet=args.json, level=args.level)
+    with start_up.counting(getattr(args, "count", None)):
+        outcomes = run_experiments(args.names, plant, args.seed, args.out, quiet=args.json, level=args.level)
     if args.plot is not None:
         draw(outcomes[0], args.plot)
     if args.json:

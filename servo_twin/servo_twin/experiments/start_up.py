@@ -8,6 +8,8 @@ import random
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Final
@@ -29,7 +31,7 @@ it. The reference design shows a start-up in which the angle converges within 15
 500 ms (slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the
 vector begins; the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and
 in it. Then 1000 starts with random rotor angle, direction and set-point, with inertia, friction and load torque
-spread about the nominal ones, on all cores (20 of them at register level): how many of them end in a shaft that turns
+spread about the nominal ones, on all cores (20 of them at register level, or --count): how many of them end in a shaft that turns
 at the set-point."""
 
 STARTS: Final = 1000
@@ -267,11 +269,24 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         rows.append(Row(f"{name}, angle converges within", "150 ms on the waveforms", angle, "ms", within[0]))
         rows.append(Row(f"{name}, criterion met within", "500 ms on the waveforms", criterion, "ms", within[1]))
         panels.append(_panel(name, trace))
-    starts = many(plant, seed, STARTS if level() == "ideal" else STARTS_SLOWLY)
+    starts = many(plant, seed, _count.get() or (STARTS if level() == "ideal" else STARTS_SLOWLY))
     rows.extend(_rates(starts))
     notes.extend(_ends(starts))
     panels.append(_histogram(starts))
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+
+
+_count: Final[ContextVar[int | None]] = ContextVar("count", default=None)
+
+
+@contextmanager
+def counting(count: int | None) -> Iterator[None]:
+    """Let `run` make so many random starts meanwhile; None: as many as it makes anyway."""
+    token = _count.set(count)
+    try:
+        yield
+    finally:
+        _count.reset(token)
 
 
 def _substates(plant: PlantConfig, seed: int) -> tuple[int, int]:
