@@ -19,7 +19,7 @@ from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, NOTHING, 
 from servo_twin.experiments.campaign_motors import MOTORS, Motor, deviating
 from servo_twin.experiments.campaign_states import MANOEUVRES, STATES, Bench, Script, State
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import TICK, TICK_NS
+from servo_twin.experiments.rig import TICK, TICK_NS, positive
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -301,7 +301,9 @@ def _line(head: str, cells: Sequence[str]) -> str:
 # ---- command line
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What this experiment can be told beyond plant and seed."""
-    parser.add_argument("--count", type=int, default=COUNT, help="number of trials (default: %(default)s)")
+    parser.add_argument(
+        "--count", type=positive, metavar="N", default=COUNT, help="number of trials (default: %(default)s)"
+    )
     parser.add_argument(
         "--trial", type=int, nargs="+", metavar="K", help="only these trials, each with what came of it"
     )

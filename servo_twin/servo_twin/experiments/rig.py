@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -34,6 +35,7 @@ __all__ = [
     "fresh_board",
     "level",
     "position_of",
+    "positive",
     "set_axis",
     "spinning",
     "stays_from",
@@ -285,3 +287,11 @@ def stays_from(recording: Recording, signal: NDArray[np.float64], low: float, hi
         return 0.0
     last = int(outside[-1])
     return float(recording.time[last]) if last + 1 < recording.time.size else None
+
+
+def positive(text: str) -> int:
+    """A number of trials, from the command line."""
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 1")
+    return count

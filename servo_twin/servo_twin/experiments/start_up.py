@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
+import functools
 import math
 import os
 import random
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -18,7 +20,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board, Level
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, fresh_board, level
+from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, fresh_board, level, positive
 from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, observing, substate
 from servo_twin.plant import PlantConfig
 
@@ -254,7 +256,7 @@ def _run_one(job: _Job) -> tuple[Start, ...]:
         return start(job.plant, job.seed, job.drawn)
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+def run(plant: PlantConfig, seed: int, count: int | None = None) -> Outcome:
     """The nominal starts, then the random ones."""
     rows: list[Row] = []
     notes: list[str] = []
@@ -267,12 +269,23 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         rows.append(Row(f"{name}, angle converges within", "150 ms on the waveforms", angle, "ms", within[0]))
         rows.append(Row(f"{name}, criterion met within", "500 ms on the waveforms", criterion, "ms", within[1]))
         panels.append(_panel(name, trace))
-    starts = many(plant, seed, STARTS if level() == "ideal" else STARTS_SLOWLY)
+    starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_SLOWLY))
     rows.extend(_rates(starts))
     notes.append(f"random starts: {len(starts)}")
     notes.extend(_ends(starts))
     panels.append(_histogram(starts))
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What this experiment can be told beyond plant and seed."""
+    text = f"random starts (default: {STARTS}, at register level {STARTS_SLOWLY})"
+    parser.add_argument("--count", type=positive, metavar="N", help=text)
+
+
+def with_options(args: argparse.Namespace) -> Callable[[PlantConfig, int], Outcome]:
+    """The experiment as it was asked for."""
+    return functools.partial(run, count=args.count)
 
 
 def _substates(plant: PlantConfig, seed: int) -> tuple[int, int]:
