@@ -78,11 +78,15 @@ def searches(rig: Rig) -> None:
 
 
 def reversed_lines(rig: Rig) -> None:
-    """An encoder that counts backwards."""
+    """An encoder that counts backwards; a short while the software stands still."""
     ready(rig)
     rig.reverse(0)
-    rig.set("cmd.enable", 1, 0)
+    rig.set("cmd.enable", 1)
     rig.until("encoder reversed", lambda: rig.faults(0) == ["ENCODER_REVERSED"])
+    rig.until("SPIN on axis 2", lambda: rig.places()[1] == "SPIN")
+    rig.inject(ShortedPhase(1, "a"))
+    rig.inject(StalledCore(0.001))
+    rig.until("both noticed", lambda: rig.faults(1) == ["OVER_CURRENT", "LATE_LOOP"])
 
 
 def caught(rig: Rig) -> None:
@@ -97,14 +101,15 @@ def caught(rig: Rig) -> None:
 
 
 def stalled(rig: Rig) -> None:
-    """A shaft held fast while it shall turn; the other axis is off."""
-    ready(rig)
-    rig.set("cmd.enable", 1, 0)
-    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    """Shafts held fast while they shall turn; one is let go when the vector begins to ask whether it is."""
+    spin(rig)
     rig.lock(0)
+    rig.lock(1)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
-    rig.until("stalled", lambda: "STALLED" in rig.faults(0))
+    rig.until("asked", lambda: rig.places()[1] == "ALIGN")
+    rig.lock(1, locked=False)
+    rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
     rig.set("cmd.enable", 1)
     rig.run(0.001)
 
