@@ -199,10 +199,12 @@ def broken_encoders(rig: Rig) -> None:
     """A line dead, both lines dead, and a core that stands still: once for a moment, once until the watchdog barks."""
     spin(rig)
     rig.set("param.faults_enabled", ALL_FAULTS)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 100.0, -100.0)
+    rig.run(0.06)
     rig.set("cmd.mode", SPEED, TORQUE)
-    rig.set("cmd.speed", 100.0, 0.0)
-    rig.set("cmd.i_q", 0.0, 0.3)
-    rig.run(0.05)
+    rig.set("cmd.i_q", 0.0)  # where no current flows, the watch has to ask for some
+    rig.run(0.01)
     rig.inject(StuckLine(0, "A"))
     rig.plug(1, False)
     rig.until("lines missed", lambda: all("ENCODER_LOST" in rig.faults(k) for k in (0, 1)))
