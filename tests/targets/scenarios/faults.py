@@ -78,11 +78,15 @@ def searches(rig: Rig) -> None:
 
 
 def reversed_lines(rig: Rig) -> None:
-    """An encoder that counts backwards."""
+    """An encoder that counts backwards; a short while the software stands still."""
     ready(rig)
     rig.reverse(0)
-    rig.set("cmd.enable", 1, 0)
+    rig.set("cmd.enable", 1)
     rig.until("encoder reversed", lambda: rig.faults(0) == ["ENCODER_REVERSED"])
+    rig.until("SPIN on axis 2", lambda: rig.places()[1] == "SPIN")
+    rig.inject(ShortedPhase(1, "a"))
+    rig.inject(StalledCore(0.001))
+    rig.until("both noticed", lambda: rig.faults(1) == ["OVER_CURRENT", "LATE_LOOP"])
 
 
 def caught(rig: Rig) -> None:
@@ -97,14 +101,15 @@ def caught(rig: Rig) -> None:
 
 
 def stalled(rig: Rig) -> None:
-    """A shaft held fast while it shall turn; the other axis is off."""
-    ready(rig)
-    rig.set("cmd.enable", 1, 0)
-    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    """Shafts held fast while they shall turn; one is let go when the vector begins to ask whether it is."""
+    spin(rig)
     rig.lock(0)
+    rig.lock(1)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
-    rig.until("stalled", lambda: "STALLED" in rig.faults(0))
+    rig.until("asked", lambda: rig.places()[1] == "ALIGN")
+    rig.lock(1, locked=False)
+    rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
     rig.set("cmd.enable", 1)
     rig.run(0.001)
 
@@ -194,10 +199,12 @@ def broken_encoders(rig: Rig) -> None:
     """A line dead, both lines dead, and a core that stands still: once for a moment, once until the watchdog barks."""
     spin(rig)
     rig.set("param.faults_enabled", ALL_FAULTS)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 100.0, -100.0)
+    rig.run(0.06)
     rig.set("cmd.mode", SPEED, TORQUE)
-    rig.set("cmd.speed", 100.0, 0.0)
-    rig.set("cmd.i_q", 0.0, 0.3)
-    rig.run(0.05)
+    rig.set("cmd.i_q", 0.0)  # where no current flows, the watch has to ask for some
+    rig.run(0.01)
     rig.inject(StuckLine(0, "A"))
     rig.plug(1, False)
     rig.until("lines missed", lambda: all("ENCODER_LOST" in rig.faults(k) for k in (0, 1)))
