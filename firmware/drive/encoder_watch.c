@@ -144,8 +144,11 @@ static fault_set_t lost(axis_t *axis, dq_t voltage)
         return 0;
     }
     w->asking = 0;
-    const bool flows = 2 * ((int32_t)current_along(axis) - w->before) >= asked(axis);
-    return phase_watch_rather(axis, flows ? FAULT_ENCODER_LOST : FAULT_PHASE_LOST);
+    const int32_t more = 4 * ((int32_t)current_along(axis) - w->before);
+    if (more >= 3 * (int32_t)asked(axis)) { /* where a phase lets nothing flow, a half of it at most comes */
+        return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST);
+    }
+    return phase_watch_rather(axis, (more >= 2 * (int32_t)asked(axis)) ? FAULT_ENCODER_LOST : FAULT_PHASE_LOST);
 }
 
 /* A step of the set-point asks for voltage beyond that, through the current controllers' gain. */

@@ -59,9 +59,10 @@ def running(bench: Bench, mode: int, rad_per_s: float) -> None:
 def test_full_current_without_movement_is_a_stall(bench: Bench, target: dict[str, int]) -> None:
     """Shaft held fast or encoder dead: the current does not stay on for ever."""
     bench.write(0, **target)
-    ticks = bench.until(lambda: bench.view(0).state == FAULT, 1500)
+    ticks = bench.until(lambda: bench.view(0).state == FAULT, 2000)
     assert bench.view(0).faults == STALLED
-    assert 0.5 <= ticks * 0.5e-3 <= 0.75  # servo.toml: timing.stall_most, and the way to the limit
+    # servo.toml: timing.stall_most, rotor_search.turn_time there and back, and the way to the limit
+    assert 0.7 <= ticks * 0.5e-3 <= 0.95
     assert not bench.hal.axis[0].outputs_on
 
 

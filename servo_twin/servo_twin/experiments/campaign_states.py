@@ -133,9 +133,9 @@ class Bench:
         self.board.set_load(self.axis, part * self.current * self.motor.torque_constant)
 
     def blow(self, part: float) -> None:
-        """The same, if somebody stands against it."""
+        """The same against the motion, if there is somebody to bear it; what drives a shaft, the bus need not bear."""
         if self.place() == "SPIN":
-            self.load(part)
+            self.load(math.copysign(part, self.board.truth(self.axis).omega_m))
 
     def provoke(self, sign: float) -> None:
         """Ask the axis to move, whatever it was told before."""
