@@ -179,8 +179,7 @@ static inline void hold(chip_t *chip, unsigned n, uint64_t ready)
     chip_note(chip, TRACE_SAMPLE, n, channel);
     const unsigned pin = CHIP_PIN((channel < 8u) ? 'A' : 'B', channel & 7u);
     chip_meet_world(chip);
-    const uint16_t code =
-        (pins_function(chip, pin) == FUNCTION_ANALOG) ? world_convert(chip->world, channel) : 0u;
+    const uint16_t code = (pins_function(chip, pin) == FUNCTION_ANALOG) ? world_convert(chip->world, channel) : 0u;
     if (((adc->waits >> n) & 1u) != 0) {
         settle(chip);
     }

@@ -67,16 +67,18 @@ typedef struct {
     void (*write)(chip_t *chip, uint32_t address, uint16_t value);
 } block_t;
 
-static const block_t blocks[] = { /* in order of address */
-    {0xE080, 0xE0B0, sci_read, sci_write},   {0xE140, 0xE1C0, qtmr_read, qtmr_write}, {0xE200, 0xE270, gpio_read, gpio_write},
-    {0xE2B0, 0xE2B9, occs_read, occs_write}, {0xE300, 0xE31C, intc_read, intc_write}, {0xE320, 0xE324, cop_read, cop_write},
-    {0xE340, 0xE388, xbar_read, xbar_write}, {0xE400, 0xE42E, sim_read, sim_write},   {0xE500, 0xE556, adc_read, adc_write},
-    {0xE600, 0xE800, pwm_read, pwm_write},
+static const block_t blocks[] = {
+    /* in order of address */
+    {0xE080, 0xE0B0, sci_read, sci_write},   {0xE140, 0xE1C0, qtmr_read, qtmr_write},
+    {0xE200, 0xE270, gpio_read, gpio_write}, {0xE2B0, 0xE2B9, occs_read, occs_write},
+    {0xE300, 0xE31C, intc_read, intc_write}, {0xE320, 0xE324, cop_read, cop_write},
+    {0xE340, 0xE388, xbar_read, xbar_write}, {0xE400, 0xE42E, sim_read, sim_write},
+    {0xE500, 0xE556, adc_read, adc_write},   {0xE600, 0xE800, pwm_read, pwm_write},
 };
 
 /* The first block that may hold an address, by its bits 8 to 10. */
 static const block_t *const first_block[8] = {&blocks[0], &blocks[1], &blocks[2], &blocks[4],
-                                               &blocks[7], &blocks[8], &blocks[9], &blocks[9]};
+                                              &blocks[7], &blocks[8], &blocks[9], &blocks[9]};
 
 static inline const block_t *block_of(chip_t *chip, uint32_t address)
 {

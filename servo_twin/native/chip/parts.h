@@ -183,8 +183,8 @@ void xbar_signal(chip_t *chip, int a_input, int b_input, xbar_edge_t edge);
 
 void pwm_ext_sync(chip_t *chip, unsigned module, unsigned submodule); /* at the present clock; latency is added */
 void pwm_fault_input(chip_t *chip, unsigned module, unsigned input, bool level);
-void pwm_pins_changed(chip_t *chip);              /* routing of the gate pins */
-void pwm_gates_changed(chip_t *chip);             /* clock gates of the SIM */
+void pwm_pins_changed(chip_t *chip); /* routing of the gate pins */
+void pwm_gates_changed(chip_t *chip); /* clock gates of the SIM */
 void adc_sync(chip_t *chip, unsigned converter);
 void qtmr_gates_changed(chip_t *chip);
 void qtmr_input(chip_t *chip, unsigned module, unsigned input, bool level);
@@ -196,9 +196,9 @@ void qtmr_catch_up(chip_t *chip); /* before software looks, or the board */
 /* Functions that a pin can be given to. */
 typedef enum {
     FUNCTION_GPIO,
-    FUNCTION_OTHER,     /* one that is not modelled */
+    FUNCTION_OTHER, /* one that is not modelled */
     FUNCTION_ANALOG,
-    FUNCTION_PWM_A0A,   /* + 8 module + 2 submodule + side */
+    FUNCTION_PWM_A0A, /* + 8 module + 2 submodule + side */
     FUNCTION_FAULT_A0 = FUNCTION_PWM_A0A + 16, /* + 8 module + input */
     FUNCTION_TIMER_A0 = FUNCTION_FAULT_A0 + 16, /* + 4 module + channel */
     FUNCTION_TXD0 = FUNCTION_TIMER_A0 + 8,

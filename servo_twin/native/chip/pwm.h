@@ -57,7 +57,8 @@ typedef struct {
     uint32_t distance[PWM_EVENTS]; /* of each event */
     int64_t done;          /* events up to this distance have been handled */
     pwm_order_t order;     /* of the list of events */
-    uint32_t event[PWM_EVENTS + 1]; /* of a cycle, PWM_EVENT(distance, number) in rising order; ends with PWM_NO_EVENT */
+    uint32_t
+        event[PWM_EVENTS + 1]; /* of a cycle, PWM_EVENT(distance, number) in rising order; ends with PWM_NO_EVENT */
     unsigned next;         /* index of the first that is still to come */
     int64_t settled;       /* flags up to this distance have been found */
     unsigned plain;        /* VALs that do nothing but switch the pair */
