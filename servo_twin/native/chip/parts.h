@@ -140,7 +140,7 @@ void system_reset(chip_t *chip, reset_cause_t cause);
 
 void pwm_event(chip_t *chip, unsigned module);
 void pwm_fault_event(chip_t *chip);
-void adc_event(chip_t *chip, unsigned converter);
+CHIP_APART void adc_event(chip_t *chip, unsigned converter);
 void qtmr_event(chip_t *chip, unsigned module);
 void sci_event(chip_t *chip);
 void core_event(chip_t *chip); /* a handler ends */
@@ -189,6 +189,7 @@ void adc_sync(chip_t *chip, unsigned converter);
 void qtmr_gates_changed(chip_t *chip);
 void qtmr_input(chip_t *chip, unsigned module, unsigned input, bool level);
 void qtmr_pulse(chip_t *chip, unsigned module, unsigned input);
+void qtmr_catch_up(chip_t *chip); /* before software looks, or the board */
 
 /* ---- pins and gates --------------------------------------------------------------------------------------------------- */
 
