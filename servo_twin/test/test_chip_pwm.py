@@ -8,7 +8,7 @@ import pytest
 from chip_rig import HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
 
 OPEN, HIGH, LOW = 0, 1, 2
-TRIG_A1 = 22
+TRIG_A1 = 22  # VAL4 of PWMA SM1 at the crossbar
 
 
 def prepare(rig: ChipRig, half: int = 1000, **changes: int) -> int:

@@ -26,7 +26,7 @@ from servo_twin.experiments.rig import (
     spinning,
     watch,
 )
-from servo_twin.experiments.undelivered import pushed
+from servo_twin.experiments.undelivered import pushed, whole_counts
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "speed-observer"
@@ -52,8 +52,9 @@ LOAD: Final = 2.0  # [A] worth of torque
 CYCLE_MOST: Final = 2.0
 """Counts: one to either side, which is what the encoder can tell.
 
-More where the M/T method does no better: a light-running shaft is not held by the friction against the current that the
-inverter keeps back around zero, and neither method sees less than a count.
+More by what the current that the inverter keeps back around zero moves the shaft to either side (undelivered.py):
+friction does not hold a light or light-running one against it, and whether it comes to rest all the same is chance. And
+more where the M/T method does no better: neither sees less than a count.
 """
 
 MEAN_MOST: Final = 1.0
@@ -171,9 +172,11 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         rows.append(Row(f"{name}, following error with over without", BEYOND, ratio, "", Bound(most=BETTER)))
         panels.extend([_move_panel(name, pair)] if axis == 0 else [])
         for inertia, friction in HOLDS:
-            rest = move(shaft(plant, axis, belief, inertia, friction), seed, axis)
+            other = shaft(plant, axis, belief, inertia, friction)
+            rest = move(other, seed, axis)
             what = f"{name} holds, inertia x {inertia:g}, friction x {friction:g}, movement"
-            calm = Bound(most=max(CYCLE_MOST, held(rest.without)))
+            pushed_most = whole_counts(rest.observed, other.axes[axis], ARRIVED, inertia)
+            calm = Bound(most=max(CYCLE_MOST + 2.0 * pushed_most, held(rest.without)))
             rows.append(Row(what, BEYOND, held(rest.observed), "counts", calm))
         notes.extend(_costs(known, seed, axis, pair))
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
