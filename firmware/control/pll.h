@@ -23,6 +23,9 @@ typedef struct {
     int32_t counts_per_turn; /* encoder counts of an electrical turn, 16 fraction bits */
     int32_t acceleration;    /* steps gained in a slow tick by the full-scale i_q; 0 leaves the torque out */
     int32_t load; /* what they change by in a slow tick, per error and root of the back-EMF, of full scales */
+    gain_t follow; /* step gained in a slow tick per back-EMF, 23 bits, that the speed does not explain .. */
+    gain_t follow_load; /* .. and what is learnt from it; 0 leaves the size out */
+    gain_t forget; /* back-EMF, 23 bits, per step by which the size says something else than the phase */
 } pll_config_t;
 
 typedef struct {
@@ -32,6 +35,7 @@ typedef struct {
     gain_t kp; /* for the back-EMF that there is */
     frac16_t root; /* root of the back-EMF */
     int32_t load; /* steps per slow tick that the known torque does not explain */
+    int32_t bias; /* back-EMF, 23 bits, that is there or missing at this speed for good: flux, resistance, dead time */
     bool backwards; /* the speed is negative: the back-EMF points the other way */
 } pll_t;
 
@@ -41,9 +45,10 @@ void pll_reset(pll_t *pll, uint32_t angle, int32_t step);
 /* Take the damping to a back-EMF of this size. */
 void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf);
 
-/* The torque that is known of changes the speed, and what is not known of shows as an angle that trails: once per slow
- * tick. `e_d` is the back-EMF along the rotor, where there should be none. */
-void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, frac16_t e_d);
+/* Once per slow tick. The torque that is known of changes the speed, and what is not known of shows as an angle that
+ * trails, and sooner as a back-EMF of another size. `beside` is the back-EMF that neither angle nor speed explain. In the
+ * long run the phase is right and not the size: `turned` is how far the angle has gone in the tick. */
+void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside, int32_t turned);
 
 static inline frac16_t pll_upper(uint32_t angle) { return (frac16_t)(uint16_t)((angle + UINT32_C(0x8000)) >> 16); }
 

@@ -11,6 +11,7 @@ void estimate_start(axis_t *axis, uint32_t angle, int32_t step)
     estimate->emf = (ab_t){0, 0};
     estimate->size = 0;
     estimate->turned = 0;
+    estimate->standing = 0;
     estimate->angle = angle;
     estimate->deviates = true;
     estimate->locked = false;
@@ -45,7 +46,6 @@ void estimate_step(axis_t *axis)
     estimate->emf = observer_emf(&estimate->observer, &axis->config->observer);
     const dq_t emf = park(estimate->emf, sin_cos(pll_theta_of_emf(pll)));
     estimate->size = length(emf);
-    estimate->along = emf.d;
     estimate->speed = pll_speed_of(&axis->config->pll, pll->integral);
     estimate->turned = (int32_t)(pll->angle - estimate->angle);
     estimate->angle = pll->angle;
@@ -54,9 +54,18 @@ void estimate_step(axis_t *axis)
 
     speed_reliability_add(&estimate->reliability, &axis->config->reliability, estimate->speed);
     const frac16_t expected = estimate_emf_at(axis, estimate->speed);
-    const dq_t smooth = emf_check_filter(&estimate->check, emf_check_deviation(emf, expected));
+    estimate->deviation = emf_check_deviation(emf, expected);
+    const dq_t smooth = emf_check_filter(&estimate->check, estimate->deviation);
     estimate->deviates = emf_check_deviates(&axis->config->emf_check, axis->config->emf_check.floor_spin, smooth,
                                             expected, axis->current_loop.current.q);
+}
+
+uint16_t estimate_standing(axis_t *axis)
+{
+    estimate_t *estimate = &axis->estimate;
+    const bool slow = f32_abs(estimate->speed) < axis->config->startup.minimum_speed / 2;
+    estimate->standing = slow ? (uint16_t)(estimate->standing + 1U) : 0U;
+    return estimate->standing;
 }
 
 bool estimate_reliable(const axis_t *axis)

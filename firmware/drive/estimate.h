@@ -15,10 +15,11 @@ typedef struct {
     emf_check_t check;
     ab_t emf;         /* in the last slow tick, stator frame */
     frac16_t size;    /* its length */
-    frac16_t along;   /* what of it lies along the rotor */
+    dq_t deviation;   /* what of it neither angle nor speed explains */
     frac32_t speed;   /* mechanical */
     uint32_t angle;   /* of the last slow tick, 2^32 is a turn */
     int32_t turned;   /* angle between the last two */
+    uint16_t standing; /* slow ticks in which the shaft hardly turned */
     bool deviates;    /* the back-EMF, over some time, fits neither angle nor speed */
     bool locked;      /* the PLL follows the back-EMF; otherwise it goes on as it was set */
     bool runs;
@@ -36,6 +37,9 @@ void estimate_step(struct axis *axis);
 
 /* Back-EMF, as in the last slow tick, that belongs to a speed. */
 frac16_t estimate_emf_at(const struct axis *axis, frac32_t speed);
+
+/* Slow ticks in a row in which the shaft has been too slow to be observed: a model of it would go on for ever. */
+uint16_t estimate_standing(struct axis *axis);
 
 /* Angle and speed can be believed. */
 bool estimate_reliable(const struct axis *axis);

@@ -239,9 +239,10 @@ static void spin_sensorless(axis_t *axis)
         return;
     }
     estimate->pll.backwards = estimate->pll.integral < 0;
-    pll_push(&estimate->pll, &axis->config->pll, axis->current_loop.current.q, estimate->along);
+    pll_push(&estimate->pll, &axis->config->pll, axis->current_loop.current.q, estimate->deviation, estimate->turned);
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
-    if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost) {
+    const bool stands = estimate_standing(axis) > axis->config->emf_check.ticks_stand;
+    if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost || stands) {
         axis_raise(axis, phase_watch_rather(axis, FAULT_SPEED_FEEDBACK));
     }
 }

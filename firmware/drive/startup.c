@@ -236,9 +236,10 @@ frac16_t startup_fade(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     const startup_config_t *config = &axis->config->startup;
-    /* At low speed some of it stays: phase currents near zero leave it to the dead time what voltage there is. */
-    const bool slow = f32_abs(axis->estimate.speed) < config->final_speed / 2;
-    const frac32_t kept = slow ? f32_from_f16(config->first_current) / 2 : 0;
+    /* Without load some of it stays: phase currents near zero leave it to the dead time what voltage there is. */
+    const frac32_t first = axis->motion.held_back ? 0 : f32_from_f16(config->first_current);
+    const frac32_t spare = first - f32_from_f16(f16_abs(axis->current_ref.q));
+    const frac32_t kept = (spare > first / 2) ? first / 2 : ((spare > 0) ? spare : 0);
     startup->fade += f32_clip(kept - startup->fade, config->fade_step);
     return f16_from_f32(startup->fade);
 }

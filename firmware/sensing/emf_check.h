@@ -15,6 +15,7 @@ typedef struct {
     gain_t resistance;   /* error of the resistance that is tolerated, full-scale current over full-scale voltage */
     uint16_t part;       /* deviation over the back-EMF that is expected, 15 fraction bits */
     uint16_t ticks_spin; /* slow ticks that the observer of a sensorless axis may deviate, after the filter */
+    uint16_t ticks_stand; /* slow ticks that its speed may be below half of what it can observe */
     uint16_t ticks_check; /* slow ticks that an encoder may */
 } emf_check_config_t;
 

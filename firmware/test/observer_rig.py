@@ -39,6 +39,7 @@ class Estimator:
     def __init__(self, core: Core) -> None:
         self.lib, self.ffi = core.lib, core.ffi
         self.config: Any = core.lib.probe_config().axis[0]
+        self._pll: Any = core.ffi.new("pll_config_t *", self.config.pll)
         self.observer: Any = core.ffi.new("observer_t *")
         self.pll: Any = core.ffi.new("pll_t *")
         self.lib.observer_reset(self.observer, self._observer, {"alpha": 0, "beta": 0})
@@ -48,14 +49,15 @@ class Estimator:
     def _observer(self) -> Any:
         return self.ffi.addressof(self.config, "observer")
 
-    @property
-    def _pll(self) -> Any:
-        return self.ffi.addressof(self.config, "pll")
+    def leave_size_out(self) -> None:
+        """Let the PLL find the speed by the angle alone."""
+        self._pll.follow = self._pll.follow_load = 0
 
     def start(self, theta: float, omega: float) -> None:
         """Set the PLL to an electrical angle and speed [rad, rad/s]."""
         angle = round(theta / (2.0 * math.pi) * 2**32) & 0xFFFFFFFF
         self.lib.pll_reset(self.pll, angle, round(omega * T / (2.0 * math.pi) * 2**32))
+        self._angle = angle
         self.slow(push=None)
 
     def fast(self, current: complex, voltage: complex) -> None:
@@ -68,8 +70,12 @@ class Estimator:
         self.pll.backwards = self.pll.integral < 0
         self.lib.observer_turn(self.observer, self.pll.integral)
         self.lib.pll_adapt(self.pll, self._pll, frac16(abs(self.emf) / U_FS))
+        turned = (self.pll.angle - self._angle + 2**31) % 2**32 - 2**31
+        self._angle = self.pll.angle
         if push is not None:
-            self.lib.pll_push(self.pll, self._pll, frac16(push / I_FS), frac16(self.emf_dq.real / U_FS))
+            emf = self.emf_dq
+            beside = {"d": frac16(emf.real / U_FS), "q": frac16((emf.imag - PSI * self.omega) / U_FS)}
+            self.lib.pll_push(self.pll, self._pll, frac16(push / I_FS), beside, turned)
 
     @property
     def emf(self) -> complex:

@@ -68,6 +68,11 @@ def test_phase_locked_loop(constants: dict[str, Any]) -> None:
     assert constants["pll.acceleration"] == pytest.approx(gained, rel=1e-6)
     learnt = omega_n**3 / 8.0 * 0.5e-3 * 0.5e-3 * T / (2.0 * math.pi) * 2.0**32
     assert constants["pll.load"] == pytest.approx(learnt, rel=1e-5)
+    left = math.exp(-2.0 * math.pi * 75.0 * 0.5e-3)
+    per_emf = U_FS / 2.0**23 / PSI * T / (2.0 * math.pi) * 2.0**32  # step of the speed that has the least back-EMF
+    assert constants["pll.follow"] / 2.0**24 == pytest.approx((1.0 - left**2) * per_emf, rel=1e-5)
+    assert constants["pll.follow_load"] / 2.0**24 == pytest.approx((1.0 - left) ** 2 * per_emf, rel=1e-5)
+    assert constants["pll.forget"] / 2.0**24 == pytest.approx(0.5e-3 / 0.128 / per_emf, rel=1e-3)
 
 
 def test_slide_damping_is_that_of_its_two_gains() -> None:

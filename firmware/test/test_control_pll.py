@@ -23,9 +23,15 @@ def core(compile_c: CompileC) -> Core:
 class Ideal:
     """The PLL alone, with the back-EMF that a rotor has."""
 
-    def __init__(self, core: Core) -> None:
+    def __init__(self, core: Core, flux: float = 1.0) -> None:
         self.estimator = Estimator(core)
+        self.flux = flux
         self.k = 0
+
+    @property
+    def time(self) -> float:
+        """Since the beginning [s]."""
+        return self.k * T
 
     def step(
         self, theta: Callable[[float], float], omega: Callable[[float], float], push: float | None = None
@@ -33,7 +39,7 @@ class Ideal:
         """One period; the error of the angle [rad]."""
         it = self.estimator
         t = (self.k + 0.5) * T
-        e = 1j * omega(t) * PSI * complex(math.cos(theta(t)), math.sin(theta(t))) / U_FS
+        e = 1j * omega(t) * self.flux * PSI * complex(math.cos(theta(t)), math.sin(theta(t))) / U_FS
         bits = 2.0 ** (15 + it.config.observer.f2)
         it.observer.e.alpha, it.observer.e.beta = round(e.real * bits), round(e.imag * bits)
         it.lib.pll_step(it.pll, it.ffi.addressof(it.config, "pll"), it.observer.e)
@@ -94,6 +100,7 @@ def accelerate(core: Core, told: float, seconds: float = 0.08) -> float:
     """Largest error of the angle when an ampere drives the rotor from 200 rad/s, and the PLL is told of `told`."""
     rate = ACCELERATION
     ideal = Ideal(core)
+    ideal.estimator.leave_size_out()
     ideal.estimator.start(0.0, 200.0)
 
     def omega(t: float) -> float:
@@ -124,22 +131,53 @@ def test_load_is_learnt(core: Core) -> None:
     assert per_tick == pytest.approx(0.5 * ACCELERATION, rel=0.02)
 
 
+def test_load_step_shows_in_the_size_of_the_back_emf(core: Core) -> None:
+    """At a speed at which the loop has 24 Hz, half of that speed is lost within 10 ms: the size tells at once."""
+
+    def behind(follow: bool) -> float:
+        ideal = Ideal(core)
+        if not follow:
+            ideal.estimator.leave_size_out()
+        ideal.estimator.start(0.0, 32.0)
+        rate, errors = 1600.0, []
+        for _ in range(round(0.01 / T)):
+            ideal.step(lambda t: 32.0 * t - rate * t * t / 2.0, lambda t: 32.0 - rate * t, 0.0)
+            errors.append(ideal.estimator.omega - (32.0 - rate * ideal.time))
+        return max(errors)
+
+    assert behind(follow=True) < 3.0
+    assert behind(follow=False) > 9.0
+
+
+def test_wrong_size_gives_way_to_the_phase(core: Core) -> None:
+    """A flux that is a fifth larger than believed: the speed is the true one all the same, after some time."""
+    ideal = Ideal(core, flux=1.2)
+    ideal.estimator.start(0.0, 200.0)
+    for _ in range(round(1.5 / T)):
+        error = ideal.step(lambda t: 200.0 * t, lambda _: 200.0, 0.0)
+    assert ideal.estimator.omega == pytest.approx(200.0, abs=0.5)
+    assert abs(math.degrees(error)) < 0.2
+
+
 @settings(max_examples=60)
 @given(
     e=st.tuples(*2 * [st.integers(-(2**30), 2**30)]),
     step=st.integers(-(2**31), 2**31 - 1),
     emf=st.integers(0, 32767),
     i_q=st.integers(-32768, 32767),
-    e_d=st.integers(-32768, 32767),
+    beside=st.tuples(*2 * [st.integers(-32768, 32767)]),
+    turned=st.integers(-(2**31), 2**31 - 1),
 )
-def test_steps_stay_within_their_bound(core: Core, e: tuple[int, int], step: int, emf: int, i_q: int, e_d: int) -> None:
+def test_steps_stay_within_their_bound(
+    core: Core, e: tuple[int, int], step: int, emf: int, i_q: int, beside: tuple[int, int], turned: int
+) -> None:
     estimator = Estimator(core)
     config = core.ffi.addressof(estimator.config, "pll")
     most = config.step_most
     core.lib.pll_reset(estimator.pll, 0, max(min(step, most), -most))
     for _ in range(40):
         core.lib.pll_adapt(estimator.pll, config, emf)
-        core.lib.pll_push(estimator.pll, config, i_q, e_d)
+        core.lib.pll_push(estimator.pll, config, i_q, {"d": beside[0], "q": beside[1]}, turned)
         core.lib.pll_step(estimator.pll, config, {"alpha": e[0], "beta": e[1]})
         assert abs(estimator.pll.integral) <= most
         assert abs(estimator.pll.step) <= most

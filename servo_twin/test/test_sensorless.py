@@ -160,6 +160,35 @@ def test_load_step(running: Board) -> None:
     assert np.abs(angle_errors(running, 200)).max() < 6.0
 
 
+@pytest.mark.parametrize(("speed", "torque"), [(16.0, 0.05), (-16.0, -0.05), (60.0, 0.1), (100.0, 0.12)])
+def test_hard_load_step(speed: float, torque: float) -> None:
+    """An active load, several times what takes all speed before the angle tells: it comes and goes."""
+    with sensorless((speed, 0.0)) as board:
+        until(board, SPIN, 0.5)
+        board.run(0.4)
+        board.set_load(0, torque)
+        board.run(0.3)
+        assert faults(board) == []
+        assert board.truth(0).omega_m == pytest.approx(speed, abs=2.0)
+        assert np.abs(angle_errors(board, 100)).mean() < 8.0
+        board.set_load(0, 0.0)
+        board.run(0.3)
+        assert faults(board) == []
+        assert board.truth(0).omega_m == pytest.approx(speed, abs=2.0)
+
+
+def test_no_ripple_without_load() -> None:
+    """Currents near zero leave the voltage to the dead time; the current along the rotor keeps them away from it."""
+    with sensorless((100.0, 0.0)) as board:
+        until(board, SPIN, 0.5)
+        board.run(0.5)
+        speeds = []
+        for _ in range(400):
+            board.advance(board.time_ns + TICK_NS)
+            speeds.append(board.truth(0).omega_m)
+        assert np.std(speeds) < 1.5
+
+
 def test_position_counts_what_the_shaft_turns(running: Board) -> None:
     start, counts = running.truth(0).theta_m, running.read_raw("axis1.position")[0]
     running.run(1.0)

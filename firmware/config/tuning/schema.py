@@ -185,6 +185,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "pll_torque": Entry(
             "", "part of the acceleration by the current that the phase-locked loop is told", True, most=2
         ),
+        "pll_size": Entry("Hz", "how quickly its speed follows the size of the back-EMF", True, most=250.0),
         "pll_load": Entry("", "acceleration that it learns from the angle, per time, over omega_n^3", True, most=1.0),
         "speed_part": Entry("", "speed loop of a sensorless axis, part of control.speed_bandwidth", most=1.0),
     },
@@ -199,6 +200,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "resistance": Entry("", "part by which r_s may be off", True, most=2.0),
         "part": Entry("", "part of the back-EMF by which it may be off", most=1.0),
         "spin_time": Entry("s", "of that until a sensorless axis has lost its rotor"),
+        "stand_time": Entry("s", "below half of start_up.minimum_speed until a sensorless axis is held fast"),
         "check_time": Entry("s", "of that until encoder and observer disagree"),
     },
     "start_up": {

@@ -142,12 +142,15 @@ class Pll:
         Mechanical acceleration per q current that it is told [rad/s^2/A].
     load : float
         Acceleration that it learns from the angle that is missing, per time, over omega_n^3.
+    size : float
+        Bandwidth with which its speed follows the size of the back-EMF [rad/s].
     """
 
     rate: float
     damping: float
     acceleration: float
     load: float
+    size: float
 
     def omega_n(self, omega_e: float) -> float:
         """Natural frequency at an electrical speed [rad/s]."""
@@ -157,7 +160,18 @@ class Pll:
     def of(cls, axis: Axis) -> Pll:
         rate = axis("observer.pll_i") * SLIDE_I_PER_SPEED
         per_current = axis("observer.pll_torque") * axis.torque_constant / axis("motor.inertia")
-        return cls(rate, axis("observer.pll_damping"), per_current, axis("observer.pll_load"))
+        return cls(
+            rate=rate,
+            damping=axis("observer.pll_damping"),
+            acceleration=per_current,
+            load=axis("observer.pll_load"),
+            size=2.0 * math.pi * axis("observer.pll_size"),
+        )
+
+    def size_gains(self, tick: float) -> tuple[float, float]:
+        """What speed and load gain in a slow tick per speed that the size tells more: both poles at the bandwidth."""
+        left = math.exp(-self.size * tick)
+        return 1.0 - left**2, (1.0 - left) ** 2
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from tuning.conversion import TICKS, AxisConstants, Converter, Field, PiRaw, pi_
 from tuning.errors import ConfigError
 from tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, Format
 from tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
+from tuning.sensors import FORGET
 
 __all__ = ["F2", "needs_observer", "sensorless_constants", "used_observer", "used_pll"]
 
@@ -103,7 +104,13 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     quicker = "raise observer.pll_i"
     acceleration = pll.acceleration * s.i * p * board.tick * board.period / (2.0 * math.pi)
     e_least = 0.5 * p * axis("motor.psi_m") * design.start_up.minimum_speed / s.u_s
+    per_emf = _step_per_emf(axis, board, s)
+    follow, follow_load = pll.size_gains(board.tick)
+    slower = "lower observer.pll_size"
     return {
+        "pll.follow": GAIN.raw(axis.entry("observer.pll_size") + ": speed", follow * per_emf, slower),
+        "pll.follow_load": GAIN.raw(axis.entry("observer.pll_size") + ": load", follow_load * per_emf, slower),
+        "pll.forget": to.of(GAIN, "back-EMF per step of the PLL", board.tick / FORGET / per_emf, _MOTOR),
         "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), "lower observer.pll_i"),
         "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), quicker),
         "pll.e_least": to.of(
@@ -124,6 +131,11 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
             "lower it",
         ),
     }
+
+
+def _step_per_emf(axis: Axis, board: Board, s: Scales) -> float:
+    """Angle per PWM period, 2^32 a turn, of the speed whose back-EMF is the least of 23 fraction bits."""
+    return math.ldexp(s.u_s / axis("motor.psi_m") * board.period / (2.0 * math.pi), 32 - 23)
 
 
 LOAD: Final = Format("int32_t", 0, 0, 2**31 - 1)
@@ -154,6 +166,7 @@ def _reliability(to: Converter) -> dict[str, Field]:
         "emf_check.resistance": to.of(GAIN, "resistance of the back-EMF check", resistance, "correct motor.r_s"),
         "emf_check.part": to.at(PART, "emf_check.part", 1.0),
         "emf_check.ticks_spin": to.ticks("emf_check.spin_time"),
+        "emf_check.ticks_stand": to.ticks("emf_check.stand_time"),
         "emf_check.ticks_check": to.ticks("emf_check.check_time"),
     }
 
@@ -194,8 +207,14 @@ FIELDS: Final = (
     ),
     "pll.acceleration",
     "pll.load",
+    "pll.follow",
+    "pll.follow_load",
+    "pll.forget",
     *(f"reliability.{key}" for key in ("period", "variance_threshold", "hysteresis")),
-    *(f"emf_check.{key}" for key in ("floor", "floor_spin", "resistance", "part", "ticks_spin", "ticks_check")),
+    *(
+        f"emf_check.{key}"
+        for key in ("floor", "floor_spin", "resistance", "part", "ticks_spin", "ticks_stand", "ticks_check")
+    ),
     *(f"startup.{key}" for key in ("first_current", "final_current", "current_step", "final_speed", "speed_step")),
     *(f"startup.{key}" for key in ("duration_ticks", "tests", "minimum_speed", "mean_least", "mean_most")),
     *(f"startup.{key}" for key in ("damping", "damping_limit", "catch_ticks", "fade_step")),
@@ -230,4 +249,6 @@ def used_pll(constants: Mapping[str, Field], axis: Axis, board: Board, scales: S
     gained = STEP_GAIN.value(_integer(constants, "pll.acceleration"))
     per_current = gained * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
     learnt = _integer(constants, "pll.load") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
-    return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, learnt)
+    follow = GAIN.value(_integer(constants, "pll.follow")) / _step_per_emf(axis, board, scales)
+    size = -0.5 * math.log(1.0 - follow) / board.tick
+    return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, learnt, size)

@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tuning.linear import Matrix, Omega, held
 
-__all__ = ["EdgeDelay", "MtSpeed", "Observer", "PllSpeed", "SpeedSensor", "edge_delay"]
+__all__ = ["FORGET", "EdgeDelay", "MtSpeed", "Observer", "PllSpeed", "SpeedSensor", "edge_delay"]
+
+
+FORGET: Final = 0.128
+"""Time constant with which the phase-locked loop learns what the size of the back-EMF is off by [s]."""
 
 
 class SpeedSensor(Protocol):
@@ -95,7 +99,8 @@ class Observer:
 class PllSpeed:
     """The phase-locked loop on the observed back-EMF, as long as it is locked: its integral part.
 
-    It knows the torque of the current, and learns from the angle what torque it does not know.
+    It knows the torque of the current, and learns from the angle, and from the size of the back-EMF, what torque it does
+    not know. Where size and angle disagree for long, the angle is right.
 
     The observer before it and the period of the fast loop are short against it.
 
@@ -107,22 +112,31 @@ class PllSpeed:
         Per q current that it is told [rad/s^2/A].
     load : float
         What it learns per angle and time, over omega_n^3.
+    follow, follow_load : float
+        What speed and load gain in a slow tick per speed that the size of the back-EMF tells more.
     """
 
     omega_n: float
     damping: float
     acceleration: float
     load: float
-    states: int = 3
+    follow: float
+    follow_load: float
+    states: int = 5
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
-        behind, speed, unknown = x  # angle of the shaft less its own, speed, acceleration
+        behind, speed, unknown, bias, size = (
+            x  # angle of the shaft less its own, speed, acceleration; back-EMF as speed
+        )
         kp, ki = 2.0 * self.damping * self.omega_n, self.omega_n**2
         f, g = held(np.array([[-kp, -1.0], [ki, 0.0]]), np.array([[1.0], [0.0]]), tick)
-        unknown = unknown + self.load * self.omega_n**3 * tick * behind
-        told = speed + tick * (self.acceleration * reference + unknown)
-        behind, speed = f @ np.vstack([behind, told]) + g @ (moved[None, :] / tick)
-        return speed, (behind, speed, unknown)
+        more = size - bias - speed
+        unknown = unknown + self.load * self.omega_n**3 * tick * behind + self.follow_load / tick * more
+        told = speed + tick * (self.acceleration * reference + unknown) + self.follow * more
+        after, speed = f @ np.vstack([behind, told]) + g @ (moved[None, :] / tick)
+        size = moved / tick
+        bias = bias + tick / FORGET * (speed - (size - (after - behind) / tick))
+        return speed, (after, speed, unknown, bias, size)
 
 
 @dataclass(frozen=True)

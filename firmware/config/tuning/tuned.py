@@ -129,7 +129,7 @@ class Tuned:
         """Speed loop without an encoder around a mechanical speed [rad/s]; `inertia` as in `shaft`."""
         pll = self.sensorless.pll
         omega_n = pll.omega_n(self.axis("motor.pole_pairs") * speed)
-        sensor = PllSpeed(omega_n, pll.damping, pll.acceleration, pll.load)
+        sensor = PllSpeed(omega_n, pll.damping, pll.acceleration, pll.load, *pll.size_gains(self.board.tick))
         gains = replace(self.used, speed=self.sensorless.speed)
         return ShaftLoops(self.axis, self.board, gains, self.back_emf, inertia * self.axis("motor.inertia"), sensor)
 
