@@ -99,7 +99,7 @@ class Observer:
 class PllSpeed:
     """The phase-locked loop on the observed back-EMF, as long as it is locked: its integral part.
 
-    It knows the torque of the current, and learns from the angle, and from the size of the back-EMF, what torque it does
+    It knows the torque of the current, and learns from the angle and from the size of the back-EMF what torque it does
     not know. Where size and angle disagree for long, the angle is right.
 
     The observer before it and the period of the fast loop are short against it.

@@ -126,8 +126,8 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         panels.append(_over_speed(name, motor, found))
         slow = found[0]
         if slow.trace is not None:
-            curves = (Curve("true", slow.trace.time, slow.trace.omega / RPM),)
-            curves += (Curve("observed", slow.trace.time, slow.trace.speed / RPM),)
+            time = slow.trace.time
+            curves = (Curve("true", time, slow.trace.omega / RPM), Curve("observed", time, slow.trace.speed / RPM))
             title = f"{name}: {1e3 * slow.torque:.0f} mN m at {slow.speed / RPM:.0f} rpm"
             panels.append(Panel(title, "time [s]", "speed [rpm]", curves))
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
