@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
+import functools
 import math
 import os
 import random
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -29,7 +31,7 @@ it. The reference design shows a start-up in which the angle converges within 15
 500 ms (slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the
 vector begins; the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and
 in it. Then 1000 starts with random rotor angle, direction and set-point, with inertia, friction and load torque
-spread about the nominal ones, on all cores (20 of them at register level): how many of them end in a shaft that turns
+spread about the nominal ones, on all cores (20 of them at register level, or --count): how many of them end in a shaft that turns
 at the set-point."""
 
 STARTS: Final = 1000
@@ -254,7 +256,7 @@ def _run_one(job: _Job) -> tuple[Start, ...]:
         return start(job.plant, job.seed, job.drawn)
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+def run(plant: PlantConfig, seed: int, count: int | None = None) -> Outcome:
     """The nominal starts, then the random ones."""
     rows: list[Row] = []
     notes: list[str] = []
@@ -267,12 +269,31 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         rows.append(Row(f"{name}, angle converges within", "150 ms on the waveforms", angle, "ms", within[0]))
         rows.append(Row(f"{name}, criterion met within", "500 ms on the waveforms", criterion, "ms", within[1]))
         panels.append(_panel(name, trace))
-    starts = many(plant, seed, STARTS if level() == "ideal" else STARTS_SLOWLY)
+    starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_SLOWLY))
     rows.extend(_rates(starts))
     notes.append(f"random starts: {len(starts)}")
     notes.extend(_ends(starts))
     panels.append(_histogram(starts))
     return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What this experiment can be told beyond plant and seed."""
+    default = f"random starts (default: {STARTS}, at register level {STARTS_SLOWLY})"
+    parser.add_argument("--count", type=_positive, metavar="N", help=default)
+
+
+def _positive(text: str) -> int:
+    """A number of something, from 1."""
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 1")
+    return count
+
+
+def with_options(args: argparse.Namespace) -> Callable[[PlantConfig, int], Outcome]:
+    """The experiment as it was asked for."""
+    return functools.partial(run, count=args.count)
 
 
 def _substates(plant: PlantConfig, seed: int) -> tuple[int, int]:
