@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xF80B2F14)
+#define CATALOGUE_HASH UINT32_C(0x55B1CB21)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -91,6 +91,7 @@ typedef enum {
 #define LIMIT_POSITION UINT16_C(0x0010) /* a soft limit of the position holds the shaft back */
 #define LIMIT_REGENERATION UINT16_C(0x0020) /* braking current held back by the voltage of the DC bus */
 #define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
+#define LIMIT_SENSORLESS UINT16_C(0x0080) /* without an encoder there is no position, no standstill and no torque from rest */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */

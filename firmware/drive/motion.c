@@ -136,7 +136,7 @@ static void take_commands(axis_t *axis)
     const axis_command_t *command = &axis->command;
     motion_state_t *m = &axis->motion;
     if (impossible(axis)) {
-        report(axis, LIMIT_SETPOINT);
+        report(axis, LIMIT_SENSORLESS);
     }
     if (!axis->requested || command->quick_stop || impossible(axis)) {
         const bool begins = command->fresh_quick_stop || (!axis->requested && axis->stop.ticks == 0U);
@@ -463,7 +463,7 @@ void motion_listen(axis_t *axis)
     }
     const bool unable = command->mode != CONTROL_MODE_SPEED || m->speed_target != 0;
     if (axis->requested && unable && motion_wanted_speed(axis) == 0) {
-        report(axis, LIMIT_SETPOINT);
+        report(axis, LIMIT_SENSORLESS);
     }
 }
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.fault_record import FaultRecord
 from servo_twin.board import Board
 from servo_twin.simulation import enable, move, record
 
@@ -33,6 +34,27 @@ def spin(board: Board, speed: float) -> None:
     board.write("cmd.mode", [1, 1])
     board.write("cmd.speed", [speed, speed])
     board.run(0.6)
+
+
+def test_record_ends_where_the_fault_was_captured_and_not_where_its_ramp_ends(board: Board) -> None:
+    spin(board, 200.0)
+    board.write("param.acceleration_limit", [1000.0, 1000.0])
+    board.serial_in(bytes.fromhex("2B 29 01 00 6C"))  # a host that asks once
+    board.run(0.4)
+    assert faults(board, 1) == set()
+    while not faults(board, 1):
+        board.run(0.0005)
+    captured = board.read_raw("tick")[0]
+    assert board.read_raw("axis1.state")[0] == RUN, "the ramp only begins"
+    while board.read_raw("axis1.state")[0] != FAULT:
+        board.run(0.001)
+    assert board.read_raw("tick")[0] - captured > 0.15 * 16000
+    record = FaultRecord.of(0, board.read("axis1.fault_record"), CATALOGUE)
+    assert (record.fault and record.fault.name, record.place) == ("HOST_SILENT", "RUN/SPIN")
+    assert record.tick == captured
+    speeds = record.table[:, -1]
+    assert speeds.size == 64
+    assert speeds.min() > 190.0, "before the ramp"
 
 
 def test_enabling_a_coasting_shaft_waits_until_it_rests(board: Board) -> None:

@@ -16,7 +16,7 @@ from servo_twin.simulation import enable
 STOP, RUN = 2, 3
 READY, SPIN, FREEWHEEL, STARTUP = 1, 3, 4, 5
 PAIRS = 2
-LIMIT_SETPOINT = 8
+LIMIT_SENSORLESS = 128
 UNKNOWN = 0.35 / math.sqrt(2.0)
 """What dead time and switches leave of the voltage, root mean square [V] (emf_check.floor)."""
 
@@ -211,7 +211,7 @@ def test_below_the_minimum_it_waits(running: Board) -> None:
     until(running, READY, 0.1)
     running.run(0.3)
     assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
-    assert running.read_raw("axis1.limits")[0] & LIMIT_SETPOINT
+    assert running.read_raw("axis1.limits")[0] & LIMIT_SENSORLESS
     set_axis(running, "cmd.speed", 0, 50.0)
     until(running, SPIN, 0.5)
 
@@ -221,7 +221,24 @@ def test_no_position_without_an_encoder(running: Board) -> None:
     set_axis(running, "cmd.position", 0, 10.0)
     until(running, READY, 0.1)
     running.run(0.3)
-    assert running.read_raw("axis1.limits")[0] & LIMIT_SETPOINT
+    assert running.read_raw("axis1.limits")[0] & LIMIT_SENSORLESS
+    assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
+
+
+def test_no_torque_from_rest_but_of_a_turning_shaft(running: Board) -> None:
+    """The start-up would turn the shaft with a current of its own, whatever torque is asked for: it needs a speed."""
+    choose_mode(running, 0, "TORQUE")
+    set_axis(running, "cmd.i_q", 0, 0.3)
+    running.run(0.05)
+    assert running.read("axis1.i_q") == pytest.approx(0.3, abs=0.05)
+    assert running.truth(0).omega_m > 140.0
+    assert running.read_raw("axis1.limits")[0] & LIMIT_SENSORLESS == 0
+    set_axis(running, "cmd.i_q", 0, -0.3)
+    until(running, READY, 0.5)
+    set_axis(running, "cmd.i_q", 0, 0.5)
+    running.run(0.3)
+    assert running.read_raw("axis1.substate")[0] == READY
+    assert running.read_raw("axis1.limits")[0] & LIMIT_SENSORLESS
     assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
 
 
