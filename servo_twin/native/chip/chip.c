@@ -102,6 +102,7 @@ static inline void take_time(chip_t *chip)
 {
     if (chip->core.booting) {
         run_until(chip, chip->now + chip->core.access_clocks);
+        qtmr_catch_up(chip);
     }
 }
 
@@ -226,6 +227,7 @@ bool chip_run(chip_t *chip, uint64_t until)
     }
     core_step(chip);
     run_until(chip, until);
+    qtmr_catch_up(chip);
     chip_meet_world(chip);
     chip->touched = true; /* who called may do things to it */
     return true;

@@ -140,6 +140,7 @@ static void start_handlers(chip_t *chip)
 void core_step(chip_t *chip)
 {
     core_t *core = &chip->core;
+    qtmr_catch_up(chip);
     start_handlers(chip);
     if (core->background_due && core->depth == 0 && !core->booting) {
         core->background_due = false;

@@ -189,6 +189,7 @@ void adc_sync(chip_t *chip, unsigned converter);
 void qtmr_gates_changed(chip_t *chip);
 void qtmr_input(chip_t *chip, unsigned module, unsigned input, bool level);
 void qtmr_pulse(chip_t *chip, unsigned module, unsigned input);
+void qtmr_catch_up(chip_t *chip); /* before software looks, or the board */
 
 /* ---- pins and gates --------------------------------------------------------------------------------------------------- */
 

@@ -233,6 +233,7 @@ CHIP_APART static uint64_t next_heard(chip_t *chip, qtmr_t *timer)
 
 static inline void schedule(chip_t *chip, qtmr_t *timer)
 {
+    timer->unseen_clock = CHIP_NEVER;
     const uint64_t heard = (timer->heard != 0) ? next_heard(chip, timer) : CHIP_NEVER; /* may change an input */
     const uint64_t *change = timer->change_clock;
     const uint64_t a = (change[1] < change[0]) ? change[1] : change[0];
@@ -298,6 +299,53 @@ CHIP_APART static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
     FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(chip, timer, n, rises); }
 }
 
+/* Edges that their filters have let through. */
+CHIP_APART static void pass_edges(chip_t *chip, qtmr_t *timer)
+{
+    timer->unseen_clock = CHIP_NEVER;
+    for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
+        if (timer->change_clock[input] <= chip->now) {
+            timer->change_clock[input] = CHIP_NEVER;
+            edge(chip, timer, input);
+        }
+    }
+}
+
+void qtmr_catch_up(chip_t *chip)
+{
+    for (unsigned m = 0; m < QTMR_MODULES; m++) {
+        if (chip->timer[m].unseen_clock <= chip->now) {
+            pass_edges(chip, &chip->timer[m]);
+        }
+    }
+}
+
+/* The next edge of an input changes a count, and nothing follows from that: no compare, rollover, capture or output. */
+static bool only_counts(const chip_t *chip, const qtmr_t *timer, unsigned input)
+{
+    if (timer->heard != 0 || chip->next[SOURCE_TIMER + timer->module] != CHIP_NEVER ||
+        (timer->captures[input] & ~timer->captured) != 0) {
+        return false;
+    }
+    FOR_EACH(n, timer->cleared_by[input])
+    {
+        if (timer->channel[n].oflag) {
+            return false;
+        }
+    }
+    FOR_EACH(n, timer->decodes[input] | timer->counts_edges[input])
+    {
+        const qtmr_channel_t *c = &timer->channel[n];
+        const uint16_t count = c->cntr;
+        const bool reloads = (c->ctrl & CTRL_LENGTH) != 0 && (count == c->comp1 || count == c->comp2);
+        if (reloads || count == (uint16_t)(c->comp1 - 1u) || count == (uint16_t)(c->comp2 + 1u) || count == 0 ||
+            count == 0xFFFFu) {
+            return false;
+        }
+    }
+    return true;
+}
+
 void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
 {
     qtmr_t *timer = &chip->timer[m];
@@ -305,15 +353,25 @@ void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
     if (((timer->raw & bit) != 0) == level) {
         return;
     }
+    if (timer->unseen_clock < chip->now) {
+        pass_edges(chip, timer);
+    }
     timer->raw ^= bit;
     const uint32_t delay = timer->delay[input];
+    const bool waits = timer->unseen_clock != CHIP_NEVER; /* for an edge that may not only count after this one */
     if (((timer->in & bit) != 0) == level) {
         timer->change_clock[input] = CHIP_NEVER; /* shorter than the filter */
     } else if (delay == 0) {
         edge(chip, timer, input);
-        return;
+        if (!waits) {
+            return;
+        }
     } else {
         timer->change_clock[input] = chip->now + delay;
+        if (!waits && only_counts(chip, timer, input)) {
+            timer->unseen_clock = timer->change_clock[input];
+            return;
+        }
     }
     schedule(chip, timer);
 }
@@ -322,21 +380,21 @@ void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
 {
     qtmr_t *timer = &chip->timer[m];
     if (timer->delay[input] == 0) {
+        if (timer->unseen_clock < chip->now) {
+            pass_edges(chip, timer);
+        }
         edge(chip, timer, input);
         edge(chip, timer, input);
+        if (timer->unseen_clock != CHIP_NEVER) {
+            schedule(chip, timer);
+        }
     }
 }
 
 void qtmr_event(chip_t *chip, unsigned m)
 {
-    qtmr_t *timer = &chip->timer[m];
-    for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
-        if (timer->change_clock[input] <= chip->now) {
-            timer->change_clock[input] = CHIP_NEVER;
-            edge(chip, timer, input);
-        }
-    }
-    schedule(chip, timer);
+    pass_edges(chip, &chip->timer[m]);
+    schedule(chip, &chip->timer[m]);
 }
 
 /* ---- registers ------------------------------------------------------------------------------------------------------- */
@@ -588,12 +646,15 @@ void qtmr_write(chip_t *chip, uint32_t address, uint16_t value)
     const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
     check_gate(chip, address, m, n);
     write_channel(chip, address, &chip->timer[m], n, address & 0xFu, value);
+    if (chip->timer[m].unseen_clock != CHIP_NEVER) {
+        schedule(chip, &chip->timer[m]); /* it may not only count any more */
+    }
 }
 
 void qtmr_reset(chip_t *chip)
 {
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
-        chip->timer[m] = (qtmr_t){.module = m, .enable = 0xF};
+        chip->timer[m] = (qtmr_t){.module = m, .enable = 0xF, .unseen_clock = CHIP_NEVER};
         for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
             chip->timer[m].change_clock[i] = CHIP_NEVER;
         }

@@ -1,7 +1,8 @@
 /* qtmr.h - quad timers A and B: four channels each, which share four inputs.
  *
  * Channels that count the bus clock are functions of time, brought up to date when somebody looks or when one of their
- * events has a consequence. Channels that count edges are stepped by them.
+ * events has a consequence. Channels that count edges are stepped by them; an edge that only counts waits behind its
+ * filter until somebody looks or the next one comes.
  */
 #ifndef CHIP_QTMR_H
 #define CHIP_QTMR_H
@@ -28,6 +29,7 @@ typedef struct {
     unsigned in;                         /* behind the filters */
     uint64_t change_clock[QTMR_CHANNELS]; /* when the filter of an input will let its level through */
     uint32_t delay[QTMR_CHANNELS];       /* of that filter */
+    uint64_t unseen_clock;               /* such a clock that is no event: the edge only counts, CHIP_NEVER without one */
     /* what follows from the registers */
     unsigned on_bus;                     /* channels that count the bus clock */
     unsigned heard;                      /* those of them whose compares and rollovers have a consequence */
