@@ -109,11 +109,17 @@ static inline void schedule(chip_t *chip, unsigned c)
     chip_schedule(chip, SOURCE_ADC + c, (halt < next) ? halt : next);
 }
 
+/* The samples of a converter that a pair consists of. */
+static inline unsigned samples_of(const adc_t *adc, unsigned c, unsigned pair)
+{
+    const unsigned first = together(adc) ? 0x0101u : (c == A) ? 0x0001u : 0x0100u;
+    return first << pair;
+}
+
 /* A scan ends before the first pair of which a sample is disabled. */
 static inline bool disabled(const adc_t *adc, unsigned c, unsigned pair)
 {
-    const unsigned samples = together(adc) ? 0x0101u : (c == A) ? 0x0001u : 0x0100u;
-    return (adc->sdis & (samples << pair)) != 0;
+    return (adc->sdis & samples_of(adc, c, pair)) != 0;
 }
 
 /* The first pair of a row. */
@@ -162,11 +168,12 @@ void adc_sync(chip_t *chip, unsigned c)
     }
 }
 
-static void hold(chip_t *chip, unsigned c, unsigned n, uint64_t ready)
+static inline void hold(chip_t *chip, unsigned n, uint64_t ready)
 {
     adc_t *adc = &chip->adc;
+    const unsigned c = n / ADC_PAIRS;
     const unsigned channel = (adc->clist[n / 4u] >> (4u * (n % 4u))) & 0xFu;
-    if ((channel >> 3) != c) {
+    if (channel / 8u != c) {
         chip_fail(chip, "ADC: sample %u of converter %c takes an input of the other one (CLIST)", n, "AB"[c]);
     }
     chip_note(chip, TRACE_SAMPLE, n, channel);
@@ -201,11 +208,9 @@ void adc_event(chip_t *chip, unsigned c)
     if (converter->converting && converter->hold_clock <= chip->now) {
         const uint64_t ready = converter->ready_clock;
         const unsigned pair = converter->pair++;
-        if (c == A) {
-            hold(chip, A, pair, ready);
-        }
-        if (c == B || together(adc)) {
-            hold(chip, B, pair + ADC_PAIRS, ready);
+        const unsigned samples = samples_of(adc, c, pair) & ((c == A) ? 0xFFFFu : 0xFF00u);
+        for (unsigned left = samples; left != 0; left &= left - 1u) {
+            hold(chip, chip_lowest_bit(left), ready);
         }
         const unsigned next = converter->pair;
         const bool last = next == ADC_PAIRS || disabled(adc, c, next);

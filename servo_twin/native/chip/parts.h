@@ -140,7 +140,7 @@ void system_reset(chip_t *chip, reset_cause_t cause);
 
 void pwm_event(chip_t *chip, unsigned module);
 void pwm_fault_event(chip_t *chip);
-void adc_event(chip_t *chip, unsigned converter);
+CHIP_APART void adc_event(chip_t *chip, unsigned converter);
 void qtmr_event(chip_t *chip, unsigned module);
 void sci_event(chip_t *chip);
 void core_event(chip_t *chip); /* a handler ends */
