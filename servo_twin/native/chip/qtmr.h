@@ -29,17 +29,17 @@ typedef struct {
     unsigned in;                         /* behind the filters */
     uint64_t change_clock[QTMR_CHANNELS]; /* when the filter of an input will let its level through */
     uint32_t delay[QTMR_CHANNELS];       /* of that filter */
-    uint64_t unseen_clock;               /* such a clock that is no event: the edge only counts, CHIP_NEVER without one */
+    uint64_t unseen_clock; /* such a clock that is no event: the edge only counts, CHIP_NEVER without one */
     /* what follows from the registers */
-    unsigned on_bus;                     /* channels that count the bus clock */
-    unsigned heard;                      /* those of them whose compares and rollovers have a consequence */
-    unsigned cascade;                    /* channels that count compares of a channel, in either direction */
-    unsigned decodes[QTMR_CHANNELS];     /* channels that decode quadrature from an input and another one */
+    unsigned on_bus; /* channels that count the bus clock */
+    unsigned heard; /* those of them whose compares and rollovers have a consequence */
+    unsigned cascade; /* channels that count compares of a channel, in either direction */
+    unsigned decodes[QTMR_CHANNELS]; /* channels that decode quadrature from an input and another one */
     unsigned counts_edges[QTMR_CHANNELS]; /* channels that count edges of an input */
-    unsigned follows[QTMR_CHANNELS];     /* channels that count the output of a channel */
-    unsigned captures[QTMR_CHANNELS];    /* channels that capture on an input, ... */
-    unsigned captured;                   /* ... those that have, and wait for software to clear IEF */
-    unsigned cleared_by[QTMR_CHANNELS];  /* channels whose OFLAG an input clears */
+    unsigned follows[QTMR_CHANNELS]; /* channels that count the output of a channel */
+    unsigned captures[QTMR_CHANNELS]; /* channels that capture on an input, ... */
+    unsigned captured; /* ... those that have, and wait for software to clear IEF */
+    unsigned cleared_by[QTMR_CHANNELS]; /* channels whose OFLAG an input clears */
 } qtmr_t;
 
 #endif
