@@ -115,9 +115,8 @@ static frac16_t asked(const axis_t *axis)
 
 dq_t encoder_watch_asks(const axis_t *axis)
 {
-    const encoder_watch_t *w = &axis->encoder_watch;
-    const frac16_t current = (w->asking != 0U) ? asked(axis) : 0;
-    return w->along_q ? (dq_t){0, current} : (dq_t){current, 0};
+    const frac16_t current = asked(axis);
+    return axis->encoder_watch.along_q ? (dq_t){0, current} : (dq_t){current, 0};
 }
 
 static frac16_t current_along(const axis_t *axis)

@@ -45,7 +45,9 @@ fault_set_t encoder_watch_count(struct axis *axis);
 /* One slow tick of current control with the encoder's angle. */
 fault_set_t encoder_watch_voltage(struct axis *axis);
 
-/* Current that is asked for to see whether any flows. */
+static inline bool encoder_watch_is_asking(const encoder_watch_t *watch) { return watch->asking != 0U; }
+
+/* Current that is asked for then, to see whether any flows. */
 dq_t encoder_watch_asks(const struct axis *axis);
 
 /* What an over-current may really have been: windings shorted because the shaft seemed to rest. */

@@ -270,9 +270,11 @@ static void spin_slow(axis_t *axis)
     choose_dead_time(axis, axis->features);
     current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
     motion_step(axis);
-    const dq_t asked = encoder_watch_asks(axis);
-    axis->current_ref.d = f16_add(axis->current_ref.d, asked.d);
-    axis->current_ref.q = f16_add(axis->current_ref.q, asked.q);
+    if (encoder_watch_is_asking(&axis->encoder_watch)) {
+        const dq_t asked = encoder_watch_asks(axis);
+        axis->current_ref.d = f16_add(axis->current_ref.d, asked.d);
+        axis->current_ref.q = f16_add(axis->current_ref.q, asked.q);
+    }
     if (axis->sensorless) {
         spin_sensorless(axis);
     } else if (axis->estimate.runs || (axis->features & FEATURE_ANGLE_CHECK) != 0U) {
