@@ -54,11 +54,6 @@ GAIN: Final = 0.5  # of that, and what the load of the friction or an end of a c
 SOON: Final = 1005
 """PWM periods within which a fault that shows in a turning motor has to be off: a turn at 100 rad/s."""
 
-SELDOM: Final = 2 * SOON
-"""The same for an open phase without load: friction asks for half of the current from which on its silence counts, so
-that noise and ripple decide in which directions of the rotor it does. At 100 rad/s one run of thirty took more than a
-turn, at either level: one in a thousand takes more than two."""
-
 BREAK: Final = 20
 """PWM periods for what the hardware switches off and the software names."""
 
@@ -222,7 +217,7 @@ def damages(plant: PlantConfig) -> list[Damage]:
     noise = 3.0 * plant.axes[0].i_noise
     stuck = ((phase, code) for phase in "abc" for code in (0, 1500, 2050, 4095))
     return [
-        *(Damage(f"open phase {p}", OpenPhase(0, p), ("PHASE_LOST",), SELDOM) for p in ("a", "b", "c")),
+        *(Damage(f"open phase {p}", OpenPhase(0, p), ("PHASE_LOST",)) for p in ("a", "b", "c")),
         Damage("phase a to minus", ShortedPhase(0, "a", "minus"), ("OVER_CURRENT",), BREAK),
         Damage("phase b to c", ShortedPhase(0, "b", "c"), ("OVER_CURRENT",), None),
         *(
