@@ -41,6 +41,7 @@ WHOLE: Final = 5
 
 PROVOKED: Final = 3.0  # for a fault when the axis is asked to move [s]
 NAMED: Final = 0.15  # until the name of a first fault is final [s]
+SHORTS: Final = ("short to minus", "short between phases")
 GAIN: Final = 0.5  # of speed, by the load of the friction or the end of a count [rad/s]
 OTHER_OFF: Final = 0.05  # speed error of the other axis that bus and noise may cause, part of its speed limit
 RUNAWAY_MARGIN: Final = 40.0  # beyond its limit that no axis may come (timing.runaway_margin) [rad/s]
@@ -173,10 +174,14 @@ class _Watch:
         self._events.clear()
 
 
-def _gain(motor: AxisPlant, plant: PlantConfig) -> float:
-    """Speed that the largest current gives while the bus takes it back: half of torque times decay, over inertia."""
+def _gain(motor: AxisPlant, plant: PlantConfig, damage: Damage) -> float:
+    """Speed that the largest current gives while it decays: half of torque times decay, over inertia.
+
+    The bus takes it back, but for what goes round in a short, which drop and resistance end.
+    """
+    volts = motor.v_drop + 0.5 * motor.r_s * motor.i_break if damage.kind in SHORTS else plant.bus.u_source
     torque = motor.torque_constant * motor.i_break
-    return 0.5 * torque * max(motor.l_d, motor.l_q) * motor.i_break / plant.bus.u_source / motor.inertia + GAIN
+    return 0.5 * torque * max(motor.l_d, motor.l_q) * motor.i_break / volts / motor.inertia + GAIN
 
 
 def run_trial(trial: Trial) -> Result:
@@ -224,7 +229,11 @@ def _break(trial: Trial, bench: Bench, watch: _Watch, sign: float) -> Result:
     complaints = [
         *([] if name in right else [f"{name or 'no fault'} instead of {' or '.join(n or 'none' for n in right)}"]),
         *([] if fastest <= most else [f"{fastest:.0f} rad/s"]),
-        *([] if gained <= _gain(bench.motor, trial.plant) else [f"{gained:.3g} rad/s gained with the outputs off"]),
+        *(
+            []
+            if gained <= _gain(bench.motor, trial.plant, damage)
+            else [f"{gained:.3g} rad/s gained with the outputs off"]
+        ),
         *_others(bench, name),
     ]
     return Result(trial, name, right, seconds, beyond, gained, tuple(complaints))
