@@ -40,9 +40,9 @@ typedef enum {
     ROTOR_SEARCH_TURN,     /* nothing moves: does the rotor follow a turning vector unseen? */
     ROTOR_SEARCH_FOUND,
     ROTOR_SEARCH_HELD,     /* the rotor does not move, or not far enough */
-    ROTOR_SEARCH_STARVED,  /* no current flows */
     ROTOR_SEARCH_BLIND,    /* the rotor moves, the encoder does not count */
     ROTOR_SEARCH_REVERSED, /* the encoder counts the wrong way: the shaft runs away from where it was found */
+    ROTOR_SEARCH_STARVED,  /* no current flows */
 } rotor_search_phase_t;
 
 typedef struct {

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shaft_model import SLOW, Shaft
 
-PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED = range(9)
+PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED, STARVED = range(10)
 COUNT = 2.0 * math.pi / 4000  # mechanical [rad]
 FULL_CURRENT, FULL_VOLTAGE = 8.25, 24.2  # A, V
 INDUCTANCE = 0.4575e-3  # H
@@ -286,7 +286,7 @@ def test_encoder_that_counts_backwards(core: Core, axis: int, inertia: float, fr
 
 
 def test_no_current_no_verdict(core: Core) -> None:
-    """An unplugged motor: HELD once the current stays away, long before the search could think of the encoder."""
+    """An unplugged motor: STARVED once the current stays away, long before the search could think of the encoder."""
     config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
     s: Any = core.ffi.new("rotor_search_t *")
     core.lib.rotor_search_start(s, 0)
@@ -296,7 +296,7 @@ def test_no_current_no_verdict(core: Core) -> None:
             core.lib.rotor_search_watch(s, config, s.current >> 19, 0)  # an eighth of what is asked for
         core.lib.rotor_search_step(s, config, 0)
         ticks += 1
-    assert (s.phase, s.current) == (HELD, 0)
+    assert (s.phase, s.current) == (STARVED, 0)
     assert ticks * SLOW == pytest.approx(0.025 + 0.004, abs=0.002)
 
 

@@ -40,6 +40,8 @@ class Bench:
         The axis does without its encoder.
     wanted : float
         Largest speed that the axis has been asked for, in size [rad/s]; the speed limit where it was a current.
+    torque_of_load : float
+        External torque [N m].
     """
 
     board: Board
@@ -47,6 +49,7 @@ class Bench:
     motor: AxisPlant
     sensorless: bool = False
     wanted: float = 0.0
+    torque_of_load: float = 0.0
     speed_limit: float = field(init=False)
     acceleration: float = field(init=False)
     current: float = field(init=False)
@@ -130,7 +133,8 @@ class Bench:
 
     def load(self, part: float) -> None:
         """Load torque, a part of what the current limit gives."""
-        self.board.set_load(self.axis, part * self.current * self.motor.torque_constant)
+        self.torque_of_load = part * self.current * self.motor.torque_constant
+        self.board.set_load(self.axis, self.torque_of_load)
 
     def blow(self, part: float) -> None:
         """The same against the motion, if there is somebody to bear it; what drives a shaft, the bus need not bear."""
