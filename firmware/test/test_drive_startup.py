@@ -10,7 +10,7 @@ from firmware_compiler import CompileC
 from servo_bench import FAULT as FAULT_STATE
 from servo_bench import (
     FREEWHEEL,
-    LIMIT_SETPOINT,
+    LIMIT_SENSORLESS,
     POSITION,
     READY,
     RUN,
@@ -83,7 +83,7 @@ def test_waits_with_its_outputs_off(bench: Bench) -> None:
     bench.slow(200)
     assert substate(bench) == (RUN, READY)
     assert not bench.hal.axis[0].outputs_on
-    assert bench.view(0).limits & LIMIT_SETPOINT == 0
+    assert bench.view(0).limits & LIMIT_SENSORLESS == 0
 
 
 @pytest.mark.parametrize("mode", [POSITION, TORQUE])
@@ -93,7 +93,7 @@ def test_what_it_cannot_do_moves_nothing(bench: Bench, mode: int) -> None:
     bench.write(0, position=1000, i_q=amps(1.0), speed=speed(100.0))
     bench.slow(50)
     assert substate(bench) == (RUN, READY)
-    assert bench.view(0).limits & LIMIT_SETPOINT
+    assert bench.view(0).limits & LIMIT_SENSORLESS
     assert not bench.hal.axis[0].outputs_on
 
 
@@ -102,10 +102,10 @@ def test_set_point_below_the_minimum_is_flagged(bench: Bench) -> None:
     bench.write(0, speed=speed(5.0))
     bench.slow(20)
     assert substate(bench) == (RUN, READY)
-    assert bench.view(0).limits & LIMIT_SETPOINT
+    assert bench.view(0).limits & LIMIT_SENSORLESS
     bench.write(0, speed=0)
     bench.slow(2)
-    assert bench.view(0).limits & LIMIT_SETPOINT == 0
+    assert bench.view(0).limits & LIMIT_SENSORLESS == 0
 
 
 def test_set_point_from_before_the_enable_does_not_count(bench: Bench) -> None:
