@@ -67,7 +67,7 @@ typedef enum {
 #define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* full current does not move the shaft while the rotor is searched, or not far enough */
 #define FAULT_ENCODER UINT32_C(0x00000020) /* encoder count and emulated index disagree */
 #define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no valid frame from the host within the time-out */
-#define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement: shaft held fast, or encoder dead */
+#define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement: shaft held fast, encoder dead, or off by 90 degrees electrical, where no current makes torque */
 #define FAULT_RUNAWAY UINT32_C(0x00000100) /* the shaft gains speed against the full current or beyond its limit */
 #define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns and the encoder does not count */
 #define FAULT_FOLLOWING_ERROR UINT32_C(0x00000400) /* the shaft is farther from its shaped set-point than param.following_error */
