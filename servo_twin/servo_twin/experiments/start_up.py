@@ -31,8 +31,8 @@ it. The reference design shows a start-up in which the angle converges within 15
 500 ms (slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the
 vector begins; the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and
 in it. Then 1000 starts with random rotor angle, direction and set-point, with inertia, friction and load torque
-spread about the nominal ones, on all cores (20 at register level, or --count): how many of them end in a shaft that turns
-at the set-point."""
+spread about the nominal ones, on all cores (20 at register level, or --count): how many of them end in a shaft that
+turns at the set-point."""
 
 STARTS: Final = 1000
 """Random starts, two per board."""
