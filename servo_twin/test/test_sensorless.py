@@ -327,6 +327,18 @@ def test_wrong_offset_is_caught_before_the_shaft_runs_away(degrees: float, most:
         assert abs(board.truth(0).omega_m) < most
 
 
+def test_offset_of_90_degrees_is_a_shaft_held_fast() -> None:
+    """No current makes torque, nothing moves, no back-EMF tells; ten degrees to either side something does."""
+    with with_encoders() as board:
+        slip(board, 90.0)
+        features(board, 0, ANGLE_CHECK=True)
+        choose_mode(board, 0, "SPEED")
+        set_axis(board, "cmd.speed", 0, 100.0)
+        time, names = until_fault(board, 1.0)
+        assert names == ["STALLED"]
+        assert time < 0.7
+
+
 @pytest.mark.parametrize("mode", ["TORQUE", "SPEED"])
 def test_dead_encoder_of_a_turning_shaft_is_noticed(mode: str) -> None:
     with with_encoders() as board:
