@@ -63,7 +63,8 @@ void estimate_step(axis_t *axis)
 uint16_t estimate_standing(axis_t *axis)
 {
     estimate_t *estimate = &axis->estimate;
-    const bool slow = f32_abs(estimate->speed) < axis->config->startup.minimum_speed / 2;
+    const frac32_t ahead = estimate->astern ? -estimate->speed : estimate->speed;
+    const bool slow = ahead < axis->config->startup.minimum_speed / 2;
     estimate->standing = slow ? (uint16_t)(estimate->standing + 1U) : 0U;
     return estimate->standing;
 }

@@ -19,7 +19,8 @@ typedef struct {
     frac32_t speed;   /* mechanical */
     uint32_t angle;   /* of the last slow tick, 2^32 is a turn */
     int32_t turned;   /* angle between the last two */
-    uint16_t standing; /* slow ticks in which the shaft hardly turned */
+    bool astern;      /* the shaft turned backwards when the closed loop began */
+    uint16_t standing; /* slow ticks in which it hardly turned that way */
     bool deviates;    /* the back-EMF, over some time, fits neither angle nor speed */
     bool locked;      /* the PLL follows the back-EMF; otherwise it goes on as it was set */
     bool runs;
@@ -38,7 +39,8 @@ void estimate_step(struct axis *axis);
 /* Back-EMF, as in the last slow tick, that belongs to a speed. */
 frac16_t estimate_emf_at(const struct axis *axis, frac32_t speed);
 
-/* Slow ticks in a row in which the shaft has been too slow to be observed: a model of it would go on for ever. */
+/* Slow ticks in a row in which the shaft has been too slow to be observed, or has turned the other way, which it cannot
+ * without standing in between: a model of it would go on for ever, with one that swings where it is held, too. */
 uint16_t estimate_standing(struct axis *axis);
 
 /* Angle and speed can be believed. */

@@ -111,6 +111,7 @@ static void ready_startup(axis_t *axis)
 static void startup_spin(axis_t *axis)
 {
     startup_hand_over(axis);
+    axis->estimate.astern = axis->estimate.speed < 0;
     axis->leaving = false;
     axis->fast = LOOP_OBSERVED;
     enter(axis, SUBSTATE_SPIN);
