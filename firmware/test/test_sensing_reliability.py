@@ -170,9 +170,10 @@ def test_a_rotor_that_swings_fools_the_variance_but_not_the_back_emf(
     core: Core, amplitude: float, swing: float
 ) -> None:
     """A rotor that swings sinusoidally about where it is held: its back-EMF is the sum of two vectors that turn against
-    each other, the PLL follows one of them, at a speed that hardly varies. That speed would need far more of it."""
+    each other, the slide's PLL follows one of them, at a speed that hardly varies, but would need far more of it."""
     rig = Rig(core)
     it = rig.estimator
+    it.leave_size_out()
     it.start(0.0, swing)
     reliability = Reliability(core)
     smooth = core.ffi.new("emf_check_t *")
@@ -196,6 +197,20 @@ def test_a_rotor_that_swings_fools_the_variance_but_not_the_back_emf(
     assert abs(reliability.mean) / 2**31 * FULL_SPEED * PAIRS == pytest.approx(swing, rel=0.25)
     assert believed > 0.9 * (ticks - SIZE), "the seed's criterion alone takes it for a shaft that turns"
     assert seen > 0.8 * ticks, "the back-EMF does not fit"
+
+
+@pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
+def test_a_pll_that_is_told_the_size_gets_nowhere_with_it(core: Core, amplitude: float, swing: float) -> None:
+    """The mean speed is next to nothing, which is what counts as standing (estimate.c)."""
+    rig = Rig(core)
+    it = rig.estimator
+    it.start(0.0, swing)
+    reliability = Reliability(core)
+    for _ in range(400):
+        for _ in range(SLOW):
+            rig.step(lambda t: amplitude * math.sin(swing * t))
+        reliability.add(round(it.speed / 65536))
+    assert abs(reliability.mean) / 2**31 * FULL_SPEED * PAIRS < 0.1 * swing
 
 
 def test_a_rotor_that_turns_passes_both(core: Core) -> None:

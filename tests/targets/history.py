@@ -33,6 +33,7 @@ RUN_TRANSITIONS: Final = frozenset(
         ("ALIGN", "READY"),
         ("ALIGN", "SPIN"),
         ("SPIN", "FREEWHEEL"),
+        ("SPIN", "ALIGN"),  # is a shaft that does not move held fast, or unseen?
         ("FREEWHEEL", "ALIGN"),
         ("FREEWHEEL", "READY"),
         ("READY", "STARTUP"),
