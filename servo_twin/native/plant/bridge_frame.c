@@ -236,30 +236,42 @@ static inline int first_clamp(const bridge_t *b, double u, double *t)
 /* A current that goes through zero in a leg with a gate on, where only the drop changes its sign: the segment goes on
  * with another slope. */
 typedef struct {
-    int phase;
-    double way;   /* of the current before */
-    double after; /* time left then [s] */
-    pair_t di;    /* by which the slope changes [A/s] */
+    int phase;     /* -1: none does */
+    double way;    /* of the current before */
+    double after;  /* time left then [s] */
+    pair_t charge; /* that the other slope adds [A s] */
 } pass_t;
 
-/* The phase that is at zero `t` seconds from here goes on to the other side; false if the drop keeps it at zero. */
-static inline bool passes(const bridge_t *b, int k, double t, double whole, pass_t *pass)
+#define NO_PASS ((pass_t){.phase = -1})
+
+/* Phase k is at zero after t of a segment of `whole`. If it goes on to the other side, that is the pass, and the end of the
+ * segment moves to where it leads. False, with all as it was, if the drop keeps the current at zero, if it comes back, or if
+ * another one has changed sides, too. */
+static inline bool pass_zero(const bridge_t *b, int k, double t, double whole, pass_t *pass, pair_t *i, double phase[3])
 {
     if (b->gates[k] == BRIDGE_OPEN || b->floating >= 0 || b->grounded >= 0 || b->alone >= 0) {
         return false;
     }
     const pair_t n = pair_of(&phase_axis[k]);
     const double way = b->way[k];
-    const pair_t more = both(way * (4.0 / 3.0) * b->v_drop) * product(b->frame.inverse, n);
+    const pair_t more = both(way * (4.0 / 3.0) * b->v_drop) * product(b->frame.inverse, n); /* slope */
     const double slope = sum(n * (pair_of(&b->di) + both(t) * pair_of(&b->ddi) + more));
-    *pass = (pass_t){k, way, whole - t, more};
-    return slope * way < 0.0;
-}
-
-/* Currents at the end of a segment in which one has passed zero. */
-static inline pair_t passed(const bridge_t *b, pair_t i, const pass_t *pass)
-{
-    return i + both(pass->after) * (pass->di + both(0.5 * pass->after) * product(b->frame.drift, pass->di));
+    if (!(slope * way < 0.0)) {
+        return false;
+    }
+    const double after = whole - t;
+    const pair_t end = *i + both(after) * (more + both(0.5 * after) * product(b->frame.drift, more));
+    double there[3];
+    phases_of_pair(end, there);
+    for (int j = 0; j < 3; j++) {
+        if (there[j] * ((j == k) ? -way : b->way[j]) < 0.0) {
+            return false;
+        }
+    }
+    *pass = (pass_t){k, way, after, both(0.5 * after * after) * more};
+    *i = end;
+    memcpy(phase, there, sizeof there);
+    return true;
 }
 
 /* What the other sign of the drop adds to the sums of a segment that ends with these phase currents. */
@@ -272,7 +284,7 @@ static inline void account_pass(bridge_t *b, const pass_t *pass, const double ph
     set_sign(b, pass->phase, (pass->way < 0.0) ? 1 : -1);
 }
 
-/* The part of a segment up to t. Returns the charge taken out of the bus. */
+/* The part of a segment up to t, with `more` charge than its parabola has. Returns the charge taken out of the bus. */
 static inline double stride(bridge_t *b, double t, double u, pair_t i, const double phase[3], pair_t more)
 {
     const pair_t before = pair_of(&b->i);
@@ -322,28 +334,15 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
         double phase[3];
         int zero = -1;
         int sign = 0;
-        pass_t pass = {.phase = -1};
-        pair_t more = both(0.0); /* charge */
+        pass_t pass = NO_PASS;
         pair_t i = current_after(b, t);
         phases_of_pair(i, phase);
         if (beyond_zero(b, phase)) {
             const double whole = t;
             zero = first_zero(b, phase, &t);
-            if (passes(b, zero, t, whole, &pass)) {
-                i = passed(b, i, &pass);
-                phases_of_pair(i, phase);
-                b->way[zero] = -pass.way;
-                const bool again = beyond_zero(b, phase);
-                b->way[zero] = pass.way;
-                if (!again) {
-                    t = whole;
-                    zero = -1;
-                    more = both(0.5 * pass.after * pass.after) * pass.di;
-                } else {
-                    pass.phase = -1;
-                }
-            } else {
-                pass.phase = -1;
+            if (pass_zero(b, zero, t, whole, &pass, &i, phase)) {
+                t = whole;
+                zero = -1;
             }
         }
         if (b->floating >= 0 && (sign = first_clamp(b, u, &t)) != 0) {
@@ -357,7 +356,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
             break;
         }
         if (t > INSTANT) {
-            drawn += stride(b, t, u, i, phase, more);
+            drawn += stride(b, t, u, i, phase, pass.charge);
             *rest -= t;
             if (pass.phase >= 0) {
                 account_pass(b, &pass, phase);
