@@ -1,7 +1,7 @@
 /* averaged_kernel.h - arithmetic of the averaged plant for one number type: NUM is double, or a pair of doubles that holds
  * one axis in each lane. The same expressions in the same order: a pair computes the same bits as two single axes.
  *
- * Included with NUM, KERNEL(name), LIMIT(x, low, high) defined.
+ * Included with NUM, KERNEL(name), LIMIT(x, low, high), SIZE(x) defined.
  */
 
 typedef struct {
@@ -120,4 +120,17 @@ static inline NUM KERNEL(drive_leg)(NUM current, NUM inv_i_w, NUM duty, NUM dead
     const NUM share = LIMIT(duty - dead * s, 0.0, 1.0);
     *leg = share * u_dc - v_drop * s;
     return share;
+}
+
+/* Power that a phase current burns in the switch or the diode that it goes through. */
+static inline NUM KERNEL(leg_power)(NUM current, NUM v_drop, NUM r_on)
+{
+    const NUM size = SIZE(current);
+    return size * (v_drop + r_on * size);
+}
+
+/* Voltage of a phase against the midpoint of the bus. */
+static inline NUM KERNEL(phase_voltage)(NUM leg, NUM current, NUM r_on, double u_dc)
+{
+    return leg - r_on * current - 0.5 * u_dc;
 }

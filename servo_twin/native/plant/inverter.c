@@ -12,6 +12,7 @@
 #define NUM double
 #define KERNEL(name) single_##name
 #define LIMIT(x, low, high) plant_limit(x, low, high)
+#define SIZE(x) fabs(x)
 #include "plant/averaged_kernel.h"
 
 static inline double larger(double x, double y) { return (x > y) ? x : y; }
@@ -353,6 +354,23 @@ double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, dou
         *charge += inverter->share[k] * 0.5 * (before[k] + motor->phase[k]) * used;
     }
     return used;
+}
+
+double plant_inverter_power(const plant_inverter_t *inverter, const plant_motor_t *motor)
+{
+    double power = 0.0;
+    for (int k = 0; k < 3; k++) {
+        power += single_leg_power(motor->phase[k], inverter->v_drop, inverter->r_on);
+    }
+    return power;
+}
+
+void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
+                             double voltage[3])
+{
+    for (int k = 0; k < 3; k++) {
+        voltage[k] = single_phase_voltage(inverter->leg[k], motor->phase[k], inverter->r_on, u_dc);
+    }
 }
 
 /* What the leg gives to its phase; two that are shorted together give half of the sum each. */

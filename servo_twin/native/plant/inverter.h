@@ -75,6 +75,11 @@ void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], doubl
  * the charge drawn from the bus to `charge` [A s]. */
 double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);
 
+/* Of the end of a step: what switches and diodes burn [W], and the phases' voltages against the midpoint of the bus [V]. */
+double plant_inverter_power(const plant_inverter_t *inverter, const plant_motor_t *motor);
+void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
+                             double voltage[3]);
+
 /* Current in the shunt of a phase at the centre of the low-side (or else the high-side) time: what the low switch or
  * its diode carries at that moment. */
 double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,

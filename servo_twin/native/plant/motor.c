@@ -7,6 +7,7 @@
 #define NUM double
 #define KERNEL(name) single_##name
 #define LIMIT(x, low, high) plant_limit(x, low, high)
+#define SIZE(x) fabs(x)
 #include "plant/averaged_kernel.h"
 
 /* Phase currents of the present state, and now and then sine and cosine of the angle. */

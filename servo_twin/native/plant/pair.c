@@ -43,6 +43,7 @@ static inline pair_t size_of(pair_t x)
 #define NUM pair_t
 #define KERNEL(name) pair_##name
 #define LIMIT(x, low, high) limit_pair(x, low, high)
+#define SIZE(x) size_of(x)
 #include "plant/averaged_kernel.h"
 
 /* True for a driven axis that turns or stands all along, as far as can be told beforehand; `direction` of motion, 0 for one
@@ -148,9 +149,8 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
     pair_t power = both(0.0);
     for (int k = 0; k < 3; k++) {
         charge_twice += ends.share[k] * (before[k] + ends.phase[k]);
-        ends.voltage[k] = ends.leg[k] - r_on * ends.phase[k] - 0.5 * u_dc;
-        const pair_t current = size_of(ends.phase[k]);
-        power += current * (v_drop + r_on * current);
+        ends.voltage[k] = pair_phase_voltage(ends.leg[k], ends.phase[k], r_on, u_dc);
+        power += pair_leg_power(ends.phase[k], v_drop, r_on);
     }
     ends.heat = power * pair->step;
     ends.charge = charge_twice * (0.5 * pair->step);

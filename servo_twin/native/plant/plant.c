@@ -1,7 +1,5 @@
 #include "plant/plant.h"
 
-#include <math.h>
-
 static inline plant_lane_t lane_of(plant_drive_t *axis)
 {
     return (plant_lane_t){&axis->inverter, &axis->motor, axis->voltage, &axis->e_switch};
@@ -52,13 +50,8 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
         /* less than a nanosecond left is only the rounding of the units */
         done = (rest - used < 0.5) ? step : done + used;
     }
-    double power = 0.0;
-    for (int k = 0; k < 3; k++) {
-        axis->voltage[k] = axis->inverter.leg[k] - axis->inverter.r_on * motor->phase[k] - 0.5 * u_dc;
-        const double current = fabs(motor->phase[k]);
-        power += current * (axis->inverter.v_drop + axis->inverter.r_on * current);
-    }
-    axis->e_switch += power * 1e-9 * step;
+    axis->e_switch += plant_inverter_power(&axis->inverter, motor) * 1e-9 * step;
+    plant_inverter_voltages(&axis->inverter, motor, u_dc, axis->voltage);
     return charge;
 }
 
