@@ -44,7 +44,7 @@ void quadrature_init(quadrature_t *q, const plant_axis_t *config, uint64_t seed,
     q->position = (int64_t)x - ((double)(int64_t)x > x);
     q->upwards = true;
     q->edge[0] = draw(q, false);
-    q->edge[1] = q->target = draw(q, true);
+    q->edge[1] = draw(q, true);
     /* the last edge passed upwards has set its line, the one before the other */
     for (int64_t n = q->position - 1; n <= q->position; n++) {
         q->level[(n & 1) == 0] = rises(n);
@@ -58,8 +58,8 @@ quadrature_edge_t quadrature_pass(quadrature_t *q)
     const bool level = rises(n) == q->upwards;
     q->position += q->upwards ? 1 : -1;
     q->level[line] = level;
-    q->edge[!q->upwards] = q->target - (q->upwards ? q->hysteresis : -q->hysteresis);
-    q->edge[q->upwards] = q->target = draw(q, q->upwards);
+    q->edge[!q->upwards] = quadrature_target(q) - (q->upwards ? q->hysteresis : -q->hysteresis);
+    q->edge[q->upwards] = draw(q, q->upwards);
     const quadrature_edge_t edge = {line, level != q->flipped[line], !q->cut[line]};
     return edge;
 }
@@ -68,9 +68,8 @@ quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omeg
                                       double time)
 {
     const double drive = (omega != 0.0) ? omega : accel;
-    if (drive != 0.0 && (drive > 0.0) != q->upwards) {
-        q->upwards = !q->upwards;
-        q->target = q->edge[q->upwards];
+    if (drive != 0.0) {
+        q->upwards = drive > 0.0;
     }
     const double per_omega = (omega != 0.0) ? 1.0 / omega : 0.0;
     const quadrature_course_t course = {

@@ -26,8 +26,7 @@ typedef struct {
     double hysteresis;  /* [rad] */
     int64_t position;   /* edges passed since angle 0 */
     bool upwards;       /* direction in which the shaft moves, or has moved last */
-    double edge[2];     /* angles of the next edges downwards and upwards [rad] .. */
-    double target;      /* .. and of that in the direction of motion */
+    double edge[2];     /* angles of the next edges downwards and upwards [rad] */
     bool level[QUADRATURE_LINES];
     bool cut[QUADRATURE_LINES]; /* the line stays at */
     bool stuck[QUADRATURE_LINES];
@@ -44,7 +43,10 @@ typedef struct {
 
 void quadrature_init(quadrature_t *encoder, const plant_axis_t *config, uint64_t seed, uint64_t stream);
 
-/* The shaft has reached the target. */
+/* Angle of the next edge in the direction of motion [rad]. */
+static inline double quadrature_target(const quadrature_t *encoder) { return encoder->edge[encoder->upwards]; }
+
+/* The shaft has reached that edge. */
 quadrature_edge_t quadrature_pass(quadrature_t *encoder);
 
 /* Level at the pin. */
@@ -66,12 +68,12 @@ quadrature_course_t quadrature_course(quadrature_t *encoder, double theta, doubl
 
 double quadrature_slow_time(const quadrature_course_t *course, double way);
 
-/* Time until the shaft reaches the target, which may be in the past or far away; huge if it never does on this course
+/* Time until the shaft reaches the next edge, which may be in the past or far away; huge if it never does on this course
  * [s]. */
 static inline double quadrature_time(const quadrature_t *encoder, const quadrature_course_t *course)
 {
     /* almost at constant speed: t = tau (1 - a tau / 2 + a^2 tau^2 / 2 - ...) - j tau^3 / (6 omega) */
-    const double way = encoder->target - course->theta;
+    const double way = quadrature_target(encoder) - course->theta;
     const double tau = way * course->per_omega;
     const double x = course->bend * tau;
     const double y = course->twist * tau * tau; /* a slow shaft: the jerk of a ripple does not last so long */

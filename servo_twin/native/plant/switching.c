@@ -102,11 +102,12 @@ static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axi
 static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
 {
     axis->edge_clock = NEVER;
-    if (axis->encoder.target > axis->bridge.high || axis->encoder.target < axis->bridge.low) {
+    const double target = quadrature_target(&axis->encoder);
+    if (target > axis->bridge.high || target < axis->bridge.low) {
         return; /* beyond an end stop */
     }
     /* An edge drawn on the other side of the shaft is behind it, however far it has gone since: that is passed at once. */
-    const double way = axis->encoder.target - axis->course.theta;
+    const double way = target - axis->course.theta;
     if ((axis->encoder.upwards ? way : -way) > axis->course.range) {
         return;
     }
