@@ -10,6 +10,7 @@ from typing import Final
 
 from servo_twin.board import Board
 from servo_twin.experiments.campaign_states import State
+from servo_twin.experiments.named_faults import NOTHING
 from servo_twin.harm import (
     BusNoise,
     CurrentNoise,
@@ -26,15 +27,11 @@ from servo_twin.harm import (
 )
 from servo_twin.plant import PlantConfig
 
-__all__ = ["DAMAGES", "NOTHING", "NO_DAMAGE", "Damage", "Seen", "Where", "no_damage"]
+__all__ = ["DAMAGES", "NO_DAMAGE", "Damage", "Seen", "Where", "no_damage"]
 
 NO_DAMAGE: Final = "no damage"
 """Kind of the trials that look for false alarms."""
 
-NOTHING: Final = ""
-"""Name of no fault."""
-
-PHASES: Final = ("a", "b", "c")
 UNDER, OVER = 16.0, 33.0  # limits of the bus in servo.toml [V]
 NEAR: Final = 0.5  # noise and filter leave it open on which side of them the bus was [V]
 WATCHDOG: Final = 0.05  # s

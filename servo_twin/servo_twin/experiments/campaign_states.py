@@ -8,17 +8,23 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from servo_msgs_py.catalogue import axis_name
-
 from servo_twin.board import Board
-from servo_twin.experiments.rig import TICK, choose_mode, command_position, command_speed, position_of, set_axis
+from servo_twin.experiments import named_faults
+from servo_twin.experiments.rig import (
+    SETTLED,
+    TICK,
+    choose_mode,
+    command_position,
+    command_speed,
+    position_of,
+    set_axis,
+)
 from servo_twin.plant import AxisPlant
 from servo_twin.simulation import SimulationError
 
 __all__ = ["MANOEUVRES", "STATES", "Bench", "Event", "Script", "State"]
 
 BOOT: Final = 0.03  # reset to STOP [s]
-SETTLED: Final = 0.1  # after the rotor search, whose last vector has moved the shaft [s]
 REACHED: Final = 5.0  # for any state [s]
 OTHER_PART: Final = 0.3  # of its speed limit, at which the other axis turns
 PROVOKED_PART: Final = 0.2  # of its speed limit, at which a silent axis is asked to move
@@ -78,22 +84,19 @@ class Bench:
     # ---- what it says
     def word(self, name: str, axis: int | None = None) -> int:
         """A variable of an axis as it stands in memory."""
-        return self.board.read_raw(f"{axis_name(self.axis if axis is None else axis)}.{name}")[0]
+        return named_faults.word(self.board, self.axis if axis is None else axis, name)
 
     def place(self, axis: int | None = None) -> str:
-        """Sub-state of an axis, or its state."""
-        catalogue = self.board.catalogue
-        state = catalogue.label("state_t", self.word("state", axis))
-        return catalogue.label("substate_t", self.word("substate", axis)) if state == "RUN" else state
+        """Sub-state of an axis in RUN, or its state."""
+        return named_faults.place(self.board, self.axis if axis is None else axis)
 
     def faults(self, axis: int | None = None) -> set[str]:
         """Faults of an axis by their names."""
-        return {f.name for f in self.board.catalogue.active("faults", self.word("faults", axis))}
+        return named_faults.faults(self.board, self.axis if axis is None else axis)
 
     def first_fault(self, axis: int | None = None) -> str:
         """Name of the first fault, empty without one."""
-        code = self.word("first_fault", axis)
-        return next((f.name for f in self.board.catalogue.flags["faults"] if f.bit + 1 == code), "")
+        return named_faults.first_fault(self.board, self.axis if axis is None else axis)
 
     def until(self, what: str, holds: Callable[[], bool]) -> None:
         """Run until something holds, which nothing but a fault prevents."""

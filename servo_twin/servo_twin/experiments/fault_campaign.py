@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.fault_record import FaultRecord, record_variable
-from servo_msgs_py.units import PERIOD_NS
 
-from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, NOTHING, Damage, Seen, Where, no_damage
+from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, Damage, Seen, Where, no_damage
 from servo_twin.experiments.campaign_motors import MOTORS, Motor, deviating
 from servo_twin.experiments.campaign_states import MANOEUVRES, STATES, Bench, Script, State
+from servo_twin.experiments.named_faults import EVERYTHING, NAMED, NOTHING, PROVOKED, fault_time, gain_most
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import TICK, TICK_NS, positive
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -39,14 +38,9 @@ COUNT: Final = 150
 WHOLE: Final = 5
 """One trial of so many has no damage."""
 
-PROVOKED: Final = 3.0  # for a fault when the axis is asked to move [s]
-NAMED: Final = 0.15  # until the name of a first fault is final [s]
 SHORTS: Final = ("short to minus", "short between phases")
-GAIN: Final = 0.5  # of speed, by the load of the friction or the end of a count [rad/s]
 OTHER_OFF: Final = 0.05  # speed error of the other axis that bus and noise may cause, part of its speed limit
 RUNAWAY_MARGIN: Final = 40.0  # beyond its limit that no axis may come (timing.runaway_margin) [rad/s]
-EVERYTHING: Final = ("OVER_VOLTAGE", "UNDER_VOLTAGE", "LATE_LOOP", "WATCHDOG")
-"""Faults that concern both axes."""
 
 
 # ---- drawing
@@ -175,13 +169,9 @@ class _Watch:
 
 
 def _gain(motor: AxisPlant, plant: PlantConfig, damage: Damage) -> float:
-    """Speed that the largest current gives while it decays: half of torque times decay, over inertia.
-
-    The bus takes it back, but for what goes round in a short, which drop and resistance end.
-    """
-    volts = motor.v_drop + 0.5 * motor.r_s * motor.i_break if damage.kind in SHORTS else plant.bus.u_source
-    torque = motor.torque_constant * motor.i_break
-    return 0.5 * torque * max(motor.l_d, motor.l_q) * motor.i_break / volts / motor.inertia + GAIN
+    """The bus takes the current back, but for what goes round in a short, which drop and resistance end."""
+    shorted = damage.kind in SHORTS
+    return gain_most(motor, motor.v_drop + 0.5 * motor.r_s * motor.i_break if shorted else plant.bus.u_source)
 
 
 def run_trial(trial: Trial) -> Result:
@@ -208,7 +198,7 @@ def _break(trial: Trial, bench: Bench, watch: _Watch, sign: float) -> Result:
     found = watch.fault_within(watch.wait)
     seconds = None
     if found:
-        seconds = _seconds(bench, cause, damage)
+        seconds = max(fault_time(board, bench.axis, lost_count=damage.stalls) - cause, 0) * 1e-9
     elif damage.shows:
         watch.forget()
         bench.provoke(sign)
@@ -239,13 +229,6 @@ def _break(trial: Trial, bench: Bench, watch: _Watch, sign: float) -> Result:
         *_others(bench, name),
     ]
     return Result(trial, name, right, seconds, beyond, gained, tuple(complaints))
-
-
-def _seconds(bench: Bench, cause: int, damage: Damage) -> float:
-    if damage.stalls:  # it has lost count
-        return (bench.board.time_ns - cause) * 1e-9
-    record = FaultRecord.of(bench.axis, bench.board.read(record_variable(bench.axis)), bench.board.catalogue)
-    return max(record.tick * PERIOD_NS - cause, 0) * 1e-9
 
 
 def _others(bench: Bench, name: str) -> list[str]:

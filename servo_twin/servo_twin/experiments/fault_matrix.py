@@ -7,10 +7,21 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.fault_record import FaultRecord, record_variable
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
+from servo_twin.experiments.named_faults import (
+    EVERYTHING,
+    NAMED,
+    NOTHING,
+    PROVOKED,
+    fault_time,
+    faults,
+    first_fault,
+    gain_most,
+    place,
+    word,
+)
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import TICK, fresh_board
 from servo_twin.harm import (
@@ -48,9 +59,6 @@ OTHER_OFF: Final = 15.0
 """Speed error that the bus and its noise may cause there [rad/s]."""
 
 WAIT: Final = 0.7  # for a fault, in the state itself [s]
-PROVOKED: Final = 3.0  # for a fault when the axis is asked to move [s]
-NAMED: Final = 0.15  # until the name of a first fault is final [s]
-GAIN: Final = 0.5  # of that, and what the load of the friction or an end of a count may give [rad/s]
 SOON: Final = 1005
 """PWM periods within which a fault that shows in a turning motor has to be off: a turn at 100 rad/s."""
 
@@ -63,29 +71,14 @@ BY_CLOCK: Final = 0.03
 BY_CHARGE: Final = 0.1
 """Part of the time that the bus takes from 24 V to 16 V, 0.75 J at some 1.6 W: 0.1 W, and what the shafts feed back."""
 
-EVERYTHING: Final = ("OVER_VOLTAGE", "UNDER_VOLTAGE", "LATE_LOOP", "WATCHDOG")
-"""Faults that concern both axes."""
-
-NOTHING: Final = ""
-
 
 # ---- states
-def _place(board: Board, axis: int = 0) -> str:
-    catalogue = board.catalogue
-    state = catalogue.label("state_t", _whole(board, f"axis{axis + 1}.state"))
-    return catalogue.label("substate_t", _whole(board, f"axis{axis + 1}.substate")) if state == "RUN" else state
-
-
-def _whole(board: Board, name: str) -> int:
-    return board.read_raw(name)[0]
-
-
 def _until(board: Board, what: str, holds: Callable[[], bool], most: float = 5.0) -> None:
     for _ in range(round(most / TICK)):
         if holds():
             return
         board.run(TICK)
-    raise SimulationError(f"{what} was not reached; axis 1 is in {_place(board)}, faults {_names(board, 0)}")
+    raise SimulationError(f"{what} was not reached; axis 1 is in {place(board, 0)}, faults {faults(board, 0)}")
 
 
 def _keep_awake(board: Board) -> None:
@@ -103,7 +96,7 @@ def _both(board: Board) -> None:
     """Axis 2 turns, axis 1 is in STOP."""
     board.run(0.03)
     board.write("cmd.enable", [0, 1])
-    _until(board, "SPIN of axis 2", lambda: _place(board, 1) == "SPIN")
+    _until(board, "SPIN of axis 2", lambda: place(board, 1) == "SPIN")
     board.write("cmd.mode", [1, 1])
     board.write("cmd.speed", [0.0, OTHER_SPEED])
     _wait(board, 0.2)
@@ -116,21 +109,21 @@ def _stop(board: Board) -> None:
 def _calib(board: Board) -> None:
     _both(board)
     board.write("cmd.enable", [1, 1])
-    _until(board, "CALIB", lambda: _place(board) == "CALIB")
+    _until(board, "CALIB", lambda: place(board, 0) == "CALIB")
     board.run(0.005)
 
 
 def _align(board: Board) -> None:
     _both(board)
     board.write("cmd.enable", [1, 1])
-    _until(board, "ALIGN", lambda: _place(board) == "ALIGN")
+    _until(board, "ALIGN", lambda: place(board, 0) == "ALIGN")
     board.run(0.05)
 
 
 def _hold(board: Board) -> None:
     _both(board)
     board.write("cmd.enable", [1, 1])
-    _until(board, "SPIN", lambda: _place(board) == "SPIN")
+    _until(board, "SPIN", lambda: place(board, 0) == "SPIN")
     _wait(board, 0.1)
 
 
@@ -157,7 +150,7 @@ def _coast(board: Board) -> None:
     board.write("param.i_q_limit", [0.1, 4.0])
     board.set_load(0, -0.006)
     board.write("cmd.enable", [0, 1])
-    _until(board, "FREEWHEEL", lambda: _place(board) == "FREEWHEEL")
+    _until(board, "FREEWHEEL", lambda: place(board, 0) == "FREEWHEEL")
     board.set_load(0, 0.0)
 
 
@@ -236,13 +229,6 @@ def damages(plant: PlantConfig) -> list[Damage]:
 
 
 # ---- one case
-def _gain(plant: PlantConfig) -> float:
-    """Speed that the largest current gives while the bus takes it back: half of torque times decay, over inertia."""
-    axis = plant.axes[0]
-    torque = 1.5 * axis.pole_pairs * axis.psi_m * axis.i_break
-    return 0.5 * torque * axis.l_q * axis.i_break / plant.bus.u_source / axis.inertia + GAIN
-
-
 @dataclass(frozen=True)
 class Case:
     """What one damage did in one state.
@@ -280,21 +266,12 @@ class Case:
         return self.named and self.gained <= self.gain_most and self.other
 
 
-def _names(board: Board, axis: int) -> set[str]:
-    return {f.name for f in board.catalogue.active("faults", _whole(board, f"axis{axis + 1}.faults"))}
-
-
-def _first(board: Board) -> str:
-    code = _whole(board, "axis1.first_fault")
-    return next((f.name for f in board.catalogue.flags["faults"] if f.bit + 1 == code), NOTHING)
-
-
 def _fault_within(board: Board, seconds: float) -> bool:
     for k in range(round(seconds / TICK)):
         if k % 200 == 0:
             _keep_awake(board)
         board.run(TICK)
-        if _whole(board, "axis1.faults"):
+        if word(board, 0, "faults"):
             return True
     return False
 
@@ -308,10 +285,8 @@ def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
         found = _fault_within(board, WAIT)
         periods = None
         if found:
-            tick = FaultRecord.of(0, board.read(record_variable(0)), board.catalogue).tick
-            if isinstance(damage.harm, StalledCore):  # it has lost count
-                tick = board.time_ns // PERIOD_NS
-            periods = max(tick - cause, 0)
+            time = fault_time(board, 0, lost_count=isinstance(damage.harm, StalledCore))
+            periods = max(time // PERIOD_NS - cause, 0)
         elif damage.provoked:
             _provoke(board)
             found = _fault_within(board, PROVOKED)
@@ -322,11 +297,12 @@ def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
                 _keep_awake(board)
             board.run(TICK)
             most = max(most, abs(board.truth(0).omega_m))
-        name = _first(board)
-        other = _names(board, 1)
+        name = first_fault(board, 0)
+        other = faults(board, 1)
         error = abs(board.truth(1).omega_m - OTHER_SPEED)
         fine = other == {name} if name in EVERYTHING else not other and error < OTHER_OFF
-        return Case(damage, state, name, periods, most - speed if found else 0.0, _gain(plant), fine)
+        gain = gain_most(plant.axes[0], plant.bus.u_source)  # the bus takes the current back
+        return Case(damage, state, name, periods, most - speed if found else 0.0, gain, fine)
 
 
 # ---- all of them

@@ -22,6 +22,7 @@ from servo_twin.simulation import SimulationError, enable
 __all__ = [
     "COUNT",
     "RPM",
+    "SETTLED",
     "TICK",
     "TICK_NS",
     "Recording",
@@ -53,6 +54,9 @@ RPM: Final = np.pi / 30.0
 
 COUNT: Final = 2.0 * np.pi / COUNTS_PER_TURN
 """One encoder count [rad]."""
+
+SETTLED: Final = 0.1
+"""After the rotor search, whose last vector has moved the shaft [s]."""
 
 
 @dataclass(frozen=True)
@@ -101,9 +105,6 @@ class Recording:
         before = round(float(self.time[0]) / TICK) - 1
         ticks = slice(max(round(start / TICK) - before, 0), None if end is None else max(round(end / TICK) - before, 0))
         return Recording(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
-
-
-SETTLED: Final = 0.1  # after the rotor search, whose last vector has moved the shaft [s]
 
 
 _level: Final[ContextVar[Level | None]] = ContextVar("level", default=None)
