@@ -17,7 +17,7 @@ from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, Damage, S
 from servo_twin.experiments.campaign_motors import MOTORS, Motor, deviating
 from servo_twin.experiments.campaign_states import MANOEUVRES, STATES, Bench, Script, State
 from servo_twin.experiments.named_faults import EVERYTHING, NAMED, NOTHING, PROVOKED, fault_time, gain_most
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import TICK, TICK_NS, positive
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
@@ -31,7 +31,6 @@ of the fault, that the drive does not move the shaft afterwards, and that the ot
 concerned. A part of the trials has no damage at all but hard manoeuvres, noise, load steps and a supply that swings: no
 fault may appear there."""
 
-BEYOND: Final = "beyond the reference design"
 COUNT: Final = 150
 """Trials, if nobody asks for more."""
 

@@ -22,7 +22,7 @@ from servo_twin.experiments.named_faults import (
     place,
     word,
 )
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import TICK, fresh_board
 from servo_twin.harm import (
     CurrentNoise,
@@ -51,7 +51,6 @@ that the other axis goes on unless the bus or the core is concerned. Where a clo
 of a board agree within 3 %; where the charge of the bus does, within 10 %, for the ripple of the currents costs 0.1 W
 that the averaged plant does not know; elsewhere the rotor's angle, the vectors of a search and the noise decide."""
 
-BEYOND: Final = "beyond the reference design"
 OTHER_SPEED: Final = 100.0
 """Of axis 2 [rad/s]."""
 

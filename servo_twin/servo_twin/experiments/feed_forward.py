@@ -12,7 +12,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.experiments.ability import believed, move_speeds
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
     Recording,
@@ -58,7 +58,6 @@ ARRIVED: Final = 2.0  # [counts]
 SETTLE_WORSE_MOST: Final = 0.01
 """A time constant of the path filter [s]."""
 
-BEYOND: Final = "beyond the reference design"
 SEED_LAG: Final = "E44: a plain gain trails"
 SEED_OVERSHOOT: Final = "2.7.3: position must not overshoot"
 

@@ -13,7 +13,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.experiments.ability import believed
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
     RPM,
@@ -56,7 +56,6 @@ START_HIDDEN: Final = 2.0
 HIDDEN: Final = 0.75
 """What the encoder's counts leave, root mean square [counts]."""
 
-BEYOND: Final = "beyond the reference design"
 FORWARD: Final[Mapping[str, bool]] = {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True}
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Bound", "Curve", "Outcome", "Panel", "Row"]
+__all__ = ["BEYOND", "Bound", "Curve", "Outcome", "Panel", "Row"]
+
+BEYOND: Final = "beyond the reference design"
+"""`Row.seed` of what it does not have."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
 from servo_twin.experiments.ability import move_speeds, path_settles, ripple
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
@@ -70,8 +70,6 @@ SPEED_MOST: Final = 1.1  # of the limit: the speed controller overshoots at the 
 CURRENT_LIMIT: Final = 1.0  # [A]
 CURRENT_MOST: Final = 1.15
 """Of the limit, the true current, mean over a slow loop; ripple of dead time and noise."""
-
-BEYOND_SEED: Final = "beyond the reference design"
 
 
 @dataclass(frozen=True)
@@ -283,18 +281,18 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
 
 def _rows_visit(what: str, most: float, free: Visit, limited: Visit) -> tuple[Row, ...]:
     return (
-        Row(f"{what}: beyond without", BEYOND_SEED, free.beyond, "counts", Bound(PASSES_LEAST)),
-        Row(f"{what}: beyond with", BEYOND_SEED, limited.beyond, "counts", Bound(most=most), apart=most + NEAR_MOST),
-        Row(f"{what}: stops before", BEYOND_SEED, limited.short, "counts", Bound(-most, NEAR_MOST)),
-        Row(f"{what}: names itself", BEYOND_SEED, limited.named, "of the time", Bound(1.0, 1.0)),
-        Row(f"{what}: comes back", BEYOND_SEED, limited.returned, "counts", Bound(BACK_LEAST)),
+        Row(f"{what}: beyond without", BEYOND, free.beyond, "counts", Bound(PASSES_LEAST)),
+        Row(f"{what}: beyond with", BEYOND, limited.beyond, "counts", Bound(most=most), apart=most + NEAR_MOST),
+        Row(f"{what}: stops before", BEYOND, limited.short, "counts", Bound(-most, NEAR_MOST)),
+        Row(f"{what}: names itself", BEYOND, limited.named, "of the time", Bound(1.0, 1.0)),
+        Row(f"{what}: comes back", BEYOND, limited.returned, "counts", Bound(BACK_LEAST)),
     )
 
 
 def _rows_lean(what: str, free: float, limited: float) -> tuple[Row, ...]:
     return (
-        Row(f"{what}: beyond without", BEYOND_SEED, free, "counts", Bound(PASSES_LEAST)),
-        Row(f"{what}: beyond with", BEYOND_SEED, limited, "counts", Bound(most=BEYOND_UNHELD_MOST)),
+        Row(f"{what}: beyond without", BEYOND, free, "counts", Bound(PASSES_LEAST)),
+        Row(f"{what}: beyond with", BEYOND, limited, "counts", Bound(most=BEYOND_UNHELD_MOST)),
     )
 
 
@@ -303,9 +301,9 @@ def _rows_behind(what: str, behind: Behind) -> tuple[Row, ...]:
     step = BEHIND * COUNTS_PER_TURN
     inside = Bound(2.0 * step - BEYOND_MOST - 1.0, 2.0 * step + BEYOND_MOST + 1.0)
     return (
-        Row(f"{what}: moves", BEYOND_SEED, behind.moved, "counts", still),
-        Row(f"{what}, target farther out: moves", BEYOND_SEED, behind.farther, "counts", still),
-        Row(f"{what}, target inside: moves", BEYOND_SEED, behind.nearer, "counts", inside),
+        Row(f"{what}: moves", BEYOND, behind.moved, "counts", still),
+        Row(f"{what}, target farther out: moves", BEYOND, behind.farther, "counts", still),
+        Row(f"{what}, target inside: moves", BEYOND, behind.nearer, "counts", inside),
     )
 
 
@@ -314,9 +312,9 @@ def _rows_speed(mode: str, free: list[Bounded], limited: list[Bounded]) -> list[
     for axis in range(AXES):
         what = f"{axis_name(axis)}, speed, {mode.lower()} mode"
         most = Bound(most=SPEED_MOST * SPEED_LIMIT)
-        rows.append(Row(f"{what}: highest without", BEYOND_SEED, free[axis].most, "rad/s", Bound(1.2 * SPEED_LIMIT)))
-        rows.append(Row(f"{what}: highest with", BEYOND_SEED, limited[axis].most, "rad/s", most))
-        rows.append(Row(f"{what}: names itself", BEYOND_SEED, limited[axis].named, "of the time", Bound(1.0, 1.0)))
+        rows.append(Row(f"{what}: highest without", BEYOND, free[axis].most, "rad/s", Bound(1.2 * SPEED_LIMIT)))
+        rows.append(Row(f"{what}: highest with", BEYOND, limited[axis].most, "rad/s", most))
+        rows.append(Row(f"{what}: names itself", BEYOND, limited[axis].named, "of the time", Bound(1.0, 1.0)))
     return rows
 
 
@@ -325,9 +323,9 @@ def _rows_current(plant: PlantConfig, free: list[Bounded], limited: list[Bounded
     for axis in range(AXES):
         what = f"{axis_name(axis)}, current, torque mode"
         most = Bound(most=CURRENT_MOST * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT))
-        rows.append(Row(f"{what}: largest without", BEYOND_SEED, free[axis].most, "A", Bound(1.5 * CURRENT_LIMIT)))
-        rows.append(Row(f"{what}: largest with", BEYOND_SEED, limited[axis].most, "A", most))
-        rows.append(Row(f"{what}: names itself", BEYOND_SEED, limited[axis].named, "of the time", Bound(0.9, 1.0)))
+        rows.append(Row(f"{what}: largest without", BEYOND, free[axis].most, "A", Bound(1.5 * CURRENT_LIMIT)))
+        rows.append(Row(f"{what}: largest with", BEYOND, limited[axis].most, "A", most))
+        rows.append(Row(f"{what}: names itself", BEYOND, limited[axis].named, "of the time", Bound(0.9, 1.0)))
     return rows
 
 

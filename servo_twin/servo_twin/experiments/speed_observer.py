@@ -13,7 +13,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
 from servo_twin.experiments.ability import Belief, believed
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
     RPM,
@@ -61,7 +61,6 @@ MEAN_MOST: Final = 1.0
 """Deviation of the true mean from the set-point [%]: two counts in 4 s at 2 rpm are 0.4 %."""
 
 BETTER: Final = 1.0
-BEYOND: Final = "beyond the reference design"
 
 
 @dataclass(frozen=True)

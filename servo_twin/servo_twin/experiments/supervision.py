@@ -14,7 +14,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
 from servo_twin.experiments.ability import current_limits, move_speeds
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     TICK,
     Recording,
@@ -66,7 +66,6 @@ HARD_MOVES: Final = (5.0, -5.0, 100.0)  # [turns], there and back without a rest
 TURN_ROUND: Final = 0.12  # until the second set-point overrides the first [s]
 REST: Final = 0.6  # [s]
 
-BEYOND: Final = "beyond the reference design"
 SWITCHES: Final = ("FOLLOWING_ERROR", "OVER_SPEED")
 
 
