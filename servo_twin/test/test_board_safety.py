@@ -9,7 +9,7 @@ import pytest
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.fault_record import FaultRecord
 from servo_twin.board import Board
-from servo_twin.experiments.undelivered import answer
+from servo_twin.experiments.undelivered import swerve
 from servo_twin.simulation import enable, move, record
 
 pytestmark = pytest.mark.usefixtures("level")
@@ -143,27 +143,15 @@ def test_torque_ends_at_the_speed_limit(board: Board) -> None:
     assert 290.0 < board.truth(0).omega_m < 330.0
 
 
-KEPT_BACK = 0.06
-"""Current around zero that dead time and drops keep back where every edge of the gates counts (undelivered.py) [A]."""
-
-
-def swerve(board: Board, axis: int) -> int:
-    """How far that moves a shaft under position control [counts]; the averaged plant has none of it."""
-    if board.level == "ideal":
-        return 0
-    motor = board.plant.axes[axis]
-    torques = np.full(400, motor.torque_constant * KEPT_BACK)
-    return round(float(np.abs(answer(torques, motor, position=True)).max()))
-
-
 @pytest.mark.parametrize("i_q", [0.3, 0.5, 1.0])
 def test_less_current_makes_moves_slower_and_never_overshoot(board: Board, i_q: float) -> None:
     board.write("param.i_q_limit", [i_q, i_q])
     board.run(0.01)
     results, log = move(board, {0: 20000, 1: -20000}, 4.0)
     for axis, result in enumerate(results):
-        assert result.overshoot <= 2 + swerve(board, axis)
-        assert result.steady_state <= 2 + swerve(board, axis)
+        most = 2 + (0 if board.level == "ideal" else swerve(board.plant.axes[axis]))
+        assert result.overshoot <= most
+        assert result.steady_state <= most
     assert np.abs(board.si(log)["axis1.i_q_ref"]).max() <= i_q + 1e-3
 
 

@@ -2,7 +2,7 @@
 
 Dead time and the drops of switches and diodes hold a phase at zero until the current controller has wound up against
 them. On the averaged plant they fade away with the current; where every edge of the gates counts they stay, and around
-zero they keep back as much current as friction needs: some 60 mA, where the axes turn with 40 mA. What a feature of the
+zero they keep back as much current as friction needs (`KEPT_BACK`; the axes turn with 40 mA). What a feature of the
 control does with its set-point of the current is one thing, what becomes of that current another; experiments that are
 about the former take the latter out, or allow for it.
 """
@@ -18,7 +18,10 @@ from numpy.typing import NDArray
 from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant
 
-__all__ = ["answer", "pushed", "whole_counts"]
+__all__ = ["KEPT_BACK", "answer", "pushed", "swerve", "whole_counts"]
+
+KEPT_BACK: Final = 0.06
+"""Current around zero that dead time and drops keep back where every edge of the gates counts [A]."""
 
 SPEED_LOOP: Final = 2.0 * math.pi * 75.0
 """Bandwidth of the speed controller [rad/s], which answers such a torque."""
@@ -28,6 +31,9 @@ INTEGRAL: Final = SPEED_LOOP / 5.0
 
 POSITION_GAIN: Final = 60.0
 """Of the position controller [1/s]."""
+
+ANSWERED: Final = 0.2
+"""Twelve of its time constants: a constant torque has moved the shaft as far as it will [s]."""
 
 
 def pushed(recording: Recording, axis: AxisPlant, *, position: bool, heavier: float = 1.0) -> NDArray[np.float64]:
@@ -77,3 +83,9 @@ def whole_counts(recording: Recording, axis: AxisPlant, after: float, heavier: f
     """The most that it moves a shaft under position control from `after` on [s], as a position shows it [counts]."""
     way = pushed(recording, axis, position=True, heavier=heavier)
     return float(round(np.abs(way[recording.time > after]).max(initial=0.0)))
+
+
+def swerve(axis: AxisPlant) -> int:
+    """How far `KEPT_BACK` moves a shaft under position control before the loops have answered [counts]."""
+    torques = np.full(round(ANSWERED / TICK), axis.torque_constant * KEPT_BACK)
+    return round(float(np.abs(answer(torques, axis, position=True)).max()))
