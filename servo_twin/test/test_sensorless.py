@@ -314,14 +314,19 @@ def slip(board: Board, degrees: float) -> None:
     assert faults(board) == []
 
 
+def fault_of_offset(board: Board, degrees: float, seconds: float) -> tuple[float, list[str]]:
+    """Ask axis 1 for 100 rad/s with its encoder off by an electrical angle: time until a fault, and its name."""
+    slip(board, degrees)
+    features(board, 0, ANGLE_CHECK=True)
+    choose_mode(board, 0, "SPEED")
+    set_axis(board, "cmd.speed", 0, 100.0)
+    return until_fault(board, seconds)
+
+
 @pytest.mark.parametrize(("degrees", "most"), [(45.0, 90.0), (135.0, 90.0), (180.0, 100.0)])
 def test_wrong_offset_is_caught_before_the_shaft_runs_away(degrees: float, most: float) -> None:
     with with_encoders() as board:
-        slip(board, degrees)
-        features(board, 0, ANGLE_CHECK=True)
-        choose_mode(board, 0, "SPEED")
-        set_axis(board, "cmd.speed", 0, 100.0)
-        time, names = until_fault(board, 0.3)
+        time, names = fault_of_offset(board, degrees, 0.3)
         assert names == ["ANGLE_MISMATCH"]
         assert time < 0.05
         assert abs(board.truth(0).omega_m) < most
@@ -330,11 +335,7 @@ def test_wrong_offset_is_caught_before_the_shaft_runs_away(degrees: float, most:
 def test_offset_of_90_degrees_is_a_shaft_held_fast() -> None:
     """No current makes torque, nothing moves, no back-EMF tells; ten degrees to either side something does."""
     with with_encoders() as board:
-        slip(board, 90.0)
-        features(board, 0, ANGLE_CHECK=True)
-        choose_mode(board, 0, "SPEED")
-        set_axis(board, "cmd.speed", 0, 100.0)
-        time, names = until_fault(board, 1.0)
+        time, names = fault_of_offset(board, 90.0, 1.0)
         assert names == ["STALLED"]
         assert time < 0.7
 
