@@ -9,7 +9,7 @@
 #define WINDOWS_MOST 2
 #define TURNING_TICKS 8
 #define SWEPT_MOST 16384U /* a quarter of a turn; an eighth is looked for */
-#define ASK_TICKS 4         /* the current controllers take less */
+#define ASK_TICKS 4       /* the current controllers take less */
 #define STILL_TICKS 60    /* of voltage that stays where it is */
 #define SHORT_TICKS 8
 #define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
