@@ -31,8 +31,6 @@ NOT_ON_A_TARGET = {
     "freemaster_write",
     # DRM 4.5 lists the transition, but no flag leads there.
     "stop_init",
-    # A current that is asked for in doubt comes in every recording: no phase opens at that moment.
-    "lost",
     # 25 s of waiting are too long for a recording.
     "wait_for_rest",
     # No limit can be written that is wider than the configured one.

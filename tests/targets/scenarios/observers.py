@@ -87,17 +87,22 @@ def sensorless_lost(rig: Rig) -> None:
 
 
 def slipped(rig: Rig) -> None:
-    """The observer beside the encoders: one dies while its shaft turns."""
+    """The observer beside the encoders: one dies while its shaft turns. The other axis asks in vain for a current."""
     spin(rig)
     rig.set("param.features", features("ANGLE_CHECK"))
-    rig.set("cmd.mode", SPEED)
-    rig.set("cmd.speed", 80.0, -80.0)
-    rig.run(0.06)
+    rig.set("cmd.mode", SPEED, TORQUE)
+    rig.set("cmd.speed", 80.0)
     rig.set("param.features", features("ANGLE_CHECK"), features())
+    rig.motor(1, False)
+    rig.set("cmd.i_q", 0.5)
+    rig.run(0.01)
+    rig.set("cmd.i_q", -0.5)  # what the controllers have added up turns round like a back-EMF
+    rig.run(0.05)
     rig.plug(0, False)
     rig.run(0.0015)
     rig.plug(0, True)
     rig.run(0.01)
     rig.plug(0, False)
     rig.until("encoder caught out", lambda: "ANGLE_MISMATCH" in rig.faults(0))
+    rig.until("cable missed", lambda: rig.faults(1) == ["PHASE_LOST"])
     rig.run(0.005)
