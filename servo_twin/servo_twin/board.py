@@ -161,17 +161,10 @@ class BoardStats:
 
 def _native_config(ffi: Any, plant: PlantConfig, core: CoreLoad, seed: int, baud: float) -> Any:
     config = ffi.new("board_config_t *")
-    for target, axis in zip(config.axis, plant.drawn(seed).axes, strict=True):
-        for name, value in vars(axis).items():
-            setattr(target, name, value)
-    for name, value in vars(plant.bus).items():
-        setattr(config.bus, name, value)
-    config.pwm_frequency = plant.pwm_frequency
-    config.ambient = plant.ambient
-    config.baud = baud
+    plant.drawn(seed).fill(config)
     for name, clocks in vars(core).items():
         setattr(config.core, name, clocks)
-    config.seed = seed
+    config.baud, config.seed = baud, seed
     return config
 
 

@@ -285,6 +285,15 @@ class PlantConfig:
                 plant = plant.with_axis(axis, theta_start=angle)
         return plant
 
+    def fill(self, config: Any) -> None:
+        """Write everything into a C ``board_config_t``; random start angles have to be drawn before."""
+        for target, axis in zip(config.axis, self.axes, strict=True):
+            for name, value in vars(axis).items():
+                setattr(target, name, value)
+        for name, value in vars(self.bus).items():
+            setattr(config.bus, name, value)
+        config.pwm_frequency, config.ambient = self.pwm_frequency, self.ambient
+
     def with_axis(self, axis: int, **changes: Any) -> PlantConfig:
         """Copy with some values of one axis (index 0 or 1) replaced."""
         axes = list(self.axes)

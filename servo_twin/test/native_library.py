@@ -154,12 +154,8 @@ def c_bus(native: Native, bus: BusPlant) -> Any:
 def c_config(native: Native, plant: PlantConfig, seed: int = 0, baud: float = 115200.0) -> Any:
     """``board_config_t *`` of a plant."""
     config = native.ffi.new("board_config_t *")
-    for target, axis in zip(config.axis, plant.drawn(seed).axes, strict=True):
-        for name, value in vars(axis).items():
-            setattr(target, name, value)
-    for name, value in vars(plant.bus).items():
-        setattr(config.bus, name, value)
-    config.pwm_frequency, config.ambient, config.baud, config.seed = plant.pwm_frequency, plant.ambient, baud, seed
+    plant.drawn(seed).fill(config)
+    config.baud, config.seed = baud, seed
     return config
 
 

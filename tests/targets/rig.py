@@ -54,12 +54,8 @@ class Rig:
         self._ffi, self._lib = ffi, lib
         self._catalogue = Catalogue.load()
         config = ffi.new("board_config_t *")
-        for target, axis in zip(config.axis, plant.axes, strict=True):
-            for name, value in vars(axis).items():
-                setattr(target, name, value)
-        for name, value in vars(plant.bus).items():
-            setattr(config.bus, name, value)
-        config.pwm_frequency, config.baud, config.seed = plant.pwm_frequency, BAUD, seed
+        plant.fill(config)
+        config.baud, config.seed = BAUD, seed
         self._board = lib.board_new(config)
         self._memory = BoardMemory(ffi, lib, self._board)
         self.entries: Sequence[str] = [entry.name for entry in self._memory.table]
