@@ -45,7 +45,7 @@ def voltage(duty: tuple[int, int, int]) -> complex:
 
 
 def in_integers(alpha: int, beta: int) -> tuple[tuple[int, int, int], int]:
-    """E28..E30 and T3 with the roundings that svm.c has: beta / sqrt(3) once, the shortening towards zero."""
+    """E28..E30 and T3 with the roundings that svm.h has: beta / sqrt(3) once, the shortening towards zero."""
     third = nearest(beta * ONE_BY_SQRT3, 2**15)
     x, y, z = 2 * third, third + alpha, third - alpha
     above = [z < 0, y >= 0, True] if x >= 0 else [z >= 0, y < 0, True]

@@ -53,7 +53,7 @@ def test_ends_and_quarters(core: Core) -> None:
 
 
 def test_length_never_exceeds_what_a_rotation_can_take(waves: tuple[np.ndarray, np.ndarray]) -> None:
-    """transforms.c adds two products in 32 bits: |sin| + |cos| must stay below 2 x 32767."""
+    """transforms.h adds two products in 32 bits: |sin| + |cos| must stay below 2 x 32767."""
     sines, cosines = waves
     assert np.max((np.abs(sines) + np.abs(cosines)) * 32768 + 0x4000) < 2**31
 
