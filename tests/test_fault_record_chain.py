@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from chain import Chain, User, user
 from servo_msgs_py.convert import snapshot_table
-from servo_msgs_py.fault_record import COLUMNS, FaultRecord, record_variable
+from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 from servo_twin.board import Board
+from servo_twin.experiments.named_faults import fault_record
 from servo_twin.harm import ShortedPhase, StuckConverter
 from servo_twin.simulation import enable
 from servo_twin.virtual_board import Pacer, Terminal, serve
@@ -96,7 +97,7 @@ def board() -> Iterator[Board]:
 
 @pytest.fixture
 def record(board: Board) -> FaultRecord:
-    return FaultRecord.of(0, board.read(record_variable(0)), board.catalogue)
+    return fault_record(board, 0)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board, BoardError
+from servo_twin.experiments.named_faults import faults
 from servo_twin.plant import PlantConfig
 
 from servo_twin import _build_native
@@ -282,8 +283,7 @@ class TestPlant:
             truth = board.truth(0)
             assert (truth.i_d, truth.i_q, truth.torque_e) == (0.0, 0.0, 0.0)
         assert abs(board.truth(1).theta_m - start) > 0.5
-        named = board.catalogue.active("faults", board.read_raw("axis1.faults")[0])
-        assert [fault.name for fault in named] == ["PHASE_LOST"]
+        assert faults(board, 0) == {"PHASE_LOST"}
         board.connect_motor(0)
         board.write("cmd.clear_faults", [1, 0])
         board.run(0.05)

@@ -6,15 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.fault_record import FaultRecord
 from servo_twin.board import Board
+from servo_twin.experiments.named_faults import fault_record, faults
 from servo_twin.experiments.undelivered import swerve
 from servo_twin.simulation import enable, move, record
 
 pytestmark = pytest.mark.usefixtures("level")
 
-CATALOGUE = Catalogue.load()
 FAULT, STOP, RUN = 0, 2, 3
 SPIN = 3
 FULL_CURRENT = 4.0
@@ -25,10 +23,6 @@ def board() -> Iterator[Board]:
     with Board(seed=11) as board:
         enable(board)
         yield board
-
-
-def faults(board: Board, axis: int) -> set[str]:
-    return {flag.name for flag in CATALOGUE.active("faults", board.read_raw(f"axis{axis}.faults")[0])}
 
 
 def spin(board: Board, speed: float) -> None:
@@ -42,15 +36,15 @@ def test_record_ends_where_the_fault_was_captured_and_not_where_its_ramp_ends(bo
     board.write("param.acceleration_limit", [1000.0, 1000.0])
     board.serial_in(bytes.fromhex("2B 29 01 00 6C"))  # a host that asks once
     board.run(0.4)
-    assert faults(board, 1) == set()
-    while not faults(board, 1):
+    assert faults(board, 0) == set()
+    while not faults(board, 0):
         board.run(0.0005)
     captured = board.read_raw("tick")[0]
     assert board.read_raw("axis1.state")[0] == RUN, "the ramp only begins"
     while board.read_raw("axis1.state")[0] != FAULT:
         board.run(0.001)
     assert board.read_raw("tick")[0] - captured > 0.15 * 16000
-    record = FaultRecord.of(0, board.read("axis1.fault_record"), CATALOGUE)
+    record = fault_record(board, 0)
     assert (record.fault and record.fault.name, record.place) == ("HOST_SILENT", "RUN/SPIN")
     assert record.tick == captured
     speeds = record.table[:, -1]
@@ -99,12 +93,12 @@ def test_an_encoder_that_slips_ends_in_a_fault_and_not_in_a_runaway(
     if gap < within:
         board.connect_encoder(0, True)
         board.run(within - gap)
-    assert faults(board, 1) == {fault}
+    assert faults(board, 0) == {fault}
     board.run(gap - min(gap, within))
     board.connect_encoder(0, True)
     board.run(0.1)
     assert board.read_raw("axis1.state") == [FAULT]
-    assert faults(board, 1) == {fault}
+    assert faults(board, 0) == {fault}
     assert board.read_raw("axis2.state") == [RUN]  # the other axis goes on
 
 
@@ -112,7 +106,7 @@ def test_an_encoder_that_dies_ends_in_a_fault(board: Board) -> None:
     spin(board, 100.0)
     board.connect_encoder(0, False)
     board.run(0.7)
-    assert (board.read_raw("axis1.state"), faults(board, 1)) == ([FAULT], {"ENCODER_LOST"})
+    assert (board.read_raw("axis1.state"), faults(board, 0)) == ([FAULT], {"ENCODER_LOST"})
 
 
 @pytest.mark.parametrize("command", [("cmd.quick_stop", 1), ("cmd.enable", 0)])
@@ -131,7 +125,7 @@ def test_a_lower_speed_limit_slows_down_and_is_no_fault(board: Board, accelerati
     board.write("param.acceleration_limit", [acceleration] * 2)
     board.write("param.speed_limit", [100.0, 100.0])
     board.run(5.0)
-    assert faults(board, 1) == faults(board, 2) == set()
+    assert faults(board, 0) == faults(board, 1) == set()
     assert board.read("axis1.speed") == pytest.approx(100.0, abs=2.0)
 
 
@@ -139,7 +133,7 @@ def test_torque_ends_at_the_speed_limit(board: Board) -> None:
     board.write("cmd.mode", [2, 2])
     board.write("cmd.i_q", [1.0, 1.0])
     board.run(1.0)
-    assert faults(board, 1) == set()
+    assert faults(board, 0) == set()
     assert 290.0 < board.truth(0).omega_m < 330.0
 
 
@@ -161,7 +155,7 @@ def test_full_reversals_at_the_current_limit_are_no_runaway(board: Board) -> Non
     for speed in (300.0, -300.0, 300.0):
         spin(board, speed)
         board.run(0.4)
-        assert faults(board, 1) == faults(board, 2) == set()
+        assert faults(board, 0) == faults(board, 1) == set()
 
 
 def test_a_shaft_that_never_rests_does_not_start_by_itself_later() -> None:
@@ -194,7 +188,7 @@ def test_a_shaft_that_is_held_during_the_search_is_not_found_anywhere() -> None:
                 error = (board.read("axis1.theta_e") - theta + np.pi) % (2.0 * np.pi) - np.pi
                 assert abs(error) < np.radians(35.0)
             else:
-                assert faults(board, 1) <= {"ROTOR_SEARCH", "STALLED"}
+                assert faults(board, 0) <= {"ROTOR_SEARCH", "STALLED"}
 
 
 @pytest.mark.parametrize(("i_q", "acceleration"), [(4.0, 4000.0), (0.5, 4000.0), (0.2, 4000.0), (4.0, 50000.0)])
@@ -206,7 +200,7 @@ def test_a_stop_does_not_run_back(board: Board, i_q: float, acceleration: float)
     board.run(0.001)
     board.write("cmd.quick_stop", [1, 1])
     log = record(board, 3.0)
-    for axis in (1, 2):
-        position = log[f"axis{axis}.position"].astype(np.int64)
+    for axis in (0, 1):
+        position = log[f"axis{axis + 1}.position"].astype(np.int64)
         assert position.max() - position[-1] <= 10
         assert faults(board, axis) == set()

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_msgs_py.fault_record import COLUMNS, FaultRecord, record_variable
+from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 from servo_twin.board import Board
+from servo_twin.experiments.named_faults import fault_record, faults
 from servo_twin.harm import HotPowerStage, OpenPhase, ShortedPhase
 from servo_twin.simulation import enable
 
@@ -25,10 +26,6 @@ def board() -> Iterator[Board]:
     with Board(seed=4) as board:
         enable(board)
         yield board
-
-
-def record(board: Board, axis: int) -> FaultRecord:
-    return FaultRecord.of(axis, board.read(record_variable(axis)), board.catalogue)
 
 
 def column(record: FaultRecord, name: str) -> NDArray[np.float64]:
@@ -58,7 +55,7 @@ def test_the_samples_are_the_currents_of_the_32_ms_before_the_fault(board: Board
     broken = board.time_ns * 1e-9
     board.inject(ShortedPhase(axis, "a"))
     board.run(0.01)
-    it = record(board, axis)
+    it = fault_record(board, axis)
     assert (fault(it), it.place, len(it.table)) == ("OVER_CURRENT", "RUN/SPIN", 64)
     assert broken <= it.seconds < broken + 0.001
     time, i_q = it.seconds + column(it, "time"), column(it, "i_q")
@@ -92,7 +89,7 @@ def test_the_times_of_the_samples_are_those_at_which_the_shaft_was_there(board: 
         board.run(PERIOD)
         now = board.truth(axis)
         truth.append((board.time_ns * 1e-9, now.theta_m, now.omega_m, now.u_dc))
-    it = record(board, axis)
+    it = fault_record(board, axis)
     assert fault(it) == name
     moment, theta, omega, u_dc = np.array(truth).T
     time = it.seconds + column(it, "time")
@@ -114,13 +111,12 @@ def test_a_second_fault_does_not_overwrite_the_first(board: Board, axis: int) ->
     board.run(0.05)
     board.inject(HotPowerStage(axis, 120.0))
     board.run(0.01)
-    first = record(board, axis)
+    first = fault_record(board, axis)
     assert fault(first) == "OVER_TEMPERATURE"
     board.set_supply(36.0)
     board.run(0.05)
-    faults = {flag.name for flag in board.catalogue.active("faults", board.read_raw(f"axis{axis + 1}.faults")[0])}
-    assert faults == {"OVER_TEMPERATURE", "OVER_VOLTAGE"}
-    later = record(board, axis)
+    assert faults(board, axis) == {"OVER_TEMPERATURE", "OVER_VOLTAGE"}
+    later = fault_record(board, axis)
     assert (later.fault, later.tick, later.place) == (first.fault, first.tick, first.place)
     np.testing.assert_array_equal(later.table, first.table)
 
@@ -132,7 +128,7 @@ def test_a_fault_after_clearing_is_a_first_one_again(board: Board, axis: int) ->
     short = ShortedPhase(axis, "a")
     board.inject(short)
     board.run(0.01)
-    before = record(board, axis)
+    before = fault_record(board, axis)
     assert fault(before) == "OVER_CURRENT"
     board.heal(short)
     board.run(0.05)
@@ -142,7 +138,7 @@ def test_a_fault_after_clearing_is_a_first_one_again(board: Board, axis: int) ->
     board.set_supply(36.0)
     while board.read_raw(f"axis{axis + 1}.faults") == [0]:
         board.run(0.001)
-    after = record(board, axis)
+    after = fault_record(board, axis)
     assert (fault(after), after.place, len(after.table)) == ("OVER_VOLTAGE", "STOP", 64)
     assert after.tick > before.tick
     np.testing.assert_allclose(column(after, "i_q"), 0.0, atol=7.5 * board.plant.axes[axis].i_noise)

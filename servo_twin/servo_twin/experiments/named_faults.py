@@ -16,6 +16,7 @@ __all__ = [
     "NAMED",
     "NOTHING",
     "PROVOKED",
+    "fault_record",
     "fault_time",
     "faults",
     "first_fault",
@@ -62,6 +63,11 @@ def first_fault(board: Board, axis: int) -> str:
     return next((fault.name for fault in board.catalogue.flags["faults"] if fault.bit + 1 == code), NOTHING)
 
 
+def fault_record(board: Board, axis: int) -> FaultRecord:
+    """What led to the first fault of an axis."""
+    return FaultRecord.of(axis, board.read(record_variable(axis)), board.catalogue)
+
+
 def fault_time(board: Board, axis: int, *, lost_count: bool = False) -> int:
     """Time of the first fault of an axis, by its record [ns].
 
@@ -76,7 +82,7 @@ def fault_time(board: Board, axis: int, *, lost_count: bool = False) -> int:
     """
     if lost_count:
         return board.time_ns
-    return FaultRecord.of(axis, board.read(record_variable(axis)), board.catalogue).tick * PERIOD_NS
+    return fault_record(board, axis).tick * PERIOD_NS
 
 
 def gain_most(motor: AxisPlant, volts: float) -> float:
