@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, contradiction, parameters, si
-from servo_msgs_py.catalogue import Catalogue, Value
+from servo_msgs_py.catalogue import Catalogue, Value, numbers
 from servo_msgs_py.value_text import value_text
 
 from servo_bridge.outcome import error_of
@@ -111,7 +111,7 @@ class BoardParameters:
                 if error is not None:
                     self._fail(f"the parameters of the board cannot be read: {error}")
                     return
-            then({name: [self._raw(name, x) for x in _numbers(job.result())] for name, job in futures.items()})
+            then({name: [self._raw(name, x) for x in numbers(job.result())] for name, job in futures.items()})
 
         self._when_done(list(futures.values()), take)
 
@@ -171,7 +171,3 @@ class BoardParameters:
 
     def _text(self, name: str, values: RawParameters) -> str:
         return value_text(self._catalogue[name], si({name: values[name]}, self._catalogue)[name], self._catalogue)
-
-
-def _numbers(value: Value) -> list[float]:
-    return list(value) if isinstance(value, (list, bytes)) else [value]

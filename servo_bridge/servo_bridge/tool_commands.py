@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from servo_msgs_py.catalogue import Catalogue, Value
+from servo_msgs_py.catalogue import Catalogue, Value, numbers
 from servo_msgs_py.units import PERIOD_NS
 from servo_msgs_py.value_text import words_of
 
@@ -187,12 +187,12 @@ def record(context: Context) -> int:
                 values = list(reading.values)
                 moment, head = reading.time_ns, []
                 if tick is not None:
-                    count = extender.update(int(_numbers(values.pop(0))[0]), reading.time_ns).tick
+                    count = extender.update(int(numbers(values.pop(0))[0]), reading.time_ns).tick
                     if count == last:
                         continue  # read faster than the board takes samples
                     moment, head, last = count * PERIOD_NS, [count], count
                 first = moment if first is None else first
-                cells = [n for (_, k), v in zip(selection, values, strict=True) for n in _numbers(_element(v, k))]
+                cells = [n for (_, k), v in zip(selection, values, strict=True) for n in numbers(_element(v, k))]
                 writer.writerow([f"{(moment - first) * 1e-9:.7f}", *head, *cells])
                 rows += 1
         except KeyboardInterrupt:
@@ -278,10 +278,6 @@ def _element(value: Value, element: int | None) -> Value:
     return value[element] if element is not None and isinstance(value, list) else value
 
 
-def _numbers(value: Value) -> list[Number]:
-    return list(value) if isinstance(value, (list, bytes)) else [value]
-
-
 def _heads(variable: BoardVariable, element: int | None, name: str) -> list[str]:
     unit = f" [{variable.unit}]" if variable.unit else ""
     count = variable.count if element is None else 1
@@ -345,8 +341,8 @@ def _named(variable: BoardVariable, value: Value, catalogue: Catalogue) -> list[
     """Numbers of a value, as names where they stand for something."""
     contract = variable.contract
     if contract is None:
-        return list(_numbers(value))
-    return [words_of(contract, number, catalogue) or number for number in _numbers(value)]
+        return list(numbers(value))
+    return [words_of(contract, number, catalogue) or number for number in numbers(value)]
 
 
 def _change_text(context: Context, variable: BoardVariable, old: bytes, new: bytes) -> str:

@@ -17,7 +17,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["AXES", "Catalogue", "CatalogueError", "Flag", "Scale", "Value", "Variable", "axis_name"]
+__all__ = ["AXES", "Catalogue", "CatalogueError", "Flag", "Scale", "Value", "Variable", "axis_name", "numbers"]
 
 AXES: Final = 2
 """Axes of one board."""
@@ -230,6 +230,11 @@ class Variable:
             raise ValueError(f"{self.name}: a block can only be read")
         if count != self.count:
             raise ValueError(f"{self.name}: {count} values given, {self.count} expected")
+
+
+def numbers(value: Value) -> list[float]:
+    """One number per element of a value, or per byte of a block."""
+    return list(value) if isinstance(value, (list, bytes)) else [value]
 
 
 def axis_name(axis: int) -> str:

@@ -11,7 +11,7 @@ from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name, numbers
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
@@ -124,8 +124,8 @@ class Replica:
 
     def read_raw(self, variable: str) -> list[int]:
         """Firmware integers of any variable, one per element."""
-        value, lsb = self._board.read(variable), self._catalogue[variable].lsb
-        return [round(x / lsb) for x in (value if isinstance(value, (list, bytes)) else [value])]
+        lsb = self._catalogue[variable].lsb
+        return [round(x / lsb) for x in numbers(self._board.read(variable))]
 
     def label(self, axis: int) -> str:
         """State of an axis, such as ``STOP`` or ``RUN/SPIN``."""
