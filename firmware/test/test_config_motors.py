@@ -26,14 +26,10 @@ from tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS
 from tuning.source import c_source
 from tuning.stops import CATEGORIES
 from tuning.tuned import Tuned, tuned
-from tuning_tool import CATALOGUE, table
+from tuning_tool import CATALOGUE, logarithmic, table
 
 FAULTS = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["faults"]}
 FEATURES = {flag.name.lower(): flag.mask for flag in CATALOGUE.flags["features"]}
-
-
-def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(math.log(low), math.log(high)).map(math.exp)
 
 
 MOTORS = st.fixed_dictionaries(

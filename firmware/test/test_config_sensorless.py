@@ -18,7 +18,7 @@ from tuning.findings import findings
 from tuning.linear import pole_of
 from tuning.sensorless import BackEmfObserver, angle_error, slide_damping
 from tuning.sensorless_constants import FIELDS
-from tuning_tool import axis
+from tuning_tool import axis, logarithmic
 
 T = 1.0 / 16000.0
 U_FS, I_FS, W_FS = 24.2, 8.25, 5000.0 * math.pi / 30.0
@@ -255,10 +255,6 @@ def test_feedback_is_one_of_two() -> None:
     for wrong in ("hall", 1, True, ["encoder"]):
         with pytest.raises(ConfigError, match=r"^axis1\.feedback = .*write one of encoder, observer"):
             axis(axis1__feedback=wrong)
-
-
-def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(math.log(low), math.log(high)).map(math.exp)
 
 
 @settings(max_examples=200)

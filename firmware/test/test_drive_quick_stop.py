@@ -18,14 +18,6 @@ from servo_bench import (
 )
 
 
-@pytest.fixture
-def bench(core: Core) -> Bench:
-    bench = Bench(core)
-    bench.to_spin(0)
-    bench.slow(2)
-    return bench
-
-
 def by_position(bench: Bench) -> None:
     bench.write(0, position=100_000)
 

@@ -32,14 +32,6 @@ from servo_bench import (
 ANTI_WINDUP, ENHANCED_MT, BUS_COMPENSATION, DEAD_TIME = (1 << bit for bit in range(4))
 
 
-@pytest.fixture
-def bench(core: Core) -> Bench:
-    bench = Bench(core)
-    bench.to_spin(0)
-    bench.slow(2)
-    return bench
-
-
 def running(bench: Bench, mode: int, rad_per_s: float) -> None:
     """A shaft that obeys, well on its way in one of the modes."""
     if mode == POSITION:

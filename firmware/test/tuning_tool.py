@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import math
 import sys
 from typing import Any, Final
 
 from firmware_compiler import FIRMWARE
+from hypothesis import strategies as st
 from servo_msgs_py.catalogue import Catalogue
 from tuning.configuration import Configuration
 from tuning.reading import parse
@@ -44,3 +46,8 @@ def axis(number: int = 1, **changes: object) -> Tuned:
     """One axis of the changed configuration."""
     whole = configuration(**changes)
     return tuned(whole.axes[number - 1], whole)
+
+
+def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:
+    """Numbers between two bounds, evenly spread over their logarithm."""
+    return st.floats(math.log(low), math.log(high)).map(math.exp)
