@@ -328,35 +328,45 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
 
 def judge(found: Sequence[Case]) -> Outcome:
     """Rows, notes with the matrix, and a picture of the times."""
-    rows: list[Row] = []
-    notes: list[str] = []
-    curves: list[Curve] = []
-    for damage in dict.fromkeys(c.damage for c in found):
-        mine = [c for c in found if c.damage == damage]
-        wanted = " or ".join(damage.faults) or "no fault"
-        rows.append(_share(f"{damage.name}: {wanted}", [c.named for c in mine]))
-        rows.append(_share(f"{damage.name}: no motion after", [c.gained <= c.gain_most for c in mine]))
-        rows.append(_share(f"{damage.name}: axis 2 as it should", [c.other for c in mine]))
-        turning = [c.periods for c in mine if c.state in TURNING and c.periods is not None]
-        if damage.most is not None and NOTHING not in damage.faults and turning:
-            bound = Bound(0.0, float(damage.most))
-            rows.append(Row(f"{damage.name}: outputs off, turning", BEYOND, float(max(turning)), "PWM periods", bound))
-        shown = [c.periods for c in mine if c.periods is not None]
-        if damage.apart is not None and shown:
-            latest = float(max(shown))
-            within = Bound(0.0, round(WAIT * 1e9 / PERIOD_NS))
-            row = Row(
-                f"{damage.name}: latest by itself", BEYOND, latest, "PWM periods", within, apart=damage.apart * latest
-            )
-            rows.append(row)
-        notes.append(f"{damage.name}: " + ", ".join(_text(c) for c in mine))
-        times = [(k, c.periods) for k, c in enumerate(mine) if c.periods is not None]
-        if times:
-            x, y = (np.array(numbers, dtype=np.float64) for numbers in zip(*times, strict=True))
-            curves.append(Curve(damage.name, x, np.log10(np.maximum(y, 1.0)), "o"))
+    by_damage = {damage: [c for c in found if c.damage == damage] for damage in dict.fromkeys(c.damage for c in found)}
+    rows = [row for damage, mine in by_damage.items() for row in (*_right(damage, mine), *_times(damage, mine))]
+    curves = [curve for damage, mine in by_damage.items() for curve in _curve(damage, mine)]
+    notes = [f"{damage.name}: " + ", ".join(_text(c) for c in mine) for damage, mine in by_damage.items()]
     title = "from cause to fault, by state: " + ", ".join(dict.fromkeys(c.state for c in found))
     panel = Panel(title, "state", "log10 of PWM periods", tuple(curves))
     return Outcome(NAME, tuple(rows), (panel,), tuple(notes))
+
+
+def _right(damage: Damage, mine: Sequence[Case]) -> list[Row]:
+    return [
+        _share(f"{damage.name}: {' or '.join(damage.faults) or 'no fault'}", [c.named for c in mine]),
+        _share(f"{damage.name}: no motion after", [c.gained <= c.gain_most for c in mine]),
+        _share(f"{damage.name}: axis 2 as it should", [c.other for c in mine]),
+    ]
+
+
+def _times(damage: Damage, mine: Sequence[Case]) -> list[Row]:
+    """The slowest in a turning motor, and the slowest that showed by itself, where that is bounded."""
+    rows: list[Row] = []
+    turning = [c.periods for c in mine if c.state in TURNING and c.periods is not None]
+    if damage.most is not None and NOTHING not in damage.faults and turning:
+        bound = Bound(0.0, float(damage.most))
+        rows.append(Row(f"{damage.name}: outputs off, turning", BEYOND, float(max(turning)), "PWM periods", bound))
+    shown = [c.periods for c in mine if c.periods is not None]
+    if damage.apart is not None and shown:
+        latest, within = float(max(shown)), Bound(0.0, round(WAIT * 1e9 / PERIOD_NS))
+        name, apart = f"{damage.name}: latest by itself", damage.apart * latest
+        rows.append(Row(name, BEYOND, latest, "PWM periods", within, apart=apart))
+    return rows
+
+
+def _curve(damage: Damage, mine: Sequence[Case]) -> list[Curve]:
+    """Times by state; none where nothing showed by itself."""
+    times = [(k, c.periods) for k, c in enumerate(mine) if c.periods is not None]
+    if not times:
+        return []
+    x, y = (np.array(numbers, dtype=np.float64) for numbers in zip(*times, strict=True))
+    return [Curve(damage.name, x, np.log10(np.maximum(y, 1.0)), "o")]
 
 
 def _share(name: str, right: Sequence[bool]) -> Row:

@@ -313,6 +313,40 @@ def stagnation(speed: NDArray[np.float64], overdue: NDArray[np.bool_]) -> float:
     return longest * TICK
 
 
+@dataclass(frozen=True)
+class Slowing:
+    """A shaft that slows down.
+
+    Attributes
+    ----------
+    t, mt, enhanced : float
+        Longest stagnation [s].
+    deviation : float
+        Largest deviation of the firmware from E33 and F19 [timer ticks].
+    """
+
+    t: float
+    mt: float
+    enhanced: float
+    deviation: float
+
+
+def slowing(brake: Recording, slow: Methods) -> Slowing:
+    """Stagnation of every method, and what the enhanced one measures while the next edge is overdue."""
+    moving = (brake.time > 0.05) & (slow.m2 > 0)
+    late = moving & (slow.age > slow.m2 + slow.doubt.of_m2) & ~slow.doubt.of_edge
+    t_late = moving & (slow.t_age > slow.t_m2)
+    law = moving & (slow.age + slow.doubt.of_age < 0x10000) & ~slow.doubt.of_edge
+    ticks = np.maximum(np.minimum(slow.m2, slow.age + 1.0) / slow.doubt.longer - slow.doubt.of_m2, 0.0)
+    deviation = np.abs(slow.enhanced / np.maximum(slow.from_edges, 1e-9) - 1.0) * ticks - slow.doubt.of_m2
+    return Slowing(
+        stagnation(slow.t, t_late),
+        stagnation(slow.mt, late),
+        stagnation(slow.enhanced, late),
+        max(float(deviation[law].max()), 0.0),
+    )
+
+
 def run(plant: PlantConfig, seed: int) -> Outcome:
     """Errors from 0.5 to 3500 rpm, stagnation while the shaft slows down, and the worked example."""
     found = {rpm: steady(plant, seed, rpm * RPM) for rpm in SPEEDS}
@@ -320,17 +354,7 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
     exact = sum(a == b for a, b in zip(worked_example(), F19_FACTORS, strict=True))
     seconds = 0.1 + BRAKE_TIME + BRAKE_REST
     brake, slow = methods(plant, seed, braking, seconds)
-    moving = (brake.time > 0.05) & (slow.m2 > 0)
-    late = moving & (slow.age > slow.m2 + slow.doubt.of_m2) & ~slow.doubt.of_edge
-    t_late = moving & (slow.t_age > slow.t_m2)
-    stands = {
-        "T": stagnation(slow.t, t_late),
-        "M/T": stagnation(slow.mt, late),
-        "enhanced M/T": stagnation(slow.enhanced, late),
-    }
-    law = moving & (slow.age + slow.doubt.of_age < 0x10000) & ~slow.doubt.of_edge
-    ticks = np.maximum(np.minimum(slow.m2, slow.age + 1.0) / slow.doubt.longer - slow.doubt.of_m2, 0.0)
-    deviation = np.abs(slow.enhanced / np.maximum(slow.from_edges, 1e-9) - 1.0) * ticks - slow.doubt.of_m2
+    braked = slowing(brake, slow)
     lowest, highest = (f"{rpm:g} rpm" for rpm in (SPEEDS[0], SPEEDS[-1]))
     rows = (
         Row(f"M, error at {lowest}", "2.4.4: M is poor at low speed", 100 * low.m, "%", Bound(least=100.0)),
@@ -362,16 +386,16 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         Row(
             "firmware against E33 and F19 while braking",
             "F19: M2 / TMR3",
-            max(float(deviation[law].max()), 0.0),
+            braked.deviation,
             "ticks",
             Bound(most=2.0),
         ),
-        Row("T, stagnation", "2.4.5: until the next pulse", 1e3 * stands["T"], "ms", Bound(least=5.0)),
-        Row("M/T, stagnation", "F18: until the next pulse", 1e3 * stands["M/T"], "ms", Bound(least=5.0)),
+        Row("T, stagnation", "2.4.5: until the next pulse", 1e3 * braked.t, "ms", Bound(least=5.0)),
+        Row("M/T, stagnation", "F18: until the next pulse", 1e3 * braked.mt, "ms", Bound(least=5.0)),
         Row(
             "enhanced M/T, stagnation",
             "F19: none beyond the slow loop",
-            1e3 * stands["enhanced M/T"],
+            1e3 * braked.enhanced,
             "ms",
             Bound(most=1e3 * TICK),
         ),
