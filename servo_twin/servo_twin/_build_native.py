@@ -27,13 +27,13 @@ PORT = FIRMWARE / "port" / "mc56f84789"
 # code where each number waits for the one before. Nobody looks at errno or at the flags of floating point: no number
 # changes by that either.
 _FLOATS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
-_OPTIONS = ("-std=c99", "-O3", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", "-flto=auto")
+OPTIONS = ("-std=c99", "-O3", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", "-flto=auto")
 
 # For the machine at hand, from the Makefile: its processor, the use of a profile.
 _EXTRA = os.environ.get("SERVO_TWIN_FLAGS", "").split()
 
 # The headers of Python come in as system headers (-isystem), which makes them exempt.
-_WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror")
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror")
 
 _PREAMBLE = """
 /* The glue below is cffi's; its warnings are not ours to mend. */
@@ -107,7 +107,7 @@ def make_ffi(
         include_dirs=paths([NATIVE, FIRMWARE]),
         depends=paths(headers),
         libraries=["m"],
-        extra_compile_args=[*_OPTIONS, *_WARNINGS, *options, *_EXTRA, f"-isystem{sysconfig.get_paths()['include']}"],
+        extra_compile_args=[*OPTIONS, *WARNINGS, *options, *_EXTRA, f"-isystem{sysconfig.get_paths()['include']}"],
         extra_link_args=_EXTRA,
     )
     return builder

@@ -18,20 +18,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-ROOT: Final = Path(__file__).resolve().parents[2]
-NATIVE: Final = ROOT / "servo_twin" / "native"
-SOURCE: Final = Path(__file__).parent / "plant" / "bench_plant.c"
-OPTIONS: Final = (
-    "-std=c99",
-    "-O3",
-    "-ffp-contract=off",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-fno-tree-vectorize",
-    *("-Wall", "-Wextra", "-Wconversion", "-Werror"),
-)
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin._build_native import NATIVE, OPTIONS, WARNINGS
 
-PERIOD_NS: Final = 62_500
+ROOT: Final = Path(__file__).resolve().parents[2]
+SOURCE: Final = Path(__file__).parent / "plant" / "bench_plant.c"
 
 _ROW: Final = re.compile(
     r"\s*(?P<volts>\d+) V\s+(?P<load>\d+) mN m: switching\s+(?P<switching_ns>\d+) ns,"
@@ -51,7 +42,7 @@ def run(periods: int) -> str:
     with tempfile.TemporaryDirectory(prefix="bench-plant-") as folder:
         program = str(Path(folder) / "bench_plant")
         sources = [str(path) for path in [*sorted((NATIVE / "plant").glob("*.c")), SOURCE]]
-        subprocess.run([*compiler, *OPTIONS, f"-I{NATIVE}", *sources, "-o", program, "-lm"], check=True)
+        subprocess.run([*compiler, *OPTIONS, *WARNINGS, f"-I{NATIVE}", *sources, "-o", program, "-lm"], check=True)
         return subprocess.run([program, str(periods)], check=True, capture_output=True, text=True).stdout
 
 

@@ -15,8 +15,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final
 
+from servo_msgs_py.units import PERIOD_NS
+
 PERIODS: Final = 800
-PERIOD_NS: Final = 62_500
 
 _PARTS: Final = (
     ("plant", ("/plant/",)),

@@ -31,6 +31,22 @@ typedef struct {
 
 static const case_t cases[] = {{0.0, 0.0}, {4.0, 0.05}, {11.0, 0.05}, {4.0, 0.0}, {11.0, 0.0}};
 
+/* The quickest block, once the shafts turn. */
+typedef struct {
+    double least, spent; /* [ns] */
+} meter_t;
+
+static void meter_add(meter_t *meter, double ns, unsigned n, unsigned groups)
+{
+    meter->spent += ns;
+    if (n % BLOCK == BLOCK - 1u) {
+        meter->least = (meter->spent < meter->least && n > groups / 4u) ? meter->spent : meter->least;
+        meter->spent = 0.0;
+    }
+}
+
+static double meter_per_period(const meter_t *meter) { return meter->least / (BLOCK * GROUP); }
+
 static double now_ns(void)
 {
     struct timespec t;
@@ -96,8 +112,7 @@ static double run_switching(const board_config_t *config, unsigned groups, case_
     static switching_t plant;
     static edge_t edge[GROUP * EDGES];
     switching_event_t event;
-    double least = 1e9;
-    double spent = 0.0;
+    meter_t meter = {.least = 1e9};
     volatile uint16_t code = 0;
     switching_init(&plant, config);
     switching_set_load(&plant, 0, c.load);
@@ -124,22 +139,17 @@ static double run_switching(const board_config_t *config, unsigned groups, case_
             }
             switching_edge(&plant, edge[e].axis, edge[e].phase, edge[e].leg);
         }
-        spent += now_ns() - begin;
-        if (n % BLOCK == BLOCK - 1u) {
-            least = (spent < least && n > groups / 4u) ? spent : least;
-            spent = 0.0;
-        }
+        meter_add(&meter, now_ns() - begin, n, groups);
     }
     (void)code;
-    return least / (BLOCK * GROUP);
+    return meter_per_period(&meter);
 }
 
 static double run_averaged(const board_config_t *config, unsigned groups, case_t c)
 {
     static plant_t plant;
     static double duty[GROUP][2][3];
-    double least = 1e9;
-    double spent = 0.0;
+    meter_t meter = {.least = 1e9};
     volatile uint16_t code = 0;
     plant_init(&plant, config);
     for (int i = 0; i < 2; i++) {
@@ -169,14 +179,10 @@ static double run_averaged(const board_config_t *config, unsigned groups, case_t
                 code = plant_bus_code(&plant);
             }
         }
-        spent += now_ns() - begin;
-        if (n % BLOCK == BLOCK - 1u) {
-            least = (spent < least && n > groups / 4u) ? spent : least;
-            spent = 0.0;
-        }
+        meter_add(&meter, now_ns() - begin, n, groups);
     }
     (void)code;
-    return least / (BLOCK * GROUP);
+    return meter_per_period(&meter);
 }
 
 static plant_axis_t motor(void)
