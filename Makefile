@@ -92,7 +92,7 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-fast: $(VENV)/.native ## compile the virtual board anew, led by a profile of itself: some 15 % faster, until a source changes
+fast: $(VENV)/.native ## compile the virtual board anew, led by a profile of itself: 15 to 20 % faster, until a source changes
 	@rm -rf $(PROFILE)
 	@$(call COMPILE, for a profile,-fprofile-generate=$(PROFILE) -fprofile-update=single)
 	@for level in ideal registers; do $(BIN)/servo-sim bench --level $$level --time 1 >/dev/null || exit; done

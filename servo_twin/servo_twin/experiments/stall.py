@@ -53,7 +53,7 @@ BEFORE: Final = 0.4  # the axis turns steadily for so long [s]
 WATCHED: Final = 2.0  # after the stall [s]
 
 LONG: Final = 60.0  # of random operation [s]
-LONG_SLOWLY: Final = 3.0  # the same at register level, which takes twenty times as long [s]
+LONG_SLOWLY: Final = 3.0  # the same at register level, which takes about ten times as long [s]
 HOLDS: Final = (0.05, 1.5)  # of one set-point [s]
 RANGE: Final = (0.06, 1.0)  # of the set-points, parts of the speed limit
 LOOK_NS: Final = 1_000_000

@@ -38,7 +38,7 @@ STARTS: Final = 1000
 """Random starts, two per board."""
 
 STARTS_SLOWLY: Final = 20
-"""The same at register level, which takes twenty times as long."""
+"""The same at register level, which takes about ten times as long."""
 
 CONVERGED: Final = 15.0
 """Error from which on the angle counts as converged [deg]; it costs 3.4 % of the torque."""
