@@ -62,7 +62,7 @@ bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; r
 bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
 
-bench-twin: $(VENV)/.native ## how fast a virtual board is, at both levels; where its time goes; against motulator
+bench-twin: $(VENV)/.fast ## how fast a virtual board is, at both levels; where its time goes; against other simulators
 	@$(BIN)/python tests/bench/twin.py
 	@$(BIN)/python tests/bench/plant.py
 
@@ -92,12 +92,14 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-fast: $(VENV)/.native ## compile the virtual board anew, led by a profile of itself: 15 to 20 % faster, until a source changes
+fast: $(VENV)/.fast ## compile the virtual board anew, led by a profile of itself: 15 to 20 % faster until a source changes, the same bits
+
+$(VENV)/.fast: $(VENV)/.native
 	@rm -rf $(PROFILE)
 	@$(call COMPILE, for a profile,-fprofile-generate=$(PROFILE) -fprofile-update=single)
 	@for level in ideal registers; do $(BIN)/servo-sim bench --level $$level --time 1 >/dev/null || exit; done
 	@$(call COMPILE, with it,-fprofile-use=$(PROFILE) -fprofile-partial-training -Wno-missing-profile)
-	@touch $(VENV)/.native
+	@touch $(VENV)/.native $@
 
 # Not from the installed packages: while the generated files are stale, the extension among them may not compile.
 generate tune: export PYTHONPATH := servo_msgs_py

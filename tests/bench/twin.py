@@ -1,7 +1,7 @@
 """How fast a virtual board is: ``make bench-twin``.
 
 Real-time factors of one board with two axes, both levels in one run, and of several boards on several threads; who
-takes the instructions; and a simulator that others use, on one drive in the same run. A factor says how today's machine
+takes the instructions; and simulators that others use, on one drive in the same run. A factor says how today's machine
 does, ratios and counts of instructions last. The time of one board is that of its thread; of several together only the
 clock on the wall tells, so that the one board that they are compared with is timed in the same way.
 """
@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from peer.environment import motulator
+from peer.environment import peers
 from servo_msgs_py.catalogue import AXES
 from servo_twin.board import Board, Level
 from servo_twin.simulation import enable
@@ -144,7 +144,7 @@ def measure(peer: bool, counted: bool) -> dict[str, Any]:
         result["ideal"]["one board"]["turning"] / result["registers"]["one board"]["turning"]
     )
     if peer:
-        result["motulator"] = motulator()
+        result["peers"] = peers()
     return result
 
 
@@ -167,16 +167,25 @@ def _shares(counts: dict[str, float] | str) -> str:
     return f"{total:.0f} instructions per PWM period: {parts}"
 
 
-def _peer(figures: dict[str, Any]) -> list[str]:
-    peer = figures["motulator"]
-    if isinstance(peer, str):
-        return [f"  {peer}"]
-    lines = [f"  motulator {peer['version']}, one drive instead of two, no fixed point, no encoder, no converter:"]
-    for level, model in (("registers", "switching"), ("ideal", "averaged")):
-        times = figures[level]["one board"]["turning"] / peer[model]
-        lines.append(
-            f"  {'':10} {model} {peer[model]:.3f}; the board at the level {level} is {times:.0f} times as fast"
-        )
+def _times(figures: dict[str, Any], measured: dict[str, Any], part: str) -> str:
+    """Factors of a simulator, and how many times as fast the boards are that model as much."""
+    words = []
+    for level, kind in (("registers", "switching"), ("ideal", "averaged")):
+        theirs = measured[kind][part]
+        times = figures[level]["one board"]["turning"] / theirs
+        words.append(f"{kind} {theirs:.3g}, the level {level} is {times:.3g} times as fast")
+    return "; ".join(words)
+
+
+def _peers(figures: dict[str, Any]) -> list[str]:
+    measured = figures["peers"]
+    if isinstance(measured, str):
+        return [f"  {measured}"]
+    lines = ["  simulators that others use, one drive instead of two, no fixed point, no encoder, no converter:"]
+    for name, by_model in measured.items():
+        for part in by_model["switching"]:
+            what = "" if part == "all" else f", its {part} part alone"
+            lines.append(f"  {'':10} {name} {by_model['version']}{what}: {_times(figures, by_model, part)}")
     return lines
 
 
@@ -194,8 +203,8 @@ def table(figures: dict[str, Any]) -> str:
         if "instructions" in entry:
             lines.append(f"  {'':10} {_shares(entry['instructions'])}")
     lines.append(f"  the register level takes {figures['ideal over registers']:.1f} times as long")
-    if "motulator" in figures:
-        lines += _peer(figures)
+    if "peers" in figures:
+        lines += _peers(figures)
     return "\n".join(lines)
 
 
@@ -203,7 +212,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table and write the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, default=OUT, metavar="FILE")
-    parser.add_argument("--no-peer", action="store_true", help="do not install motulator under out/ and run it")
+    parser.add_argument(
+        "--no-peer", action="store_true", help="do not install motulator and motulator-export under out/ and run them"
+    )
     parser.add_argument("--no-shares", action="store_true", help="do not count instructions with valgrind")
     options = parser.parse_args(arguments)
     figures = measure(not options.no_peer, not options.no_shares)

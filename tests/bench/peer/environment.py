@@ -1,4 +1,4 @@
-"""The peer in a virtual environment of its own, which the bench makes when it is wanted and `make clean` removes."""
+"""The peers in a virtual environment of their own, which the bench makes when it is wanted and `make clean` removes."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from typing import Any, Final
 FOLDER: Final = Path(__file__).resolve().parents[3] / "out" / "bench" / "motulator"
 SCRIPT: Final = Path(__file__).with_name("motulator_drive.py")
 PATIENCE_S: Final = 600.0
-WANTED: Final = "motulator>=0.18"  # whose interface the script knows
+WANTED: Final = ("motulator==0.18.*", "motulator-export==0.11.*")  # whose interfaces the script knows
 PYTHON_VARIABLE: Final = "PEER_PYTHON"
-"""Environment variable that names the interpreter; 0.18 wants Python 3.12 or later, this project does not."""
+"""Environment variable that names the interpreter; the peers want Python 3.12 or later, this project does not."""
 
 
 def _pythons() -> Iterator[str]:
-    """Interpreters to try."""
-    for name in (os.environ.get(PYTHON_VARIABLE, ""), "python3.13", "python3.12", sys.executable):
+    """Interpreters that are new enough: the one that is named, on the path, of pyenv."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/3.1[2-9]*/bin/python")
+    for name in (os.environ.get(PYTHON_VARIABLE, ""), sys.executable, "python3.13", "python3.12", *map(str, pyenv)):
         path = shutil.which(name)
-        if path is not None and subprocess.run([path, "-c", ""], capture_output=True).returncode == 0:
+        asked = "import sys; sys.exit(sys.version_info < (3, 12))"
+        if path is not None and subprocess.run([path, "-c", asked], capture_output=True).returncode == 0:
             yield path
 
 
@@ -44,18 +46,20 @@ def _run(*command: str) -> str:
     return result.stdout
 
 
-def motulator() -> dict[str, Any] | str:
-    """Real-time factors of one drive in motulator, averaged and switching, or why there are none."""
+def peers() -> dict[str, Any] | str:
+    """Real-time factors of one drive by simulator and by model of the inverter, or why there are none."""
     python = str(FOLDER / "bin" / "python")
     try:
         if not Path(python).exists():
-            _run(next(_pythons()), "-m", "venv", str(FOLDER))
+            interpreter = next(_pythons(), None)
+            if interpreter is None:
+                raise OSError("there is no Python 3.12 or later")
+            _run(interpreter, "-m", "venv", str(FOLDER))
         try:
-            _run(python, "-c", "import motulator")
+            _run(python, "-c", "import motulator_export")
         except OSError:
-            _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", WANTED)
-        version = _run(python, "-c", "from importlib.metadata import version; print(version('motulator'))")
+            _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *WANTED)
         figures: dict[str, Any] = json.loads(_run(python, str(SCRIPT)))
     except (OSError, ValueError) as error:
-        return f"not compared with motulator: {error} (on another Python: {PYTHON_VARIABLE}=python3.12)"
-    return {"version": version.strip(), **figures}
+        return f"not compared with motulator: {error} (its Python: {PYTHON_VARIABLE}=python3.12)"
+    return figures
