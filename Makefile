@@ -11,7 +11,7 @@ PORT ?=
 BAUD ?=
 # Parameters of the board, each NAME=VALUE, separated by spaces.
 SET ?=
-# How closely virtual boards are modelled: ideal or registers; else $SERVO_TWIN_LEVEL, or ideal.
+# How closely virtual boards are modelled: registers, or ideal for speed; else $SERVO_TWIN_LEVEL, or registers.
 LEVEL ?=
 ifneq ($(LEVEL),)
 export SERVO_TWIN_LEVEL := $(LEVEL)
@@ -41,7 +41,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
-	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200, SET='NAME=VALUE ...' for parameters of the board (up); LEVEL=registers (demo, up, experiments, test); PYTHON=python3.12 (setup); PYTEST_ARGS=..., MARKS='not slow' (test); TARGETS_ARGS='--seed 2' (targets)"
+	@echo "variables: PORT=/dev/ttyUSB0 or a pyserial URL, BAUD=115200, SET='NAME=VALUE ...' for parameters of the board (up); LEVEL=ideal (demo, up, experiments, test); PYTHON=python3.12 (setup); PYTEST_ARGS=..., MARKS='not slow' (test); TARGETS_ARGS='--seed 2' (targets)"
 
 setup: $(VENV)/.native ## virtual environment with everything that runs
 	@echo "ready: $(BIN)"

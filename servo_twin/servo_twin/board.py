@@ -36,6 +36,8 @@ except ImportError as error:
     ) from error
 
 __all__ = [
+    "DEFAULT_LEVEL",
+    "FAST_LEVEL",
     "LEVEL_VARIABLE",
     "Board",
     "BoardError",
@@ -54,6 +56,12 @@ Level = Literal["registers", "ideal"]
 LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
 """Environment variable that names the level of boards for which nobody does."""
 
+DEFAULT_LEVEL: Final[Level] = "registers"
+"""Where it does not, either: as close to the board as there is."""
+
+FAST_LEVEL: Final[Level] = "ideal"
+"""Of experiments, which simulate minutes and hours, where nobody names another."""
+
 
 class Firmware(NamedTuple):
     """Firmware, chip and plant as cffi has compiled them."""
@@ -70,15 +78,15 @@ _FIRMWARE: Final[Mapping[Level, Firmware]] = {
 _IDLE: Final = (1 << 64) - 1
 
 
-def chosen_level(level: Level | None = None) -> Level:
-    """The level of a board for which `level` is asked: that, or what the environment names, or ``ideal``.
+def chosen_level(level: Level | None = None, default: Level = DEFAULT_LEVEL) -> Level:
+    """The level of a board for which `level` is asked: that, or what the environment names, or `default`.
 
     Raises
     ------
     ValueError
         If there is no such level.
     """
-    name = level or os.environ.get(LEVEL_VARIABLE, "ideal")
+    name = level or os.environ.get(LEVEL_VARIABLE, default)
     for known in _FIRMWARE:
         if name == known:
             return known

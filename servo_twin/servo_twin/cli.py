@@ -10,10 +10,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import get_args
 
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.board import LEVEL_VARIABLE, Board
+from servo_twin.board import DEFAULT_LEVEL, FAST_LEVEL, LEVEL_VARIABLE, Board, Level
 from servo_twin.experiments import command as experiment
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
@@ -29,12 +30,7 @@ def parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--seed", type=int, default=1, help="seed of every random number (default: %(default)s)")
     common.add_argument("--plant", type=Path, help="plant file (default: the packaged one)")
-    levelled = argparse.ArgumentParser(add_help=False)
-    levelled.add_argument(
-        "--level",
-        choices=("registers", "ideal"),
-        help=f"how closely the board is modelled (default: ${LEVEL_VARIABLE}, or ideal)",
-    )
+    levelled = _levelled(DEFAULT_LEVEL)
     common.add_argument("--json", action="store_true", help="figures as JSON on standard output")
 
     info = verbs.add_parser("info", parents=[common, levelled], help="what is really there: motors, inverter, bus")
@@ -51,8 +47,19 @@ def parser() -> argparse.ArgumentParser:
     bench.add_argument("--time", type=_positive, default=10.0, help="simulated time [s] (default: %(default)s)")
     bench.set_defaults(run=_bench)
 
-    experiment.add_parser(verbs, common, levelled)
+    experiment.add_parser(verbs, common, _levelled(FAST_LEVEL))
     timing.add_parser(verbs, common)
+    return result
+
+
+def _levelled(default: Level) -> argparse.ArgumentParser:
+    """Parent with ``--level``."""
+    result = argparse.ArgumentParser(add_help=False)
+    result.add_argument(
+        "--level",
+        choices=get_args(Level),
+        help=f"how closely the board is modelled (default: ${LEVEL_VARIABLE}, or {default})",
+    )
     return result
 
 

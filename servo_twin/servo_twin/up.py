@@ -24,7 +24,7 @@ from typing import Any, Final, NoReturn
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_msgs_py import board_parameters
-from servo_twin.board import LEVEL_VARIABLE, chosen_level
+from servo_twin.board import DEFAULT_LEVEL, LEVEL_VARIABLE, chosen_level
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
 __all__ = ["Stack", "main", "parser"]
@@ -128,7 +128,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument(
         "--level",
         choices=("registers", "ideal"),
-        help=f"how closely virtual board and twin are modelled (default: ${LEVEL_VARIABLE}, or ideal)",
+        help=f"how closely virtual board and twin are modelled (default: ${LEVEL_VARIABLE}, or {DEFAULT_LEVEL})",
     )
     result.add_argument("--no-web", action="store_true", help="no viewer in the browser")
     result.add_argument("--record", type=Path, help="record to this .rrd file")

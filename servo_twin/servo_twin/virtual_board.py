@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final, Protocol
 
-from servo_twin.board import LEVEL_VARIABLE, Board, Level
+from servo_twin.board import DEFAULT_LEVEL, LEVEL_VARIABLE, Board, Level
 from servo_twin.plant import PlantConfig, PlantError
 
 __all__ = ["LinkError", "Pacer", "Terminal", "main", "serve", "slip_reporter"]
@@ -341,7 +341,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--level",
         choices=("registers", "ideal"),
-        help=f"how closely the board is modelled (default: ${LEVEL_VARIABLE}, or ideal)",
+        help=f"how closely the board is modelled (default: ${LEVEL_VARIABLE}, or {DEFAULT_LEVEL})",
     )
     parser.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second (default: %(default)g)")
     return parser

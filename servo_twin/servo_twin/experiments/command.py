@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from servo_twin.board import Level, chosen_level
-from servo_twin.experiments import EXPERIMENTS, levels
+from servo_twin.board import Level
+from servo_twin.experiments import EXPERIMENTS, levels, rig
 from servo_twin.experiments.ability import differences
 from servo_twin.experiments.outcome import Bound, Outcome, Row
 from servo_twin.experiments.report import draw, summary, table, update_summary
@@ -99,7 +99,7 @@ def run_experiments(
     quiet : bool
         Print no tables.
     level : {"registers", "ideal"}, optional
-        Of the boards; by default as in `Board`.
+        Of the boards; by default what the environment names, or `FAST_LEVEL`.
     options : argparse.Namespace, optional
         Parsed options of the only experiment that is named.
     """
@@ -109,7 +109,7 @@ def run_experiments(
     for name in names:
         with at_level(level):
             attempt = _attempt(name, plant, seed, options)
-        outcome = dataclasses.replace(attempt, notes=attempt.notes + notes, level=chosen_level(level))
+            outcome = dataclasses.replace(attempt, notes=attempt.notes + notes, level=rig.level())
         outcomes.append(outcome)
         if not quiet:
             print(table(outcome), flush=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.board import Board, Firmware, Level, chosen_level
+from servo_twin.board import FAST_LEVEL, Board, Firmware, Level, chosen_level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError, enable
 
@@ -112,7 +112,7 @@ _level: Final[ContextVar[Level | None]] = ContextVar("level", default=None)
 
 @contextmanager
 def at_level(level: Level | None) -> Iterator[None]:
-    """Let all boards made on this bench meanwhile be of one level; None: of the one that a board has anyway."""
+    """Let all boards made on this bench meanwhile be of one level; None: of that of `level`."""
     token = _level.set(level)
     try:
         yield
@@ -121,8 +121,8 @@ def at_level(level: Level | None) -> Iterator[None]:
 
 
 def level() -> Level:
-    """The level of the boards on this bench."""
-    return chosen_level(_level.get())
+    """The level of the boards on this bench: what somebody has asked for, or the environment, or `FAST_LEVEL`."""
+    return chosen_level(_level.get(), default=FAST_LEVEL)
 
 
 def fresh_board(plant: PlantConfig, seed: int, firmware: Firmware | None = None) -> Board:

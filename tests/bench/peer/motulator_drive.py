@@ -1,7 +1,8 @@
 """One drive like axis 1 of the board in motulator and in motulator-export, by their public interfaces.
 
-Prints real-time factors as JSON: of motulator, of motulator-export, and of the compiled part of the latter alone, without
-what Python does before and after it. Runs in an environment of its own, which has the two and nothing of this project.
+Prints real-time factors as JSON: of motulator, of motulator-export, and of the compiled part of the latter alone,
+without what Python does before and after it. Runs in an environment of its own, which has the two and nothing of this
+project.
 """
 
 import json
