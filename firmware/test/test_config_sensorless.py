@@ -226,6 +226,18 @@ def test_a_sign_that_is_certain_too_soon_is_found() -> None:
     assert not any("sign_current" in finding for finding in findings(cured, assess(cured)))
 
 
+def test_a_winding_whose_warmth_hides_the_back_emf_is_found() -> None:
+    """A quarter of 2.2 ohm times 4 A are 2.2 V, the back-EMF of 0.0308 V s at 71.4 rad/s, 23 % of the speed limit."""
+    it = axis(axis1__motor__r_s=2.2)
+    assert it.trouble is None
+    found = [finding for finding in findings(it, assess(it)) if "hides the back-EMF" in finding]
+    assert len(found) == 1
+    assert "axis1.motor.r_s = 2.2" in found[0]
+    assert "below 71.4 rad/s" in found[0]
+    cured = axis(axis1__motor__r_s=2.2, axis1__limits__current=3.0)
+    assert not any("hides the back-EMF" in finding for finding in findings(cured, assess(cured)))
+
+
 def test_pole_that_turns_with_the_frame_has_no_partner() -> None:
     assert not pole_of(complex(0.9), T).pair
 

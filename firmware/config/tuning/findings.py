@@ -35,6 +35,9 @@ SIGN: Final = 1.33
 TORQUE_MOST: Final = 0.8
 """Part of the start-up current's torque that the ramp and the friction should take."""
 
+BLIND_MOST: Final = 0.2
+"""Part of the speed limit below which an axis without an encoder may be blind while it brakes."""
+
 _ENTRIES: Final = {
     "current d": "control.current_bandwidth",
     "current q": "control.current_bandwidth",
@@ -127,6 +130,11 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
         entry = _entry(it, "start_up.current_first")
         share = f"{100.0 * start_up.torque:.0f} % of the current's torque"
         yield f"{entry}: the start-up takes {share}; raise start_up.swings"
+    if found.blind_speed > BLIND_MOST * it.axis("limits.speed"):
+        hidden = (
+            f"below {found.blind_speed:.3g} rad/s limits.current in a warm winding hides the back-EMF while it brakes"
+        )
+        yield f"{_entry(it, 'motor.r_s')}: without its encoder {hidden}; lower the limit, or keep the encoder"
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
             what = f"with R x {case.r_s:g} and L x {case.inductance:g} the observer's gains are unstable"

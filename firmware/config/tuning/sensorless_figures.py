@@ -22,6 +22,9 @@ SPEEDS: Final = (1.0, 2.0, 4.0, 8.0)
 """Of the minimum speed, as far as they lie below the limit, which comes last."""
 
 
+WARM: Final = 1.25
+"""Resistance of a winding that is 60 K warmer, over the cold one."""
+
 GONE: Final = 1e-9
 """A pole so near to 0 has no time constant any more."""
 
@@ -106,6 +109,9 @@ class SensorlessFigures:
         After reset.
     trouble : str or None
         Why the motor cannot be observed; then there is nothing else.
+    blind_speed : float
+        Below it `limits.current` takes more voltage in a warm winding, beside what is believed, than there is back-EMF:
+        while it brakes the observed angle turns round. Mechanical [rad/s].
     """
 
     feedback: str
@@ -113,6 +119,7 @@ class SensorlessFigures:
     poles: tuple[ObserverPoles, ...]
     errors: tuple[AngleError, ...]
     locks: tuple[Lock, ...]
+    blind_speed: float = 0.0
 
 
 def sensorless_figures(it: Tuned) -> SensorlessFigures:
@@ -120,8 +127,18 @@ def sensorless_figures(it: Tuned) -> SensorlessFigures:
     if it.trouble is not None:
         return SensorlessFigures(it.axis.feedback, str(it.trouble), (), (), ())
     return SensorlessFigures(
-        it.axis.feedback, None, tuple(_poles(it)), tuple(_errors(it)), tuple(_lock(it, speed) for speed in _speeds(it))
+        it.axis.feedback,
+        None,
+        tuple(_poles(it)),
+        tuple(_errors(it)),
+        tuple(_lock(it, speed) for speed in _speeds(it)),
+        _blind_speed(it),
     )
+
+
+def _blind_speed(it: Tuned) -> float:
+    unknown = (WARM - 1.0) * it.axis("motor.r_s") * it.axis("limits.current")
+    return unknown / (it.axis("motor.pole_pairs") * it.axis("motor.psi_m"))
 
 
 def _speeds(it: Tuned) -> list[float]:

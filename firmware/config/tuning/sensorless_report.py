@@ -27,6 +27,8 @@ def sensorless_text(it: Tuned, figures: SensorlessFigures) -> Iterator[str]:
             ("F1, F2", f"2^{constants['observer.f1']}, 2^{constants['observer.f2']}", "scales of current and back-EMF"),
         ]
     )
+    blind = f"below {figures.blind_speed:.4g} rad/s a warm winding hides it while limits.current brakes"
+    yield from notes([("back-EMF", f"{it.axis('motor.pole_pairs') * it.axis('motor.psi_m'):.4g} V s", blind)])
     yield "  observer poles; K1 and K2 as above in equations with another winding"
     yield from _poles(figures)
     yield f"  error of the observed angle at {it.axis('motor.rated_current'):g} A when the winding is another"
