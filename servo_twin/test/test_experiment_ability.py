@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from servo_twin.experiments import ability
 from servo_twin.experiments.ability import Demand, believed, differences, move_speeds, path_demands, top_speed
-from servo_twin.experiments.rig import COUNT, TICK, choose_mode, command_speed, flag_mask, spinning, watch
+from servo_twin.experiments.rig import (
+    COUNT,
+    TICK,
+    Recording,
+    choose_mode,
+    command_speed,
+    flag_mask,
+    spinning,
+    watch,
+)
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -128,3 +137,19 @@ def test_true_shaft_in_counts(plant: PlantConfig) -> None:
     # The position is latched some microseconds before the end of the tick.
     late = recording.omega * TICK / COUNT
     assert np.all(np.abs(recording.shaft - recording.position - 0.5 * late) <= 0.5 * late + 0.51)
+
+
+@pytest.mark.parametrize("beyond", [-0.1, 0.1])
+def test_true_shaft_beyond_an_uneven_edge_does_not_cost_a_count(beyond: float) -> None:
+    """At the first tick an edge that is off its place by a tenth of a count makes the shaft look one count away."""
+    ticks = np.arange(200)
+    theta = COUNT * np.where(ticks == 0, 7.0 - beyond, 7.0 + 3.0 * np.sin(ticks / 30.0) + 0.5)
+    position = np.floor(theta / COUNT) + 100.0
+    position[0] += np.sign(beyond)
+    silent = np.zeros(ticks.size)
+    recording = Recording(
+        **{name: silent for name in Recording.__dataclass_fields__ if name not in ("theta", "position")},
+        theta=theta,
+        position=position,
+    )
+    assert np.all(np.abs(recording.shaft - position) <= 0.5 + abs(beyond) + 1e-9)

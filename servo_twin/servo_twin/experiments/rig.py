@@ -59,6 +59,9 @@ SETTLED: Final = 0.1
 """After the rotor search, whose last vector has moved the shaft [s]."""
 
 
+SLOW: Final = 0.2 * COUNT / TICK  # hardly moves between what truth and snapshot show of one tick [rad/s]
+
+
 @dataclass(frozen=True)
 class Recording:
     """One axis over time, one entry per slow tick.
@@ -96,9 +99,14 @@ class Recording:
 
     @property
     def shaft(self) -> NDArray[np.float64]:
-        """True angle in counts as `position` counts them: within half a count of it while the shaft stands."""
+        """True angle in counts as `position` counts them: half a count about it while the shaft is slow.
+
+        One tick alone may lie a tenth of a count beyond where an even encoder would have its edge.
+        """
         counts = self.theta / COUNT
-        return np.asarray(counts - np.floor(counts[0] - self.position[0] + 1e-9) - 0.5)
+        slow = np.abs(self.omega) < SLOW
+        slow[0] = True
+        return np.asarray(counts - np.round(np.median((counts - self.position)[slow]) - 0.5) - 0.5)
 
     def part(self, start: float, end: float | None = None) -> Recording:
         """Ticks after `start` and up to `end` [s], both as in `time`, which keeps counting."""
