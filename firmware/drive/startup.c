@@ -94,9 +94,18 @@ static void seek(axis_t *axis)
     startup->emf = axis->estimate.emf;
 }
 
+/* Has the back-EMF been seen? At low speed dead time and resistance may explain that there is none, and a PLL that nothing
+ * disturbs goes with the vector. */
+static bool seen(const axis_t *axis)
+{
+    const estimate_t *estimate = &axis->estimate;
+    const frac16_t expected = estimate_emf_at(axis, estimate->speed);
+    return estimate->locked && !emf_check_lacks(&estimate->check, &axis->config->emf_check, expected);
+}
+
 static bool track(axis_t *axis)
 {
-    if (estimate_reliable(axis)) {
+    if (seen(axis) && estimate_reliable(axis)) {
         return true;
     }
     axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
@@ -149,15 +158,6 @@ static void ramp(axis_t *axis)
     lock(axis, before);
     current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(speed));
     axis->current_ref = (dq_t){f16_from_f32(startup->current), damping_current(axis, speed)};
-}
-
-/* Has the back-EMF been seen? At low speed dead time and resistance may explain that there is none, and a PLL that nothing
- * disturbs goes with the vector. */
-static bool seen(const axis_t *axis)
-{
-    const estimate_t *estimate = &axis->estimate;
-    const frac16_t expected = estimate_emf_at(axis, estimate->speed);
-    return estimate->locked && !emf_check_lacks(&estimate->check, &axis->config->emf_check, expected);
 }
 
 /* The slide's criterion; the upper bound has a tolerance, because at the end of the ramp the mean is the forced speed. */
