@@ -11,6 +11,7 @@ from servo_twin.experiments.campaign_damage import NO_DAMAGE, Damage
 from servo_twin.experiments.campaign_motors import MOTORS, OTHERS, OWN, Motor
 from servo_twin.experiments.campaign_states import STATES
 from servo_twin.experiments.fault_campaign import Trial, draw, judge, run_trial
+from servo_twin.experiments.rig import at_level
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 from servo_twin.harm import OpenPhase
 from servo_twin.plant import PlantConfig
@@ -43,6 +44,16 @@ def test_trials_on_a_motor_with_a_firmware_of_its_own() -> None:
     results = [run_trial(draw(PLANT, 4, number, OTHERS[:2])) for number in range(20)]
     assert not [str(result) for result in results if result.lost]
     assert {result.trial.motor.name for result in results} == set(OTHERS[:2])
+
+
+@pytest.mark.slow
+def test_a_shaft_that_comes_to_rest_is_not_taken_for_one_that_turns() -> None:
+    """Near standstill drops and dead time of the switching plant are larger than the back-EMF of so small a motor."""
+    trial = draw(PLANT, 4, 9, OTHERS[:2])
+    assert (trial.motor.name, trial.state.name, trial.damage.kind) == ("fast", "observer, manoeuvres", NO_DAMAGE)
+    with at_level("registers"):
+        result = run_trial(trial)
+    assert not result.lost, str(result)
 
 
 def test_a_wrong_name_is_a_lost_trial() -> None:
