@@ -8,6 +8,7 @@
 #include "port/mc56f84789/port.h"
 
 #define CLOCK_NS 10u
+#define VECTOR_M1 85u /* PWMA_CMP1 */
 #define SYNC_CLOCKS 2u /* through the crossbar; not documented, two flip-flops are assumed */
 
 struct board {
@@ -20,7 +21,7 @@ struct board {
     uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
     bool booted, starting;
     uint32_t breaks;
-    uint32_t stall_clocks; /* that the next handler takes longer */
+    uint32_t stall_clocks; /* that the next control loop takes: it would interrupt any other handler */
     bool tripped[BOARD_AXES];
     bool swapped[BOARD_AXES]; /* lines A and B of the encoder */
     bool up;        /* the port has started: there is a servo to run */
@@ -146,13 +147,14 @@ uint32_t world_interrupt(void *world, unsigned vector)
     const uint32_t tick = board->servo.snapshot.tick;
     port_isr(&board->hal, (uint16_t)vector);
     follow_brake(board);
-    const uint32_t stall = board->stall_clocks;
-    board->stall_clocks = 0;
-    if (stall > 0u) {
+    const bool loop = vector == VECTOR_M1 || vector == VECTOR_ADC_CC0;
+    if (loop && board->stall_clocks > 0u) {
+        const uint32_t stall = board->stall_clocks;
+        board->stall_clocks = 0;
         return stall;
     }
     switch (vector) {
-    case 85: /* PWMA_CMP1 */
+    case VECTOR_M1:
         return board->servo.slow_tick ? core->m1_slow : (board->servo.watch_tick ? core->m1_watch : core->m1);
     case VECTOR_ADC_CC0:
         board->chip.stop = board->recording && board->servo.snapshot.tick != tick;
