@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from servo_twin.board import Level
+from servo_twin.board import Board, Level
 from servo_twin.experiments import braking, fault_matrix, levels, rotor_search, start_up
 from servo_twin.experiments.command import run_experiments
-from servo_twin.experiments.rig import TICK, at_level, spinning
+from servo_twin.experiments.rig import TICK, at_level, choose_mode, command_speed, flag_mask, spinning
+from servo_twin.harm import StalledCore
 from servo_twin.plant import PlantConfig
+from servo_twin.timing.trace import Kind
 
 LEVELS: tuple[Level, ...] = ("ideal", "registers")
 PLANT = PlantConfig.load()
@@ -54,6 +58,33 @@ def test_a_millisecond_without_the_core(level: Level, state: str, seed: int) -> 
     with at_level(level):
         found = fault_matrix.case(PLANT, seed, damage, state)
     assert (found.name, found.periods, found.other) == ("LATE_LOOP", 24, True)
+
+
+EDGE_HANDLERS = (24, 28)  # vectors of channel 0 of both timers
+
+
+@contextmanager
+def turning() -> Iterator[Board]:
+    with at_level("registers"), spinning(PLANT, 1) as board:
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, 100.0)
+        board.run(0.1)
+        yield board
+
+
+def test_a_core_that_stands_still_is_late_whatever_it_does_next() -> None:
+    """The loops would interrupt the handler of an edge, were it that which takes long."""
+    with turning() as board:
+        while True:
+            before = board.time_ns
+            events = board.trace(before + 1000, room=100)
+            if np.any((events["kind"] == Kind.ENTER) & np.isin(events["a"], EDGE_HANDLERS)):
+                break
+    with turning() as board:
+        board.advance(before)
+        board.inject(StalledCore(0.001))
+        board.run(0.003)
+        assert board.read_raw("axis1.faults")[0] & flag_mask(board, "faults", "LATE_LOOP")
 
 
 @pytest.mark.parametrize("level", LEVELS)
