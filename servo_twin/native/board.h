@@ -145,7 +145,8 @@ typedef enum {
     BOARD_BUS_NOISE, /* value: standard deviation of a bus sample [V] */
     BOARD_ENCODER_GLITCHES, /* part: an encoder line; value: pulses per second, at random moments */
     BOARD_STALLED_CORE, /* seconds: the software stands still so long, or until the watchdog resets the board */
-    BOARD_HEAT /* value: temperature of the power stage from now on [deg C] */
+    BOARD_HEAT, /* value: temperature of the power stage from now on [deg C] */
+    BOARD_SLIPPED_ENCODER /* value: counts by which the encoder's disc turns on the shaft, now; stays so when healed */
 } board_harm_kind_t;
 
 typedef struct {

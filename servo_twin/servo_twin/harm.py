@@ -24,6 +24,7 @@ __all__ = [
     "OpenPhase",
     "RawHarm",
     "ShortedPhase",
+    "SlippedEncoder",
     "StalledCore",
     "StuckConverter",
     "StuckLine",
@@ -35,6 +36,7 @@ Line = Literal["A", "B"]
 
 _PHASES: Final = "abc"
 _LINES: Final = "AB"
+_SLIP_MOST: Final = 1_000_000
 
 
 class RawHarm(NamedTuple):
@@ -186,6 +188,19 @@ class StalledCore:
 
 
 @dataclass(frozen=True)
+class SlippedEncoder:
+    """The disc of an encoder turns on its shaft by so many counts, now; `Board.heal` does not turn it back."""
+
+    axis: int
+    counts: int
+
+    def raw(self) -> RawHarm:
+        if not -_SLIP_MOST <= self.counts <= _SLIP_MOST:
+            raise ValueError(f"{self.counts} counts are more than {_SLIP_MOST}")
+        return RawHarm("BOARD_SLIPPED_ENCODER", _axis(self.axis), value=float(self.counts))
+
+
+@dataclass(frozen=True)
 class HotPowerStage:
     """The power stage of an axis is at a temperature and stays there [deg C]."""
 
@@ -207,6 +222,7 @@ Harm = (
     | BusNoise
     | EncoderGlitches
     | HotPowerStage
+    | SlippedEncoder
     | StalledCore
 )
 """Anything that can go wrong."""

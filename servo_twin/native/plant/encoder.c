@@ -12,7 +12,7 @@ static int64_t edges_at(const plant_encoder_t *encoder, double theta)
 {
     const double x = theta * encoder->edges_per_rad;
     const int64_t whole = (int64_t)x;
-    return whole - ((double)whole > x); /* round down */
+    return whole - ((double)whole > x) + encoder->slipped; /* round down */
 }
 
 void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config)
@@ -77,7 +77,8 @@ static void latch_at(plant_encoder_t *encoder, uint64_t time_ns)
 
 static void latch(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns, int64_t number)
 {
-    const double t = movement->start_ns + time_to(movement, (double)number / encoder->edges_per_rad);
+    const double theta = (double)(number - encoder->slipped) / encoder->edges_per_rad;
+    const double t = movement->start_ns + time_to(movement, theta);
     latch_at(encoder, reference_ns + (uint64_t)t);
 }
 
@@ -157,6 +158,8 @@ void plant_encoder_stick(plant_encoder_t *encoder, plant_line_t line, bool stuck
     encoder->alive[line] = !stuck;
     encoder->stuck[line] = level;
 }
+
+void plant_encoder_slip(plant_encoder_t *encoder, int edges) { encoder->slipped += edges; }
 
 void plant_encoder_glitch(plant_encoder_t *encoder, plant_line_t line, uint64_t now_ns)
 {

@@ -27,6 +27,7 @@ typedef struct {
     bool alive[PLANT_ENCODER_LINES]; /* lines that still switch */
     bool stuck[PLANT_ENCODER_LINES]; /* level of one that does not */
     int64_t edge;        /* edges passed since angle 0 */
+    int64_t slipped;     /* of these by the disc alone */
     uint16_t count;      /* TMRx0 */
     uint16_t index;      /* TMRx2 */
     bool oflag;
@@ -49,7 +50,7 @@ void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config);
 /* True if the shaft at `theta` is past an edge that has not been counted yet. */
 static inline bool plant_encoder_leaves(const plant_encoder_t *encoder, double theta)
 {
-    const double x = theta * encoder->edges_per_rad - (double)encoder->edge;
+    const double x = theta * encoder->edges_per_rad - (double)(encoder->edge - encoder->slipped);
     return x < 0.0 || x >= 1.0;
 }
 
@@ -62,6 +63,9 @@ void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double thet
 /* One line stays at a level, or follows the shaft again: of the edges on the other, which one comes last is all that the
  * decoder can tell. */
 void plant_encoder_stick(plant_encoder_t *encoder, plant_line_t line, bool stuck, bool level);
+
+/* The disc turns on the shaft: so many edges pass with the next movement, or without one. */
+void plant_encoder_slip(plant_encoder_t *encoder, int edges);
 
 /* A short pulse on a line: one count there and back, and on B an edge to capture. */
 void plant_encoder_glitch(plant_encoder_t *encoder, plant_line_t line, uint64_t now_ns);

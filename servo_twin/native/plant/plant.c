@@ -193,5 +193,8 @@ void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed)
         axis->harm.heated = !healed;
         axis->sink.t = healed ? axis->sink.t : harm->value;
         break;
+    case BOARD_SLIPPED_ENCODER:
+        plant_encoder_slip(&axis->encoder, healed ? 0 : (int)harm->value);
+        break;
     }
 }

@@ -23,7 +23,7 @@ static inline double draw(quadrature_t *q, bool upwards)
 {
     const int64_t n = q->position + upwards;
     const double shift = (rises(n) ? -q->early : q->early) + q->jitter * spread(plant_random_bits(&q->random));
-    return ((double)n + shift) * q->pitch + (upwards ? 0.5 : -0.5) * q->hysteresis;
+    return ((double)(n - q->slipped) + shift) * q->pitch + (upwards ? 0.5 : -0.5) * q->hysteresis;
 }
 
 static double limit(double error)
@@ -62,6 +62,14 @@ quadrature_edge_t quadrature_pass(quadrature_t *q)
     q->edge[q->upwards] = draw(q, q->upwards);
     const quadrature_edge_t edge = {line, level != q->flipped[line], !q->cut[line]};
     return edge;
+}
+
+void quadrature_slip(quadrature_t *q, bool upwards)
+{
+    const int64_t n = q->position + upwards;
+    q->position += upwards ? 1 : -1;
+    q->slipped += upwards ? 1 : -1;
+    q->level[(n & 1) == 0] = rises(n) == upwards;
 }
 
 quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omega, double accel, double jerk,

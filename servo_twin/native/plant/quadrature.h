@@ -25,6 +25,7 @@ typedef struct {
     double early;       /* of a rising edge, and delay of a falling one [pitches] */
     double hysteresis;  /* [rad] */
     int64_t position;   /* edges passed since angle 0 */
+    int64_t slipped;    /* of these by the disc alone */
     bool upwards;       /* direction in which the shaft moves, or has moved last */
     double edge[2];     /* angles of the next edges downwards and upwards [rad] */
     bool level[QUADRATURE_LINES];
@@ -48,6 +49,9 @@ static inline double quadrature_target(const quadrature_t *encoder) { return enc
 
 /* The shaft has reached that edge. */
 quadrature_edge_t quadrature_pass(quadrature_t *encoder);
+
+/* The disc turns on the shaft by an edge. */
+void quadrature_slip(quadrature_t *encoder, bool upwards);
 
 /* Level at the pin. */
 static inline bool quadrature_level(const quadrature_t *encoder, int line)

@@ -10,6 +10,7 @@
 #define EDGE_HORIZON (2.0 * SWITCHING_HORIZON * CLOCK) /* edges are looked for so far ahead [s] */
 #define THERMAL_STEP UINT64_C(100000) /* [clocks] */
 #define GLITCH 100u /* a disturbance of an encoder line lasts so long [clocks] */
+#define SLIP 100u /* from edge to edge of a disc that slips [clocks] */
 #define COPPER 3.93e-3 /* rise of its resistance [1/K] */
 
 static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to - from) * CLOCK; }
@@ -38,6 +39,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
         for (int line = 0; line < QUADRATURE_LINES; line++) {
             axis->glitch_clock[line] = NEVER;
         }
+        axis->slip_clock = NEVER;
         axis->turn_off = (uint64_t)(c->turn_off * SWITCHING_CLOCK_HZ + 0.5);
         axis->i_break = c->i_break;
         axis->square_break = c->i_break * c->i_break;
@@ -137,6 +139,7 @@ static void find_rare(switching_t *plant)
         for (int line = 0; line < QUADRATURE_LINES; line++) {
             plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].glitch_clock[line]);
         }
+        plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].slip_clock);
     }
 }
 
@@ -284,6 +287,19 @@ static void glitch(switching_t *plant, int i, int line)
     axis->glitch_clock[line] = *flipped ? plant->now + GLITCH : next_glitch(plant, i, line);
 }
 
+/* An edge of a disc that turns on its shaft. */
+static void slip(switching_t *plant, int i)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    const bool upwards = axis->slip > 0;
+    const int line = ((axis->encoder.position + upwards) & 1) == 0;
+    const bool before = quadrature_level(&axis->encoder, line);
+    quadrature_slip(&axis->encoder, upwards);
+    set_line(plant, i, line, before);
+    axis->slip -= upwards ? 1 : -1;
+    axis->slip_clock = (axis->slip != 0) ? plant->now + SLIP : NEVER;
+}
+
 static void happen_rarely(switching_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
@@ -291,6 +307,9 @@ static void happen_rarely(switching_t *plant)
             if (plant->axis[i].glitch_clock[line] == plant->now) {
                 glitch(plant, i, line);
             }
+        }
+        if (plant->axis[i].slip_clock == plant->now) {
+            slip(plant, i);
         }
         if (plant->axis[i].short_clock == plant->now) {
             compare(plant, i);
@@ -608,6 +627,15 @@ static void harm_line(switching_t *plant, const board_harm_t *harm, bool healed)
     find_rare(plant);
 }
 
+static void harm_disc(switching_t *plant, const board_harm_t *harm)
+{
+    switching_axis_t *axis = &plant->axis[harm->axis];
+    axis->slip += (int32_t)harm->value;
+    axis->slip_clock = (axis->slip != 0) ? plant->now + SLIP : NEVER;
+    plant->stale = true;
+    find_rare(plant);
+}
+
 static void harm_supply(switching_t *plant, const board_harm_t *harm, bool healed)
 {
     switching_look_around(plant);
@@ -628,6 +656,11 @@ void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed)
         break;
     case BOARD_ENCODER_GLITCHES:
         harm_line(plant, harm, healed);
+        break;
+    case BOARD_SLIPPED_ENCODER:
+        if (!healed) {
+            harm_disc(plant, harm);
+        }
         break;
     case BOARD_STUCK_LINE:
         switching_cut(plant, harm->axis, harm->part, !healed, harm->value != 0.0);

@@ -76,6 +76,8 @@ typedef struct {
     bool tripped; /* output of the comparator */
     bool feeds; /* a short in the motor's cable is between both rails */
     uint64_t glitch_clock[QUADRATURE_LINES]; /* beginning or end of the next disturbance on a line */
+    uint64_t slip_clock; /* next edge of a disc that slips .. */
+    int32_t slip; /* .. and how many there are to come */
     uint64_t turn_off; /* a switch still conducts so long after its gate has gone off [clocks] */
     double i_break; /* threshold [A] */
     /* Of a current vector below which no phase is beyond the threshold, or can get there within the horizon [A^2]. */
