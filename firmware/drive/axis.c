@@ -14,7 +14,8 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->record = record;
     axis->clock = clock;
     phase_watch_start(&axis->phases);
-    encoder_watch_start(&axis->encoder_watch);
+    encoder_watch_start(&axis->encoder_watch, 0);
+    axis->angle_watch = (angle_watch_t){0};
     heat_watch_start(&axis->heat);
     axis->config = config;
     axis->hal = hal;
@@ -230,7 +231,7 @@ static fault_set_t watch_encoder(axis_t *axis)
     }
     fault_set_t faults = encoder_watch_count(axis);
     if (in(axis, SUBSTATE_SPIN)) {
-        faults |= encoder_watch_voltage(axis);
+        faults |= encoder_watch_voltage(axis) | angle_watch_step(axis);
     } else if (in(axis, SUBSTATE_READY)) {
         faults |= encoder_watch_short(axis);
     }

@@ -8,6 +8,7 @@
 
 #include "config/axis_config.h"
 #include "control/path.h"
+#include "drive/angle_watch.h"
 #include "drive/current_sense.h"
 #include "drive/encoder_watch.h"
 #include "drive/estimate.h"
@@ -141,6 +142,7 @@ typedef struct axis {
     supervision_t supervision;
     phase_watch_t phases;
     encoder_watch_t encoder_watch;
+    angle_watch_t angle_watch;
     heat_watch_t heat;
     fault_record_t *record; /* of the first fault; the owner's */
     const uint32_t *clock;  /* PWM periods since reset; the owner's */

@@ -244,6 +244,7 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
         if (is.phase[x] >= config->silent) {
             w->silent[x] = 0;
             w->sectors[x] = 0;
+            w->carried = (uint16_t)(w->carried | (UINT16_C(1) << x));
         } else {
             note_silence(w, config, x, is.phase[x], largest, bit);
         }

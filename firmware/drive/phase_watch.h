@@ -14,6 +14,7 @@ typedef struct {
     frac16_t silent;      /* less is no current */
     frac16_t least;       /* largest phase current from which on the directions of silence are noted */
     gain_t resistance;    /* full-scale current over full-scale voltage */
+    gain_t inductance;    /* the same for a current that changes by that within a slow tick */
     frac16_t emf_floor;   /* voltage that switches and dead time leave unexplained */
     int32_t turn_per_voltage; /* of a rotor within a slow tick, for its back-EMF at full scale, 2^16 is a turn */
 } phase_watch_config_t;
@@ -21,6 +22,7 @@ typedef struct {
 typedef struct {
     uint16_t silent[SENSE_PHASES];  /* slow ticks without the current that is asked for */
     uint16_t sectors[SENSE_PHASES]; /* eighths of an electrical turn in which the phase was silent, a bit each */
+    uint16_t carried;               /* phases that have carried current since somebody wanted to know, a bit each */
     uint16_t faint;                 /* recent slow ticks with too little current for that */
     bool lost;                      /* one of them is */
     uint16_t age;                   /* slow ticks */
@@ -53,6 +55,14 @@ fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault);
 
 /* `fault`, or what is already suspected to be its cause: a converter or a phase. */
 fault_set_t phase_watch_rather(const struct axis *axis, fault_set_t fault);
+
+/* Does every phase carry current? Not at once, so from some moment on. */
+static inline void phase_watch_forget_currents(phase_watch_t *watch) { watch->carried = 0; }
+
+static inline bool phase_watch_all_carry(const phase_watch_t *watch)
+{
+    return watch->carried == (UINT16_C(1) << SENSE_PHASES) - 1U;
+}
 
 /* What an over-current may really have been. */
 fault_set_t phase_watch_suspects(const phase_watch_t *watch);

@@ -246,10 +246,12 @@ def _watches(to: Converter) -> dict[str, Field]:
     floor = max(board("switch_drop") + dead, 0.5) / s.u_s
     turn = s.u_s / axis("motor.psi_m") * board.tick / (2.0 * math.pi)
     hot, cool = board.temperature.codes()
+    inductance = max(axis("motor.l_d"), axis("motor.l_q")) * s.i / s.u_s / board.tick
     return {
         "phases.silent": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
         "phases.least": to.of(FRAC16, "least current of a direction", sign, "raise sensing.sign_current"),
         "phases.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
+        "phases.inductance": to.of(GAIN, "voltage of a change of current", inductance, "correct motor.l_q"),
         "phases.turn_per_voltage": to.of(INT32_Q16, "turn per back-EMF", turn, "correct motor.psi_m"),
         "phases.emf_floor": to.of(FRAC16, "unexplained voltage", floor, "lower board.switch_drop"),
         "heat.hot": hot,

@@ -1,0 +1,74 @@
+#include "drive/angle_watch.h"
+
+#include "drive/axis.h"
+
+/* Without these nobody knows the voltage well enough. */
+#define NEEDED (FEATURE_DEAD_TIME | FEATURE_BUS_COMPENSATION)
+
+#define TICKS_MOST 4U
+#define FILTER_SHIFT 2 /* four slow ticks: noise, times the controllers' gain, is as large as the back-EMF looked for */
+#define EMF_OVER_SIZE 3 /* a slip turns the back-EMF, so it takes twice its size at most */
+
+static int32_t size_of(int32_t x) { return (x < 0) ? -x : x; }
+
+static int32_t scaled(int32_t x, gain_t gain) { return asr32(f32_gain(x * INT32_C(32768), gain), 15); }
+
+/* The voltage beyond resistance, decoupling and back-EMF. */
+static void filter(axis_t *axis, int32_t emf)
+{
+    const current_loop_t *loop = &axis->current_loop;
+    const current_loop_config_t *config = &axis->config->current_loop;
+    const gain_t resistance = axis->config->phases.resistance;
+    const int32_t omega = f16_from_f32(loop->omega_e);
+    const int32_t turned_d = scaled(asr32(omega * loop->current.q, 15), config->omega_l_q);
+    const int32_t turned_q = scaled(asr32(omega * loop->current.d, 15), config->omega_l_d);
+    const int32_t d = loop->voltage.d - scaled(loop->current.d, resistance) + turned_d;
+    const int32_t q = loop->voltage.q - scaled(loop->current.q, resistance) - turned_q - emf;
+    dq_t *beyond = &axis->angle_watch.beyond;
+    beyond->d = sat16(beyond->d + asr32(d - beyond->d, FILTER_SHIFT));
+    beyond->q = sat16(beyond->q + asr32(q - beyond->q, FILTER_SHIFT));
+}
+
+/* What dead time, a quarter of the inductance, a change of the current, and half of the back-EMF that is expected account
+ * for: 29 degrees of it, or its size. Along the current half of the resistance may be added; much more is no back-EMF. */
+static bool contradicts(const axis_t *axis, int32_t size, int32_t changed, int32_t emf)
+{
+    const phase_watch_config_t *config = &axis->config->phases;
+    const dq_t i = axis->current_loop.current;
+    const dq_t beyond = axis->angle_watch.beyond;
+    const int32_t omega = size_of(f16_from_f32(axis->current_loop.omega_e));
+    const int32_t turned = scaled(asr32(omega * size, 15), axis->config->current_loop.omega_l_q);
+    const int32_t known = sat16(config->emf_floor / 4 + turned / 4 + scaled(changed, config->inductance) + emf / 2);
+    const int32_t drop = scaled(size, config->resistance) / 2;
+    const int32_t length = length_about(beyond.d, beyond.q);
+    const int32_t across = size_of(asr32((int32_t)beyond.d * i.q, 1) - asr32((int32_t)beyond.q * i.d, 1));
+    return length < known + drop + EMF_OVER_SIZE * emf && (length > known + drop || across > asr32(known * size, 1));
+}
+
+fault_set_t angle_watch_step(axis_t *axis)
+{
+    angle_watch_t *watch = &axis->angle_watch;
+    const dq_t i = axis->current_loop.current;
+    const dq_t before = watch->current;
+    const bool moves = axis->encoder_watch.calm == 0U; /* else it is the count that is in doubt */
+    const int32_t size = (moves && (axis->features & NEEDED) == NEEDED) ? length_about(i.d, i.q) : 0;
+    watch->current = i;
+    if (size < 2 * (int32_t)axis->config->phases.silent) {
+        watch->beyond = (dq_t){0, 0};
+        watch->ticks = 0;
+        return 0;
+    }
+    const int32_t changed = length_about(f16_sub(i.d, before.d), f16_sub(i.q, before.q));
+    const int32_t emf = scaled(f16_from_f32(axis->current_loop.omega_e), axis->config->current_loop.omega_psi);
+    filter(axis, emf);
+    if (size_of(emf) > axis->config->phases.emf_floor / 4 && contradicts(axis, size, changed, size_of(emf))) {
+        watch->ticks++;
+    } else if (watch->ticks > 0U) {
+        watch->ticks--;
+    }
+    if (watch->ticks == 0U) {
+        phase_watch_forget_currents(&axis->phases);
+    }
+    const bool lasts = watch->ticks > TICKS_MOST && phase_watch_all_carry(&axis->phases);
+    return lasts ? phase_watch_rather(axis, FAULT_ANGLE_MISMATCH) : 0U;
+}
