@@ -13,8 +13,15 @@
 #define STILL_TICKS 60    /* of voltage that stays where it is */
 #define SHORT_TICKS 8
 #define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
+#define DOUBT_TICKS 20    /* at rest after a sudden stop, before a current is sent through the windings */
+#define SETTLED_TICKS 8   /* until it flows */
+#define PROBE_TICKS 80    /* in all: before the speed of the M/T method without its enhancement falls to zero */
+#define SWINGS_MOST 4
 
-void encoder_watch_start(encoder_watch_t *watch) { *watch = (encoder_watch_t){0}; }
+void encoder_watch_start(encoder_watch_t *watch, int32_t position)
+{
+    *watch = (encoder_watch_t){.anchor = position, .last = position};
+}
 
 /* A window of a count that goes one back and forth; a shaft that hunts takes several. */
 static bool chatters(encoder_watch_t *w, int32_t moved)
@@ -47,11 +54,12 @@ fault_set_t encoder_watch_count(axis_t *axis)
     const int32_t moved = i32_sub_wrap(position, w->last);
     w->last = position;
     if (away > REST_COUNTS || away < -REST_COUNTS) {
-        *w = (encoder_watch_t){.anchor = position, .last = position, .pace = size_of(moved)};
+        *w = (encoder_watch_t){.anchor = position, .last = position, .pace = size_of(moved), .earlier = w->pace};
         return 0;
     }
-    w->sudden = w->sudden || w->pace >= SUDDEN_COUNTS;
+    w->sudden = w->sudden || w->pace >= SUDDEN_COUNTS || w->earlier >= SUDDEN_COUNTS;
     w->pace = 0;
+    w->earlier = 0;
     if (w->calm < UINT16_MAX) {
         w->calm++;
     }
@@ -160,6 +168,44 @@ static bool steps(axis_t *axis)
            (int32_t)axis->config->phases.emf_floor;
 }
 
+/* A shaft that has come to rest at once, without a current: has the encoder died? Within what dead time and switches take,
+ * a back-EMF drives no voltage that the controllers would have to answer. */
+static bool doubts(const axis_t *axis)
+{
+    const encoder_watch_t *w = &axis->encoder_watch;
+    const int32_t small = 2 * (int32_t)axis->config->phases.silent;
+    const dq_t i = axis->current_loop.current;
+    return w->sudden && w->asking == 0U && w->calm >= DOUBT_TICKS && length_about(i.d, i.q) < small &&
+           f16_abs(axis->current_ref.q) < small;
+}
+
+/* A current that stays as it is needs a voltage that stays as it is, but for a rotor that turns. Somebody who asks for
+ * another one will see whether the shaft moves. */
+static fault_set_t probe(axis_t *axis)
+{
+    encoder_watch_t *w = &axis->encoder_watch;
+    const dq_t held = {f16_from_f32(pi_integral(&axis->current_loop.d)),
+                       f16_from_f32(pi_integral(&axis->current_loop.q))};
+    w->probing++;
+    if (w->probing <= SETTLED_TICKS) {
+        w->along_q = false;
+        w->emf = held;
+        w->held = axis->current_ref.q;
+        w->swings = 0;
+        return 0;
+    }
+    const bool flows = 4 * (int32_t)current_along(axis) >= 3 * (int32_t)asked(axis);
+    const int32_t swing = length_about(held.d - w->emf.d, held.q - w->emf.q);
+    w->swings = (flows && swing > (int32_t)axis->config->phases.emf_floor / 2) ? (uint16_t)(w->swings + 1U) : 0U;
+    const bool turns = w->swings >= SWINGS_MOST;
+    const bool changed = f16_abs(f16_sub(axis->current_ref.q, w->held)) > axis->config->phases.silent / 2;
+    if (turns || changed || w->probing > PROBE_TICKS) {
+        w->probing = 0;
+        w->sudden = false;
+    }
+    return (turns && !changed) ? phase_watch_rather(axis, FAULT_ENCODER_LOST) : 0U;
+}
+
 /* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
 fault_set_t encoder_watch_voltage(axis_t *axis)
 {
@@ -169,6 +215,9 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
         w->turning = 0;
         w->in_vain = 0;
         return 0;
+    }
+    if (w->probing > 0U || doubts(axis)) {
+        return probe(axis);
     }
     const dq_t voltage = unexplained(axis);
     const int32_t size = length_about(voltage.d, voltage.q);

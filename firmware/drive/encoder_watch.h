@@ -21,7 +21,8 @@ typedef struct {
     int32_t toggled;  /* way of the last change .. */
     bool hunts;       /* .. and one of this window was not its opposite */
     uint16_t windows; /* windows in a row with more changes than a resting shaft makes */
-    uint16_t pace;    /* counts of the last tick that moved the shaft */
+    uint16_t pace;    /* counts of the last tick that moved the shaft, a part of which it may have stood .. */
+    uint16_t earlier; /* .. and of the one before */
     bool sudden;      /* it has come to rest at once */
     frac16_t wanted;  /* i_q* of the last tick */
     uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
@@ -29,6 +30,9 @@ typedef struct {
     uint16_t asking;  /* slow ticks for which a current has been asked to see whether any flows .. */
     bool along_q;     /* .. in this direction .. */
     frac16_t before;  /* .. in which this has flowed before */
+    uint16_t probing; /* slow ticks for which one has been sent to see whether the voltage stays .. */
+    frac16_t held;    /* .. with an i_q* that does .. */
+    uint16_t swings;  /* .. and of late has not */
     dq_t emf;         /* that voltage at first .. */
     uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
     bool turned;      /* .. and it has pointed elsewhere */
@@ -37,7 +41,8 @@ typedef struct {
 
 struct axis;
 
-void encoder_watch_start(encoder_watch_t *watch);
+/* The shaft rests at `position`. */
+void encoder_watch_start(encoder_watch_t *watch, int32_t position);
 
 /* One slow tick, after the source; in every state that has an encoder. */
 fault_set_t encoder_watch_count(struct axis *axis);
@@ -45,7 +50,10 @@ fault_set_t encoder_watch_count(struct axis *axis);
 /* One slow tick of current control with the encoder's angle. */
 fault_set_t encoder_watch_voltage(struct axis *axis);
 
-static inline bool encoder_watch_is_asking(const encoder_watch_t *watch) { return watch->asking != 0U; }
+static inline bool encoder_watch_is_asking(const encoder_watch_t *watch)
+{
+    return watch->asking != 0U || watch->probing != 0U;
+}
 
 /* Current that is asked for then, to see whether any flows. */
 dq_t encoder_watch_asks(const struct axis *axis);

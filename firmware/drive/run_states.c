@@ -63,6 +63,7 @@ static void align_spin(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
     axis->source->align(axis, rotor_search_angle(&axis->search));
+    encoder_watch_start(&axis->encoder_watch, axis->feedback.position);
     motion_start(axis);
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);
