@@ -76,7 +76,7 @@ def test_enabling_a_coasting_shaft_waits_until_it_rests(board: Board) -> None:
 @pytest.mark.parametrize(
     ("gap", "fault", "within"),
     [
-        (0.004, "RUNAWAY", 0.040),  # the angle is off by 92 degrees then
+        (0.004, "ANGLE_MISMATCH", 0.015),  # the angle is off by 92 degrees then; a filter of 2 ms, five slow ticks
         (0.007, "ENCODER_LOST", 0.007),  # 2 ms without a count, then 4 ms of voltage that turns, and a slow tick
         (0.010, "ENCODER_LOST", 0.007),
         (0.016, "ENCODER_LOST", 0.007),
