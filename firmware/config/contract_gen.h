@@ -67,7 +67,7 @@ typedef enum {
 #define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* full current does not move the shaft while the rotor is searched, or not far enough */
 #define FAULT_ENCODER UINT32_C(0x00000020) /* encoder count and emulated index disagree */
 #define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no valid frame from the host within the time-out */
-#define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement: shaft held fast, encoder dead, or off by 90 degrees electrical, where no current makes torque */
+#define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement, and a current vector that turns to both sides moves nothing that is free */
 #define FAULT_RUNAWAY UINT32_C(0x00000100) /* the shaft gains speed against the full current or beyond its limit */
 #define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns and the encoder does not count */
 #define FAULT_FOLLOWING_ERROR UINT32_C(0x00000400) /* the shaft is farther from its shaped set-point than param.following_error */
@@ -76,7 +76,7 @@ typedef enum {
 #define FAULT_OVER_TEMPERATURE UINT32_C(0x00002000) /* the heat sink of the inverter is hotter than its limit */
 #define FAULT_START_UP UINT32_C(0x00004000) /* the sensorless start-up did not reach a reliable speed in time */
 #define FAULT_SPEED_FEEDBACK UINT32_C(0x00008000) /* the speed that the observer gives is not reliable: the rotor stands, oscillates or is lost */
-#define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* encoder and observer disagree about the rotor's angle */
+#define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* the back-EMF, or the torque of a current vector that turns, contradicts the encoder's angle: it has slipped */
 #define FAULT_PHASE_LOST UINT32_C(0x00020000) /* a phase of the motor carries no current although voltage asks for it */
 #define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the code of a current converter is stuck or off scale */
 #define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop came late or has left out a period */
