@@ -167,6 +167,10 @@ class Rig:
         """Hold a shaft fast, or let it go."""
         self._lib.board_set_shaft(self._board, axis, int(locked))
 
+    def obstruct(self, axis: int, below: float, above: float) -> None:
+        """End stops so far from where a shaft is [rad]."""
+        self._lib.board_obstruct_shaft(self._board, axis, below, above)
+
     def plug(self, axis: int, connected: bool) -> None:
         """Connect or disconnect an encoder."""
         self._lib.board_set_encoder(self._board, axis, int(connected))

@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 from servo_bridge.freemaster import commands
-from servo_twin.harm import CurrentNoise, HotPowerStage, OpenPhase, ShortedPhase, StalledCore, StuckConverter, StuckLine
+from servo_twin.harm import (
+    CurrentNoise,
+    HotPowerStage,
+    OpenPhase,
+    ShortedPhase,
+    SlippedEncoder,
+    StalledCore,
+    StuckConverter,
+    StuckLine,
+)
 
 from targets.rig import Rig
 from targets.scenarios.parts import ALL_FAULTS, BLIND, POSITION, SPEED, TORQUE, features, ready, spin
@@ -112,6 +123,60 @@ def stalled(rig: Rig) -> None:
     rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
     rig.set("cmd.enable", 1)
     rig.run(0.001)
+
+
+def backlash(rig: Rig) -> None:
+    """Against an end stop with little room behind: the vector that turns moves the shaft, but not for long."""
+    spin(rig)
+    rig.obstruct(0, 0.005, 0.005)
+    rig.obstruct(1, math.inf, 0.005)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 60.0)
+    rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
+
+
+def slipped_discs(rig: Rig) -> None:
+    """Encoders that are off by 60 degrees under a load that is too much then, and by a quarter turn; then by half a
+    turn."""
+    spin(rig)
+    rig.load(0, 0.06)
+    rig.run(0.02)
+    rig.inject(SlippedEncoder(0, -333))
+    rig.inject(SlippedEncoder(1, -500))
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 60.0)
+    rig.until("told", lambda: all("ANGLE_MISMATCH" in rig.faults(k) for k in (0, 1)))
+    rig.load(0, 0.0)
+    rig.run(0.05)
+    rig.set("cmd.clear_faults", 1)
+    rig.run(0.01)
+    rig.set("cmd.enable", 1)
+    rig.until("SPIN on both axes", lambda: rig.places() == ["SPIN", "SPIN"])
+    rig.inject(SlippedEncoder(0, 1000))
+    rig.set("cmd.speed", 60.0)
+    rig.until("seen", lambda: "ANGLE_MISMATCH" in rig.faults(0))
+
+
+def silent_encoder(rig: Rig) -> None:
+    """Shafts that coast without current: one loses its encoder, the other one is stopped at once. It stalls without an
+    encoder, and is let go when the vector begins to turn."""
+    spin(rig)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 50.0)
+    rig.run(0.06)
+    rig.set("cmd.mode", TORQUE)
+    rig.set("cmd.i_q", 0.0)
+    rig.run(0.002)
+    rig.plug(0, False)
+    rig.lock(1)
+    rig.until("missed", lambda: "ENCODER_LOST" in rig.faults(0))
+    rig.run(0.05)
+    rig.plug(1, False)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 60.0)
+    rig.until("asked", lambda: rig.places()[1] == "ALIGN")
+    rig.lock(1, locked=False)
+    rig.until("told", lambda: "ENCODER_LOST" in rig.faults(1))
 
 
 def lost_index(rig: Rig) -> None:
