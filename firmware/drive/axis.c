@@ -206,6 +206,9 @@ static void look_around(axis_t *axis)
 static frac16_t startup_theta(const axis_t *axis)
 {
     const startup_t *startup = &axis->startup;
+    if (startup->phase == STARTUP_PROVE) {
+        return axis->feedback.theta_e;
+    }
     return (startup->phase == STARTUP_RAMP) ? pll_upper(startup->angle - (uint32_t)startup->step) : 0;
 }
 

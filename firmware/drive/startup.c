@@ -5,7 +5,8 @@
 
 #define QUARTER_TURN INT16_C(16384)
 #define SETTLE_TICKS 6  /* slow ticks until the observer knows the back-EMF of a turning shaft */
-#define TRACK_TICKS 160 /* slow ticks in which the PLL locks, and 64 speeds are taken */
+#define LOCK_TICKS 24  /* slow ticks that the PLL needs at the least speed */
+#define PROVE_TICKS 72 /* slow ticks: until the current flows, and 64 speeds after it */
 #define RATIO_BITS 14
 
 static frac32_t turned(frac32_t speed, bool backwards) { return backwards ? -speed : speed; }
@@ -44,6 +45,8 @@ void startup_fast(axis_t *axis)
     if (startup->phase == STARTUP_RAMP) {
         drive_observed(axis, pll_upper(startup->angle));
         startup->angle += (uint32_t)startup->step;
+    } else if (startup->phase == STARTUP_PROVE) {
+        drive_observed(axis, axis->feedback.theta_e);
     } else {
         hold_current_off(axis);
     }
@@ -103,16 +106,57 @@ static bool seen(const axis_t *axis)
     return estimate->locked && !emf_check_lacks(&estimate->check, &axis->config->emf_check, expected);
 }
 
-static bool track(axis_t *axis)
+static dq_t rotate(dq_t x, uint32_t angle)
 {
-    if (seen(axis) && estimate_reliable(axis)) {
-        return true;
-    }
+    const ab_t turned_x = park_inverse(x, sin_cos(pll_upper(angle)));
+    return (dq_t){turned_x.alpha, turned_x.beta};
+}
+
+/* Currents and voltages stay what they are, seen from the rotor from now on: it is `between` behind the frame that they
+ * were in, and was `at_sample` when the current was taken. Returns the current. */
+static dq_t enter_rotor_frame(axis_t *axis, uint32_t between, uint32_t at_sample)
+{
+    const dq_t current = rotate(axis->current_loop.current, at_sample);
+    const dq_t voltage = rotate(axis->current_loop.voltage, between);
+    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
+    current_loop_take_over(&axis->current_loop, &axis->config->current_loop, current, voltage);
+    axis->feedback.theta_e = pll_theta(&axis->estimate.pll);
+    return current;
+}
+
+static void begin_prove(axis_t *axis)
+{
+    const pll_t *pll = &axis->estimate.pll;
+    const uint32_t between = (uint32_t)0 - pll->angle;
+    enter(&axis->startup, STARTUP_PROVE);
+    axis->current_ref = enter_rotor_frame(axis, between, between + (uint32_t)pll->step);
+}
+
+static void track(axis_t *axis)
+{
     axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
-    if (axis->startup.ticks > TRACK_TICKS) {
-        begin_ramp(axis);
+    if (axis->startup.ticks >= LOCK_TICKS) {
+        begin_prove(axis);
     }
-    return false;
+}
+
+static frac32_t half_of_first(const axis_t *axis) { return f32_from_f16(axis->config->startup.first_current) / 2; }
+
+static startup_result_t prove(axis_t *axis)
+{
+    startup_t *startup = &axis->startup;
+    startup->fade += f32_clip(half_of_first(axis) - startup->fade, axis->config->startup.fade_step);
+    axis->current_ref = (dq_t){f16_from_f32(startup->fade), 0};
+    axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
+    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
+    if (startup->ticks < PROVE_TICKS) {
+        return STARTUP_RUNS;
+    }
+    if (seen(axis) && estimate_reliable(axis)) {
+        return STARTUP_DONE;
+    }
+    begin_ramp(axis);
+    return STARTUP_RUNS;
 }
 
 /* ---- the ramps ------------------------------------------------------------------------------------------------------ */
@@ -189,7 +233,10 @@ startup_result_t startup_slow(axis_t *axis)
         seek(axis);
         return STARTUP_RUNS;
     case STARTUP_TRACK:
-        return track(axis) ? STARTUP_DONE : STARTUP_RUNS;
+        track(axis);
+        return STARTUP_RUNS;
+    case STARTUP_PROVE:
+        return prove(axis);
     default:
         ramp(axis);
         return test(axis);
@@ -205,27 +252,16 @@ fault_set_t startup_failure(const axis_t *axis)
 
 /* ---- the hand-over -------------------------------------------------------------------------------------------------- */
 
-static dq_t rotate(dq_t x, uint32_t angle)
-{
-    const ab_t turned_x = park_inverse(x, sin_cos(pll_upper(angle)));
-    return (dq_t){turned_x.alpha, turned_x.beta};
-}
-
 void startup_hand_over(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
-    const pll_t *pll = &axis->estimate.pll;
-    const bool ramped = startup->phase == STARTUP_RAMP;
-    /* The current was taken at the last sample. The voltage of the ramp runs ahead of the vector as it will run ahead of
-     * the rotor; the one of the stator frame does not. */
-    const uint32_t between = ramped ? startup->angle - pll->angle : (uint32_t)0 - pll->angle;
-    const uint32_t at_sample = ramped ? between : between + (uint32_t)pll->step;
-    const dq_t current = rotate(axis->current_loop.current, at_sample);
-    const dq_t voltage = rotate(axis->current_loop.voltage, between);
-    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
-    current_loop_take_over(&axis->current_loop, &axis->config->current_loop, current, voltage);
+    dq_t current = axis->current_loop.current;
+    if (startup->phase == STARTUP_RAMP) {
+        /* the voltage of the ramp runs ahead of the vector as it will run ahead of the rotor */
+        const uint32_t between = startup->angle - axis->estimate.pll.angle;
+        current = enter_rotor_frame(axis, between, between);
+    }
     startup->fade = f32_from_f16(current.d);
-    axis->feedback.theta_e = pll_theta(pll);
     axis->feedback.speed = axis->estimate.speed;
     axis->feedback.mean_speed = axis->estimate.speed;
     motion_start_turning(axis, current.q);

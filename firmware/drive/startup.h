@@ -1,6 +1,8 @@
 /* startup.h - from rest to a speed at which the observer sees the rotor (ST slides "起动策略", "起动成功的判据").
  *
  * First the windings are kept without current: the back-EMF of a shaft that turns shows then, and it is caught as it is.
+ * But dead time and drops keep a current away that is meant to flow, so what seems to be back-EMF may be the echo of the
+ * voltage that holds it off. A current along the rotor tells: with it echoes end.
  * A shaft that rests is drawn along by a current vector whose length and frequency follow ramps. The rotor swings about
  * the vector like a pendulum with hardly any friction; the back-EMF across the vector tells how fast, and a current across
  * it takes the swing away.
@@ -32,7 +34,8 @@ typedef struct {
 
 typedef enum {
     STARTUP_CATCH, /* no current: does the shaft turn? */
-    STARTUP_TRACK, /* it does, and the PLL locks */
+    STARTUP_TRACK, /* it seems so, and the PLL locks */
+    STARTUP_PROVE, /* a current along the rotor: does the back-EMF stay? */
     STARTUP_RAMP,
 } startup_phase_t;
 
@@ -46,7 +49,7 @@ typedef struct {
     frac32_t speed; /* mechanical, of the vector; without sign */
     frac32_t current; /* length of the vector */
     ab_t emf; /* back-EMF of the last slow tick */
-    frac32_t fade; /* i_d that is left after the hand-over */
+    frac32_t fade; /* i_d while the rotor is proved, and what is left of it after the hand-over */
 } startup_t;
 
 typedef enum {

@@ -238,6 +238,21 @@ def test_a_winding_whose_warmth_hides_the_back_emf_is_found() -> None:
     assert not any("hides the back-EMF" in finding for finding in findings(cured, assess(cured)))
 
 
+def test_a_back_emf_too_small_to_tell_of_the_speed_is_found() -> None:
+    """0.35 V over 2 x 0.004 V s are 43.7 rad/s, 14 % of the speed limit."""
+    it = axis(axis1__motor__psi_m=0.004, axis1__motor__inertia=2e-6, axis1__motor__rotor_inertia=1e-6)
+    found = [finding for finding in findings(it, assess(it)) if "pll_size" in finding]
+    assert len(found) == 1
+    assert "43.7 rad/s more or less; write some 14" in found[0]
+    cured = axis(
+        axis1__motor__psi_m=0.004,
+        axis1__motor__inertia=2e-6,
+        axis1__motor__rotor_inertia=1e-6,
+        axis1__observer__pll_size=14.0,
+    )
+    assert not any("pll_size" in finding for finding in findings(cured, assess(cured)))
+
+
 def test_pole_that_turns_with_the_frame_has_no_partner() -> None:
     assert not pole_of(complex(0.9), T).pair
 

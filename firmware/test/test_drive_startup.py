@@ -26,7 +26,7 @@ from servo_bench import (
 
 OBSERVER, ENCODER = 1, 0
 START_UP, SPEED_FEEDBACK = 1 << 14, 1 << 15
-CATCH, TRACK, RAMP = range(3)
+CATCH, TRACK, PROVE, RAMP = range(4)
 
 
 @pytest.fixture(scope="module")

@@ -47,10 +47,12 @@ def test_trials_on_a_motor_with_a_firmware_of_its_own() -> None:
 
 
 @pytest.mark.slow
-def test_a_shaft_that_comes_to_rest_is_not_taken_for_one_that_turns() -> None:
-    """Near standstill drops and dead time of the switching plant are larger than the back-EMF of so small a motor."""
-    trial = draw(PLANT, 4, 9, OTHERS[:2])
-    assert (trial.motor.name, trial.state.name, trial.damage.kind) == ("fast", "observer, manoeuvres", NO_DAMAGE)
+@pytest.mark.parametrize(("motor", "seed", "number"), [("fast", 4, 9), ("ipm", 3, 44)])
+def test_a_shaft_that_comes_to_rest_is_not_taken_for_one_that_turns(motor: str, seed: int, number: int) -> None:
+    """Without current, drops and dead time of the switching plant echo the voltage that is to hold the current off."""
+    group = OTHERS[:2] if motor in OTHERS[:2] else OTHERS[2:]
+    trial = draw(PLANT, seed, number, group)
+    assert (trial.motor.name, trial.state.name, trial.damage.kind) == (motor, "observer, manoeuvres", NO_DAMAGE)
     with at_level("registers"):
         result = run_trial(trial)
     assert not result.lost, str(result)

@@ -38,6 +38,14 @@ TORQUE_MOST: Final = 0.8
 BLIND_MOST: Final = 0.2
 """Part of the speed limit below which an axis without an encoder may be blind while it brakes."""
 
+SIZE_MOST: Final = 4.0
+"""`observer.pll_size` [Hz] times the part of the speed limit by which `emf_check.floor` lets the size of the back-EMF
+be off: the speed loop answers to that. With twice as much the observed speed of a light shaft was too restless to be
+believed."""
+
+SIZE: Final = 2.0
+"""What may be written without trying."""
+
 _ENTRIES: Final = {
     "current d": "control.current_bandwidth",
     "current q": "control.current_bandwidth",
@@ -135,6 +143,11 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
             f"below {found.blind_speed:.3g} rad/s limits.current in a warm winding hides the back-EMF while it brakes"
         )
         yield f"{_entry(it, 'motor.r_s')}: without its encoder {hidden}; lower the limit, or keep the encoder"
+    unexplained = it.axis("emf_check.floor") / (it.axis("motor.pole_pairs") * it.axis("motor.psi_m"))
+    part = unexplained / it.axis("limits.speed")
+    if it.axis("observer.pll_size") * part > SIZE_MOST:
+        what = f"dead time and switches make the back-EMF look like {unexplained:.3g} rad/s more or less"
+        yield f"{_entry(it, 'observer.pll_size')}: {what}; write some {SIZE / part:.2g}"
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
             what = f"with R x {case.r_s:g} and L x {case.inductance:g} the observer's gains are unstable"
