@@ -1,8 +1,9 @@
 /* angle_watch.h - does the back-EMF lie where the encoder says?
  *
  * What the current controllers ask of the inverter is the voltage of the windings, with the back-EMF where the encoder has
- * it. More than that is a back-EMF that points elsewhere: the encoder has slipped. It shows in motion, as soon as the back-EMF is larger than what resistance and dead time may be off by, and
- * at no cost to the fast loop. The observer of FEATURE_ANGLE_CHECK sees it sooner, and with less current.
+ * it. More than that is a back-EMF that points elsewhere: the encoder has slipped. It shows in motion, as soon as the
+ * back-EMF is larger than what resistance and dead time may be off by, and at no cost to the fast loop. The observer of
+ * FEATURE_ANGLE_CHECK sees it sooner, and with less current.
  */
 #ifndef SERVO_DRIVE_ANGLE_WATCH_H
 #define SERVO_DRIVE_ANGLE_WATCH_H
