@@ -35,10 +35,10 @@ def handlers(log: np.ndarray, vector: int) -> list[tuple[int, int]]:
 class TestChoice:
     def test_by_argument_and_by_environment(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv("SERVO_TWIN_LEVEL", raising=False)
-        assert Board().level == "ideal"
-        monkeypatch.setenv("SERVO_TWIN_LEVEL", "registers")
         assert Board().level == "registers"
-        assert Board(level="ideal").level == "ideal"
+        monkeypatch.setenv("SERVO_TWIN_LEVEL", "ideal")
+        assert Board().level == "ideal"
+        assert Board(level="registers").level == "registers"
 
     @pytest.mark.parametrize("name", ["register", ""])
     def test_unknown(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
