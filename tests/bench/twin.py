@@ -173,7 +173,8 @@ def _times(figures: dict[str, Any], measured: dict[str, Any], part: str) -> str:
     for level, kind in (("registers", "switching"), ("ideal", "averaged")):
         theirs = measured[kind][part]
         times = figures[level]["one board"]["turning"] / theirs
-        words.append(f"{kind} {theirs:.3g}, the level {level} is {times:.3g} times as fast")
+        many = f"{times:.0f}" if times >= 100.0 else f"{times:.2g}"
+        words.append(f"{kind} {theirs:.2g}, the level {level} is {many} times as fast")
     return "; ".join(words)
 
 
