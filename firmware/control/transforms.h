@@ -58,8 +58,8 @@ static inline abc_t clarke_inverse(ab_t x)
 /* Length of a vector, at most 12 % too long. */
 static inline int32_t length_about(int32_t x, int32_t y)
 {
-    const int32_t a = (x < 0) ? -x : x;
-    const int32_t b = (y < 0) ? -y : y;
+    const int32_t a = i32_abs(x);
+    const int32_t b = i32_abs(y);
     return (a > b) ? a + b / 2 : b + a / 2;
 }
 

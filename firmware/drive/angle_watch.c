@@ -9,10 +9,6 @@
 #define FILTER_SHIFT 2 /* four slow ticks: noise, times the controllers' gain, is as large as the back-EMF looked for */
 #define EMF_OVER_SIZE 3 /* a slip turns the back-EMF, so it takes twice its size at most */
 
-static int32_t size_of(int32_t x) { return (x < 0) ? -x : x; }
-
-static int32_t scaled(int32_t x, gain_t gain) { return asr32(f32_gain(x * INT32_C(32768), gain), 15); }
-
 /* The voltage beyond resistance, decoupling and back-EMF. */
 static void filter(axis_t *axis, int32_t emf)
 {
@@ -20,10 +16,10 @@ static void filter(axis_t *axis, int32_t emf)
     const current_loop_config_t *config = &axis->config->current_loop;
     const gain_t resistance = axis->config->phases.resistance;
     const int32_t omega = f16_from_f32(loop->omega_e);
-    const int32_t turned_d = scaled(asr32(omega * loop->current.q, 15), config->omega_l_q);
-    const int32_t turned_q = scaled(asr32(omega * loop->current.d, 15), config->omega_l_d);
-    const int32_t d = loop->voltage.d - scaled(loop->current.d, resistance) + turned_d;
-    const int32_t q = loop->voltage.q - scaled(loop->current.q, resistance) - turned_q - emf;
+    const int32_t turned_d = i32_gain(asr32(omega * loop->current.q, 15), config->omega_l_q);
+    const int32_t turned_q = i32_gain(asr32(omega * loop->current.d, 15), config->omega_l_d);
+    const int32_t d = loop->voltage.d - i32_gain(loop->current.d, resistance) + turned_d;
+    const int32_t q = loop->voltage.q - i32_gain(loop->current.q, resistance) - turned_q - emf;
     dq_t *beyond = &axis->angle_watch.beyond;
     beyond->d = sat16(beyond->d + asr32(d - beyond->d, FILTER_SHIFT));
     beyond->q = sat16(beyond->q + asr32(q - beyond->q, FILTER_SHIFT));
@@ -36,12 +32,12 @@ static bool contradicts(const axis_t *axis, int32_t size, int32_t changed, int32
     const phase_watch_config_t *config = &axis->config->phases;
     const dq_t i = axis->current_loop.current;
     const dq_t beyond = axis->angle_watch.beyond;
-    const int32_t omega = size_of(f16_from_f32(axis->current_loop.omega_e));
-    const int32_t turned = scaled(asr32(omega * size, 15), axis->config->current_loop.omega_l_q);
-    const int32_t known = sat16(config->emf_floor / 4 + turned / 4 + scaled(changed, config->inductance) + emf / 2);
-    const int32_t drop = scaled(size, config->resistance) / 2;
+    const int32_t omega = i32_abs(f16_from_f32(axis->current_loop.omega_e));
+    const int32_t turned = i32_gain(asr32(omega * size, 15), axis->config->current_loop.omega_l_q);
+    const int32_t known = sat16(config->emf_floor / 4 + turned / 4 + i32_gain(changed, config->inductance) + emf / 2);
+    const int32_t drop = i32_gain(size, config->resistance) / 2;
     const int32_t length = length_about(beyond.d, beyond.q);
-    const int32_t across = size_of(asr32((int32_t)beyond.d * i.q, 1) - asr32((int32_t)beyond.q * i.d, 1));
+    const int32_t across = i32_abs(asr32((int32_t)beyond.d * i.q, 1) - asr32((int32_t)beyond.q * i.d, 1));
     return length < known + drop + EMF_OVER_SIZE * emf && (length > known + drop || across > asr32(known * size, 1));
 }
 
@@ -59,9 +55,9 @@ fault_set_t angle_watch_step(axis_t *axis)
         return 0;
     }
     const int32_t changed = length_about(f16_sub(i.d, before.d), f16_sub(i.q, before.q));
-    const int32_t emf = scaled(f16_from_f32(axis->current_loop.omega_e), axis->config->current_loop.omega_psi);
+    const int32_t emf = i32_gain(f16_from_f32(axis->current_loop.omega_e), axis->config->current_loop.omega_psi);
     filter(axis, emf);
-    if (size_of(emf) > axis->config->phases.emf_floor / 4 && contradicts(axis, size, changed, size_of(emf))) {
+    if (i32_abs(emf) > axis->config->phases.emf_floor / 4 && contradicts(axis, size, changed, i32_abs(emf))) {
         watch->ticks++;
     } else if (watch->ticks > 0U) {
         watch->ticks--;

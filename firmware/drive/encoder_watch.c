@@ -85,7 +85,7 @@ static dq_t unexplained(const axis_t *axis)
 static int32_t half_drop(const axis_t *axis)
 {
     const dq_t i = axis->current_loop.current;
-    return asr32(f32_gain(length_about(i.d, i.q) * INT32_C(32768), axis->config->phases.resistance), 16);
+    return asr32(i32_gain(length_about(i.d, i.q), axis->config->phases.resistance), 1);
 }
 
 /* What half of the resistance, dead time and switches may account for. Nobody compensates these at small currents. */
@@ -164,8 +164,7 @@ static bool steps(axis_t *axis)
     encoder_watch_t *w = &axis->encoder_watch;
     const int32_t step = f16_abs(f16_sub(axis->current_ref.q, w->wanted));
     w->wanted = axis->current_ref.q;
-    return asr32(f32_gain(step * INT32_C(32768), axis->config->current_loop.q.kp), 15) >
-           (int32_t)axis->config->phases.emf_floor;
+    return i32_gain(step, axis->config->current_loop.q.kp) > (int32_t)axis->config->phases.emf_floor;
 }
 
 /* A shaft that has come to rest at once, without a current: has the encoder died? Within what dead time and switches take,

@@ -133,13 +133,11 @@ typedef struct {
     int32_t phase[SENSE_PHASES];
 } phases_t;
 
-static int32_t size_of(int32_t x) { return (x < 0) ? -x : x; }
-
 /* Sizes of the phase currents of a vector. */
 static phases_t sizes(dq_t vector, sin_cos_t at)
 {
     const abc_t x = clarke_inverse(park_inverse(vector, at));
-    const phases_t result = {{size_of(x.a), size_of(x.b), size_of(x.c)}};
+    const phases_t result = {{i32_abs(x.a), i32_abs(x.b), i32_abs(x.c)}};
     return result;
 }
 
@@ -205,7 +203,7 @@ static bool in_vain(const axis_t *axis)
     const dq_t u = axis->current_loop.voltage;
     const dq_t is = axis->current_loop.current;
     const int32_t emf = asr32(f32_gain(axis->current_loop.omega_e, axis->config->current_loop.omega_psi), 16);
-    const int32_t drop = asr32(f32_gain((frac32_t)length_about(is.d, is.q) * 32768, config->resistance), 15);
+    const int32_t drop = i32_gain(length_about(is.d, is.q), config->resistance);
     return (axis->sensorless || axis->encoder_watch.calm < ENCODER_CALM_TICKS) &&
            length_about(u.d, u.q - emf) > 2 * (int32_t)config->emf_floor + larger(emf, -emf) / 2 + 2 * drop;
 }

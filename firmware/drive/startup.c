@@ -4,7 +4,7 @@
 #include "drive/motion.h"
 
 #define QUARTER_TURN INT16_C(16384)
-#define SETTLE_TICKS 6  /* slow ticks until the observer knows the back-EMF of a turning shaft */
+#define SETTLE_TICKS 6 /* slow ticks until the observer knows the back-EMF of a turning shaft */
 #define LOCK_TICKS 24  /* slow ticks that the PLL needs at the least speed */
 #define PROVE_TICKS 72 /* slow ticks: until the current flows, and 64 speeds after it */
 #define RATIO_BITS 14
@@ -140,12 +140,11 @@ static void track(axis_t *axis)
     }
 }
 
-static frac32_t half_of_first(const axis_t *axis) { return f32_from_f16(axis->config->startup.first_current) / 2; }
-
 static startup_result_t prove(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
-    startup->fade += f32_clip(half_of_first(axis) - startup->fade, axis->config->startup.fade_step);
+    const frac32_t kept = f32_from_f16(axis->config->startup.first_current) / 2; /* as without load later on */
+    startup->fade += f32_clip(kept - startup->fade, axis->config->startup.fade_step);
     axis->current_ref = (dq_t){f16_from_f32(startup->fade), 0};
     axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
     current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));

@@ -79,6 +79,9 @@ static inline frac16_t f16_sub_wrap(frac16_t a, frac16_t b) { return (frac16_t)(
 static inline int32_t i32_sub_wrap(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
 static inline int32_t i32_add_wrap(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
 
+/* Of what is far from the ends of its type. */
+static inline int32_t i32_abs(int32_t a) { return (a < 0) ? -a : a; }
+
 /* Rounded product; (-1) x (-1) saturates (DSC: MPYR with saturation). */
 static inline frac16_t f16_mul(frac16_t a, frac16_t b) { return sat16_asr((int32_t)a * b + INT32_C(0x4000), 15); }
 
@@ -98,5 +101,8 @@ static inline frac32_t f32_gain(frac32_t x, gain_t gain)
 {
     return sat32(asr64((int64_t)x * gain + (INT64_C(1) << (GAIN_BITS - 1)), GAIN_BITS));
 }
+
+/* The same for fractions of 15 bits, which may be a little beyond 1; rounded down. */
+static inline int32_t i32_gain(int32_t x, gain_t gain) { return asr32(f32_gain(x * INT32_C(32768), gain), 15); }
 
 #endif

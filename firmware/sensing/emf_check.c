@@ -5,20 +5,12 @@
 
 void emf_check_reset(emf_check_t *check) { *check = (emf_check_t){0}; }
 
-/* Length of a vector, at most 12 % too long. */
-static int32_t length(int32_t x, int32_t y)
-{
-    const int32_t a = (x < 0) ? -x : x;
-    const int32_t b = (y < 0) ? -y : y;
-    return (a > b) ? a + b / 2 : b + a / 2;
-}
-
 bool emf_check_deviates(const emf_check_config_t *config, frac16_t floor, dq_t deviation, frac16_t expected,
                         frac16_t current)
 {
     const int32_t by_resistance = asr32(f32_gain(f32_from_f16(f16_abs(current)), config->resistance), 16);
     const int32_t by_size = asr32(f16_abs(expected) * (int32_t)config->part, 15);
-    return length(deviation.d, deviation.q) > floor + by_resistance + by_size;
+    return length_about(deviation.d, deviation.q) > floor + by_resistance + by_size;
 }
 
 static frac16_t smoothed(int32_t *state, frac16_t x)

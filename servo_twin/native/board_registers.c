@@ -8,8 +8,10 @@
 #include "port/mc56f84789/port.h"
 
 #define CLOCK_NS 10u
-#define VECTOR_M1 85u /* PWMA_CMP1 */
 #define SYNC_CLOCKS 2u /* through the crossbar; not documented, two flip-flops are assumed */
+
+#define VECTOR_M1 85u    /* PWMA_CMP1 */
+#define VECTOR_START 87u /* PWMA_CMP0: the sequence of both loops */
 
 struct board {
     servo_t servo;
@@ -159,7 +161,7 @@ uint32_t world_interrupt(void *world, unsigned vector)
     case VECTOR_ADC_CC0:
         board->chip.stop = board->recording && board->servo.snapshot.tick != tick;
         return slow ? core->m2_slow : (watch ? core->m2_watch : core->m2);
-    case 87: /* PWMA_CMP0 */
+    case VECTOR_START:
         board->chip.stop = board->chip.stop || board->starting;
         board->starting = false;
         return core->start;
