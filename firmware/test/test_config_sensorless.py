@@ -238,34 +238,31 @@ def test_a_winding_whose_warmth_hides_the_back_emf_is_found() -> None:
     assert not any("hides the back-EMF" in finding for finding in findings(cured, assess(cured)))
 
 
+LITTLE_FLUX: dict[str, object] = {
+    "axis1__motor__psi_m": 0.004,
+    "axis1__motor__inertia": 2e-6,
+    "axis1__motor__rotor_inertia": 1e-6,
+}
+
+
 def test_a_flux_too_small_to_tell_a_held_shaft_is_found() -> None:
-    it = axis(axis1__motor__psi_m=0.004, axis1__motor__inertia=2e-6, axis1__motor__rotor_inertia=1e-6)
+    it = axis(**LITTLE_FLUX)
     seen = 0.3 * 0.004 * math.radians(it.axis("rotor_search.turn_angle")) / 0.1
     found = [finding for finding in findings(it, assess(it)) if "follows the turn" in finding]
     assert len(found) == 1
     assert f"shows in {1e3 * seen:.2g} mV" in found[0]
     assert f"write some {0.1 * seen / 0.075:.2g}" in found[0]
-    cured = axis(
-        axis1__motor__psi_m=0.004,
-        axis1__motor__inertia=2e-6,
-        axis1__motor__rotor_inertia=1e-6,
-        axis1__rotor_search__turn_time=0.025,
-    )
+    cured = axis(**LITTLE_FLUX, axis1__rotor_search__turn_time=0.025)
     assert not any("follows the turn" in finding for finding in findings(cured, assess(cured)))
 
 
 def test_a_back_emf_too_small_to_tell_of_the_speed_is_found() -> None:
     """0.35 V over 2 x 0.004 V s are 43.7 rad/s, 14 % of the speed limit."""
-    it = axis(axis1__motor__psi_m=0.004, axis1__motor__inertia=2e-6, axis1__motor__rotor_inertia=1e-6)
+    it = axis(**LITTLE_FLUX)
     found = [finding for finding in findings(it, assess(it)) if "pll_size" in finding]
     assert len(found) == 1
     assert "43.7 rad/s more or less; write some 14" in found[0]
-    cured = axis(
-        axis1__motor__psi_m=0.004,
-        axis1__motor__inertia=2e-6,
-        axis1__motor__rotor_inertia=1e-6,
-        axis1__observer__pll_size=14.0,
-    )
+    cured = axis(**LITTLE_FLUX, axis1__observer__pll_size=14.0)
     assert not any("pll_size" in finding for finding in findings(cured, assess(cured)))
 
 

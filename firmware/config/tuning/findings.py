@@ -8,6 +8,7 @@ from typing import Final
 
 from tuning.assessment import Assessment
 from tuning.sensorless_constants import needs_observer
+from tuning.sensorless_figures import SensorlessFigures
 from tuning.tuned import Tuned
 
 __all__ = ["findings"]
@@ -156,22 +157,26 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
         entry = _entry(it, "start_up.current_first")
         share = f"{100.0 * start_up.torque:.0f} % of the current's torque"
         yield f"{entry}: the start-up takes {share}; raise start_up.swings"
-    if found.blind_speed > BLIND_MOST * it.axis("limits.speed"):
-        hidden = (
-            f"below {found.blind_speed:.3g} rad/s limits.current in a warm winding hides the back-EMF while it brakes"
-        )
-        yield f"{_entry(it, 'motor.r_s')}: without its encoder {hidden}; lower the limit, or keep the encoder"
-    unexplained = it.axis("emf_check.floor") / (it.axis("motor.pole_pairs") * it.axis("motor.psi_m"))
-    part = unexplained / it.axis("limits.speed")
-    if it.axis("observer.pll_size") * part > SIZE_MOST:
-        what = f"dead time and switches make the back-EMF look like {unexplained:.3g} rad/s more or less"
-        yield f"{_entry(it, 'observer.pll_size')}: {what}; write some {SIZE / part:.2g}"
+    yield from _back_emf(it, found)
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
             what = f"with R x {case.r_s:g} and L x {case.inductance:g} the observer's gains are unstable"
             yield f"{it.axis.name}.observer at {case.speed:g} rad/s: {what}; lower observer.bandwidth"
     if needs_observer(it.axis):
         yield from _observed_speed(it, figures)
+
+
+def _back_emf(it: Tuned, found: SensorlessFigures) -> Iterator[str]:
+    limit = it.axis("limits.speed")
+    if found.blind_speed > BLIND_MOST * limit:
+        hidden = (
+            f"below {found.blind_speed:.3g} rad/s limits.current in a warm winding hides the back-EMF while it brakes"
+        )
+        yield f"{_entry(it, 'motor.r_s')}: without its encoder {hidden}; lower the limit, or keep the encoder"
+    part = found.unexplained_speed / limit
+    if it.axis("observer.pll_size") * part > SIZE_MOST:
+        what = f"dead time and switches make the back-EMF look like {found.unexplained_speed:.3g} rad/s more or less"
+        yield f"{_entry(it, 'observer.pll_size')}: {what}; write some {SIZE / part:.2g}"
 
 
 def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:

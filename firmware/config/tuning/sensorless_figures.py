@@ -109,6 +109,8 @@ class SensorlessFigures:
         After reset.
     trouble : str or None
         Why the motor cannot be observed; then there is nothing else.
+    unexplained_speed : float
+        What `emf_check.floor` makes of the back-EMF's size, mechanical [rad/s].
     blind_speed : float
         Below it `limits.current` takes more voltage in a warm winding, beside what is believed, than there is back-EMF:
         while it brakes the observed angle turns round. Mechanical [rad/s].
@@ -119,6 +121,7 @@ class SensorlessFigures:
     poles: tuple[ObserverPoles, ...]
     errors: tuple[AngleError, ...]
     locks: tuple[Lock, ...]
+    unexplained_speed: float = 0.0
     blind_speed: float = 0.0
 
 
@@ -132,13 +135,13 @@ def sensorless_figures(it: Tuned) -> SensorlessFigures:
         tuple(_poles(it)),
         tuple(_errors(it)),
         tuple(_lock(it, speed) for speed in _speeds(it)),
-        _blind_speed(it),
+        _speed_of(it, it.axis("emf_check.floor")),
+        _speed_of(it, (WARM - 1.0) * it.axis("motor.r_s") * it.axis("limits.current")),
     )
 
 
-def _blind_speed(it: Tuned) -> float:
-    unknown = (WARM - 1.0) * it.axis("motor.r_s") * it.axis("limits.current")
-    return unknown / (it.axis("motor.pole_pairs") * it.axis("motor.psi_m"))
+def _speed_of(it: Tuned, back_emf: float) -> float:
+    return back_emf / (it.axis("motor.pole_pairs") * it.axis("motor.psi_m"))
 
 
 def _speeds(it: Tuned) -> list[float]:
