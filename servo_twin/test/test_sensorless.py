@@ -8,9 +8,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_twin.board import Board, Level
+from servo_twin.board import Board
+from servo_twin.experiments import named_faults
 from servo_twin.experiments.rig import RPM, TICK_NS, choose_mode, features, set_axis
 from servo_twin.harm import SlippedEncoder
+from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
 
@@ -23,7 +25,7 @@ UNKNOWN = 0.35 / math.sqrt(2.0)
 
 
 def sensorless(
-    speeds: tuple[float, float], plant: PlantConfig | None = None, seed: int = 1, level: Level = "ideal"
+    speeds: tuple[float, float], plant: PlantConfig | None = None, seed: int = 1, level: Level | None = None
 ) -> Board:
     """A board without encoders, just enabled with speed set-points [rad/s]; an axis with 0 waits."""
     board = Board(plant, seed=seed, level=level)
@@ -39,8 +41,7 @@ def sensorless(
 
 def faults(board: Board, axis: int = 0) -> list[str]:
     """Names of the captured faults."""
-    word = board.read_raw(f"axis{axis + 1}.faults")[0]
-    return [flag.name for flag in board.catalogue.active("faults", word)]
+    return sorted(named_faults.faults(board, axis))
 
 
 def until(board: Board, substate: int, seconds: float, axis: int = 0) -> float:

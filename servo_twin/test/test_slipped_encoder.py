@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments.rig import choose_mode, set_axis
+from servo_twin.experiments.named_faults import faults, place
+from servo_twin.experiments.rig import TICK, choose_mode, command_speed, features, set_axis
 from servo_twin.harm import SlippedEncoder
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
@@ -16,7 +17,6 @@ from servo_twin.simulation import enable
 pytestmark = pytest.mark.usefixtures("level")
 
 PLANT = PlantConfig.load()
-TICK = 0.0005
 STALL = 0.5
 """Time at full current without movement before the vector turns [s] (timing.stall_most)."""
 
@@ -45,11 +45,6 @@ def rough(axis: int, factor: float) -> PlantConfig:
     return PLANT.with_axis(axis, friction=PLANT.axes[axis].friction * factor)
 
 
-def faults(board: Board, axis: int) -> set[str]:
-    flags = board.read_raw(f"axis{axis + 1}.faults")[0]
-    return {flag.name for flag in board.catalogue.active("faults", flags)}
-
-
 def slip(board: Board, axis: int, degrees: float) -> None:
     """By an electrical angle."""
     motor = board.plant.axes[axis]
@@ -59,7 +54,7 @@ def slip(board: Board, axis: int, degrees: float) -> None:
 
 def speed(board: Board, axis: int, rad_per_s: float) -> None:
     choose_mode(board, axis, "SPEED")
-    set_axis(board, "cmd.speed", axis, rad_per_s)
+    command_speed(board, axis, rad_per_s)
 
 
 def until_fault(board: Board, axis: int, seconds: float) -> tuple[float, set[str], float]:
@@ -121,9 +116,7 @@ def test_a_slip_at_rest_is_named_when_the_shaft_is_asked_to_move(axis: int, degr
 
 
 def test_a_slip_without_the_features_that_tell_the_voltage_is_a_runaway(board: Board) -> None:
-    features = board.read_raw("param.features")
-    compensation = next(flag for flag in board.catalogue.flags["features"] if flag.name == "BUS_COMPENSATION")
-    board.write_raw("param.features", [features[0] & ~(1 << compensation.bit), features[1]])
+    features(board, 0, BUS_COMPENSATION=False)
     speed(board, 0, 100.0)
     board.run(0.3)
     slip(board, 0, 120.0)
@@ -158,9 +151,7 @@ def rough_board() -> Iterator[Board]:
 def test_an_angle_without_torque_in_motion(rough_board: Board) -> None:
     """Where nothing tells the voltage the shaft runs down first."""
     board = rough_board
-    features = board.read_raw("param.features")
-    compensation = next(flag for flag in board.catalogue.flags["features"] if flag.name == "BUS_COMPENSATION")
-    board.write_raw("param.features", [features[0] & ~(1 << compensation.bit), features[1]])
+    features(board, 0, BUS_COMPENSATION=False)
     speed(board, 0, 60.0)
     board.run(0.3)
     slip(board, 0, 90.0)
@@ -196,7 +187,7 @@ def test_a_shaft_against_an_end_stop_is_stalled(board: Board, sign: float, room:
 def test_a_shaft_that_comes_free_while_it_is_tried_was_held(board: Board, part: float) -> None:
     board.lock_shaft(0)
     speed(board, 0, 60.0)
-    while board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) != "ALIGN":
+    while place(board, 0) != "ALIGN":
         board.run(TICK)
         assert faults(board, 0) == set()
     board.run(part * PROOF)
