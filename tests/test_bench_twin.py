@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from servo_twin.board import Level
+from servo_twin.level import Level
 
 sys.path.insert(0, str(Path(__file__).parent / "bench"))
 

@@ -15,7 +15,7 @@ from chain import DOMAIN, Cable, Chain, Process, User, user, wait_for
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin.board import chosen_level
+from servo_twin.level import chosen_level
 from std_msgs.msg import Float64, Float64MultiArray
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]

@@ -10,7 +10,6 @@ at a time; the long calls let other threads run.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -24,6 +23,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board_memory import BoardError, BoardMemory
 from servo_twin.core_load import CoreLoad
 from servo_twin.harm import Harm
+from servo_twin.level import Level, chosen_level
 from servo_twin.plant import PlantConfig
 
 try:
@@ -36,31 +36,14 @@ except ImportError as error:
     ) from error
 
 __all__ = [
-    "DEFAULT_LEVEL",
-    "FAST_LEVEL",
-    "LEVEL_VARIABLE",
     "Board",
     "BoardError",
     "BoardStats",
     "ChipError",
     "Firmware",
-    "Level",
     "SimulationError",
     "Truth",
-    "chosen_level",
 ]
-
-Level = Literal["registers", "ideal"]
-"""How closely the board is modelled."""
-
-LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
-"""Environment variable that names the level of boards for which nobody does."""
-
-DEFAULT_LEVEL: Final[Level] = "registers"
-"""Where it does not, either: as close to the board as there is."""
-
-FAST_LEVEL: Final[Level] = "ideal"
-"""Of experiments, which simulate minutes and hours, where nobody names another."""
 
 
 class Firmware(NamedTuple):
@@ -76,21 +59,6 @@ _FIRMWARE: Final[Mapping[Level, Firmware]] = {
 }
 
 _IDLE: Final = (1 << 64) - 1
-
-
-def chosen_level(level: Level | None = None, default: Level = DEFAULT_LEVEL) -> Level:
-    """The level of a board for which `level` is asked: that, or what the environment names, or `default`.
-
-    Raises
-    ------
-    ValueError
-        If there is no such level.
-    """
-    name = level or os.environ.get(LEVEL_VARIABLE, default)
-    for known in _FIRMWARE:
-        if name == known:
-            return known
-    raise ValueError(f"level {name!r}: a board has the levels {', '.join(_FIRMWARE)}")
 
 
 class SimulationError(RuntimeError):

@@ -10,12 +10,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import get_args
 
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.board import DEFAULT_LEVEL, FAST_LEVEL, LEVEL_VARIABLE, Board, Level
+from servo_twin.board import Board
 from servo_twin.experiments import command as experiment
+from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
 from servo_twin.timing import command as timing
@@ -55,11 +55,7 @@ def parser() -> argparse.ArgumentParser:
 def _levelled(default: Level) -> argparse.ArgumentParser:
     """Parent with ``--level``."""
     result = argparse.ArgumentParser(add_help=False)
-    result.add_argument(
-        "--level",
-        choices=get_args(Level),
-        help=f"how closely the board is modelled (default: ${LEVEL_VARIABLE}, or {default})",
-    )
+    add_level_option(result, "the board is", default)
     return result
 
 

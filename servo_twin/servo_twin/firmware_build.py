@@ -18,7 +18,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from servo_twin.board import Firmware, Level, SimulationError, chosen_level
+from servo_twin.board import Firmware, SimulationError
+from servo_twin.level import Level, chosen_level
 
 __all__ = ["CHECKOUT", "SERVO_TOML", "as_toml", "build_firmware"]
 

@@ -24,7 +24,7 @@ from typing import Any, Final, NoReturn
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_msgs_py import board_parameters
-from servo_twin.board import DEFAULT_LEVEL, LEVEL_VARIABLE, chosen_level
+from servo_twin.level import LEVEL_VARIABLE, add_level_option, chosen_level
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
 __all__ = ["Stack", "main", "parser"]
@@ -125,11 +125,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--baud", type=int, default=115200, help="line speed [bit/s] (default: %(default)s)")
     result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
     result.add_argument("--plant", type=Path, help="plant file of the virtual board")
-    result.add_argument(
-        "--level",
-        choices=("registers", "ideal"),
-        help=f"how closely virtual board and twin are modelled (default: ${LEVEL_VARIABLE}, or {DEFAULT_LEVEL})",
-    )
+    add_level_option(result, "virtual board and twin are")
     result.add_argument("--no-web", action="store_true", help="no viewer in the browser")
     result.add_argument("--record", type=Path, help="record to this .rrd file")
     result.add_argument(

@@ -22,7 +22,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Final, Protocol
 
-from servo_twin.board import DEFAULT_LEVEL, LEVEL_VARIABLE, Board, Level
+from servo_twin.board import Board
+from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
 
 __all__ = ["LinkError", "Pacer", "Terminal", "main", "serve", "slip_reporter"]
@@ -338,11 +339,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the sensor noise; the same seed gives the same board")
     parser.add_argument("--plant", type=Path, help="TOML file with what differs from the packaged plant.toml")
-    parser.add_argument(
-        "--level",
-        choices=("registers", "ideal"),
-        help=f"how closely the board is modelled (default: ${LEVEL_VARIABLE}, or {DEFAULT_LEVEL})",
-    )
+    add_level_option(parser, "the board is")
     parser.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second (default: %(default)g)")
     return parser
 

@@ -19,7 +19,7 @@ if TEST not in sys.path:
 
 import chip_rig  # noqa: E402
 from native_library import CHIP_CDEF, NATIVE, PLANT_CDEF, Native, build  # noqa: E402
-from servo_twin.board import LEVEL_VARIABLE  # noqa: E402
+from servo_twin.level import LEVEL_VARIABLE  # noqa: E402
 from switching_rig import SWITCHING_CDEF  # noqa: E402
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from servo_twin.board import TRACE_ENTRY, Board, BoardError, ChipError, Level, SimulationError
+from servo_twin.board import TRACE_ENTRY, Board, BoardError, ChipError, SimulationError
 from servo_twin.core_load import DEFAULT_FILE, CoreLoad
+from servo_twin.level import Level
 from servo_twin.simulation import enable, move
 
 COST_TABLE = Path(__file__).resolve().parents[2] / "tests" / "bench" / "firmware_cost.md"

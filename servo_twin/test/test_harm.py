@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from native_library import Native, c_axis, plain
-from servo_twin.board import Board, Level
+from servo_twin.board import Board
 from servo_twin.experiments.named_faults import faults
 from servo_twin.harm import (
     BusNoise,
@@ -24,6 +24,7 @@ from servo_twin.harm import (
     StuckLine,
     SupplyDip,
 )
+from servo_twin.level import Level
 from servo_twin.simulation import enable
 from switching_rig import Switching
 

@@ -21,7 +21,8 @@ from typing import Any, Final, get_args
 
 from peer.environment import peers
 from servo_msgs_py.catalogue import AXES
-from servo_twin.board import Board, Level
+from servo_twin.board import Board
+from servo_twin.level import Level
 from servo_twin.simulation import enable
 from shares import shares
 

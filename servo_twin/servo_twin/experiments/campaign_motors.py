@@ -12,9 +12,10 @@ from typing import Any, Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.board import Board, Firmware, Level
+from servo_twin.board import Board, Firmware
 from servo_twin.experiments.rig import fresh_board, level
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
+from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 

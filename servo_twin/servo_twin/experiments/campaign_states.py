@@ -82,21 +82,24 @@ class Bench:
         return OTHER_PART * self.other_limit
 
     # ---- what it says
+    def _which(self, axis: int | None) -> int:
+        return self.axis if axis is None else axis
+
     def word(self, name: str, axis: int | None = None) -> int:
         """A variable of an axis as it stands in memory."""
-        return named_faults.word(self.board, self.axis if axis is None else axis, name)
+        return named_faults.word(self.board, self._which(axis), name)
 
     def place(self, axis: int | None = None) -> str:
         """Sub-state of an axis in RUN, or its state."""
-        return named_faults.place(self.board, self.axis if axis is None else axis)
+        return named_faults.place(self.board, self._which(axis))
 
     def faults(self, axis: int | None = None) -> set[str]:
         """Faults of an axis by their names."""
-        return named_faults.faults(self.board, self.axis if axis is None else axis)
+        return named_faults.faults(self.board, self._which(axis))
 
     def first_fault(self, axis: int | None = None) -> str:
         """Name of the first fault, empty without one."""
-        return named_faults.first_fault(self.board, self.axis if axis is None else axis)
+        return named_faults.first_fault(self.board, self._which(axis))
 
     def until(self, what: str, holds: Callable[[], bool]) -> None:
         """Run until something holds, which nothing but a fault prevents."""

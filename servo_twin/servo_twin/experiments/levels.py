@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from servo_twin.board import Level
 from servo_twin.experiments.outcome import Bound, Outcome, Row
+from servo_twin.level import Level
 
 __all__ = ["FILE", "HELP", "LEVELS", "Pair", "overview", "pairs", "table", "write"]
 

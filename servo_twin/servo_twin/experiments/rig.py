@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.board import FAST_LEVEL, Board, Firmware, Level, chosen_level
+from servo_twin.board import Board, Firmware
+from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError, enable
 

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.board import Board, Level
+from servo_twin.board import Board
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import COUNT, TICK, TICK_NS, fresh_board, level
+from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "rotor-search"

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.board import Board, Level
+from servo_twin.board import Board
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, fresh_board, level, positive
 from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, observing, substate
+from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "start-up"
