@@ -63,7 +63,7 @@ bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
 
 bench-twin: $(VENV)/.fast ## how fast a virtual board is, at both levels; where its time goes; against other simulators
-	@$(BIN)/python tests/bench/twin.py
+	@PYTHONPATH=tests $(BIN)/python tests/bench/twin.py
 	@$(BIN)/python tests/bench/plant.py
 
 targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on every compiler and machine

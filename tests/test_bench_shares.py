@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent / "bench"))
-
-from shares import by_part, part_of
+from bench.shares import by_part, part_of
 
 PROFILE = """\
 events: Ir

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from bench import plant, twin
 from servo_twin.level import Level
-
-sys.path.insert(0, str(Path(__file__).parent / "bench"))
-
-import plant
-import twin
 
 
 def test_plant_alone_at_both_levels() -> None:

@@ -29,8 +29,8 @@ _PARTS: Final = (
 
 _CHILD: Final = f"""
 import sys
-sys.path.insert(0, {str(Path(__file__).parent)!r})
-from twin import turning
+sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+from bench.twin import turning
 from servo_twin.board import Board
 board = Board(seed=1, level=sys.argv[1])
 turning(board)

@@ -19,12 +19,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from peer.environment import peers
+from bench.peer.environment import peers
+from bench.shares import shares
 from servo_msgs_py.catalogue import AXES
 from servo_twin.board import Board
 from servo_twin.level import Level
 from servo_twin.simulation import enable
-from shares import shares
 
 OUT: Final = Path(__file__).resolve().parents[2] / "out" / "bench" / "twin.json"
 AIMS: Final[dict[str, float]] = {"registers": 20.0, "ideal": 150.0}
