@@ -64,7 +64,12 @@ class Bench:
     def do(self, action: Callable[[Board], Any]) -> None:
         """Let the thread of the board do something to it, and wait for that."""
         done = threading.Event()
-        self._actions.append(lambda board: (action(board), done.set()))
+
+        def act(board: Board) -> None:
+            action(board)
+            done.set()
+
+        self._actions.append(act)
         assert done.wait(20.0)
 
     def close(self) -> None:
@@ -107,10 +112,11 @@ def bench(board: Board, record: FaultRecord, chain: Chain) -> Iterator[Bench]:
     bench.close()
 
 
-def table(message: Float64MultiArray) -> list[Any]:
+def table(message: Float64MultiArray) -> list[list[float]]:
     names, rows = snapshot_table(message)
     assert tuple(names) == COLUMNS
-    return rows.tolist()
+    values: list[list[float]] = rows.tolist()
+    return values
 
 
 def listen(anybody: User) -> list[Any]:

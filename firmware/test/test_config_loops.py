@@ -126,7 +126,7 @@ def edge_times(
     shaft: Callable[[NDArray[np.float64]], NDArray[np.float64]], slope: float, spacing: float, end: float
 ) -> NDArray[np.float64]:
     """Times at which a rising shaft passes the multiples of `spacing`, by iteration with its mean speed."""
-    places = spacing * np.arange(1, int(slope * end / spacing))
+    places = spacing * np.arange(1, int(slope * end / spacing), dtype=np.float64)
     times = places / slope
     for _ in range(60):
         times = times - (shaft(times) - places) / slope
@@ -177,6 +177,7 @@ def test_edge_delay_grows_where_edges_get_rarer_than_ticks() -> None:
 def test_current_loop_is_an_integrator_with_one_period_of_delay() -> None:
     """Pole-zero cancellation, half a period until the duties are loaded and half a period in the mean of their hold."""
     loop = axis().current_loop("q").margins()
+    assert loop.crossover is not None
     assert loop.crossover == pytest.approx(1000.0, rel=0.03)
     assert loop.phase == pytest.approx(90.0 - 360.0 * loop.crossover / 16000.0, abs=1.0)
 

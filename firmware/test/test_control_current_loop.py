@@ -310,8 +310,8 @@ def test_every_bit(
     )
     config.omega_l_d, config.omega_l_q, config.omega_psi = (x // scale for x in couplings)
     config.angle_step, config.modulation_limit = angle_step, modulation_limit
-    states = tuple((integral // scale**2, excess // scale) for integral, excess in states)  # type: ignore[assignment]
-    model = Model(core, config, states)
+    d, q = ((integral // scale**2, excess // scale) for integral, excess in states)
+    model = Model(core, config, (d, q))
     loop: Any = core.ffi.new("current_loop_t *", {"dead_time_off": not dead_time})
     for controller, integral, excess in zip((loop.d, loop.q), model.integral, model.excess, strict=True):
         controller.integral, controller.excess = integral, excess

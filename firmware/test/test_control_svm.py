@@ -126,7 +126,7 @@ def half_period(duty: tuple[int, int, int]) -> dict[tuple[int, ...], int]:
 
 def test_the_eight_states_of_t3_come_out(core: Core) -> None:
     """Every sector: 000, its two active vectors, 111; T1 and T2 of E28, E29, and the same share of T0 at both ends."""
-    seen = set()
+    seen: set[tuple[int, ...]] = set()
     for sector in range(6):
         duty, _ = duties(core, *vector(0.5, 60.0 * sector + 30.0))
         times = half_period(duty)

@@ -11,6 +11,7 @@ from core_library import Core
 from exact import I16, MAX16, MIN16
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 ANGLE = st.integers(MIN16, MAX16)
 
@@ -33,7 +34,7 @@ def park_inverse(core: Core, d: int, q: int, angle: int) -> tuple[int, int]:
     return x.alpha, x.beta
 
 
-def clarke_of(core: Core, phases: np.ndarray) -> np.ndarray:
+def clarke_of(core: Core, phases: NDArray[np.int64]) -> NDArray[np.int64]:
     x, result = phases.astype(np.int32), np.zeros((len(phases), 2), dtype=np.int16)
     core.lib.probe_clarke_many(core.ffi.from_buffer("abc_t[]", x), core.ffi.from_buffer("ab_t[]", result), len(x))
     return result.astype(np.int64)
@@ -83,7 +84,7 @@ def test_common_mode_is_not_seen(core: Core) -> None:
     assert (x.alpha, x.beta) == (0, 0)
 
 
-def rotations() -> tuple[np.ndarray, np.ndarray]:
+def rotations() -> tuple[NDArray[np.int16], NDArray[np.int16]]:
     """Vectors and angles: the whole range, and its corners at every 16th angle."""
     rng = np.random.default_rng(11)
     anywhere = rng.integers(MIN16, MAX16 + 1, (100_000, 2))
@@ -94,7 +95,7 @@ def rotations() -> tuple[np.ndarray, np.ndarray]:
     return vectors, angles
 
 
-def rotated(core: Core, inverse: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rotated(core: Core, inverse: bool) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """What went in, the angles, and what comes out of one of the two transforms."""
     vectors, angles = rotations()
     result = np.zeros_like(vectors)

@@ -7,17 +7,20 @@ from math import isqrt
 import numpy as np
 import pytest
 from core_library import Core
+from numpy.typing import NDArray
+
+Waves = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 @pytest.fixture(scope="module")
-def waves(core: Core) -> tuple[np.ndarray, np.ndarray]:
+def waves(core: Core) -> Waves:
     """Sine and cosine of angle raw values 0 .. 65535 (0x8000 is -pi)."""
     sines, cosines = np.zeros(65536, dtype=np.int16), np.zeros(65536, dtype=np.int16)
     core.lib.probe_sin_cos_all(core.ffi.from_buffer("int16_t[]", sines), core.ffi.from_buffer("int16_t[]", cosines))
     return sines.astype(np.int64), cosines.astype(np.int64)
 
 
-def test_at_most_one_lsb_off_at_every_angle(waves: tuple[np.ndarray, np.ndarray]) -> None:
+def test_at_most_one_lsb_off_at_every_angle(waves: Waves) -> None:
     turn = 2.0 * np.pi * np.arange(65536) / 65536.0
     for wave, exact in zip(waves, (np.sin(turn), np.cos(turn)), strict=True):
         ideal = np.clip(exact * 32768.0, -32768.0, 32767.0)
@@ -26,7 +29,7 @@ def test_at_most_one_lsb_off_at_every_angle(waves: tuple[np.ndarray, np.ndarray]
         assert abs(np.mean(wave - ideal)) < 0.01
 
 
-def test_every_bit(waves: tuple[np.ndarray, np.ndarray]) -> None:
+def test_every_bit(waves: Waves) -> None:
     """A quarter wave of 257 nearest numbers, 1.0 being 32767, and between them the straight line, halves upwards."""
     table = np.minimum(np.round(32768.0 * np.sin(np.pi / 2.0 * np.arange(257) / 256.0)), 32767).astype(np.int64)
     step, part = np.divmod(np.arange(16384), 64)
@@ -37,7 +40,7 @@ def test_every_bit(waves: tuple[np.ndarray, np.ndarray]) -> None:
     assert np.array_equal(waves[1], np.roll(sines, -16384))
 
 
-def test_symmetries_are_exact(waves: tuple[np.ndarray, np.ndarray]) -> None:
+def test_symmetries_are_exact(waves: Waves) -> None:
     sines, cosines = waves
     angle = np.arange(65536)
     assert np.array_equal(sines, -sines[-angle])  # odd
@@ -52,7 +55,7 @@ def test_ends_and_quarters(core: Core) -> None:
         assert (value.sin, value.cos) == expected
 
 
-def test_length_never_exceeds_what_a_rotation_can_take(waves: tuple[np.ndarray, np.ndarray]) -> None:
+def test_length_never_exceeds_what_a_rotation_can_take(waves: Waves) -> None:
     """transforms.h adds two products in 32 bits: |sin| + |cos| must stay below 2 x 32767."""
     sines, cosines = waves
     assert np.max((np.abs(sines) + np.abs(cosines)) * 32768 + 0x4000) < 2**31

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from firmware_compiler import CompileC
 from port_board import BREAK, M1, M2, PWM, READ, SERVO, WRITE, FakeBoard
@@ -68,8 +70,10 @@ def test_m2_calls_the_loop_and_clears_the_end_of_scan_last(board: FakeBoard) -> 
 
 
 @pytest.mark.parametrize(("run", "pin"), [(run_m1, 0x0040), (run_m2, 0x0080)])
-def test_scope_pin_is_high_for_the_length_of_the_handler(board: FakeBoard, run: object, pin: int) -> None:
-    run(board)  # type: ignore[operator]
+def test_scope_pin_is_high_for_the_length_of_the_handler(
+    board: FakeBoard, run: Callable[[FakeBoard], None], pin: int
+) -> None:
+    run(board)
     assert board.writes[0] == (0xE251, pin)
     assert board.writes[-1] == (0xE251, 0)
 

@@ -28,7 +28,7 @@ _TABLE: Final = tomllib.loads(FILE.read_text(encoding="utf-8"))
 
 def table(**changes: object) -> dict[str, Any]:
     """A copy of the committed configuration; ``axis1__motor__r_s=1.0`` changes or adds an entry."""
-    result = copy.deepcopy(_TABLE)
+    result: dict[str, Any] = copy.deepcopy(_TABLE)
     for path, value in changes.items():
         *groups, key = path.split("__")
         place = result
@@ -42,7 +42,7 @@ def configuration(**changes: object) -> Configuration:
     return parse(table(**changes), CATALOGUE)
 
 
-def axis(number: int = 1, **changes: object) -> Tuned:
+def axis(number: int = 1, /, **changes: object) -> Tuned:
     """One axis of the changed configuration."""
     whole = configuration(**changes)
     return tuned(whole.axes[number - 1], whole)

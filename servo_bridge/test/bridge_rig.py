@@ -292,6 +292,10 @@ class Rig:
     def rejections(self) -> list[str]:
         return [text for text in self.logs() if text.startswith("rejected")]
 
+    def until_rejected(self, before: int) -> None:
+        """Wait for one more rejection than there were."""
+        self.until(lambda: len(self.rejections()) > before)
+
     def applied(self) -> list[Any]:
         return [applied_from_message(m) for m in self.messages[topics.COMMANDS_APPLIED]]
 

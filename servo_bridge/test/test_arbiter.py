@@ -121,9 +121,9 @@ def test_whatever_passes_is_within_the_limits_of_the_board(values: dict[int, flo
 
 
 # ---- refused
-def refused(subject: Arbiter, *what: Request) -> str:
+def refused(subject: Arbiter, what: Request) -> str:
     with pytest.raises(Rejected) as caught:
-        subject.submit(*what, 0.0)
+        subject.submit(what, 0.0)
     return str(caught.value)
 
 
@@ -261,8 +261,7 @@ def test_block_throws_away_and_says_why_until_release() -> None:
     drain(subject)
     subject.submit(request({0: 1.0}), 0.0)
     subject.block("stopped by quick_stop")
-    assert subject.next_write() is None
-    assert not subject.armed
+    assert (subject.next_write(), subject.armed) == (None, False)
     assert "stopped by quick_stop; call the service enable" in refused(subject, request({0: 1.0}))
     subject.release()
     assert subject.armed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 
 from servo_bridge.inbox import Inbox
 
@@ -13,7 +14,7 @@ def test_one_wake_up_for_everything_that_waits_and_in_order() -> None:
     seen: list[int] = []
     inbox = Inbox(woken.append)
     for k in range(5):
-        inbox.post(lambda k=k: seen.append(k))  # type: ignore[misc]
+        inbox.post(partial(seen.append, k))
     assert len(woken) == 1
     woken[0]()
     assert seen == [0, 1, 2, 3, 4]
@@ -46,7 +47,7 @@ def test_nothing_is_lost_between_threads() -> None:
 
     def produce() -> None:
         for k in range(2000):
-            inbox.post(lambda k=k: seen.append(k))  # type: ignore[misc]
+            inbox.post(partial(seen.append, k))
 
     thread = threading.Thread(target=produce)
     thread.start()

@@ -187,7 +187,7 @@ def test_every_wrong_joint_command_is_named_and_moves_nothing(rig: Rig) -> None:
     for message, sentence in WRONG:
         seen = len(rig.rejections())
         rig.joint_commands.publish(message)
-        rig.until(lambda seen=seen: len(rig.rejections()) > seen)
+        rig.until_rejected(seen)
         assert "rejected, nothing moves because of it: joint_commands: " in rig.rejections()[-1]
         assert sentence in rig.rejections()[-1]
     rig.settle()

@@ -184,7 +184,7 @@ def test_loop_port_without_descriptor() -> None:
 
 
 # ---- low latency --------------------------------------------------------------------------------------------------
-class FakeSerial(serial.Serial):  # type: ignore[misc]
+class FakeSerial(serial.Serial):
     """Never opened; only its class and its low-latency mode matter."""
 
     flag = True

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_msgs_py.catalogue import AXES, Catalogue, CatalogueError, axis_name
+from servo_msgs_py.catalogue import AXES, Catalogue, CatalogueError, axis_name, numbers
 
 CATALOGUE = Catalogue.load()
 
@@ -95,9 +95,7 @@ def test_bytes_to_si_and_back(name: str, data: st.DataObject) -> None:
     stored = variable.encode_raw(raw)
     assert len(stored) == variable.size
     assert variable.decode_raw(stored) == raw
-    values = variable.decode(stored)
-    values = values if isinstance(values, list) else [values]
-    for number, value in zip(raw, values, strict=True):
+    for number, value in zip(raw, numbers(variable.decode(stored)), strict=True):
         if variable.minimum <= value <= variable.maximum:
             assert variable.to_raw(value) == number
 

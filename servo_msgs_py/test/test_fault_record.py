@@ -7,6 +7,7 @@ import struct
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 
@@ -20,7 +21,7 @@ def record(code: int = 18, tick: int = 8003, following: int = 3, size: int = 64)
     return head + struct.pack("<320h", *(100 * r + k for r in range(5) for k in ring))
 
 
-def column(it: FaultRecord, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def column(it: FaultRecord, name: str) -> NDArray[np.float64]:
     return it.table[:, COLUMNS.index(name)]
 
 

@@ -381,7 +381,8 @@ class ChipRig:
     def name(self, address: int) -> str:
         buffer = self.ffi.new("char[]", 64)
         self.lib.chip_register_name(address, buffer, 64)
-        return self.ffi.string(buffer).decode()
+        name: bytes = self.ffi.string(buffer)
+        return name.decode()
 
 
 PWM_PINS = {"GPIOE_PER": 0x01FF, "GPIOG_PER": 0x000F, "SIM_GPSEL": 0xA000, "SIM_GPSEH": 0x0001, "GPIOF_PER": 0x4000,

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
-from chip_rig import HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
+from chip_rig import HALF, PERIOD, PWM_PINS, ChipError, ChipRig, Native, pwm_module, start_pwm
 
 OPEN, HIGH, LOW = 0, 1, 2
 TRIG_A1 = 22  # VAL4 of PWMA SM1 at the crossbar
@@ -100,7 +98,7 @@ class TestCounter:
         with pytest.raises(ChipError, match=r"PWMA SM1 CNT is accessed while its clock is gated off"):
             rig.read("PWMA1_CNT")
 
-    def test_a_wrong_bus_clock_is_refused(self, registers_c: Any) -> None:
+    def test_a_wrong_bus_clock_is_refused(self, registers_c: Native) -> None:
         rig = ChipRig(registers_c, start=False)
         rig.write("SIM_PCE3", 0xFF)
         rig.write_all(pwm_module("A"))
@@ -307,7 +305,12 @@ class TestLoading:
 
     def test_reload_interrupt_and_flag(self, rig: ChipRig) -> None:
         calls: list[int] = []
-        rig.handlers[86] = lambda: (calls.append(rig.now), rig.write("PWMA0_STS", 0x1000))[0]  # type: ignore[func-returns-value]
+
+        def reloaded() -> None:
+            calls.append(rig.now)
+            rig.write("PWMA0_STS", 0x1000)
+
+        rig.handlers[86] = reloaded
         start = prepare(rig, 1000, PWMA0_INTEN=0x1000)
         rig.write("INTC_IPR9", 1 << 10)
         rig.interrupts()
@@ -530,7 +533,7 @@ def phase(rig: ChipRig) -> float:
 
 class TestTwoModules:
     @pytest.mark.parametrize("latency", [0, 2, 5])
-    def test_half_a_period_apart(self, registers_c: Any, latency: int) -> None:
+    def test_half_a_period_apart(self, registers_c: Native, latency: int) -> None:
         rig = ChipRig(registers_c, crossbar_clocks=latency)
         both(rig)
         assert phase(rig) == HALF + 1 + latency

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from functools import partial
+from typing import ClassVar
 
 import pytest
-from chip_rig import ADDRESS, HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
+from chip_rig import ADDRESS, HALF, PERIOD, PWM_PINS, ChipError, ChipRig, Native, pwm_module, start_pwm
 
 SERIAL = {"GPIOC_PER": 0x0180, "SIM_GPSCL": 1 << 14, "SIM_GPSCH": 1, "SCI0_RATE": 434, "SCI0_CTRL1": 0x000C,
           "SCI0_CTRL2": 0x0020}  # fmt: skip
@@ -14,7 +15,7 @@ BYTE = 8680
 
 
 class TestClocks:
-    def test_pll_locks_and_switches(self, registers_c: Any) -> None:
+    def test_pll_locks_and_switches(self, registers_c: Native) -> None:
         rig = ChipRig(registers_c, start=False)
         assert rig.read("OCCS_STAT") == 0x0010
         rig.write("OCCS_CTRL", 0x0080)
@@ -26,13 +27,13 @@ class TestClocks:
         rig.step(100)
         assert rig.read("OCCS_STAT") == 0x0061
 
-    def test_switch_before_lock(self, registers_c: Any) -> None:
+    def test_switch_before_lock(self, registers_c: Native) -> None:
         rig = ChipRig(registers_c, start=False)
         rig.write("OCCS_CTRL", 0x0080)
         with pytest.raises(ChipError, match="OCCS CTRL = 0081h: the PLL is chosen before it has locked"):
             rig.write("OCCS_CTRL", 0x0081)
 
-    def test_crystal_needs_time(self, registers_c: Any) -> None:
+    def test_crystal_needs_time(self, registers_c: Native) -> None:
         rig = ChipRig(registers_c, start=False)
         with pytest.raises(ChipError, match="external clock is chosen while there is none"):
             rig.write("OCCS_CTRL", 0x0094)
@@ -43,7 +44,7 @@ class TestClocks:
         rig.write("OCCS_CTRL", 0x0094)
 
     @pytest.mark.parametrize(("divby", "mhz"), [(0x2030, "98.000"), (0x2131, "50.000")])
-    def test_wrong_divider(self, registers_c: Any, divby: int, mhz: str) -> None:
+    def test_wrong_divider(self, registers_c: Native, divby: int, mhz: str) -> None:
         rig = ChipRig(registers_c, start=False)
         rig.write("SIM_PCE0", 0xFFFF)
         rig.write("OCCS_DIVBY", divby)
@@ -171,7 +172,7 @@ class TestInterrupts:
         rig.write_all(pwm_module("A") | pwm_module("B", PWMB0_CTRL2=0))
         for letter, vector in (("A", 87), ("B", 76)):
             rig.write(f"PWM{letter}0_INTEN", 0x20)
-            rig.handlers[vector] = lambda letter=letter: rig.write(f"PWM{letter}0_STS", 0x20)
+            rig.handlers[vector] = partial(rig.write, f"PWM{letter}0_STS", 0x20)
         rig.write_all({"INTC_IPR9": 2 << 12, "INTC_IPR8": 2 << 6})
         start_pwm(rig, "A", outputs=False)
         start_pwm(rig, "B", outputs=False)
@@ -277,7 +278,7 @@ class TestWatchdog:
         rig.step(400 * 12800)
         assert rig.boots == 2
 
-    def test_on_after_reset(self, registers_c: Any) -> None:
+    def test_on_after_reset(self, registers_c: Native) -> None:
         rig = ChipRig(registers_c, start=False)
         rig.step(65536 * 12800 + 10)
         assert rig.boots == 2

@@ -79,7 +79,9 @@ def test_path_asks_for_a_half_of_the_current(plant: PlantConfig) -> None:
 
 class TestTopSpeed:
     def test_the_plant_as_it_is(self, plant: PlantConfig) -> None:
-        assert move_speeds(plant, 3, together=True) == ([pytest.approx(SPEED, rel=1e-4)] * 2, "")
+        speeds, note = move_speeds(plant, 3, together=True)
+        assert speeds == pytest.approx([SPEED] * 2, rel=1e-4)
+        assert note == ""
 
     def test_heavy_shafts_move_slowly_and_it_is_said(self, plant: PlantConfig) -> None:
         speeds, note = move_speeds(both(plant, inertia=3.0), 3, together=False)
@@ -146,10 +148,10 @@ def test_true_shaft_beyond_an_uneven_edge_does_not_cost_a_count(beyond: float) -
     theta = COUNT * np.where(ticks == 0, 7.0 - beyond, 7.0 + 3.0 * np.sin(ticks / 30.0) + 0.5)
     position = np.floor(theta / COUNT) + 100.0
     position[0] += np.sign(beyond)
-    silent = np.zeros(ticks.size)
+    silent, words = np.zeros(ticks.size), np.zeros(ticks.size, dtype=np.int64)
     recording = Recording(
-        **{name: silent for name in Recording.__dataclass_fields__ if name not in ("theta", "position")},
-        theta=theta,
-        position=position,
-    )
+        time=silent, position=position, position_ref=silent, speed_ref=silent, speed=silent, i_q_ref=silent, i_q=silent,
+        limits=words, faults=words, state=words, substate=words,
+        theta=theta, omega=silent, i_q_true=silent, torque=silent, u_dc=silent,
+    )  # fmt: skip
     assert np.all(np.abs(recording.shaft - position) <= 0.5 + abs(beyond) + 1e-9)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import random
 import sys
-from typing import Any
+from pathlib import Path
 
 import pytest
 from servo_twin.experiments.campaign_damage import NO_DAMAGE, Damage
 from servo_twin.experiments.campaign_motors import MOTORS, OTHERS, OWN, Motor
-from servo_twin.experiments.campaign_states import STATES
+from servo_twin.experiments.campaign_states import STATES, Bench, Script
 from servo_twin.experiments.fault_campaign import Trial, draw, judge, run_trial
 from servo_twin.experiments.rig import at_level
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
@@ -71,7 +72,7 @@ def test_a_fault_that_nobody_wants_is_noticed() -> None:
     """With the check switched off, the shaft goes on with a phase less."""
     trial = open_phase("PHASE_LOST")
 
-    def deaf(bench: Any, rng: Any) -> Any:
+    def deaf(bench: Bench, rng: random.Random) -> Script:
         script = trial.state.begin(bench, rng)
         bench.board.write("param.faults_enabled", [0, 0])
         return script
@@ -99,7 +100,7 @@ def test_a_configuration_survives_being_written() -> None:
     assert tomllib.loads(as_toml(table)) == table
 
 
-def test_a_configuration_that_cannot_work_is_refused(tmp_path: Any) -> None:
+def test_a_configuration_that_cannot_work_is_refused(tmp_path: Path) -> None:
     text = SERVO_TOML.read_text(encoding="utf-8").replace("pole_pairs = 2", "pole_pairs = -2")
     with pytest.raises(SimulationError, match=r"axis1\.motor\.pole_pairs = -2"):
         build_firmware(text, folder=tmp_path)

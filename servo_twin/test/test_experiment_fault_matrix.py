@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from servo_twin.board import Board
 from servo_twin.experiments import fault_matrix
 from servo_twin.experiments.fault_matrix import case, damages, judge
 from servo_twin.plant import PlantConfig
@@ -37,9 +38,9 @@ def test_a_fault_that_nobody_wants_is_noticed(monkeypatch: pytest.MonkeyPatch) -
     """With the check switched off, the shaft goes on with a phase less."""
     genuine = fault_matrix.STATES["100 rad/s"]
 
-    def deaf(board: object) -> None:
-        genuine(board)  # type: ignore[arg-type]
-        board.write("param.faults_enabled", [0, 0])  # type: ignore[attr-defined]
+    def deaf(board: Board) -> None:
+        genuine(board)
+        board.write("param.faults_enabled", [0, 0])
 
     monkeypatch.setattr(fault_matrix, "STATES", {"100 rad/s": deaf})
     found = case(PLANT, 7, DAMAGES["open phase b"], "100 rad/s")

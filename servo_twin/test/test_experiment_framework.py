@@ -133,9 +133,9 @@ class TestCommand:
                 assert plant.axes
                 return outcome(name, value * seed)
 
-            monkeypatch.setitem(EXPERIMENTS, name, Experiment(name, f"{name} things\nmore", run))  # type: ignore[arg-type]
+            monkeypatch.setitem(EXPERIMENTS, name, Experiment(name, f"{name} things\nmore", run))
         for name in set(EXPERIMENTS) - set(seen):
-            monkeypatch.delitem(EXPERIMENTS, name)  # type: ignore[arg-type]
+            monkeypatch.delitem(EXPERIMENTS, name)
 
     def test_exit_status_tells(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert cli.main(["experiment", "good"]) == 0
@@ -166,7 +166,7 @@ class TestCommand:
             with rig.fresh_board(plant, seed) as board:
                 return outcome("bad", float(board.level != (chosen or "registers")))
 
-        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))  # type: ignore[arg-type]
+        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))
         option = ["--level", chosen] if chosen else []
         assert cli.main(["experiment", "bad", *option, "--out", str(tmp_path)]) == 0
         assert {row["level"] for row in json.loads((tmp_path / "summary.json").read_text())} == {chosen or "registers"}
@@ -178,7 +178,7 @@ class TestCommand:
         def run(plant: PlantConfig, seed: int) -> Outcome:
             return outcome("bad", *([0.25] if rig.level() == "ideal" else [0.75, 0.5]))
 
-        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))  # type: ignore[arg-type]
+        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))
         assert cli.main(["experiment", "levels", "--out", str(tmp_path)]) == 1
         text = capsys.readouterr().out
         assert "2 of 3 figures agree at both levels" in text
@@ -214,7 +214,7 @@ class TestCommand:
         def run(plant: PlantConfig, seed: int) -> Outcome:
             raise SimulationError("axis1: no movement seen")
 
-        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))  # type: ignore[arg-type]
+        monkeypatch.setitem(EXPERIMENTS, "bad", Experiment("bad", "bad", run))
         assert cli.main(["experiment", "all", "--out", str(tmp_path)]) == 1
         assert "axis1: no movement seen" in capsys.readouterr().out
         rows = json.loads((tmp_path / "summary.json").read_text())

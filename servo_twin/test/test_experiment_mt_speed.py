@@ -24,7 +24,7 @@ def test_agrees_with_the_reference_design(plant: PlantConfig) -> None:
 
 
 def test_worked_example() -> None:
-    assert mt_speed.worked_example() == (1, Fraction(4, 5), Fraction(1, 2), Fraction(4, 11), Fraction(1, 3))
+    assert mt_speed.worked_example() == (Fraction(1), Fraction(4, 5), Fraction(1, 2), Fraction(4, 11), Fraction(1, 3))
     assert mt_speed.enhanced_factor(7, 7) == 1
 
 

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_twin.experiments import path_filter
 from servo_twin.experiments.rig import TICK, Recording
 from servo_twin.plant import PlantConfig
@@ -23,7 +24,7 @@ def test_agrees_with_the_reference_design() -> None:
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def wrong(recorded: tuple[Recording, float, int], path: np.ndarray) -> set[str]:
+def wrong(recorded: tuple[Recording, float, int], path: NDArray[np.float64]) -> set[str]:
     recording, speed, distance = recorded
     rows = path_filter.judge(dataclasses.replace(recording, position_ref=path), speed, distance, ABLE)
     return {row.name for row in rows if not row.agrees}
@@ -31,8 +32,8 @@ def wrong(recorded: tuple[Recording, float, int], path: np.ndarray) -> set[str]:
 
 def test_a_ramp_is_no_s_curve(recorded: tuple[Recording, float, int]) -> None:
     recording, speed, distance = recorded
-    ramp = np.round(np.minimum(speed * recording.time, distance))
-    assert "largest jump of the S curve's speed per slow loop" in wrong(recorded, ramp)
+    ramp: NDArray[np.float64] = np.minimum(speed * recording.time, distance)
+    assert "largest jump of the S curve's speed per slow loop" in wrong(recorded, np.round(ramp))
 
 
 def test_less_damping_is_noticed(recorded: tuple[Recording, float, int]) -> None:
@@ -44,6 +45,6 @@ def test_less_damping_is_noticed(recorded: tuple[Recording, float, int]) -> None
 
 @pytest.mark.parametrize("omega_n", [30.0, 100.0, 250.0])
 def test_fit(omega_n: float) -> None:
-    time = TICK * np.arange(2000)
+    time = TICK * np.arange(2000, dtype=np.float64)
     path = np.round(path_filter.analytic(time, 1e5, 0.4, omega_n))
     assert path_filter.fit_omega_n(time, path, 1e5, 0.4) == pytest.approx(omega_n, rel=1e-3)

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_twin.experiments import position
 from servo_twin.experiments.rig import TICK, Recording, spinning, watch
 from servo_twin.plant import PlantConfig
@@ -22,7 +23,7 @@ def still() -> Recording:
         return watch(board, [0], 2.0)[0]
 
 
-def moved(still: Recording, shape: np.ndarray) -> Recording:
+def moved(still: Recording, shape: NDArray[np.float64]) -> Recording:
     return dataclasses.replace(still, position=shape.astype(np.float64))
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_twin.experiments import load_step, minimum_speed, observer, stall, start_up
 from servo_twin.experiments.observer import Point
 from servo_twin.experiments.outcome import Outcome
@@ -34,7 +35,7 @@ def wrong(outcome: Outcome) -> list[str]:
     return [row.name for row in outcome.rows if not row.agrees]
 
 
-def trace(speed: np.ndarray[Any, np.dtype[np.float64]], **arrays: Any) -> Trace:
+def trace(speed: NDArray[np.float64], **arrays: Any) -> Trace:
     """A trace of an observed speed; the rest is still."""
     still = {name: np.zeros(speed.size) for name in Trace.__dataclass_fields__}
     time = TICK * np.arange(1, speed.size + 1)
@@ -71,7 +72,11 @@ def test_observer_notices_errors_and_a_compensation_that_does_nothing(
     monkeypatch.setattr(observer, "measure", shifted)
     monkeypatch.setattr(observer, "paper", lambda *_: 0.0)
     slow = (1.0 / 15.0,)
-    monkeypatch.setattr(observer, "_uncompensated", lambda *place: genuine(*place, slow, (0.5,))[slow[0], 0.5])
+
+    def uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:
+        return genuine(plant, seed, axis, slow, (0.5,))[slow[0], 0.5]
+
+    monkeypatch.setattr(observer, "_uncompensated", uncompensated)
     names = wrong(run(observer))
     assert any("largest mean error" in name for name in names)
     assert any("not made up over made up" in name for name in names)
@@ -117,6 +122,7 @@ def test_times_count_from_the_beginning_of_the_start_up() -> None:
     substates = np.array([1] * 10 + [5] * 100 + [3] * 50)
     angle = np.where(np.arange(160) < 70, 1.0, 0.1)
     found = examine(trace(np.zeros(160), substate=substates, angle=angle), 5, 3)
+    assert found.criterion is not None
     assert found.criterion == pytest.approx(100 * TICK)
     assert found.converged == pytest.approx(60 * TICK)
     assert found.criterion < CRITERION_MOST

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import supervision
+from servo_twin.experiments import rig, supervision
 from servo_twin.experiments.supervision import Bench
 from servo_twin.plant import PlantConfig
 
@@ -20,10 +20,8 @@ def test_agrees() -> None:
 
 
 def test_supervision_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    genuine = supervision.features
-
     def features(board: Board, axis: int, **switches: bool) -> None:
-        genuine(board, axis, **dict.fromkeys(switches, False))
+        rig.features(board, axis, **dict.fromkeys(switches, False))
 
     monkeypatch.setattr(supervision, "features", features)
     names = wrong()

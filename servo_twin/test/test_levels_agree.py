@@ -34,8 +34,8 @@ def test_experiments_agree(name: str) -> None:
 def test_a_search_on_a_stiff_shaft(level: Level) -> None:
     """Aligned to a phase's axis, the current of another one stays at zero to within rounding."""
     stiff = PLANT
-    for axis, entry in enumerate(PLANT.axes):
-        stiff = stiff.with_axis(axis, friction=3.0 * entry.friction)
+    for number, entry in enumerate(PLANT.axes):
+        stiff = stiff.with_axis(number, friction=3.0 * entry.friction)
     with at_level(level):
         for search, axis in zip(rotor_search.find(rotor_search.start_at(stiff, 90.0), 55), stiff.axes, strict=True):
             assert search.faults == frozenset()

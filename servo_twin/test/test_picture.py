@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_twin.view import scene
 from servo_twin.view.picture import draw, figure, main
 from servo_twin.view.recording import Recording, RecordingError
@@ -27,7 +28,7 @@ def _record(file: Path, *, twin: bool = True, samples: int = 1000) -> None:
     assert viewer.close()
 
 
-def _has(picture: np.ndarray, source: str) -> bool:
+def _has(picture: NDArray[np.floating], source: str) -> bool:
     """Whether the colour of a source is in a picture."""
     colour = np.array(scene.COLOURS[source]) / 255.0
     return bool((np.abs(picture[..., :3] - colour).max(axis=-1) < 0.06).sum() > 300)
@@ -47,16 +48,16 @@ def test_the_picture_shows_set_point_board_twin_and_residual(tmp_path: Path) -> 
 def test_curves_lie_at_their_times_in_turns_and_counts(tmp_path: Path) -> None:
     _record(tmp_path / "run.rrd")
     position, _, speed, _, residual, _ = figure(tmp_path / "run.rrd").axes
-    curves = {line.get_label(): line.get_xydata() for line in position.lines}
+    curves = {line.get_label(): np.asarray(line.get_xydata()) for line in position.lines}
     assert list(curves) == ["set-point", "board", "twin"]
     for name, lag in (("set-point", 0.0), ("board", 0.01), ("twin", 0.02)):
         times, turns = curves[name].T
         # Half of 5 turns in the middle of the move from 1 s to 3 s.
         assert np.interp(2.0 + lag, times, turns) == pytest.approx(2.5, abs=1e-3), name
-    board = speed.lines[1].get_xydata()
+    board = np.asarray(speed.lines[1].get_xydata())
     assert board[np.argmax(board[:, 1]), 0] == pytest.approx(2.01, abs=0.01)
     assert board[:, 1].max() == pytest.approx(10 * np.pi * 0.75, rel=1e-3)
-    assert set(np.round(residual.lines[0].get_ydata(), 6)) == {round(0.004 * 4000 / (2 * np.pi), 6)}
+    assert set(np.round(np.asarray(residual.lines[0].get_ydata()), 6)) == {round(0.004 * 4000 / (2 * np.pi), 6)}
     # From a little before the first movement to a little after the last.
     assert position.get_xlim() == pytest.approx((0.51, 3.5), abs=0.05)
 

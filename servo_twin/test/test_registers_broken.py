@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board, ChipError
 from servo_twin.experiments.named_faults import faults
 from servo_twin.simulation import enable
@@ -146,10 +147,10 @@ def test_late_trigger_leaves_m1_without_results(board: Board) -> None:
 
 
 def test_early_interrupt_leaves_m1_without_results(board: Board) -> None:
-    tick = board.read("tick")
+    (tick,) = board.read_raw("tick")
     poke_pwm(board, PWMA, 1, VAL5, -HALF + 100)
     board.run(0.02)
-    assert board.read("tick") <= tick + 8
+    assert board.read_raw("tick")[0] <= tick + 8
     assert resets_by_watchdog(board)
 
 
@@ -299,11 +300,11 @@ def test_fault_level(board: Board) -> None:
 
 def lost(board: Board, seconds: float) -> float:
     """Counts by which axis 1 falls behind its shaft."""
-    position, theta = float(board.read("axis1.position")), board.truth(0).theta_m
+    (position,), theta = numbers(board.read("axis1.position")), board.truth(0).theta_m
     board.run(seconds)
     count = 2.0 * np.pi / 4000.0
     moved = board.truth(0).theta_m - theta
-    return float((moved - (float(board.read("axis1.position")) - position)) / count)
+    return float((moved - (numbers(board.read("axis1.position"))[0] - position)) / count)
 
 
 @pytest.mark.parametrize(("speed", "comp1", "comp2"), [(100.0, 0x0F9E, 0xF061), (-100.0, 0x0F9F, 0xF062)])
@@ -338,7 +339,7 @@ def test_index_that_is_never_cleared_stops_after_one(spinning: Board) -> None:
 def test_time_stamps_at_twice_the_clock_halve_the_speed(spinning: Board) -> None:
     spinning.poke(TMRA + 0x16, 0x3C80)
     spinning.run(0.01)
-    assert float(spinning.read("axis1.speed")) == pytest.approx(0.5 * spinning.truth(0).omega_m, rel=0.2)
+    assert spinning.read("axis1.speed") == pytest.approx(0.5 * spinning.truth(0).omega_m, rel=0.2)
 
 
 def test_without_reload_on_capture_a_slow_shaft_seems_slower(spinning: Board) -> None:

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board
+from servo_twin.level import Level
 from servo_twin.simulation import enable
 
 PERIOD_NS = 62_500
@@ -75,8 +77,8 @@ def test_both_loops_end_before_their_duties_are_loaded(holding: Board) -> None:
 # ---- moves ----------------------------------------------------------------------------------------------------------
 
 
-def travel(level: str) -> NDArray[np.void]:
-    with Board(seed=7, level=level) as board:  # type: ignore[arg-type]
+def travel(level: Level) -> NDArray[np.void]:
+    with Board(seed=7, level=level) as board:
         board.run(0.05)
         board.write("cmd.enable", [1, 1])
         board.run(0.85)
@@ -113,7 +115,7 @@ def test_measured_current_is_the_mean_current(holding: Board, speed: float) -> N
     measured, true = [], []
     for _ in range(500):
         holding.advance(holding.time_ns + 3 * PERIOD_NS + 1710)
-        measured.append([float(holding.read(f"axis{n}.i_q")) for n in (1, 2)])
+        measured.append([numbers(holding.read(f"axis{n}.i_q"))[0] for n in (1, 2)])
         true.append([holding.truth(axis).i_q for axis in (0, 1)])
     assert np.mean(measured, axis=0) == pytest.approx(np.mean(true, axis=0), abs=0.007)
 
@@ -121,12 +123,12 @@ def test_measured_current_is_the_mean_current(holding: Board, speed: float) -> N
 def test_position_is_that_of_the_shaft(holding: Board) -> None:
     holding.write("cmd.mode", [1, 1])
     holding.write("cmd.speed", [200.0, -150.0])
-    before = [(float(holding.read(f"axis{n}.position")), holding.truth(n - 1).theta_m) for n in (1, 2)]
+    before = [(numbers(holding.read(f"axis{n}.position"))[0], holding.truth(n - 1).theta_m) for n in (1, 2)]
     holding.run(0.7)
     holding.write("cmd.speed", [0.0, 0.0])
     holding.run(0.4)
     for n, (position, theta) in zip((1, 2), before, strict=True):
-        moved = float(holding.read(f"axis{n}.position")) - position
+        moved = numbers(holding.read(f"axis{n}.position"))[0] - position
         assert abs(moved) > 60.0
         assert moved == pytest.approx(holding.truth(n - 1).theta_m - theta, abs=3 * COUNT)
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board
 from servo_twin.experiments import named_faults
 from servo_twin.experiments.rig import RPM, TICK_NS, choose_mode, features, set_axis
@@ -73,7 +74,8 @@ def angle_errors(board: Board, ticks: int, axis: int = 0) -> NDArray[np.float64]
         theta = board.read(f"axis{axis + 1}.theta_e")
         assert isinstance(theta, float)
         errors.append(math.remainder(theta - PAIRS * (truth.theta_m - late), 2.0 * math.pi))
-    return np.degrees(np.array(errors))
+    in_degrees: NDArray[np.float64] = np.degrees(np.array(errors))
+    return in_degrees
 
 
 @pytest.fixture
@@ -377,10 +379,11 @@ def test_observer_agrees_with_the_encoder() -> None:
         for speed in (50.0, -150.0, 300.0):
             set_axis(board, "cmd.speed", 0, speed)
             board.run(0.4)
-            angles, speeds = [], []
+            angles: list[float] = []
+            speeds: list[float] = []
             for _ in range(100):
                 board.advance(board.time_ns + TICK_NS)
-                speeds.append(board.read("axis1.estimate_speed"))
+                speeds += numbers(board.read("axis1.estimate_speed"))
                 seen, encoder = board.read("axis1.estimate_theta_e"), board.read("axis1.theta_e")
                 assert isinstance(seen, float)
                 assert isinstance(encoder, float)

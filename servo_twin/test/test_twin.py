@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
@@ -407,7 +408,7 @@ class TestLongUp:
         frame = (1 << 32) * COUNT
         original = rig.twin.samples
 
-        def shifted(columns: list[str], table: np.ndarray) -> None:  # type: ignore[type-arg]
+        def shifted(columns: list[str], table: NDArray[np.float64]) -> None:
             for name in ("axis1.position", "axis1.position_ref"):
                 table[:, columns.index(name)] += frame
             original(columns, table)
@@ -463,7 +464,7 @@ def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> N
 def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
     rig.up()
     step = rig.twin.step
-    rig.twin.step = lambda most=64: []  # type: ignore[method-assign, misc]
+    rig.twin.step = lambda most=64: []  # type: ignore[method-assign]
     rig.write("cmd.mode", [1, 1])
     rig.run(0.3)
     rig.twin.step = step  # type: ignore[method-assign]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
@@ -55,8 +56,7 @@ class TestLedger:
         assert ledger.add(command(80))
         assert not ledger.add(command(80))
         ledger.settle(96, 1)
-        assert not ledger.from_reset
-        assert ledger.until(96) == []
+        assert (ledger.from_reset, ledger.until(96)) == (False, [])
         assert not ledger.add(command(96))
         assert ledger.missing(800, 80, 1) == 0
         assert ledger.add(command(104))
@@ -95,7 +95,7 @@ class TestSamples:
         assert activity(label) is kind
 
     @staticmethod
-    def row(**values: float) -> np.ndarray:  # type: ignore[type-arg]
+    def row(**values: float) -> NDArray[np.float64]:
         return np.array([[values.get(name.replace(".", "_"), 0.0) for name in COLUMNS]])
 
     def test_reads_counts_states_and_stamps(self) -> None:

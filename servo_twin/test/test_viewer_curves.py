@@ -32,7 +32,7 @@ def test_silence_breaks_a_curve_even_between_two_writes(later: float) -> None:
 @pytest.mark.parametrize("chunk", [1, 7, 1000])
 def test_a_hand_moves_thirty_times_a_second_however_the_rows_arrive(chunk: int) -> None:
     hand = Hand()
-    times = np.arange(1000) * 0.002
+    times = np.arange(1000, dtype=np.float64) * 0.002
     for first in range(0, 1000, chunk):
         part = times[first : first + chunk]
         hand.add(part, 10.0 * part)

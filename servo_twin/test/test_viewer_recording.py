@@ -147,7 +147,8 @@ def test_states_and_faults_are_told_at_their_tick_with_cause_and_remedy(record: 
     assert fault[0] == pytest.approx(2.4)
     assert flag.name in fault[1]
     assert flag.remedy in fault[1]
-    assert (pytest.approx(2.8), f"axis2: {flag.name} cleared") in lines
+    cleared = [moment for moment, text in lines if text == f"axis2: {flag.name} cleared"]
+    assert cleared == pytest.approx([2.8])
     levels = dict(read_texts(file, "/log/axis2", "TextLog:level"))
     assert "ERROR" in levels.values()
     assert [text for _, text in read_texts(file, "/log/axis1")] == ["axis1: STOP", "axis1: STOP -> RUN/SPIN"]
