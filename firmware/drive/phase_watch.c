@@ -67,12 +67,13 @@ static bool frozen(const phase_watch_t *w, uint16_t x, uint16_t least)
     return w->same[x] >= least && others_noisy(w, x);
 }
 
-/* Something looks wrong already: what seems to be a fault of the motor may be one of its measurement. */
+/* Something looks wrong already: what seems to be a fault of the motor may be one of its measurement. A single sample may be
+ * false without that: its high side has begun with the duty of the period before. */
 static bool doubtful(const phase_watch_t *w)
 {
     bool doubt = false;
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
-        doubt = doubt || w->wrong[x] > 0U || frozen(w, x, SAME_SUSPECT);
+        doubt = doubt || w->wrong[x] > 1U || frozen(w, x, SAME_SUSPECT);
     }
     return doubt;
 }
@@ -219,13 +220,31 @@ static void note_nothing(phase_watch_t *w, bool nothing, bool missed)
     }
 }
 
-/* Current is asked of a phase, the others have some, it has none. */
-static void compare(phase_watch_t *w, int32_t silent, const phases_t *is, const phases_t *wanted)
+/* A set-point that has only just turned round, the current need not follow yet. */
+static bool goes_on(phase_watch_t *w, frac16_t i_q)
 {
+    const bool same = (i_q < 0) == (w->wanted < 0);
+    w->wanted = i_q;
+    return same;
+}
+
+static int32_t largest_of(const phases_t *x) { return larger(larger(x->phase[0], x->phase[1]), x->phase[2]); }
+
+/* Current is asked of a phase, the others have some, it has none: less than is certain, or next to nothing of what the
+ * others have, instead of half. */
+static void compare(phase_watch_t *w, const phase_watch_config_t *config, const phases_t *is, const phases_t *wanted)
+{
+    const int32_t silent = config->silent;
+    const int32_t most = largest_of(is);
+    const int32_t most_wanted = largest_of(wanted);
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
-        if (is->phase[x] < silent && wanted->phase[x] > 2 * silent) {
+        const bool less = is->phase[x] < silent && most > 2 * silent && wanted->phase[x] > 2 * silent;
+        const bool hardly = 8 * is->phase[x] < most && wanted->phase[x] > larger(silent, most_wanted / 2);
+        if (less || hardly) {
             w->silent[x]++;
             w->lost = w->lost || w->silent[x] >= SILENT_TICKS;
+        } else if (4 * is->phase[x] >= most) {
+            w->silent[x] = 0;
         }
     }
 }
@@ -236,7 +255,7 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
     const phase_watch_config_t *config = &axis->config->phases;
     const sin_cos_t at = sin_cos(theta_e);
     const phases_t is = sizes(axis->current_loop.current, at);
-    const int32_t largest = larger(larger(is.phase[0], is.phase[1]), is.phase[2]);
+    const int32_t largest = largest_of(&is);
     const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)theta_e >> 13));
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
         if (is.phase[x] >= config->silent) {
@@ -247,9 +266,9 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
             note_silence(w, config, x, is.phase[x], largest, bit);
         }
     }
-    if (largest > 2 * (int32_t)config->silent) {
+    if (goes_on(w, axis->current_ref.q) && largest > config->least) {
         const phases_t wanted = sizes(axis->current_ref, at);
-        compare(w, config->silent, &is, &wanted);
+        compare(w, config, &is, &wanted);
     }
     w->faint = (uint16_t)(w->faint + ((largest > config->least) ? 0U : 1U));
     forget(w);

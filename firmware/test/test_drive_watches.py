@@ -127,6 +127,29 @@ def test_voltage_without_current_is_a_lost_phase_unless_nobody_wants_to_know(ben
     assert place(bench)[1] == PHASE_LOST
 
 
+def without_current(bench: Bench) -> None:
+    bench.to_spin(0)
+    bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~ENCODER_LOST
+    bench.write(0, mode=SPEED, speed=speed(100.0))
+
+
+@pytest.mark.parametrize(("codes", "fault"), [(1, PHASE_LOST), (3, CURRENT_SENSE)])
+def test_a_single_code_makes_no_converter_doubtful(core: Core, codes: int, fault: int) -> None:
+    """The last ones before the phase is named are off their offset."""
+    sound, bench = Bench(core), Bench(core)
+    without_current(sound)
+    ticks = 0
+    while sound.view(0).state != FAULT:
+        sound.slow()
+        ticks += 1
+        assert ticks < 400
+    without_current(bench)
+    bench.slow(ticks - codes)
+    bench.hal.axis[0].offset_code = [2100, 2100, 2100]
+    bench.slow(codes)
+    assert place(bench)[1] == fault
+
+
 def test_a_count_that_goes_back_and_forth_is_a_dead_line(bench: Bench) -> None:
     bench.to_stop()
     for k in range(80):
