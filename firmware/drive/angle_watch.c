@@ -26,7 +26,8 @@ static void filter(axis_t *axis, int32_t emf)
 }
 
 /* What dead time, a quarter of the inductance, a change of the current, and half of the back-EMF that is expected account
- * for: 29 degrees of it, or its size. Along the current half of the resistance may be added; much more is no back-EMF. */
+ * for: 29 degrees of it, or its size. Along the current half of the resistance may be added; much more is no back-EMF. Of a
+ * small current neither the direction is certain nor what a dead time does to it. */
 static bool contradicts(const axis_t *axis, int32_t size, int32_t changed, int32_t emf)
 {
     const phase_watch_config_t *config = &axis->config->phases;
@@ -34,11 +35,20 @@ static bool contradicts(const axis_t *axis, int32_t size, int32_t changed, int32
     const dq_t beyond = axis->angle_watch.beyond;
     const int32_t omega = i32_abs(f16_from_f32(axis->current_loop.omega_e));
     const int32_t turned = i32_gain(asr32(omega * size, 15), axis->config->current_loop.omega_l_q);
-    const int32_t known = sat16(config->emf_floor / 4 + turned / 4 + i32_gain(changed, config->inductance) + emf / 2);
+    const bool certain = size >= 2 * (int32_t)config->silent;
+    const int32_t lost = certain ? config->emf_floor / 4 : 2 * (int32_t)config->emf_floor;
+    const int32_t known = sat16(lost + turned / 4 + i32_gain(changed, config->inductance) + emf / 2);
     const int32_t drop = i32_gain(size, config->resistance) / 2;
     const int32_t length = length_about(beyond.d, beyond.q);
     const int32_t across = i32_abs(asr32((int32_t)beyond.d * i.q, 1) - asr32((int32_t)beyond.q * i.d, 1));
-    return length < known + drop + EMF_OVER_SIZE * emf && (length > known + drop || across > asr32(known * size, 1));
+    return length < known + drop + EMF_OVER_SIZE * emf &&
+           (length > known + drop || (certain && across > asr32(known * size, 1)));
+}
+
+/* Where the encoder has it. */
+static int32_t emf_of(const axis_t *axis)
+{
+    return i32_gain(f16_from_f32(axis->current_loop.omega_e), axis->config->current_loop.omega_psi);
 }
 
 fault_set_t angle_watch_step(axis_t *axis)
@@ -49,13 +59,13 @@ fault_set_t angle_watch_step(axis_t *axis)
     const bool moves = axis->encoder_watch.calm == 0U; /* else it is the count that is in doubt */
     const int32_t size = (moves && (axis->features & NEEDED) == NEEDED) ? length_about(i.d, i.q) : 0;
     watch->current = i;
-    if (size < 2 * (int32_t)axis->config->phases.silent) {
+    if (size < (int32_t)axis->config->phases.silent) {
         watch->beyond = (dq_t){0, 0};
         watch->ticks = 0;
         return 0;
     }
     const int32_t changed = length_about(f16_sub(i.d, before.d), f16_sub(i.q, before.q));
-    const int32_t emf = i32_gain(f16_from_f32(axis->current_loop.omega_e), axis->config->current_loop.omega_psi);
+    const int32_t emf = emf_of(axis);
     filter(axis, emf);
     if (i32_abs(emf) > axis->config->phases.emf_floor / 4 && contradicts(axis, size, changed, i32_abs(emf))) {
         watch->ticks++;
@@ -66,5 +76,13 @@ fault_set_t angle_watch_step(axis_t *axis)
         phase_watch_forget_currents(&axis->phases);
     }
     const bool lasts = watch->ticks > TICKS_MOST && phase_watch_all_carry(&axis->phases);
-    return lasts ? phase_watch_rather(axis, FAULT_ANGLE_MISMATCH) : 0U;
+    return lasts ? phase_watch_or(&axis->phases, FAULT_ANGLE_MISMATCH) : 0U;
+}
+
+fault_set_t angle_watch_rather(const axis_t *axis, fault_set_t fault)
+{
+    const dq_t beyond = axis->angle_watch.beyond;
+    const bool elsewhere =
+        length_about(beyond.d, beyond.q) > i32_abs(emf_of(axis)) + axis->config->phases.emf_floor / 4;
+    return (elsewhere && (axis->faults_enabled & FAULT_ANGLE_MISMATCH) != 0U) ? FAULT_ANGLE_MISMATCH : fault;
 }

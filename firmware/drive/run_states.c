@@ -286,12 +286,15 @@ static void spin_slow(axis_t *axis)
         axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
         axis->current_loop.limited = false;
     }
-    const fault_set_t faults = supervision_step(axis) & axis->faults_enabled;
+    fault_set_t faults = supervision_step(axis) & axis->faults_enabled;
     if (faults == FAULT_STALLED && axis->requested && !axis->sensorless) {
         spin_align(axis);
         return;
     }
-    axis_raise(axis, (faults == FAULT_RUNAWAY) ? phase_watch_rather(axis, FAULT_RUNAWAY) : faults);
+    if (faults == FAULT_RUNAWAY) {
+        faults = phase_watch_rather(axis, angle_watch_rather(axis, faults));
+    }
+    axis_raise(axis, faults);
     if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
         bring_to_rest(axis);
     }
