@@ -33,7 +33,7 @@ static bool chatters(encoder_watch_t *w, int32_t moved)
     if (w->window < WINDOW) {
         return false;
     }
-    w->windows = (w->toggles >= TOGGLES_LEAST && !w->hunts) ? (uint16_t)(w->windows + 1U) : 0U;
+    w->windows = (w->toggles >= TOGGLES_LEAST && !w->hunts) ? (uint8_t)(w->windows + 1U) : 0U;
     w->hunts = false;
     w->window = 0;
     w->toggles = 0;
@@ -71,14 +71,16 @@ static frac16_t drop(frac16_t current, gain_t resistance)
     return f16_from_f32(f32_gain(f32_from_f16(current), resistance));
 }
 
-/* Voltage that the current does not need. */
-static dq_t unexplained(const axis_t *axis)
+/* Voltage that the current does not need, without half of its noise: that of a current sample, times the controllers' gain,
+ * is as large as the back-EMF looked for. */
+static void note_unexplained(axis_t *axis)
 {
     const gain_t resistance = axis->config->phases.resistance;
     const dq_t u = axis->current_loop.voltage;
     const dq_t i = axis->current_loop.current;
-    const dq_t rest = {f16_sub(u.d, drop(i.d, resistance)), f16_sub(u.q, drop(i.q, resistance))};
-    return rest;
+    dq_t *rest = &axis->encoder_watch.rest;
+    rest->d = sat16(asr32((int32_t)rest->d + u.d - drop(i.d, resistance), 1));
+    rest->q = sat16(asr32((int32_t)rest->q + u.q - drop(i.q, resistance), 1));
 }
 
 /* Half of the resistance's voltage. */
@@ -99,20 +101,28 @@ static int32_t tolerated(const axis_t *axis)
 
 /* What the controllers add up for a current that does not flow turns, too, but more slowly than a rotor with a back-EMF of
  * that size. `beyond`: more than other reasons may account for. */
-static void note_voltage(encoder_watch_t *w, dq_t voltage, int32_t beyond, int32_t turn_per_voltage)
+static void note_voltage(encoder_watch_t *w, dq_t voltage, int32_t beyond, int32_t turn_per_voltage, bool flows)
 {
     const bool rigid = !w->turned && w->swept > SWEPT_MOST;
     if (w->turning == 0U || rigid) {
         w->emf = voltage;
         w->swept = 0;
         w->turned = false;
+        w->idle = 0;
         w->rigid = rigid || (w->turning > 0U && w->rigid);
     }
     w->swept += (uint32_t)asr64((int64_t)beyond * turn_per_voltage, 15);
     const int32_t along = asr32((int32_t)voltage.d * w->emf.d, 1) + asr32((int32_t)voltage.q * w->emf.q, 1);
     const int32_t across = asr32((int32_t)voltage.d * w->emf.q, 1) - asr32((int32_t)voltage.q * w->emf.d, 1);
     w->turned = w->turned || along < across || along < -across; /* more than an eighth of a turn */
+    w->idle = (uint16_t)(w->idle + (flows ? 0U : 1U));
     w->turning++;
+}
+
+static bool current_flows(const axis_t *axis)
+{
+    const dq_t i = axis->current_loop.current;
+    return length_about(i.d, i.q) >= 2 * (int32_t)axis->config->phases.silent;
 }
 
 static frac16_t asked(const axis_t *axis)
@@ -132,15 +142,14 @@ static frac16_t current_along(const axis_t *axis)
     return axis->encoder_watch.along_q ? axis->current_loop.current.q : axis->current_loop.current.d;
 }
 
-/* The voltage turns like a back-EMF. Where hardly any current flows, or the voltage has stood before for longer than a
- * back-EMF does, it may be what the controllers add up in vain: then a current is asked for, where most of the voltage is,
- * for as long as they take. */
+/* The voltage turns like a back-EMF. Where hardly any current flows, or flowed while it did, or the voltage has stood before
+ * for longer than a back-EMF does, it may be what the controllers add up in vain: then a current is asked for, where most
+ * of the voltage is, for as long as they take. */
 static fault_set_t lost(axis_t *axis, dq_t voltage)
 {
     encoder_watch_t *w = &axis->encoder_watch;
-    const dq_t i = axis->current_loop.current;
     if (w->asking == 0U) {
-        if (!w->rigid && length_about(i.d, i.q) >= 2 * (int32_t)axis->config->phases.silent) {
+        if (!w->rigid && 2U * w->idle <= w->turning && current_flows(axis)) {
             return phase_watch_rather(axis, FAULT_ENCODER_LOST);
         }
         w->along_q = f16_abs(voltage.q) > f16_abs(voltage.d);
@@ -195,7 +204,7 @@ static fault_set_t probe(axis_t *axis)
     }
     const bool flows = 4 * (int32_t)current_along(axis) >= 3 * (int32_t)asked(axis);
     const int32_t swing = length_about(held.d - w->emf.d, held.q - w->emf.q);
-    w->swings = (flows && swing > (int32_t)axis->config->phases.emf_floor / 2) ? (uint16_t)(w->swings + 1U) : 0U;
+    w->swings = (flows && swing > (int32_t)axis->config->phases.emf_floor / 2) ? (uint8_t)(w->swings + 1U) : 0U;
     const bool turns = w->swings >= SWINGS_MOST;
     const bool changed = f16_abs(f16_sub(axis->current_ref.q, w->held)) > axis->config->phases.silent / 2;
     if (turns || changed || w->probing > PROBE_TICKS) {
@@ -218,11 +227,14 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
     if (w->probing > 0U || doubts(axis)) {
         return probe(axis);
     }
-    const dq_t voltage = unexplained(axis);
+    if (!stepped) {
+        note_unexplained(axis);
+    }
+    const dq_t voltage = w->rest;
     const int32_t size = length_about(voltage.d, voltage.q);
     const int32_t beyond = size - tolerated(axis);
     if (beyond > 0 && !stepped) {
-        note_voltage(w, voltage, beyond, axis->config->phases.turn_per_voltage);
+        note_voltage(w, voltage, beyond, axis->config->phases.turn_per_voltage, current_flows(axis));
     } else if (beyond <= 0 && w->turning > 0U) {
         w->turning--;
     }

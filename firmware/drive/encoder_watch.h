@@ -20,22 +20,24 @@ typedef struct {
     uint16_t toggles; /* .. and those in which the count has changed */
     int32_t toggled;  /* way of the last change .. */
     bool hunts;       /* .. and one of this window was not its opposite */
-    uint16_t windows; /* windows in a row with more changes than a resting shaft makes */
+    uint8_t windows;  /* windows in a row with more changes than a resting shaft makes */
     uint16_t pace;    /* counts of the last tick that moved the shaft, a part of which it may have stood .. */
     uint16_t earlier; /* .. and of the one before */
     bool sudden;      /* it has come to rest at once */
     frac16_t wanted;  /* i_q* of the last tick */
+    dq_t rest;        /* voltage that the current does not need, of late */
     uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
     uint16_t in_vain; /* slow ticks of much of it */
-    uint16_t asking;  /* slow ticks for which a current has been asked to see whether any flows .. */
+    uint8_t asking;   /* slow ticks for which a current has been asked to see whether any flows .. */
     bool along_q;     /* .. in this direction .. */
     frac16_t before;  /* .. in which this has flowed before */
     uint16_t probing; /* slow ticks for which one has been sent to see whether the voltage stays .. */
     frac16_t held;    /* .. with an i_q* that does .. */
-    uint16_t swings;  /* .. and of late has not */
+    uint8_t swings;   /* .. and of late has not */
     dq_t emf;         /* that voltage at first .. */
     uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
     bool turned;      /* .. and it has pointed elsewhere */
+    uint16_t idle;    /* slow ticks of `turning` without current */
     bool rigid;       /* it has not for longer than that */
 } encoder_watch_t;
 
