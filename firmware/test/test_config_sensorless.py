@@ -266,6 +266,18 @@ def test_a_back_emf_too_small_to_tell_of_the_speed_is_found() -> None:
     assert not any("pll_size" in finding for finding in findings(cured, assess(cured)))
 
 
+def test_a_minimum_speed_that_dead_time_looks_like_is_found() -> None:
+    """The same 43.7 rad/s where the start-up is content with 4 % of the limit."""
+    it = axis(**LITTLE_FLUX)
+    assert it.sensorless.start_up.minimum_speed == pytest.approx(0.04 * it.axis("limits.speed"))
+    found = [finding for finding in findings(it, assess(it)) if "minimum_speed" in finding]
+    assert len(found) == 1
+    part = 43.75 / it.axis("limits.speed") / 0.68
+    assert f"look like 43.7 rad/s without an encoder; write some {part:.2g}" in found[0]
+    cured = axis(**LITTLE_FLUX, axis1__start_up__minimum_speed=part, axis1__start_up__speed_final=0.4)
+    assert not any("minimum_speed" in finding for finding in findings(cured, assess(cured)))
+
+
 def test_pole_that_turns_with_the_frame_has_no_partner() -> None:
     assert not pole_of(complex(0.9), T).pair
 

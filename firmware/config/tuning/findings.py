@@ -48,6 +48,13 @@ believed."""
 SIZE: Final = 2.0
 """What may be written without trying."""
 
+UNEXPLAINED_MOST: Final = 1.25
+"""That speed over `start_up.minimum_speed`. On the switching plant a tiny motor was always lost at 2.7; heavier ones
+were not at 1.1."""
+
+UNEXPLAINED: Final = 0.68
+"""What may be written without trying: the tiny one was not lost either."""
+
 FOLLOWS_LEAST: Final = 0.03
 """Mean voltage that tells a rotor that follows the search's turn from one that is held [V]. On the switching plant
 0.019 V were lost in drops and dead time, 0.036 V were not."""
@@ -177,6 +184,9 @@ def _back_emf(it: Tuned, found: SensorlessFigures) -> Iterator[str]:
     if it.axis("observer.pll_size") * part > SIZE_MOST:
         what = f"dead time and switches make the back-EMF look like {found.unexplained_speed:.3g} rad/s more or less"
         yield f"{_entry(it, 'observer.pll_size')}: {what}; write some {SIZE / part:.2g}"
+    if found.unexplained_speed > UNEXPLAINED_MOST * it.sensorless.start_up.minimum_speed:
+        what = f"dead time and switches look like {found.unexplained_speed:.3g} rad/s without an encoder"
+        yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; write some {part / UNEXPLAINED:.2g}"
 
 
 def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
