@@ -8,10 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from servo_twin.experiments.campaign_damage import NO_DAMAGE, Damage
+from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, Damage, Seen, Where
 from servo_twin.experiments.campaign_motors import MOTORS, OTHERS, OWN, Motor
 from servo_twin.experiments.campaign_states import STATES, Bench, Script
-from servo_twin.experiments.fault_campaign import Trial, draw, judge, run_trial
+from servo_twin.experiments.fault_campaign import Result, Trial, draw, judge, run_trial
+from servo_twin.experiments.named_faults import NOTHING
 from servo_twin.experiments.rig import at_level
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 from servo_twin.harm import OpenPhase
@@ -59,6 +60,43 @@ def test_a_shaft_that_comes_to_rest_is_not_taken_for_one_that_turns(motor: str, 
     assert not result.lost, str(result)
 
 
+def slip(state: str, rng: random.Random) -> Damage:
+    make, observed = DAMAGES["encoder slips"]
+    assert not observed
+    return make(rng, Where(PLANT, 0, STATES[state]))
+
+
+def test_what_a_slip_may_be_called() -> None:
+    """The same slips before the rotor has been found, and afterwards."""
+    rng, again = random.Random(3), random.Random(3)
+    seen = Seen(24.0, 24.0)
+    large = 0
+    for _ in range(50):
+        early, late = slip("stop", rng), slip("high speed", again)
+        assert early.text == late.text
+        assert early.names(seen) == (NOTHING,)
+        large += late.shows
+        assert late.names(seen) == (("ANGLE_MISMATCH",) if late.shows else (NOTHING, "ANGLE_MISMATCH"))
+    assert 20 < large < 45  # of 30 to 180 degrees, what is beyond 90
+
+
+@pytest.mark.parametrize("state", ["hold", "high speed", "reversal"])
+def test_a_slip_has_its_name(state: str) -> None:
+    rng = random.Random(f"slip {state}")
+    damage = slip(state, rng)
+    while not damage.shows:
+        damage = slip(state, rng)
+    result = run_trial(Trial(1, 0, Motor.of("axis1", PLANT), STATES[state], damage, PLANT))
+    assert not result.lost, str(result)
+    assert result.name == "ANGLE_MISMATCH"
+
+
+def test_no_speed_below_that_at_which_the_start_up_gives_up() -> None:
+    """0.04 of the limit in the defaults, 0.16 for the tiny motor."""
+    assert Motor.of("axis1", PLANT).slowest == pytest.approx(1.1 * 0.04)
+    assert Motor.of("fast", PLANT).slowest == pytest.approx(1.1 * 0.16)
+
+
 def test_a_wrong_name_is_a_lost_trial() -> None:
     right, wrong = run_trial(open_phase("PHASE_LOST")), run_trial(open_phase("ENCODER_LOST"))
     assert (right.name, right.lost) == ("PHASE_LOST", False)
@@ -86,6 +124,14 @@ def test_a_trial_follows_from_its_number() -> None:
     one, again, another = (draw(PLANT, 1, number) for number in (7, 7, 8))
     assert (one.motor, one.plant, one.damage.text) == (again.motor, again.plant, again.damage.text)
     assert one.plant != another.plant
+
+
+def test_a_trial_says_what_replays_it() -> None:
+    """Other motors to choose from make it another trial."""
+    result = Result(draw(PLANT, 1, 7), NOTHING, (), None, 0.0, 0.0, ())
+    assert str(result).startswith("--seed 1 --trial 7: ")
+    among = dataclasses.replace(result, trial=draw(PLANT, 1, 7, OWN))
+    assert str(among).startswith("--seed 1 --trial 7 --motors axis1 axis2: ")
 
 
 def test_motors_differ_and_are_known_by_name() -> None:

@@ -20,6 +20,7 @@ from servo_twin.harm import (
     LockedRotor,
     OpenPhase,
     ShortedPhase,
+    SlippedEncoder,
     StalledCore,
     StuckConverter,
     StuckLine,
@@ -35,6 +36,8 @@ NO_DAMAGE: Final = "no damage"
 UNDER, OVER = 16.0, 33.0  # limits of the bus in servo.toml [V]
 NEAR: Final = 0.5  # noise and filter leave it open on which side of them the bus was [V]
 WATCHDOG: Final = 0.05  # s
+SLIP_LEAST: Final = 30.0  # electrical [deg]
+SLIP_NAMED: Final = 90.0  # from here on the torque acts the other way [deg]
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,22 @@ def _plug(rng: random.Random, at: Where) -> Damage:
     )
 
 
+def _slip(rng: random.Random, at: Where) -> Damage:
+    """Before the rotor is looked for it means nothing; afterwards a small one leaves a part of the torque."""
+    motor = at.plant.axes[at.axis]
+    degrees = rng.choice((-1.0, 1.0)) * rng.uniform(SLIP_LEAST, 180.0)
+    slip = SlippedEncoder(at.axis, round(degrees / 360.0 * 4 * motor.encoder_lines / motor.pole_pairs))
+    if not at.state.calibrated:
+        names: tuple[str, ...] = (NOTHING,)
+    elif not at.state.aligned:
+        names = (NOTHING, "ANGLE_MISMATCH", "ROTOR_SEARCH")
+    elif abs(degrees) < SLIP_NAMED:
+        names = (NOTHING, "ANGLE_MISMATCH")
+    else:
+        names = ("ANGLE_MISMATCH",)
+    return _harm("encoder slips", slip, *names)
+
+
 def _held(rng: random.Random, at: Where) -> Damage:
     # In motion, during the search; without an encoder: where the observer had it, or where it was to be started.
     names = ("SPEED_FEEDBACK", "START_UP") if at.state.sensorless else ("STALLED", "ROTOR_SEARCH")
@@ -196,6 +215,7 @@ DAMAGES: Final[Mapping[str, tuple[Callable[[random.Random, Where], Damage], bool
     "converter stuck": (_converter, True),
     "encoder line": (_line, False),
     "encoder plug": (_plug, False),
+    "encoder slips": (_slip, False),
     "rotor held": (_held, True),
     "supply dip": (_dip, True),
     "supply surge": (_surge, True),

@@ -42,6 +42,9 @@ MOTORS: Final = OWN + OTHERS
 OBSERVED_LEAST: Final = 0.2
 """Part of the speed limit from which on an axis without an encoder has to bear its full current."""
 
+SLOWEST: Final = 1.1
+"""Slowest speed without an encoder, over the one at which the start-up gives the axis up."""
+
 DEVIATION: Final[Mapping[str, tuple[float, float]]] = {
     "r_s": (0.9, 1.25),  # a warm winding has a quarter more
     "l_d": (0.85, 1.15),
@@ -107,6 +110,13 @@ class Motor:
         motor, limits = self.believed, _TABLES[self.name]["limits"]
         unknown = (DEVIATION["r_s"][1] - 1.0) * motor.r_s * float(limits["current"])
         return motor.pole_pairs * motor.psi_m * OBSERVED_LEAST * float(limits["speed"]) > unknown
+
+    @property
+    def slowest(self) -> float:
+        """Part of the speed limit below which it is asked for nothing without an encoder."""
+        defaults = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))["defaults"]
+        tables = (_TABLES.get(self.name, {}), defaults)
+        return SLOWEST * float(next(table["start_up"]["minimum_speed"] for table in tables if "start_up" in table))
 
     def firmware(self) -> Firmware | None:
         """The firmware for its board, of the level of this bench; None: the usual one."""

@@ -44,6 +44,8 @@ class Bench:
         What is really there.
     sensorless : bool
         The axis does without its encoder.
+    slowest : float
+        Part of its speed limit below which it is asked for nothing then.
     wanted : float
         Largest speed that the axis has been asked for, in size [rad/s]; the speed limit where it was a current.
     torque_of_load : float
@@ -54,6 +56,7 @@ class Bench:
     axis: int
     motor: AxisPlant
     sensorless: bool = False
+    slowest: float = 0.0
     wanted: float = 0.0
     torque_of_load: float = 0.0
     speed_limit: float = field(init=False)
@@ -222,12 +225,15 @@ class State:
         It does so without an encoder.
     calibrated : bool
         The offsets of the current amplifiers have been measured.
+    aligned : bool
+        The rotor has been found, and will not be looked for again before the axis moves.
     """
 
     name: str
     begin: Callable[[Bench, random.Random], Script]
     sensorless: bool = False
     calibrated: bool = True
+    aligned: bool = True
 
 
 def _sign(rng: random.Random) -> float:
@@ -235,7 +241,8 @@ def _sign(rng: random.Random) -> float:
 
 
 def _part(bench: Bench, rng: random.Random, least: float, most: float) -> float:
-    return _sign(rng) * rng.uniform(least, most) * bench.speed_limit
+    slowest = max(least, bench.slowest) if bench.sensorless else least
+    return _sign(rng) * rng.uniform(slowest, most) * bench.speed_limit
 
 
 def _power_on(bench: Bench, rng: random.Random) -> Script:
@@ -360,7 +367,7 @@ def _observed_change(bench: Bench, rng: random.Random) -> Script:
     bench.boot()
     speed = _part(bench, rng, 0.1, 0.9)
     bench.turning(speed)
-    another = math.copysign(rng.uniform(0.1, 0.9) * bench.speed_limit, speed)
+    another = math.copysign(_part(bench, rng, 0.1, 0.9), speed)
     change = abs(another - speed) / bench.acceleration
     return Script(change + 0.05, [(0.0, lambda: bench.speed(another))])
 
@@ -376,10 +383,10 @@ def _observed_stop(bench: Bench, rng: random.Random) -> Script:
 STATES: Final[Mapping[str, State]] = {
     state.name: state
     for state in (
-        State("power-on", _power_on, calibrated=False),
-        State("stop", _stop, calibrated=False),
-        State("calibration", _calib, calibrated=False),
-        State("rotor search", _search),
+        State("power-on", _power_on, calibrated=False, aligned=False),
+        State("stop", _stop, calibrated=False, aligned=False),
+        State("calibration", _calib, calibrated=False, aligned=False),
+        State("rotor search", _search, aligned=False),
         State("hold", _hold),
         State("position move", _move),
         State("low speed", _constant(0.01, 0.08)),
@@ -387,9 +394,9 @@ STATES: Final[Mapping[str, State]] = {
         State("under load", _constant(0.1, 0.6, load=0.5)),
         State("acceleration", _acceleration),
         State("reversal", _reversal),
-        State("braking", _braking),
+        State("braking", _braking, aligned=False),
         State("torque", _torque),
-        State("coasting", _coasting),
+        State("coasting", _coasting, aligned=False),
         State("swinging", _swinging),
         State("observer, rest", _rest, sensorless=True, calibrated=False),
         State("observer, start-up", _start_up, sensorless=True),

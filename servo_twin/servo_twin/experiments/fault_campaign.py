@@ -56,6 +56,8 @@ class Trial:
     damage : Damage
     plant : PlantConfig
         What is really there.
+    motors : tuple of str
+        Among which the motor was drawn.
     """
 
     seed: int
@@ -64,6 +66,7 @@ class Trial:
     state: State
     damage: Damage
     plant: PlantConfig
+    motors: tuple[str, ...] = tuple(MOTORS)
 
     @property
     def random(self) -> random.Random:
@@ -81,9 +84,9 @@ def draw(plant: PlantConfig, seed: int, number: int, motors: Sequence[str] = MOT
     state = rng.choice([s for s in states if motor.observable or not s.sensorless])
     where = Where(there, motor.axis, state)
     if whole:
-        return Trial(seed, number, motor, state, no_damage(where), there)
+        return Trial(seed, number, motor, state, no_damage(where), there, tuple(motors))
     make = rng.choice([make for make, observed in DAMAGES.values() if observed or not state.sensorless])
-    return Trial(seed, number, motor, state, make(rng, where), there)
+    return Trial(seed, number, motor, state, make(rng, where), there, tuple(motors))
 
 
 # ---- running
@@ -124,7 +127,9 @@ class Result:
         t = self.trial
         when = "" if self.seconds is None else f" after {1e3 * self.seconds:.1f} ms"
         what = "; ".join(self.complaints) or "right"
-        return f"--seed {t.seed} --trial {t.number}: {t.motor.name}, {t.state.name}, {t.damage.text}{when}: {what}"
+        among = "" if t.motors == tuple(MOTORS) else f" --motors {' '.join(t.motors)}"
+        how = f"--seed {t.seed} --trial {t.number}{among}"
+        return f"{how}: {t.motor.name}, {t.state.name}, {t.damage.text}{when}: {what}"
 
 
 class _Watch:
@@ -177,7 +182,8 @@ def run_trial(trial: Trial) -> Result:
     """Break something, and see."""
     rng = trial.random
     with trial.motor.board(trial.plant, rng.getrandbits(32)) as board:
-        bench = Bench(board, trial.motor.axis, trial.plant.axes[trial.motor.axis], trial.state.sensorless)
+        there = trial.plant.axes[trial.motor.axis]
+        bench = Bench(board, trial.motor.axis, there, trial.state.sensorless, trial.motor.slowest)
         try:
             script = trial.state.begin(bench, rng)
         except SimulationError as error:
