@@ -128,10 +128,11 @@ static void begin_at_zero(bridge_t *b, int k, double u)
     plant_vector_t along;
     put(&along, per_n);
     const double more = settle_leg(b, k, u, along, per_l);
-    find_paths(b);
     const pair_t di = pair_of(&b->di);
     pair_t ddi = bend_of(f, di);
-    if (b->floating >= 0) {
+    if (b->floating < 0) {
+        find_paths(b);
+    } else {
         const double bent = -sum(n * ddi) * per_l;
         ddi += both(bent) * per_n;
         b->hold_slope = 1.5 * bent;
@@ -149,9 +150,11 @@ bool bridge_frame_begin(bridge_t *b, double u)
     b->floating = -1;
     b->u = u;
     if (k == NO_CURRENT) { /* the flux that such a frame begins with is that of the magnet */
-        bridge_settle(b);
-        if (!b->framed && !bridge_frame(b, u)) {
-            return false;
+        if (b->frame_time > 0.0) {
+            bridge_settle(b);
+            if (!bridge_frame(b, u)) {
+                return false;
+            }
         }
         k = bridge_leave_one(b, u);
     }

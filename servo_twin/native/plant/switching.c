@@ -143,28 +143,40 @@ static void find_rare(switching_t *plant)
     }
 }
 
+/* The segment of an axis that begins at the present clock. */
+static void begin(switching_t *plant, switching_axis_t *axis)
+{
+    bridge_t *b = &axis->bridge;
+    bridge_begin(b, plant->supply.u);
+    axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
+    axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
+    if (b->moved) {
+        b->moved = false;
+        axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, EDGE_HORIZON);
+        find_edge(plant, axis);
+    }
+    const double square = b->i.alpha * b->i.alpha + b->i.beta * b->i.beta;
+    axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
+    find_next(axis);
+}
+
 /* After whatever has changed at the present clock. */
 void switching_look_around(switching_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
-        switching_axis_t *axis = &plant->axis[i];
-        bridge_t *b = &axis->bridge;
-        if (!b->begun) {
-            bridge_begin(b, plant->supply.u);
-            axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
-            axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
-            if (b->moved) {
-                b->moved = false;
-                axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, EDGE_HORIZON);
-                find_edge(plant, axis);
-            }
-            const double square = b->i.alpha * b->i.alpha + b->i.beta * b->i.beta;
-            axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
-            find_next(axis);
+        if (!plant->axis[i].bridge.begun) {
+            begin(plant, &plant->axis[i]);
         }
     }
     find_next_of_all(plant);
     plant->stale = false;
+}
+
+static inline void look(switching_t *plant)
+{
+    if (plant->stale) {
+        switching_look_around(plant);
+    }
 }
 
 /* ---- moving on ---------------------------------------------------------------------------------------------------- */
@@ -235,6 +247,7 @@ static void warm_up(switching_t *plant)
         bridge_t *b = &axis->bridge;
         advance_axis(plant, i);
         bridge_settle(b);
+        plant->stale = true;
         thermal_advance(&axis->winding, h, b->e_copper - axis->e_copper);
         if (!axis->harm.heated) {
             thermal_advance(&axis->sink, h, b->e_switch - axis->e_switch);
@@ -422,7 +435,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
 {
     switching_axis_t *axis = &plant->axis[i];
     double current;
-    switching_look_around(plant);
+    look(plant);
     if (!bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), &current)) {
         advance_axis(plant, i);
         switching_look_around(plant);
@@ -434,7 +447,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
 
 uint16_t switching_bus_code(switching_t *plant)
 {
-    switching_look_around(plant);
+    look(plant);
     advance_supply(plant);
     const double shown = plant->supply.u + plant->u_noise * plant_random_gauss(&plant->noise);
     return plant_code(shown * plant->codes_per_volt);
@@ -503,6 +516,7 @@ void switching_mean(switching_t *plant, int i)
     switching_look_around(plant);
     advance_axis(plant, i);
     bridge_settle(&axis->bridge);
+    plant->stale = true;
     axis->mean_clock = plant->now;
     axis->mean_psi = axis->bridge.psi;
     axis->mean_charge = axis->bridge.charge;
