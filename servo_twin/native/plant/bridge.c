@@ -57,11 +57,15 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
 
 /* ---- moving on ---------------------------------------------------------------------------------------------------- */
 
-static inline double decay(const bridge_t *b, double h)
+/* The amplifiers, h seconds on, behind currents that go straight to `phase`. */
+static void filter(bridge_t *b, double h, const double phase[BRIDGE_LANES])
 {
-    const unsigned n = (unsigned)(h * BRIDGE_CLOCK_HZ + 0.5);
-    return (n < BRIDGE_DECAY * BRIDGE_DECAY) ? b->decay_coarse[n / BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY]
-                                             : 0.0;
+    const double left = decay(b, h);
+    const double tau_h = b->tau / h;
+    for (int k = 0; k < 3; k++) {
+        const double seen = (b->paths & LOWER(k)) ? 1.0 : 0.0;
+        b->amplifier[k] = lag_behind(b->amplifier[k], seen * b->phase[k], seen * phase[k], tau_h, left);
+    }
 }
 
 double bridge_accept(bridge_t *b, double h, double u_h, const end_t *e)
@@ -200,7 +204,7 @@ bool bridge_amplifier(const bridge_t *b, int k, double h, double *shown)
     if (h <= 0.0) {
         return true;
     }
-    double phase[3];
+    double phase[BRIDGE_LANES];
     if (!bridge_foresee(b, h, phase)) {
         if (h > NEAR) {
             return false;
@@ -217,18 +221,19 @@ double bridge_shunt(const bridge_t *b, int k) { return (b->paths & LOWER(k)) ? b
 void bridge_gates(bridge_t *b, int k, bridge_gates_t gates)
 {
     b->gates[k] = gates;
+    b->kind[k] = (k == b->grounded) ? GROUNDED : gates;
     find_path(b, k);
 }
 
 /* Without current: true if none begins with the leg's other gates. */
 static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
 {
-    const bridge_gates_t before = b->gates[k];
+    const unsigned before = b->kind[k];
     int out = 0;
     int back = 0;
-    b->gates[k] = gates;
+    b->kind[k] = gates;
     const bool dead = b->unplugged || bridge_excess(b, b->u, b->psi, b->omega, &out, &back) <= 0.0;
-    b->gates[k] = before;
+    b->kind[k] = before;
     return dead;
 }
 
@@ -243,7 +248,7 @@ static bool floats_on(const bridge_t *b, int k, double h)
 
 bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
 {
-    if (!b->begun || b->grounded >= 0 || b->alone >= 0) {
+    if (!b->begun || b->shorted) {
         return false;
     }
     if (b->dead) {
@@ -282,8 +287,10 @@ static void rewire(bridge_t *b)
     const bool joint = alone >= 0 && b->play[(alone + 1) % 3] <= 0.0 && b->play[(alone + 2) % 3] <= 0.0;
     b->alone = joint ? alone : -1;
     b->grounded = (b->shorted_leg >= 0 && b->play[b->shorted_leg] <= 0.0) ? b->shorted_leg : -1;
+    b->shorted = b->grounded >= 0 || b->alone >= 0;
     b->begun = false;
     for (int k = 0; k < 3; k++) { /* those that went together were without a sign of their own */
+        b->kind[k] = (k == b->grounded) ? GROUNDED : b->gates[k];
         set_sign(b, k, (b->phase[k] > 0.0) - (b->phase[k] < 0.0));
     }
 }

@@ -52,6 +52,7 @@ typedef enum {
 
 #define BRIDGE_GATES 3
 #define BRIDGE_CLOCK_HZ 100e6 /* bus clock of the chip */
+#define BRIDGE_LANES 4 /* the three phases in one register; the fourth number is zero */
 
 /* Decay of the amplifiers, e^(-n clocks / tau), as the product of two entries. */
 #define BRIDGE_DECAY 32
@@ -92,19 +93,21 @@ typedef struct {
     int shorted_leg, shorted_beside;     /* the next two, were no phase open */
     int grounded;                        /* leg that touches bus minus, -1: none */
     int alone;                           /* the other two legs touch each other, -1: they do not */
+    bool shorted;                        /* one of the two */
     /* state */
     plant_vector_t psi;                  /* stator flux linkage [V s] */
     double theta, omega;                 /* mechanical [rad], [rad/s] */
     int sign[3];                         /* of the phase currents; 0: the leg floats */
-    double way[3];                       /* the same as a number */
+    double way[BRIDGE_LANES];            /* the same as a number */
+    unsigned kind[3];                    /* of the leg: its gates, or that it is grounded, see bridge_kernel.h */
     unsigned path[3];                    /* of the leg, by gates and sign */
     unsigned zeros;                      /* bit per leg without current */
-    double amplifier[3];                 /* output of the current amplifiers [A] */
+    double amplifier[BRIDGE_LANES];      /* output of the current amplifiers [A] */
     /* what follows from it */
     double cosine, sine;                 /* of the electrical angle */
     bridge_matrix_t inverse;             /* inductance^-1 in the stator frame [1/H] */
     plant_vector_t i;                    /* [A] */
-    double phase[3];                     /* [A] */
+    double phase[BRIDGE_LANES];          /* [A] */
     double torque;                       /* [N m] */
     unsigned steps;                      /* since cosine and sine were made afresh */
     /* the segment that begins here, valid while `begun` */

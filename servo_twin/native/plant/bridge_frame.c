@@ -23,6 +23,8 @@
 #define SPLITS 24 /* parts of one segment */
 
 typedef double pair_t __attribute__((vector_size(16)));
+typedef double lanes_t __attribute__((vector_size(32))); /* by phase; the fourth lane is zero. Never passed by value. */
+typedef int64_t sides_t __attribute__((vector_size(32)));
 
 static inline pair_t pair_of(const plant_vector_t *x)
 {
@@ -184,18 +186,26 @@ static inline pair_t current_after(const bridge_t *b, double t)
     return pair_of(&b->i) + both(t) * (pair_of(&b->di) + both(0.5 * t) * pair_of(&b->ddi));
 }
 
-static inline void phases_of_pair(pair_t i, double phase[3])
+PLANT_INLINE void load(lanes_t *lanes, const double x[BRIDGE_LANES]) { memcpy(lanes, x, sizeof *lanes); }
+
+static inline void phases_of_pair(pair_t i, double phase[BRIDGE_LANES])
 {
-    const plant_vector_t vector = {i[0], i[1]};
-    phases_of(vector, phase);
+    const lanes_t along_alpha = {1.0, -0.5, -0.5, 0.0};
+    const lanes_t along_beta = {0.0, HALF_SQRT3, -HALF_SQRT3, 0.0};
+    const lanes_t all = along_alpha * i[0] + along_beta * i[1];
+    memcpy(phase, &all, sizeof all);
 }
 
-static inline bool beyond_zero(const bridge_t *b, const double phase[3])
+static inline bool beyond_zero(const bridge_t *b, const double phase[BRIDGE_LANES])
 {
-    return phase[0] * b->way[0] < 0.0 || phase[1] * b->way[1] < 0.0 || phase[2] * b->way[2] < 0.0;
+    lanes_t all, way;
+    load(&all, phase);
+    load(&way, b->way);
+    const sides_t beyond = all * way < 0.0;
+    return (beyond[0] | beyond[1] | beyond[2]) != 0;
 }
 
-bool bridge_foresee(const bridge_t *b, double h, double phase[3])
+bool bridge_foresee(const bridge_t *b, double h, double phase[BRIDGE_LANES])
 {
     if (!b->framed || !b->begun || b->floating >= 0 || h > b->frame.longest) {
         return false;
@@ -205,14 +215,15 @@ bool bridge_foresee(const bridge_t *b, double h, double phase[3])
 }
 
 /* Of the phases that have changed sides at `end`, *t seconds on: which was the first at zero, and when. */
-static int first_zero(const bridge_t *b, const double end[3], double *t)
+static int first_zero(const bridge_t *b, const double end[BRIDGE_LANES], double *t)
 {
     const double h = *t;
     int first = -1;
     for (int k = 0; k < 3; k++) {
         const double way = b->way[k];
         if (end[k] * way < 0.0) {
-            const double zero = root_of(b->phase[k] * way, dot(phase_axis[k], b->di) * way, end[k] * way, h);
+            const double zero = root_within(b->phase[k] * way, dot(phase_axis[k], b->di) * way,
+                                            0.5 * dot(phase_axis[k], b->ddi) * way, h);
             if (first < 0 || zero < *t) {
                 first = k;
                 *t = zero;
@@ -239,9 +250,9 @@ static inline int first_clamp(const bridge_t *b, double u, double *t)
 /* A current that goes through zero in a leg with a gate on, where only the drop changes its sign: the segment goes on
  * with another slope. */
 typedef struct {
-    int phase;     /* -1: none does */
-    double way;    /* of the current before */
-    double after;  /* time left then [s] */
+    int phase; /* -1: none does */
+    double way; /* of the current before */
+    double after; /* time left then [s] */
     pair_t charge; /* that the other slope adds [A s] */
 } pass_t;
 
@@ -250,9 +261,10 @@ typedef struct {
 /* Phase k is at zero after t of a segment of `whole`. If it goes on to the other side, that is the pass, and the end of the
  * segment moves to where it leads. False, with all as it was, if the drop keeps the current at zero, if it comes back, or if
  * another one has changed sides, too. */
-static inline bool pass_zero(const bridge_t *b, int k, double t, double whole, pass_t *pass, pair_t *i, double phase[3])
+static inline bool pass_zero(const bridge_t *b, int k, double t, double whole, pass_t *pass, pair_t *i,
+                             double phase[BRIDGE_LANES])
 {
-    if (b->gates[k] == BRIDGE_OPEN || b->floating >= 0 || b->grounded >= 0 || b->alone >= 0) {
+    if (b->gates[k] == BRIDGE_OPEN || b->floating >= 0 || b->shorted) {
         return false;
     }
     const pair_t n = pair_of(&phase_axis[k]);
@@ -264,7 +276,7 @@ static inline bool pass_zero(const bridge_t *b, int k, double t, double whole, p
     }
     const double after = whole - t;
     const pair_t end = *i + both(after) * (more + both(0.5 * after) * product(b->frame.drift, more));
-    double there[3];
+    double there[BRIDGE_LANES];
     phases_of_pair(end, there);
     for (int j = 0; j < 3; j++) {
         if (there[j] * ((j == k) ? -way : b->way[j]) < 0.0) {
@@ -278,7 +290,7 @@ static inline bool pass_zero(const bridge_t *b, int k, double t, double whole, p
 }
 
 /* What the other sign of the drop adds to the sums of a segment that ends with these phase currents. */
-static inline void account_pass(bridge_t *b, const pass_t *pass, const double phase[3])
+static inline void account_pass(bridge_t *b, const pass_t *pass, const double phase[BRIDGE_LANES])
 {
     const double volt_seconds = 2.0 * b->v_drop * pass->way * pass->after;
     put(&b->psi, pair_of(&b->psi) + both((2.0 / 3.0) * volt_seconds) * pair_of(&phase_axis[pass->phase]));
@@ -287,8 +299,27 @@ static inline void account_pass(bridge_t *b, const pass_t *pass, const double ph
     set_sign(b, pass->phase, (pass->way < 0.0) ? 1 : -1);
 }
 
+/* The amplifiers, t seconds on, behind currents that go straight to `phase`. */
+static inline void filter(bridge_t *b, double t, const double phase[BRIDGE_LANES])
+{
+    static const double through[8][BRIDGE_LANES] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 0},
+                                                    {0, 0, 1}, {1, 0, 1}, {0, 1, 1}, {1, 1, 1}};
+    const double left = decay(b, t);
+    const double tau_t = b->tau / t;
+    lanes_t seen, from, to, shown;
+    load(&seen, through[PHASES(b->paths, LOWER(0))]);
+    load(&from, b->phase);
+    load(&to, phase);
+    load(&shown, b->amplifier);
+    from *= seen;
+    to *= seen;
+    const lanes_t lag = tau_t * (to - from);
+    shown = to - lag + (shown - from + lag) * left;
+    memcpy(b->amplifier, &shown, sizeof shown);
+}
+
 /* The part of a segment up to t, with `more` charge than its parabola has. Returns the charge taken out of the bus. */
-static inline double stride(bridge_t *b, double t, double u, pair_t i, const double phase[3], pair_t more)
+static inline double stride(bridge_t *b, double t, double u, pair_t i, const double phase[BRIDGE_LANES], pair_t more)
 {
     const pair_t before = pair_of(&b->i);
     const pair_t a = pair_of(&b->a);
@@ -309,9 +340,7 @@ static inline double stride(bridge_t *b, double t, double u, pair_t i, const dou
     }
     put(&b->psi, psi);
     put(&b->i, i);
-    b->phase[0] = phase[0];
-    b->phase[1] = phase[1];
-    b->phase[2] = phase[2];
+    memcpy(b->phase, phase, sizeof b->phase);
     if (b->floating >= 0) {
         b->phase[b->floating] = 0.0;
     }
@@ -334,7 +363,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
             return drawn;
         }
         double t = (*rest < b->frame.longest) ? *rest : b->frame.longest;
-        double phase[3];
+        double phase[BRIDGE_LANES];
         int zero = -1;
         int sign = 0;
         pass_t pass = NO_PASS;
@@ -405,7 +434,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
     return 0.0;
 }
 
-bool bridge_foresee(const bridge_t *b, double h, double phase[3])
+bool bridge_foresee(const bridge_t *b, double h, double phase[BRIDGE_LANES])
 {
     (void)b;
     (void)h;

@@ -21,7 +21,7 @@ typedef struct {
     plant_vector_t psi, i, charge; /* charge: integral of i */
     double theta, omega, cosine, sine;
     bridge_matrix_t inverse;
-    double phase[3];
+    double phase[BRIDGE_LANES];
     double torque;
 } end_t;
 
@@ -41,11 +41,26 @@ typedef struct {
 #define LOWER(k) (64u << (k))
 #define PHASES(paths, bit0) (((paths) / (bit0)) & 7u)
 
-/* For one phase, by gates and sign of the current + 1, to be shifted by the number of the phase. */
-static const unsigned leg_paths[BRIDGE_GATES][3] = {
+/* Kind of a leg on bus minus; that of any other one is its gates. */
+#define GROUNDED BRIDGE_GATES
+#define LEG_KINDS (BRIDGE_GATES + 1)
+
+/* For one phase, by kind and sign of the current + 1, to be shifted by the number of the phase. */
+static const unsigned leg_paths[LEG_KINDS][3] = {
     [BRIDGE_OPEN] = {UPPER(0) | RAISED(0), 0, LOWER(0)},
     [BRIDGE_HIGH] = {UPPER(0) | RAISED(0), 0, UPPER(0)},
     [BRIDGE_LOW] = {LOWER(0) | RAISED(0), LOWER(0), LOWER(0)},
+    [GROUNDED] = {0, 0, 0},
+};
+
+/* Ends of the interval, in bus voltages and in drops. */
+static const struct {
+    double low_u, low_drop, high_u, high_drop;
+} leg_interval[LEG_KINDS] = {
+    [BRIDGE_OPEN] = {0.0, -1.0, 1.0, 1.0},
+    [BRIDGE_HIGH] = {1.0, -1.0, 1.0, 1.0},
+    [BRIDGE_LOW] = {0.0, -1.0, 0.0, 1.0},
+    [GROUNDED] = {0.0, 0.0, 0.0, 0.0},
 };
 
 /* Clarke transform and mean of legs that are at 1 (bit set) or 0. */
@@ -107,20 +122,11 @@ static inline plant_vector_t slope_of(const bridge_t *b, plant_vector_t dpsi)
     return (plant_vector_t){rate.alpha - w * b->i.beta, rate.beta + w * b->i.alpha};
 }
 
-static inline void find_path(bridge_t *b, int k)
-{
-    b->path[k] = (k == b->grounded) ? 0u : leg_paths[b->gates[k]][b->sign[k] + 1] << k;
-}
+static inline void find_path(bridge_t *b, int k) { b->path[k] = leg_paths[b->kind[k]][b->sign[k] + 1] << k; }
 
 static inline double path_voltage(const bridge_t *b, unsigned path, double u)
 {
     return ((path & UPPER(0)) ? u : 0.0) + ((path & RAISED(0)) ? b->v_drop : -b->v_drop);
-}
-
-/* Voltage of a leg whose current has the given sign. */
-static inline double leg_voltage(const bridge_t *b, int k, int sign, double u)
-{
-    return (k == b->grounded) ? 0.0 : path_voltage(b, leg_paths[b->gates[k]][sign + 1], u);
 }
 
 /* Way through two legs that touch each other, by the sign of what both give together. Those that are not switched alike
@@ -134,13 +140,15 @@ static inline unsigned joint_path(const bridge_t *b, int sign)
 /* Ends of a leg's interval. That of a leg beside two that touch is as seen from these, which are taken to be at -V. */
 static inline double lowest(const bridge_t *b, int k, double u)
 {
-    const double low = leg_voltage(b, k, 1, u) - b->play[k];
+    const unsigned kind = b->kind[k];
+    const double low = leg_interval[kind].low_u * u + leg_interval[kind].low_drop * b->v_drop - b->play[k];
     return (k == b->alone) ? low - path_voltage(b, joint_path(b, -1), u) - b->v_drop : low;
 }
 
 static inline double highest(const bridge_t *b, int k, double u)
 {
-    const double high = leg_voltage(b, k, -1, u) + b->play[k];
+    const unsigned kind = b->kind[k];
+    const double high = leg_interval[kind].high_u * u + leg_interval[kind].high_drop * b->v_drop + b->play[k];
     return (k == b->alone) ? high - path_voltage(b, joint_path(b, 1), u) - b->v_drop : high;
 }
 
@@ -273,11 +281,10 @@ static inline bool jerked(const bridge_t *b, const end_t *e)
             open_way(b, e->torque - b->load));
 }
 
-/* First root within h of the parabola with f(0) = f0 >= 0, f'(0) = d0 and f(h) = f1 < 0. What is below zero by rounding
- * alone counts as zero: it comes back there when it likes, so this root, too, ends with h. */
-static inline double root_of(double f0, double d0, double f1, double h)
+/* First root within h of the parabola f0 + d0 t + c t^2 with f0 >= 0 and f(h) < 0. What is below zero by rounding alone
+ * counts as zero: it comes back there when it likes, so this root, too, ends with h. */
+static inline double root_within(double f0, double d0, double c, double h)
 {
-    const double c = (f1 - f0 - d0 * h) / (h * h);
     double t;
     if (f0 <= 0.0) {
         t = (d0 > 0.0 && c < 0.0) ? -d0 / c : 0.0;
@@ -287,6 +294,12 @@ static inline double root_of(double f0, double d0, double f1, double h)
         t = (sum > 0.0) ? 2.0 * f0 / sum : h;
     }
     return (t < h) ? t : h;
+}
+
+/* The same by f(h) = f1. */
+static inline double root_of(double f0, double d0, double f1, double h)
+{
+    return root_within(f0, d0, (f1 - f0 - d0 * h) / (h * h), h);
 }
 
 /* ---- parts in other files ------------------------------------------------------------------------------------------- */
@@ -331,7 +344,7 @@ bool bridge_frame_begin(bridge_t *bridge, double u);
 double bridge_frame_advance(bridge_t *bridge, double *rest, double u);
 
 /* The currents `h` seconds into a segment of the frame; false if something changes before. */
-bool bridge_foresee(const bridge_t *bridge, double h, double phase[3]);
+bool bridge_foresee(const bridge_t *bridge, double h, double phase[BRIDGE_LANES]);
 
 /* bridge_legs.c: the only leg without current, -1 if there is none, NO_CURRENT if there are more. */
 #define NO_CURRENT 3
@@ -394,20 +407,12 @@ static inline void find_paths(bridge_t *b)
     }
 }
 
-/* The amplifiers, `h` seconds on, behind currents that go straight to `phase`. */
-PLANT_INLINE void filter(bridge_t *b, double h, const double phase[3])
+/* Of the amplifiers in h seconds. */
+static inline double decay(const bridge_t *b, double h)
 {
     const unsigned n = (unsigned)(int)(h * BRIDGE_CLOCK_HZ + 0.5);
-    const double left =
-        (n < BRIDGE_DECAY * BRIDGE_DECAY) ? b->decay_coarse[n / BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY] : 0.0;
-    const double tau_h = b->tau / h;
-    for (int k = 0; k < 3; k++) {
-        if ((b->paths & LOWER(k)) != 0u) {
-            b->amplifier[k] = lag_behind(b->amplifier[k], b->phase[k], phase[k], tau_h, left);
-        } else {
-            b->amplifier[k] *= left;
-        }
-    }
+    return (n < BRIDGE_DECAY * BRIDGE_DECAY) ? b->decay_coarse[n / BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY]
+                                             : 0.0;
 }
 
 #endif

@@ -407,7 +407,7 @@ static void watch_short(switching_t *plant, int i, int phase, switching_leg_t le
     } else if (leg != SWITCHING_OPEN && leg != axis->last_on[phase] && plant->now < axis->off_clock[phase]) {
         begin_short(plant, i, axis->off_clock[phase]);
     }
-    if (axis->bridge.grounded >= 0 || axis->bridge.alone >= 0) {
+    if (axis->bridge.shorted) {
         watch_cable(plant, i);
     }
 }
