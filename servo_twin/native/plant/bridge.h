@@ -64,7 +64,8 @@ typedef struct {
 
 /* A short time in which the currents obey an equation with constant coefficients. */
 typedef struct {
-    double longest;                      /* segment, and frame without the last one [s] */
+    double longest;                      /* segment that bends, and frame without the last one [s] */
+    double rate;                         /* at most, of the equation [1/s] */
     plant_vector_t inverse[2], drift[2]; /* by columns: of i' with v [1/H], with i [1/s] */
     plant_vector_t push, push_slope;     /* i' without either, and how it changes [A/s], [A/s^2] */
     plant_vector_t charge;               /* the sum at its beginning [A s] */

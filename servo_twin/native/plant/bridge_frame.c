@@ -14,11 +14,13 @@
 #include <string.h>
 
 /* A segment, and a frame without its last one, are not longer than this: as much of the currents' time constant, of the
- * rotor's turn, and a time that pays [s]. */
+ * rotor's turn, and a time that pays [s]. A segment that hardly bends may have its whole length: with all legs on one side
+ * there is no voltage but the back-EMF. */
 #define OF_TIME_CONSTANT 0.03
 #define OF_TURN 0.015 /* [rad] */
 #define LONGEST 32e-6
 #define SHORTEST 2e-6
+#define BENT 4e-5 /* what a long segment's parabola may leave out [A] */
 #define MARGIN 0.05 /* of friction, for the reluctance torque */
 #define SPLITS 24 /* parts of one segment */
 
@@ -92,6 +94,7 @@ bool bridge_frame(bridge_t *b, double u)
     const bridge_matrix_t l = {l_mean + along, (b->l_d - b->l_q) * c * s, l_mean - along};
     bridge_frame_t *f = &b->frame;
     f->longest = longest;
+    f->rate = 0.1 / b->longest + fabs(w);
     f->inverse[0] = (plant_vector_t){m.aa, m.ab};
     f->inverse[1] = (plant_vector_t){m.ab, m.bb};
     f->drift[0] = (plant_vector_t){-b->r * m.aa + w * (m.aa * l.ab - m.ab * l.aa),
@@ -187,6 +190,17 @@ static inline pair_t current_after(const bridge_t *b, double t)
 }
 
 PLANT_INLINE void load(lanes_t *lanes, const double x[BRIDGE_LANES]) { memcpy(lanes, x, sizeof *lanes); }
+
+/* How much of `rest` is one segment: its parabola leaves i''' h^3 / 6 out. */
+static inline double span(const bridge_t *b, double rest)
+{
+    const bridge_frame_t *f = &b->frame;
+    if (rest <= f->longest) {
+        return rest;
+    }
+    const double most = (SIXTH * f->rate) * (fabs(b->ddi.alpha) + fabs(b->ddi.beta));
+    return (rest < 2.0 * f->longest && rest * rest * rest * most < BENT) ? rest : f->longest;
+}
 
 static inline void phases_of_pair(pair_t i, double phase[BRIDGE_LANES])
 {
@@ -362,7 +376,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
         if (!b->begun && !((b->framed || bridge_frame(b, u)) && bridge_frame_begin(b, u))) {
             return drawn;
         }
-        double t = (*rest < b->frame.longest) ? *rest : b->frame.longest;
+        double t = span(b, *rest);
         double phase[BRIDGE_LANES];
         int zero = -1;
         int sign = 0;
