@@ -115,6 +115,9 @@ bool bridge_frame(bridge_t *b, double u)
     return true;
 }
 
+/* A shaft that stands without any current: its frame is as good as new. */
+static inline bool rests(const bridge_t *b) { return b->dead && b->direction == 0.0; }
+
 /* ---- begin -------------------------------------------------------------------------------------------------------- */
 
 /* i'' = K i' + e'. */
@@ -151,11 +154,12 @@ static inline void begin_dead(bridge_t *b) { b->a = b->b = b->di = b->ddi = (pla
 bool bridge_frame_begin(bridge_t *b, double u)
 {
     int k = leg_at_zero(b);
+    const bool rested = rests(b);
     b->dead = false;
     b->floating = -1;
     b->u = u;
     if (k == NO_CURRENT) { /* the flux that such a frame begins with is that of the magnet */
-        if (b->frame_time > 0.0) {
+        if (b->frame_time > 0.0 && !rested) {
             bridge_settle(b);
             if (!bridge_frame(b, u)) {
                 return false;
@@ -419,7 +423,7 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
             b->phase[zero] = 0.0;
         }
         b->begun = false;
-        if (b->frame_time > 0.99 * b->frame.longest) {
+        if (b->frame_time > 0.99 * b->frame.longest && !rests(b)) {
             bridge_settle(b);
         }
     }
