@@ -228,6 +228,9 @@ void bridge_gates(bridge_t *b, int k, bridge_gates_t gates)
 /* Without current: true if none begins with the leg's other gates. */
 static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
 {
+    if (gates == BRIDGE_OPEN && b->direction == 0.0) {
+        return true; /* its interval grows, and there is no back-EMF */
+    }
     const unsigned before = b->kind[k];
     int out = 0;
     int back = 0;

@@ -31,7 +31,7 @@ int bridge_leave_one(bridge_t *b, double u)
 {
     int out = 0;
     int back = 0;
-    for (int n = 0; n < 3; n++) {
+    for (int n = 0; n < 3 && b->zeros != 7u; n++) {
         set_sign(b, n, 0);
     }
     b->dead = b->unplugged || bridge_excess(b, u, b->psi, b->omega, &out, &back) <= 0.0 || out == back;
