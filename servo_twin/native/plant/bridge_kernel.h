@@ -363,9 +363,18 @@ static inline double settle_leg(bridge_t *b, int k, double u, plant_vector_t per
     const double high = highest(b, k, u);
     const double hold = -1.5 * dot(phase_axis[k], b->di) * per_l - b->v_drop;
     b->hold = hold;
-    set_sign(b, k, (hold < low) ? 1 : (hold > high) ? -1 : 0);
-    b->floating = (b->sign[k] == 0) ? k : -1;
-    const double more = (2.0 / 3.0) * (plant_limit(hold, low, high) + b->v_drop);
+    double voltage = hold;
+    b->floating = -1;
+    if (hold < low) {
+        set_sign(b, k, 1);
+        voltage = low;
+    } else if (hold > high) {
+        set_sign(b, k, -1);
+        voltage = high;
+    } else {
+        b->floating = k;
+    }
+    const double more = (2.0 / 3.0) * (voltage + b->v_drop);
     b->di.alpha += more * per_n.alpha;
     b->di.beta += more * per_n.beta;
     return more;
