@@ -25,7 +25,7 @@
  * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A).
  *
  * While nothing unusual happens segments are parabolas within a frame (bridge_frame.c), which costs a third; whole runs
- * stay within 2e-4 A then.
+ * stay within 1e-4 A then.
  *
  * Broken wires: the interval of an open leg has no ends, that of a leg on bus minus no width, and two legs that touch go
  * together: the third one's current alone decides on their voltage.
@@ -68,7 +68,7 @@ typedef struct {
     double rate;                         /* at most, of the equation [1/s] */
     plant_vector_t inverse[2], drift[2]; /* by columns: of i' with v [1/H], with i [1/s] */
     plant_vector_t push, push_slope;     /* i' without either, and how it changes [A/s], [A/s^2] */
-    plant_vector_t charge;               /* the sum at its beginning [A s] */
+    plant_vector_t charge, moment;       /* since its beginning, and the integral of that [A s], [A s^2] */
     double reluctance;                   /* part of the torque there [N m] */
 } bridge_frame_t;
 

@@ -4,8 +4,8 @@
  *   i' = L^-1 v + K i + e + e' t,   K = -R L^-1 + w (J - L^-1 J L),   e = -w L^-1 J psi_m,   J = (0 -1; 1 0)
  * with L^-1 and K of its middle, and a segment is a parabola with i' and i'' = K i' + e': where a phase's current is at zero
  * is the root of one. What the parabolas leave out, (h / tau)^3 / 6 of u / L, does not add up: at the end of the frame flux
- * is the exact integral of the voltages minus R times the charge, the shaft follows from the impulse of the torque, and
- * the currents are those that belong to this flux and this angle.
+ * is the exact integral of the voltages minus R times the charge, the shaft follows from the impulse of the torque and from
+ * that impulse's first moment, and the currents are those that belong to this flux and this angle.
  */
 #include "plant/bridge_kernel.h"
 
@@ -104,7 +104,7 @@ bool bridge_frame(bridge_t *b, double u)
     const double emf = w * b->psi_m;
     f->push = times(m, (plant_vector_t){emf * b->sine, -emf * b->cosine});
     f->push_slope = times(m, (plant_vector_t){w * emf * c, w * emf * s});
-    f->charge = b->charge;
+    f->charge = f->moment = (plant_vector_t){0.0, 0.0};
     f->reluctance = b->torque - aligned(b, b->i);
     b->frame_time = 0.0;
     b->direction = standing ? 0.0 : (b->omega > 0.0) ? 1.0 : -1.0;
@@ -351,7 +351,9 @@ static inline double stride(bridge_t *b, double t, double u, pair_t i, const dou
     b->e_switch += b->r_on * squares - 1.5 * sum(rest * charge);
     b->e_bus += drawn * u;
     b->volt_seconds_0 += b->level * t;
-    put(&b->charge, pair_of(&b->charge) + charge);
+    const pair_t earlier = pair_of(&b->frame.charge);
+    put(&b->frame.charge, earlier + charge);
+    put(&b->frame.moment, pair_of(&b->frame.moment) + both(t) * (earlier + both(SIXTH * t) * (both(2.0) * before + i)));
     pair_t psi = pair_of(&b->psi) + both(t) * (both(u) * a + rest);
     if (b->floating >= 0) {
         psi += both(THIRD * b->hold_slope * t * t) * pair_of(&phase_axis[b->floating]);
@@ -474,13 +476,17 @@ void bridge_settle(bridge_t *b)
     }
     const double h = b->frame_time;
     const double k_psi = b->k_torque * b->psi_m;
-    const plant_vector_t charge = {b->charge.alpha - b->frame.charge.alpha, b->charge.beta - b->frame.charge.beta};
+    const plant_vector_t charge = b->frame.charge;
+    const plant_vector_t moment = b->frame.moment;
+    b->charge.alpha += charge.alpha;
+    b->charge.beta += charge.beta;
     const double early = k_psi * (b->cosine * charge.beta - b->sine * charge.alpha);
+    const double first = k_psi * (b->cosine * moment.beta - b->sine * moment.alpha);
     const double drag = b->load + b->direction * b->friction;
     end_t e;
     const bool standing = b->direction == 0.0;
-    b->accel =
-        standing ? 0.0 : (early / h - drag - b->viscous * b->omega) * b->inv_inertia; /* the mean, if flux stood */
+    const double mean = 2.0 * first / (h * h) - drag - b->viscous * b->omega; /* for the angle, if flux stood */
+    b->accel = standing ? 0.0 : mean * b->inv_inertia;
     b->jerk = 0.0;
     turn(b, h, &e);
     e.psi = (plant_vector_t){b->psi.alpha - b->r * charge.alpha, b->psi.beta - b->r * charge.beta};
