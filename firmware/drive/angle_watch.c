@@ -84,5 +84,6 @@ fault_set_t angle_watch_rather(const axis_t *axis, fault_set_t fault)
     const dq_t beyond = axis->angle_watch.beyond;
     const bool elsewhere =
         length_about(beyond.d, beyond.q) > i32_abs(emf_of(axis)) + axis->config->phases.emf_floor / 4;
-    return (elsewhere && (axis->faults_enabled & FAULT_ANGLE_MISMATCH) != 0U) ? FAULT_ANGLE_MISMATCH : fault;
+    const bool told = !axis->sensorless && (axis->faults_enabled & FAULT_ANGLE_MISMATCH) != 0U;
+    return (elsewhere && told) ? FAULT_ANGLE_MISMATCH : fault;
 }

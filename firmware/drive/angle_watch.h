@@ -22,8 +22,8 @@ struct axis;
 /* One slow tick of current control with the encoder's angle. */
 fault_set_t angle_watch_step(struct axis *axis);
 
-/* `fault`, or ANGLE_MISMATCH where the back-EMF is missed by more than its size: a resistance that is larger than it had
- * kept the watch in doubt. */
+/* `fault`, or ANGLE_MISMATCH where the back-EMF is missed by more than its size: a resistance whose drop is larger had kept
+ * the watch in doubt. A resistance that is off by as much looks the same. */
 fault_set_t angle_watch_rather(const struct axis *axis, fault_set_t fault);
 
 #endif

@@ -210,8 +210,26 @@ static fault_set_t probe(axis_t *axis)
     if (turns || changed || w->probing > PROBE_TICKS) {
         w->probing = 0;
         w->sudden = false;
+        w->rest = (dq_t){0, 0};
     }
     return (turns && !changed) ? phase_watch_rather(axis, FAULT_ENCODER_LOST) : 0U;
+}
+
+/* One more tick of voltage. */
+static void judge(axis_t *axis)
+{
+    encoder_watch_t *w = &axis->encoder_watch;
+    note_unexplained(axis);
+    const int32_t size = length_about(w->rest.d, w->rest.q);
+    const int32_t beyond = size - tolerated(axis);
+    if (beyond > 0) {
+        note_voltage(w, w->rest, beyond, axis->config->phases.turn_per_voltage, current_flows(axis));
+    } else if (w->turning > 0U) {
+        w->turning--;
+        w->idle = (w->idle > w->turning) ? w->turning : w->idle;
+    }
+    const int32_t much = 4 * (int32_t)axis->config->phases.emf_floor + half_drop(axis);
+    w->in_vain = (size > much) ? (uint16_t)(w->in_vain + 1U) : 0U;
 }
 
 /* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
@@ -228,20 +246,10 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
         return probe(axis);
     }
     if (!stepped) {
-        note_unexplained(axis);
+        judge(axis);
     }
-    const dq_t voltage = w->rest;
-    const int32_t size = length_about(voltage.d, voltage.q);
-    const int32_t beyond = size - tolerated(axis);
-    if (beyond > 0 && !stepped) {
-        note_voltage(w, voltage, beyond, axis->config->phases.turn_per_voltage, current_flows(axis));
-    } else if (beyond <= 0 && w->turning > 0U) {
-        w->turning--;
-    }
-    const int32_t much = 4 * (int32_t)axis->config->phases.emf_floor + half_drop(axis);
-    w->in_vain = (size > much) ? (uint16_t)(w->in_vain + 1U) : 0U;
     if (w->asking > 0U || (w->turning >= TURNING_TICKS && w->turned)) {
-        return lost(axis, voltage);
+        return lost(axis, w->rest);
     }
     return (w->in_vain >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
 }

@@ -30,6 +30,7 @@ void phase_watch_restart(phase_watch_t *watch)
     watch->nothing = 0;
     watch->missed = 0;
     watch->lost = false;
+    watch->wanted = 0;
 }
 
 /* ---- converters --------------------------------------------------------------------------------------------------- */
@@ -220,8 +221,8 @@ static void note_nothing(phase_watch_t *w, bool nothing, bool missed)
     }
 }
 
-/* A set-point that has only just turned round, the current need not follow yet. */
-static bool goes_on(phase_watch_t *w, frac16_t i_q)
+/* False for a set-point that has only just turned round: the current need not follow yet. */
+static bool note_wanted(phase_watch_t *w, frac16_t i_q)
 {
     const bool same = (i_q < 0) == (w->wanted < 0);
     w->wanted = i_q;
@@ -266,7 +267,7 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
             note_silence(w, config, x, is.phase[x], largest, bit);
         }
     }
-    if (goes_on(w, axis->current_ref.q) && largest > config->least) {
+    if (note_wanted(w, axis->current_ref.q) && largest > config->least) {
         const phases_t wanted = sizes(axis->current_ref, at);
         compare(w, config, &is, &wanted);
     }

@@ -64,6 +64,7 @@ static void align_spin(axis_t *axis)
     axis_zero_voltage(axis, true);
     axis->source->align(axis, rotor_search_angle(&axis->search));
     encoder_watch_start(&axis->encoder_watch, axis->feedback.position);
+    axis->angle_watch = (angle_watch_t){0};
     motion_start(axis);
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);
@@ -205,7 +206,7 @@ static void align_slow(axis_t *axis)
     } else if (axis->search.phase == ROTOR_SEARCH_STARVED) {
         end_search(axis, phase_watch_or(&axis->phases, FAULT_PHASE_LOST));
     } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
-        axis_raise(axis, phase_watch_rather(axis, FAULT_ENCODER_REVERSED));
+        end_search(axis, phase_watch_rather(axis, FAULT_ENCODER_REVERSED));
     } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {
         end_search(axis, failure);
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
@@ -292,7 +293,8 @@ static void spin_slow(axis_t *axis)
         return;
     }
     if (faults == FAULT_RUNAWAY) {
-        faults = phase_watch_rather(axis, angle_watch_rather(axis, faults));
+        const fault_set_t rather = phase_watch_rather(axis, angle_watch_rather(axis, faults)) & axis->faults_enabled;
+        faults = (rather != 0U) ? rather : faults; /* whatever it is called, it has to stop */
     }
     axis_raise(axis, faults);
     if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {

@@ -133,9 +133,12 @@ def without_current(bench: Bench) -> None:
     bench.write(0, mode=SPEED, speed=speed(100.0))
 
 
-@pytest.mark.parametrize(("codes", "fault"), [(1, PHASE_LOST), (3, CURRENT_SENSE)])
-def test_a_single_code_makes_no_converter_doubtful(core: Core, codes: int, fault: int) -> None:
-    """The last ones before the phase is named are off their offset."""
+@pytest.mark.parametrize(
+    ("codes", "fault"),
+    [(1, PHASE_LOST), (3, CURRENT_SENSE)],
+)
+def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int, fault: int) -> None:
+    """The last ones before the phase is named are off their offset; each is one of two phases of the three."""
     sound, bench = Bench(core), Bench(core)
     without_current(sound)
     ticks = 0
