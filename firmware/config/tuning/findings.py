@@ -49,11 +49,11 @@ SIZE: Final = 2.0
 """What may be written without trying."""
 
 UNEXPLAINED_MOST: Final = 1.25
-"""That speed over `start_up.minimum_speed`. On the switching plant a tiny motor was always lost at 2.7; heavier ones
-were not at 1.1."""
+"""Speed that dead time and switches look like, over `start_up.minimum_speed`. On the switching plant a tiny motor was
+always lost at 2.7 and 1.2 and often at 0.91, without a warning there: heavier ones were not at 1.1."""
 
 UNEXPLAINED: Final = 0.68
-"""What may be written without trying: the tiny one was not lost either."""
+"""What may be written without trying: the tiny one was not lost then."""
 
 FOLLOWS_LEAST: Final = 0.03
 """Mean voltage that tells a rotor that follows the search's turn from one that is held [V]. On the switching plant
