@@ -78,6 +78,8 @@ def test_what_a_slip_may_be_called() -> None:
         large += late.shows
         assert late.names(seen) == (("ANGLE_MISMATCH",) if late.shows else (NOTHING, "ANGLE_MISMATCH"))
     assert 20 < large < 45  # of 30 to 180 degrees, what is beyond 90
+    for state in ("rotor search", "coasting"):  # it may be looked for again
+        assert slip(state, rng).names(seen) == (NOTHING, "ANGLE_MISMATCH", "ROTOR_SEARCH")
 
 
 @pytest.mark.parametrize("state", ["hold", "high speed", "reversal"])

@@ -114,9 +114,10 @@ class Motor:
     @property
     def slowest(self) -> float:
         """Part of the speed limit below which it is asked for nothing without an encoder."""
-        defaults = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))["defaults"]
-        tables = (_TABLES.get(self.name, {}), defaults)
-        return SLOWEST * float(next(table["start_up"]["minimum_speed"] for table in tables if "start_up" in table))
+        servo = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
+        own = _TABLES[self.name] if self.group else servo[self.name]
+        start_up = {**servo["defaults"]["start_up"], **own.get("start_up", {})}
+        return SLOWEST * float(start_up["minimum_speed"])
 
     def firmware(self) -> Firmware | None:
         """The firmware for its board, of the level of this bench; None: the usual one."""

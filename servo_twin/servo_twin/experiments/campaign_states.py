@@ -398,7 +398,7 @@ STATES: Final[Mapping[str, State]] = {
         State("torque", _torque),
         State("coasting", _coasting, aligned=False),
         State("swinging", _swinging),
-        State("observer, rest", _rest, sensorless=True, calibrated=False),
+        State("observer, rest", _rest, sensorless=True, calibrated=False, aligned=False),
         State("observer, start-up", _start_up, sensorless=True),
         State("observer, speed", _constant(0.06, 0.95), sensorless=True),
         State("observer, under load", _constant(0.2, 0.6, load=0.25), sensorless=True),
