@@ -30,7 +30,7 @@ ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64
 COMPILE = echo "compiling firmware and virtual board$(1)" && cd servo_twin && SERVO_TWIN_FLAGS='$(ARCH) $(2)' \
           ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
 PROFILE := $(abspath $(VENV))/profile
-CONFTESTS := $(shell find firmware $(PACKAGES) tests -name conftest.py)
+CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1

@@ -13,7 +13,8 @@ from servo_twin.simulation import SimulationError, enable, move, turns
 
 
 def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of five boards, as chance decides where friction leaves a shaft: of 160 moves some 5 % go to three counts."""
+    """Of five boards, as chance decides where friction leaves a shaft: of 160 moves some 5 % go to three counts, and may
+    rest there."""
     beyond, resting = [], []
     for seed in range(4, 9):
         assert main(["move", "--seed", str(seed), "--json"]) == 0
@@ -27,6 +28,7 @@ def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFi
             beyond.append(result["overshoot"])
             resting.append(result["steady_state"])
     assert len(beyond) == 10
+    assert max(beyond + resting) <= 3
     for counts in (sorted(beyond), sorted(resting)):
         assert counts[7] <= 2  # of ten moves three would be above with a probability of 1 %
 

@@ -65,7 +65,7 @@ typedef struct {
 /* A short time in which the currents obey an equation with constant coefficients. */
 typedef struct {
     double longest;                      /* segment that bends, and frame without the last one [s] */
-    double rate;                         /* at most, of the equation [1/s] */
+    double rate;                         /* at most, of the equation, for L_q up to 2 L_d [1/s] */
     plant_vector_t inverse[2], drift[2]; /* by columns: of i' with v [1/H], with i [1/s] */
     plant_vector_t push, push_slope;     /* i' without either, and how it changes [A/s], [A/s^2] */
     plant_vector_t charge, moment;       /* since its beginning, and the integral of that [A s], [A s^2] */

@@ -4,8 +4,8 @@
  *   i' = L^-1 v + K i + e + e' t,   K = -R L^-1 + w (J - L^-1 J L),   e = -w L^-1 J psi_m,   J = (0 -1; 1 0)
  * with L^-1 and K of its middle, and a segment is a parabola with i' and i'' = K i' + e': where a phase's current is at zero
  * is the root of one. What the parabolas leave out, (h / tau)^3 / 6 of u / L, does not add up: at the end of the frame flux
- * is the exact integral of the voltages minus R times the charge, the shaft follows from the impulse of the torque and from
- * that impulse's first moment, and the currents are those that belong to this flux and this angle.
+ * is the exact integral of the voltages minus R times the charge, the shaft follows from the impulse of the torque and, where
+ * the magnet makes it, from its first moment, and the currents are those that belong to this flux and this angle.
  */
 #include "plant/bridge_kernel.h"
 
@@ -14,8 +14,8 @@
 #include <string.h>
 
 /* A segment, and a frame without its last one, are not longer than this: as much of the currents' time constant, of the
- * rotor's turn, and a time that pays [s]. A segment that hardly bends may have its whole length: with all legs on one side
- * there is no voltage but the back-EMF. */
+ * rotor's turn, and a time that pays [s]. A segment that hardly bends may be twice as long: with all legs on one side there
+ * is no voltage but the back-EMF. */
 #define OF_TIME_CONSTANT 0.03
 #define OF_TURN 0.015 /* [rad] */
 #define LONGEST 32e-6
@@ -318,7 +318,7 @@ static inline void account_pass(bridge_t *b, const pass_t *pass, const double ph
 }
 
 /* The amplifiers, t seconds on, behind currents that go straight to `phase`. */
-static inline void filter(bridge_t *b, double t, const double phase[BRIDGE_LANES])
+static inline void filter_lanes(bridge_t *b, double t, const double phase[BRIDGE_LANES])
 {
     static const double through[8][BRIDGE_LANES] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 0},
                                                     {0, 0, 1}, {1, 0, 1}, {0, 1, 1}, {1, 1, 1}};
@@ -346,7 +346,7 @@ static inline double stride(bridge_t *b, double t, double u, pair_t i, const dou
         both(t) * (before + both(t) * (both(0.5) * pair_of(&b->di) + both(SIXTH * t) * pair_of(&b->ddi))) + more;
     const double drawn = 1.5 * sum(a * charge);
     const double squares = (0.5 * t) * sum(before * (before + i) + i * i); /* 3/2 int i^2 */
-    filter(b, t, phase);
+    filter_lanes(b, t, phase);
     b->e_copper += b->r_s * squares;
     b->e_switch += b->r_on * squares - 1.5 * sum(rest * charge);
     b->e_bus += drawn * u;

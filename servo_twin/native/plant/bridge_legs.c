@@ -31,8 +31,10 @@ int bridge_leave_one(bridge_t *b, double u)
 {
     int out = 0;
     int back = 0;
-    for (int n = 0; n < 3 && b->zeros != 7u; n++) {
-        set_sign(b, n, 0);
+    if (b->zeros != 7u) {
+        for (int n = 0; n < 3; n++) {
+            set_sign(b, n, 0);
+        }
     }
     b->dead = b->unplugged || bridge_excess(b, u, b->psi, b->omega, &out, &back) <= 0.0 || out == back;
     if (b->dead) {
