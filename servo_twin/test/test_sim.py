@@ -13,8 +13,8 @@ from servo_twin.simulation import SimulationError, enable, move, turns
 
 
 def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of five boards, as chance decides where friction leaves a shaft: of 160 moves some 5 % go to three counts, and may
-    rest there."""
+    """Of five boards, as chance decides where friction leaves a shaft: of 160 moves some 5 % go three counts too far
+    and may rest there."""
     beyond, resting = [], []
     for seed in range(4, 9):
         assert main(["move", "--seed", str(seed), "--json"]) == 0
