@@ -45,12 +45,6 @@ static bool contradicts(const axis_t *axis, int32_t size, int32_t changed, int32
            (length > known + drop || (certain && across > asr32(known * size, 1)));
 }
 
-/* Where the encoder has it. */
-static int32_t emf_of(const axis_t *axis)
-{
-    return i32_gain(f16_from_f32(axis->current_loop.omega_e), axis->config->current_loop.omega_psi);
-}
-
 fault_set_t angle_watch_step(axis_t *axis)
 {
     angle_watch_t *watch = &axis->angle_watch;
@@ -65,7 +59,7 @@ fault_set_t angle_watch_step(axis_t *axis)
         return 0;
     }
     const int32_t changed = length_about(f16_sub(i.d, before.d), f16_sub(i.q, before.q));
-    const int32_t emf = emf_of(axis);
+    const int32_t emf = estimate_emf_at(axis, axis->current_loop.omega_e); /* where the encoder has it */
     filter(axis, emf);
     if (i32_abs(emf) > axis->config->phases.emf_floor / 4 && contradicts(axis, size, changed, i32_abs(emf))) {
         watch->ticks++;
@@ -82,8 +76,7 @@ fault_set_t angle_watch_step(axis_t *axis)
 fault_set_t angle_watch_rather(const axis_t *axis, fault_set_t fault)
 {
     const dq_t beyond = axis->angle_watch.beyond;
-    const bool elsewhere =
-        length_about(beyond.d, beyond.q) > i32_abs(emf_of(axis)) + axis->config->phases.emf_floor / 4;
-    const bool told = !axis->sensorless && (axis->faults_enabled & FAULT_ANGLE_MISMATCH) != 0U;
-    return (elsewhere && told) ? FAULT_ANGLE_MISMATCH : fault;
+    const int32_t emf = i32_abs(estimate_emf_at(axis, axis->current_loop.omega_e));
+    const bool elsewhere = length_about(beyond.d, beyond.q) > emf + axis->config->phases.emf_floor / 4;
+    return (elsewhere && !axis->sensorless) ? axis_fault_or(axis, FAULT_ANGLE_MISMATCH, fault) : fault;
 }

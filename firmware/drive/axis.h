@@ -170,6 +170,12 @@ void axis_break(axis_t *axis);
  * one for all of these faults (stop.h). */
 void axis_raise(axis_t *axis, fault_set_t faults);
 
+/* `fault`, or `other` where nobody wants to know of it. */
+static inline fault_set_t axis_fault_or(const axis_t *axis, fault_set_t fault, fault_set_t other)
+{
+    return ((axis->faults_enabled & fault) != 0U) ? fault : other;
+}
+
 /* The observer can be used with this motor. */
 bool axis_observable(const axis_t *axis);
 

@@ -83,6 +83,12 @@ static void note_unexplained(axis_t *axis)
     rest->q = sat16(asr32((int32_t)rest->q + u.q - drop(i.q, resistance), 1));
 }
 
+static bool current_flows(const axis_t *axis)
+{
+    const dq_t i = axis->current_loop.current;
+    return length_about(i.d, i.q) >= 2 * (int32_t)axis->config->phases.silent;
+}
+
 /* Half of the resistance's voltage. */
 static int32_t half_drop(const axis_t *axis)
 {
@@ -101,8 +107,10 @@ static int32_t tolerated(const axis_t *axis)
 
 /* What the controllers add up for a current that does not flow turns, too, but more slowly than a rotor with a back-EMF of
  * that size. `beyond`: more than other reasons may account for. */
-static void note_voltage(encoder_watch_t *w, dq_t voltage, int32_t beyond, int32_t turn_per_voltage, bool flows)
+static void note_voltage(axis_t *axis, int32_t beyond)
 {
+    encoder_watch_t *w = &axis->encoder_watch;
+    const dq_t voltage = w->rest;
     const bool rigid = !w->turned && w->swept > SWEPT_MOST;
     if (w->turning == 0U || rigid) {
         w->emf = voltage;
@@ -111,18 +119,12 @@ static void note_voltage(encoder_watch_t *w, dq_t voltage, int32_t beyond, int32
         w->idle = 0;
         w->rigid = rigid || (w->turning > 0U && w->rigid);
     }
-    w->swept += (uint32_t)asr64((int64_t)beyond * turn_per_voltage, 15);
+    w->swept += (uint32_t)asr64((int64_t)beyond * axis->config->phases.turn_per_voltage, 15);
     const int32_t along = asr32((int32_t)voltage.d * w->emf.d, 1) + asr32((int32_t)voltage.q * w->emf.q, 1);
     const int32_t across = asr32((int32_t)voltage.d * w->emf.q, 1) - asr32((int32_t)voltage.q * w->emf.d, 1);
     w->turned = w->turned || along < across || along < -across; /* more than an eighth of a turn */
-    w->idle = (uint16_t)(w->idle + (flows ? 0U : 1U));
+    w->idle = (uint16_t)(w->idle + (current_flows(axis) ? 0U : 1U));
     w->turning++;
-}
-
-static bool current_flows(const axis_t *axis)
-{
-    const dq_t i = axis->current_loop.current;
-    return length_about(i.d, i.q) >= 2 * (int32_t)axis->config->phases.silent;
 }
 
 static frac16_t asked(const axis_t *axis)
@@ -145,14 +147,14 @@ static frac16_t current_along(const axis_t *axis)
 /* The voltage turns like a back-EMF. Where hardly any current flows, or flowed while it did, or the voltage has stood before
  * for longer than a back-EMF does, it may be what the controllers add up in vain: then a current is asked for, where most
  * of the voltage is, for as long as they take. */
-static fault_set_t lost(axis_t *axis, dq_t voltage)
+static fault_set_t lost(axis_t *axis)
 {
     encoder_watch_t *w = &axis->encoder_watch;
     if (w->asking == 0U) {
         if (!w->rigid && 2U * w->idle <= w->turning && current_flows(axis)) {
             return phase_watch_rather(axis, FAULT_ENCODER_LOST);
         }
-        w->along_q = f16_abs(voltage.q) > f16_abs(voltage.d);
+        w->along_q = f16_abs(w->rest.q) > f16_abs(w->rest.d);
         w->before = current_along(axis);
     }
     w->asking++;
@@ -181,10 +183,8 @@ static bool steps(axis_t *axis)
 static bool doubts(const axis_t *axis)
 {
     const encoder_watch_t *w = &axis->encoder_watch;
-    const int32_t small = 2 * (int32_t)axis->config->phases.silent;
-    const dq_t i = axis->current_loop.current;
-    return w->sudden && w->asking == 0U && w->calm >= DOUBT_TICKS && length_about(i.d, i.q) < small &&
-           f16_abs(axis->current_ref.q) < small;
+    return w->sudden && w->asking == 0U && w->calm >= DOUBT_TICKS && !current_flows(axis) &&
+           f16_abs(axis->current_ref.q) < 2 * (int32_t)axis->config->phases.silent;
 }
 
 /* A current that stays as it is needs a voltage that stays as it is, but for a rotor that turns. Somebody who asks for
@@ -223,7 +223,7 @@ static void judge(axis_t *axis)
     const int32_t size = length_about(w->rest.d, w->rest.q);
     const int32_t beyond = size - tolerated(axis);
     if (beyond > 0) {
-        note_voltage(w, w->rest, beyond, axis->config->phases.turn_per_voltage, current_flows(axis));
+        note_voltage(axis, beyond);
     } else if (w->turning > 0U) {
         w->turning--;
         w->idle = (w->idle > w->turning) ? w->turning : w->idle;
@@ -249,7 +249,7 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
         judge(axis);
     }
     if (w->asking > 0U || (w->turning >= TURNING_TICKS && w->turned)) {
-        return lost(axis, w->rest);
+        return lost(axis);
     }
     return (w->in_vain >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
 }

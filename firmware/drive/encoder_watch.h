@@ -27,6 +27,7 @@ typedef struct {
     frac16_t wanted;  /* i_q* of the last tick */
     dq_t rest;        /* voltage that the current does not need, of late */
     uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
+    uint16_t idle;    /* those of them without current */
     uint16_t in_vain; /* slow ticks of much of it */
     uint8_t asking;   /* slow ticks for which a current has been asked to see whether any flows .. */
     bool along_q;     /* .. in this direction .. */
@@ -37,7 +38,6 @@ typedef struct {
     dq_t emf;         /* that voltage at first .. */
     uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
     bool turned;      /* .. and it has pointed elsewhere */
-    uint16_t idle;    /* slow ticks of `turning` without current */
     bool rigid;       /* it has not for longer than that */
 } encoder_watch_t;
 

@@ -204,7 +204,7 @@ static bool in_vain(const axis_t *axis)
     const phase_watch_config_t *config = &axis->config->phases;
     const dq_t u = axis->current_loop.voltage;
     const dq_t is = axis->current_loop.current;
-    const int32_t emf = asr32(f32_gain(axis->current_loop.omega_e, axis->config->current_loop.omega_psi), 16);
+    const int32_t emf = estimate_emf_at(axis, axis->current_loop.omega_e);
     const int32_t drop = i32_gain(length_about(is.d, is.q), config->resistance);
     return (axis->sensorless || axis->encoder_watch.calm < ENCODER_CALM_TICKS) &&
            length_about(u.d, u.q - emf) > 2 * (int32_t)config->emf_floor + larger(emf, -emf) / 2 + 2 * drop;
@@ -295,6 +295,5 @@ fault_set_t phase_watch_rather(const axis_t *axis, fault_set_t fault)
 {
     const phase_watch_t *w = &axis->phases;
     const bool phase = phase_watch_suspects(w) != 0U || w->missed >= NOTHING_SUSPECT;
-    const bool told = phase && (axis->faults_enabled & FAULT_PHASE_LOST) != 0U;
-    return phase_watch_or(w, told ? FAULT_PHASE_LOST : fault);
+    return phase_watch_or(w, phase ? axis_fault_or(axis, FAULT_PHASE_LOST, fault) : fault);
 }

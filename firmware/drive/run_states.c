@@ -184,7 +184,7 @@ static fault_set_t search_failure(const axis_t *axis)
 /* A search that cannot go on ends, whether anybody wants to know its particular reason or not. */
 static void end_search(axis_t *axis, fault_set_t reason)
 {
-    axis_raise(axis, ((axis->faults_enabled & reason) != 0U) ? reason : FAULT_ROTOR_SEARCH);
+    axis_raise(axis, axis_fault_or(axis, reason, FAULT_ROTOR_SEARCH));
 }
 
 static void align_slow(axis_t *axis)
@@ -293,8 +293,8 @@ static void spin_slow(axis_t *axis)
         return;
     }
     if (faults == FAULT_RUNAWAY) {
-        const fault_set_t rather = phase_watch_rather(axis, angle_watch_rather(axis, faults)) & axis->faults_enabled;
-        faults = (rather != 0U) ? rather : faults; /* whatever it is called, it has to stop */
+        const fault_set_t rather = phase_watch_rather(axis, angle_watch_rather(axis, faults));
+        faults = axis_fault_or(axis, rather, faults); /* whatever it is called, it has to stop */
     }
     axis_raise(axis, faults);
     if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {

@@ -46,10 +46,7 @@ void stall_proof_fast(axis_t *axis)
     rotor_follow_add(&axis->search.follow, &config, (axis->current_ref.q > 0) ? f16_neg(u_d) : u_d);
 }
 
-static void found(axis_t *axis, fault_set_t fault)
-{
-    axis_raise(axis, ((axis->faults_enabled & fault) != 0U) ? fault : FAULT_STALLED);
-}
+static void found(axis_t *axis, fault_set_t fault) { axis_raise(axis, axis_fault_or(axis, fault, FAULT_STALLED)); }
 
 /* Way in the direction of the torque that was wanted. */
 static int32_t way_from(const axis_t *axis, int32_t origin)

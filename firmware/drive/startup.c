@@ -245,8 +245,8 @@ startup_result_t startup_slow(axis_t *axis)
 fault_set_t startup_failure(const axis_t *axis)
 {
     const bool starved = axis->current_loop.current.d < axis->config->startup.first_current / 4;
-    const bool told = starved && (axis->faults_enabled & FAULT_PHASE_LOST) != 0U;
-    return told ? FAULT_PHASE_LOST : FAULT_START_UP; /* the latter cannot be switched off */
+    /* the latter cannot be switched off */
+    return starved ? axis_fault_or(axis, FAULT_PHASE_LOST, FAULT_START_UP) : FAULT_START_UP;
 }
 
 /* ---- the hand-over -------------------------------------------------------------------------------------------------- */
