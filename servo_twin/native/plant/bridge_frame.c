@@ -317,7 +317,7 @@ static inline void account_pass(bridge_t *b, const pass_t *pass, const double ph
     set_sign(b, pass->phase, (pass->way < 0.0) ? 1 : -1);
 }
 
-/* The amplifiers, t seconds on, behind currents that go straight to `phase`. */
+/* The same as filter() of bridge.c, for all phases at once. */
 static inline void filter_lanes(bridge_t *b, double t, const double phase[BRIDGE_LANES])
 {
     static const double through[8][BRIDGE_LANES] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 0},

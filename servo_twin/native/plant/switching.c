@@ -172,13 +172,6 @@ void switching_look_around(switching_t *plant)
     plant->stale = false;
 }
 
-static inline void look(switching_t *plant)
-{
-    if (plant->stale) {
-        switching_look_around(plant);
-    }
-}
-
 /* ---- moving on ---------------------------------------------------------------------------------------------------- */
 
 /* The bus to the present clock, with the currents of both axes extrapolated along their slopes. */
@@ -435,7 +428,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
 {
     switching_axis_t *axis = &plant->axis[i];
     double current;
-    look(plant);
+    switching_look(plant);
     if (!bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), &current)) {
         advance_axis(plant, i);
         switching_look_around(plant);
@@ -447,7 +440,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
 
 uint16_t switching_bus_code(switching_t *plant)
 {
-    look(plant);
+    switching_look(plant);
     advance_supply(plant);
     const double shown = plant->supply.u + plant->u_noise * plant_random_gauss(&plant->noise);
     return plant_code(shown * plant->codes_per_volt);

@@ -114,6 +114,14 @@ void switching_init(switching_t *plant, const board_config_t *config);
 void switching_look_around(switching_t *plant);
 void switching_happen(switching_t *plant);
 
+/* The first of them, if anything has changed. */
+static inline void switching_look(switching_t *plant)
+{
+    if (plant->stale) {
+        switching_look_around(plant);
+    }
+}
+
 /* From the present clock on a leg's gates are so. Several legs may change at one clock. */
 void switching_edge(switching_t *plant, int axis, int phase, switching_leg_t leg);
 
@@ -121,9 +129,7 @@ void switching_edge(switching_t *plant, int axis, int phase, switching_leg_t leg
  * turn out that nothing has happened. Always later than the present clock. */
 static inline uint64_t switching_next(switching_t *plant)
 {
-    if (plant->stale) {
-        switching_look_around(plant);
-    }
+    switching_look(plant);
     return plant->next;
 }
 
