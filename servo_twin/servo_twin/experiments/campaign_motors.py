@@ -114,7 +114,7 @@ class Motor:
     @property
     def slowest(self) -> float:
         """Part of the speed limit below which it is asked for nothing without an encoder."""
-        servo = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
+        servo = _servo()
         own = _TABLES[self.name] if self.group else servo[self.name]
         start_up = {**servo["defaults"]["start_up"], **own.get("start_up", {})}
         return SLOWEST * float(start_up["minimum_speed"])
@@ -135,6 +135,13 @@ def _truth(table: Mapping[str, Any]) -> dict[str, float]:
 
 
 @functools.cache
+def _servo() -> Mapping[str, Any]:
+    """The committed ``servo.toml``; nobody changes it."""
+    table: dict[str, Any] = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
+    return table
+
+
+@functools.cache
 def _firmware(group: str, kind: Level) -> Firmware:
     """Built once: a campaign is of one state of the sources."""
     return build_firmware(_configuration(group), kind)
@@ -142,10 +149,8 @@ def _firmware(group: str, kind: Level) -> Firmware:
 
 def _configuration(group: str) -> str:
     """Text of the ``servo.toml`` for two motors."""
-    table = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
-    for axis, name in enumerate(group.split()):
-        table[axis_name(axis)] = {"feedback": "encoder", **_TABLES[name]}
-    return as_toml(table)
+    motors = {axis_name(axis): {"feedback": "encoder", **_TABLES[name]} for axis, name in enumerate(group.split())}
+    return as_toml({**_servo(), **motors})
 
 
 def deviating(plant: PlantConfig, rng: random.Random) -> PlantConfig:

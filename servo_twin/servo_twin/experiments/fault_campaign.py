@@ -84,9 +84,11 @@ def draw(plant: PlantConfig, seed: int, number: int, motors: Sequence[str] = MOT
     state = rng.choice([s for s in states if motor.observable or not s.sensorless])
     where = Where(there, motor.axis, state)
     if whole:
-        return Trial(seed, number, motor, state, no_damage(where), there, tuple(motors))
-    make = rng.choice([make for make, observed in DAMAGES.values() if observed or not state.sensorless])
-    return Trial(seed, number, motor, state, make(rng, where), there, tuple(motors))
+        damage = no_damage(where)
+    else:
+        make = rng.choice([make for make, observed in DAMAGES.values() if observed or not state.sensorless])
+        damage = make(rng, where)
+    return Trial(seed, number, motor, state, damage, there, tuple(motors))
 
 
 # ---- running
