@@ -261,10 +261,13 @@ def test_an_interrupted_demonstration_disables_the_axes(
             text=True,
             env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN)),
         ) as demo:
-            # The shafts of this board never move, so the first move lasts until somebody ends it.
-            bridge.until(lambda: any(name == "cmd.position" for name, _, _ in servo.command_writes()))
-            demo.send_signal(number)
-            output, _ = demo.communicate(timeout=20)
+            try:
+                # The shafts of this board never move, so the first move lasts until somebody ends it.
+                bridge.until(lambda: any(name == "cmd.position" for name, _, _ in servo.command_writes()))
+                demo.send_signal(number)
+                output, _ = demo.communicate(timeout=20)
+            finally:
+                demo.kill()  # or the end of `with` would wait for ever
         assert demo.returncode == 130, output
         assert "disabled: axis1=STOP axis2=STOP" in output
         assert "servo-demo: interrupted" in output

@@ -332,6 +332,7 @@ def test_every_change_of_the_link_is_one_line_and_an_error_in_diagnostics(rig: R
     assert link.hardware_id == "/dev/ttyUSB0"
     for part in ("board", "axis1", "axis2"):
         assert rig.diagnosis(part).level == b"\x02"
+    rig.until(lambda: rig.logs(40))
     assert rig.logs(40) == ["another table of variables; flash the firmware of this release"]
 
 
@@ -345,6 +346,8 @@ def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
     assert axis.level == b"\x02"
     assert axis.message.startswith("OVER_VOLTAGE: ")
     assert "OVER_CURRENT" in axis.message
+    rig.until(lambda: len(rig.logs(40)) >= 2)
+    rig.settle()
     assert len(rig.logs(40)) == 2
     assert all(text.startswith("axis1: OVER_") for text in rig.logs(40))
 
@@ -438,7 +441,7 @@ def test_wanted_parameters_are_written_at_the_connection_and_when_they_change() 
         limits = [value("param.i_q_limit", raw) for raw in rig.parameters()["param.i_q_limit"]]
         assert limits == pytest.approx([1.0, 1.5], abs=1e-3)
         assert [name for name, _, _ in rig.link.written] == ["param.i_q_limit", "param.features"]
-        assert any("param.features: " in text and "DEAD_TIME+FRICTION)" in text for text in rig.logs(0))
+        rig.until(lambda: any("param.features: " in t and "DEAD_TIME+FRICTION)" in t for t in rig.logs(0)))
         assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
         rig.until(lambda: rig.parameters()["param.features"] == [0b10000, 0b11000])
         rig.link.parameters["param.features"] = [0, 0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
@@ -429,14 +430,21 @@ def test_baud_from_the_environment(fake_port: FakePort, run: Run, monkeypatch: p
 
 
 # ---- as a process -------------------------------------------------------------------------------------------------
-def process(*arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+@contextlib.contextmanager
+def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """The tool as a process of its own, which does not outlive the test."""
+    tool_process = subprocess.Popen(
         [sys.executable, "-m", "servo_bridge.tool", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
     )
+    with tool_process:
+        try:
+            yield tool_process
+        finally:
+            tool_process.kill()  # or the end of `with` would wait for ever
 
 
 def test_ctrl_c_ends_a_recording_with_a_complete_file(fake_port: FakePort, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -110,10 +109,12 @@ def test_page_and_data_are_on_the_loopback_interface_only() -> None:
 def test_the_page_ends_with_an_owner_that_is_killed() -> None:
     (web,) = _ports(1)
     with subprocess.Popen([sys.executable, "-c", _OWNER, str(web)], stdout=subprocess.PIPE, text=True) as owner:
-        assert owner.stdout is not None
-        child = int(owner.stdout.readline())
-        assert not _gone(child)
-        owner.send_signal(signal.SIGKILL)
+        try:
+            assert owner.stdout is not None
+            child = int(owner.stdout.readline())
+            assert not _gone(child)
+        finally:
+            owner.kill()
     assert _wait(lambda: _gone(child))
 
 
