@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import signal
 import subprocess
@@ -12,6 +11,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
+
+from servo_twin.end_with_parent import bound_to_us
 
 __all__ = ["Child", "ChildError", "executable", "stop_all", "wait_until"]
 
@@ -37,12 +38,6 @@ def executable(name: str) -> Path:
     return path
 
 
-def _end_with_parent() -> None:
-    """Have the kernel send SIGTERM when the parent dies, even if it is killed (Linux)."""
-    pr_set_pdeathsig = 1
-    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGTERM)
-
-
 class Child:
     """One process in a group of its own; what it prints goes to a log file.
 
@@ -64,13 +59,12 @@ class Child:
         with log.open("wb") as output:
             try:
                 self._process = subprocess.Popen(
-                    list(command),
+                    bound_to_us(command),
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     env=dict(environment),
                     start_new_session=True,
-                    preexec_fn=_end_with_parent,
                 )
             except OSError as error:
                 raise ChildError(f"{name} cannot be started: {error}") from error

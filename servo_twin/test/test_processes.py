@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from servo_twin.end_with_parent import bound_to_us
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
 pytestmark = pytest.mark.realtime
@@ -88,3 +90,32 @@ def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_waiting_ends_with_the_patience(children: list[Child], tmp_path: Path) -> None:
     child = start(children, tmp_path, POLITE)
     assert wait_until(lambda: False, [child], 0.1) is False
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel ends the child on Linux only")
+def test_a_child_ends_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    owner_code = (
+        "import os, sys, time; from pathlib import Path; from servo_twin.processes import Child\n"
+        f"child = Child('child', [sys.executable, '-c', {POLITE!r}], Path({str(tmp_path / 'log')!r}), os.environ)\n"
+        "print(child.pid, flush=True); time.sleep(60)"
+    )
+    owner = subprocess.Popen([sys.executable, "-c", owner_code], stdout=subprocess.PIPE, text=True)
+    with owner:
+        try:
+            assert owner.stdout is not None
+            child = int(owner.stdout.readline())
+            assert wait_until(lambda: "ready" in (tmp_path / "log").read_text(), [], 10.0)
+            assert alive(child)
+        finally:
+            owner.kill()
+    assert wait_until(lambda: not alive(child), [], 5.0)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel ends the child on Linux only")
+def test_a_child_whose_parent_died_before_it_could_ask_does_not_begin() -> None:
+    command = bound_to_us([sys.executable, "-c", "print('begun')"])
+    position = command.index(str(os.getpid()))
+    orphan = [*command[:position], str(os.getpid() + 1), *command[position + 1 :]]
+    for line, status, text in ((command, 0, "begun\n"), (orphan, 143, "")):
+        done = subprocess.run(line, capture_output=True, text=True, timeout=20.0, check=False)
+        assert (done.returncode, done.stdout) == (status, text)

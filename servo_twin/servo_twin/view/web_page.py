@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import importlib.util
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote
+
+from servo_twin.end_with_parent import bound_to_us
 
 __all__ = ["LOOPBACK", "WebPage", "WebPageError", "free_port"]
 
@@ -24,7 +23,6 @@ _PORTS_TRIED: Final = 32
 _START_PATIENCE: Final = 15.0  # [s]
 _STOP_PATIENCE: Final = 1.0
 _POLL: Final = 0.05
-_PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 
 
 class WebPageError(RuntimeError):
@@ -78,13 +76,12 @@ class WebPage:
         command = [str(_command()), "--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(port), data]
         environment = {**os.environ, "RERUN_ANALYTICS": "false"}
         self._process = subprocess.Popen(
-            command,
+            bound_to_us(command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env=environment,
             start_new_session=True,  # Ctrl-C is for us; we end it when the data has been flushed
-            preexec_fn=_die_with_parent(),
         )
         try:
             self._wait(port)
@@ -130,15 +127,3 @@ def _command() -> Path:
     if found := shutil.which("rerun"):
         return Path(found)
     raise WebPageError("there is no rerun command; install it with `pip install 'rerun-sdk==0.41.*'`")
-
-
-def _die_with_parent() -> Callable[[], None] | None:
-    """What lets the child get SIGTERM when the thread that starts it is gone; Linux only."""
-    if not sys.platform.startswith("linux"):
-        return None
-    prctl = ctypes.CDLL(None).prctl
-
-    def ask() -> None:
-        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-    return ask
