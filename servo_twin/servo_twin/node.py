@@ -257,7 +257,8 @@ class ServoTwin(Node):
     def _every_second(self) -> None:
         figures = self._worker.figures()
         with self._lock:
-            if figures.samples == self._samples_before:
+            # Samples count when they come; those that came before the last look may have been compared since.
+            if figures.samples == self._samples_before and not figures.load:
                 self._monitor.interrupt(self._board_trouble or f"no telemetry from {self._board_namespace}")
             self._samples_before = figures.samples
             worst, self._worst = self._worst, None
