@@ -30,6 +30,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot_table
+from servo_msgs_py.end_with_parent import bound_to_us
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -49,7 +50,7 @@ class Process:
         self.log = log
         with log.open("wb") as output:
             self._popen = subprocess.Popen(
-                list(command),
+                bound_to_us(command),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -109,7 +110,7 @@ class Cable:
             self._stop = None
 
     def _carry(self, listener: socket.socket, stop: threading.Event) -> None:
-        with listener, serial.Serial(str(self._port), 115200, timeout=0) as board:
+        with listener, serial.Serial(str(self._port), 115200, timeout=0, exclusive=True) as board:
             while not stop.is_set():
                 if not select.select([listener], [], [], 0.05)[0]:
                     continue

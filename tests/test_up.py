@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from servo_msgs_py.end_with_parent import bound_to_us
 from servo_twin.processes import executable
 from servo_twin.up import main, parser
 
@@ -47,7 +48,9 @@ class Up:
         self.log = out / "up.log"
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
-                [str(executable("servo-up")), "--no-web", "--domain-id", domain(), "--out", str(out), *arguments],
+                bound_to_us(
+                    [str(executable("servo-up")), "--no-web", "--domain-id", domain(), "--out", str(out), *arguments]
+                ),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

@@ -25,6 +25,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import applied_from_message
+from servo_msgs_py.end_with_parent import bound_to_us
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool
 
@@ -33,6 +34,7 @@ from servo_msgs_py import topics
 pytestmark = pytest.mark.realtime
 
 CATALOGUE = Catalogue.load()
+_NODE = "import sys; from servo_bridge.node import main; sys.exit(main())"
 
 
 class Spinning(FakeServo):
@@ -70,7 +72,7 @@ class Bridge:
         environment = dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), PYTHONUNBUFFERED="1")
         with self.log_file.open("w") as output:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", "import sys; from servo_bridge.node import main; sys.exit(main())", *arguments],
+                bound_to_us([sys.executable, "-c", _NODE, *arguments]),
                 stdout=output,
                 stderr=output,
                 env=environment,
@@ -255,7 +257,7 @@ def test_an_interrupted_demonstration_disables_the_axes(
     with Bridge(tmp_path, *port_arguments(port)) as bridge:
         bridge.until(lambda: bridge.state() == "axis1=STOP axis2=STOP")
         with subprocess.Popen(
-            [sys.executable, "-m", "servo_bridge.demo"],
+            bound_to_us([sys.executable, "-m", "servo_bridge.demo"]),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -11,6 +11,7 @@ import pytest
 from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
 from servo_bridge.command import main
 from servo_bridge.wire.link_state import LinkState
+from servo_msgs_py.end_with_parent import bound_to_us
 
 pytestmark = pytest.mark.realtime
 
@@ -24,7 +25,7 @@ def rig() -> Iterator[Rig]:
 def command(rig: Rig, *arguments: str) -> tuple[int, str, str]:
     """Run a command while the board lives; exit status and what it printed."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "servo_bridge.command", "--wait", "8", *arguments],
+        bound_to_us([sys.executable, "-m", "servo_bridge.command", "--wait", "8", *arguments]),
         env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

@@ -17,6 +17,7 @@ import pytest
 from fake_port import FakePort, NoiseDevice, V3Target
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import CONST, ENUM, NONE, RO, RW, FakeEntry, FakeTarget
+from servo_msgs_py.end_with_parent import bound_to_us
 
 from servo_bridge import tool
 
@@ -434,7 +435,7 @@ def test_baud_from_the_environment(fake_port: FakePort, run: Run, monkeypatch: p
 def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """The tool as a process of its own, which does not outlive the test."""
     tool_process = subprocess.Popen(
-        [sys.executable, "-m", "servo_bridge.tool", *arguments],
+        bound_to_us([sys.executable, "-m", "servo_bridge.tool", *arguments]),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

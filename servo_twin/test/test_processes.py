@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from servo_twin.end_with_parent import bound_to_us
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
 pytestmark = pytest.mark.realtime
@@ -109,13 +108,3 @@ def test_a_child_ends_with_a_parent_that_is_killed(tmp_path: Path) -> None:
         finally:
             owner.kill()
     assert wait_until(lambda: not alive(child), [], 5.0)
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel ends the child on Linux only")
-def test_a_child_whose_parent_died_before_it_could_ask_does_not_begin() -> None:
-    command = bound_to_us([sys.executable, "-c", "print('begun')"])
-    position = command.index(str(os.getpid()))
-    orphan = [*command[:position], str(os.getpid() + 1), *command[position + 1 :]]
-    for line, status, text in ((command, 0, "begun\n"), (orphan, 143, "")):
-        done = subprocess.run(line, capture_output=True, text=True, timeout=20.0, check=False)
-        assert (done.returncode, done.stdout) == (status, text)

@@ -25,6 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_state, snapshot_message
+from servo_msgs_py.end_with_parent import bound_to_us
 from servo_twin.view import scene
 from servo_twin.view.recording import RecordingError, read_scalars, read_texts
 from servo_twin.view.web_page import free_port
@@ -61,7 +62,7 @@ class ViewerProcess:
         arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
         with self._log.open("w") as output:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", MAIN, "--ros-args", *arguments],
+                bound_to_us([sys.executable, "-c", MAIN, "--ros-args", *arguments]),
                 stdout=output,
                 stderr=output,
                 env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), RERUN_STRICT="1"),

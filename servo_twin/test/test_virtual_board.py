@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
 import signal
@@ -14,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from servo_msgs_py.end_with_parent import bound_to_us
 from servo_twin.virtual_board import IDLE_SLICE_S, LinkError, Pacer, Terminal, main, serve, slip_reporter
 
 pytestmark = pytest.mark.realtime
@@ -204,6 +206,7 @@ def read_for(fd: int, size: int) -> bytes:
 def opened(path: Path | str) -> Iterator[int]:
     fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody else shall take our bytes
         yield fd
     finally:
         os.close(fd)
@@ -281,7 +284,7 @@ class TestTerminal:
 def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """The program itself, terminated at the end."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "servo_twin.virtual_board", *arguments],
+        bound_to_us([sys.executable, "-m", "servo_twin.virtual_board", *arguments]),
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )  # fmt: skip

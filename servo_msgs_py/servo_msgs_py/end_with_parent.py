@@ -31,7 +31,7 @@ def bound_to_us(command: Sequence[str]) -> list[str]:
     return [sys.executable, "-I", "-S", __file__, str(os.getpid()), *command]
 
 
-def _become(parent: int, command: Sequence[str]) -> None:
+def _become(parent: int, command: list[str]) -> None:
     import ctypes  # here, for nobody else needs it
 
     pr_set_pdeathsig = 1  # linux/prctl.h
