@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import grp
 import os
+import select
 import socket
 import stat
 import threading
@@ -103,6 +104,22 @@ def test_old_input_is_thrown_away_when_opening(pty: Pty) -> None:
     os.write(pty.master, b"old\n")
     with SerialPort(pty.path, 115_200) as port:
         assert port.read(soon(0.05)) == b""
+
+
+def test_a_link_that_is_older_than_its_terminal_is_not_followed(pty: Pty, tmp_path: Path) -> None:
+    link = tmp_path / "board"
+    link.symlink_to(pty.path)
+    with SerialPort(str(link), 115_200) as port:
+        port.write(b"to the board")
+    assert os.read(pty.master, 100) == b"to the board"
+    made = os.stat(pty.path).st_ctime
+    os.utime(link, (made - 60.0, made - 60.0), follow_symlinks=False)
+    with pytest.raises(PortError, match="older than the terminal behind it") as caught:
+        SerialPort(str(link), 115_200)
+    assert caught.value.missing
+    assert not select.select([pty.master], [], [], 0.0)[0]
+    with SerialPort(pty.path, 115_200):
+        pass
 
 
 def test_closing_twice(pty: Pty) -> None:

@@ -29,6 +29,8 @@ __all__ = ["LowLatency", "PortError", "SerialPort"]
 _CHUNK: Final = 4096
 _WRITE_LIMIT_NS: Final = 1_000_000_000
 _SYS_TTY: Final = Path("/sys/class/tty")
+_PSEUDO_TERMINALS: Final = "/dev/pts/"
+_LINK_TOLERANCE: Final = 2.0  # the clocks of two file systems may differ by a tick; people are slower [s]
 
 
 class PortError(TransportError):
@@ -83,6 +85,7 @@ class SerialPort:
 
     def __init__(self, url: str, baud: int) -> None:
         self.url = url
+        _refuse_left_over_link(url)
         try:
             self._serial: Any = serial.serial_for_url(
                 url, baudrate=baud, timeout=0, write_timeout=_WRITE_LIMIT_NS * 1e-9, exclusive=True
@@ -185,6 +188,26 @@ class SerialPort:
     def _lost(self, error: BaseException | None) -> TransportError:
         detail = f" ({error})" if error is not None else ""
         return TransportError(f"the port {self.url} is gone{detail}")
+
+
+def _refuse_left_over_link(url: str) -> None:
+    """Keep away from a terminal that has got the number of one that is gone: somebody else works there.
+
+    A virtual board that is killed leaves its link behind. A pseudo terminal has the change time of its making; no use
+    alters it, so a link that is older was not made for it.
+    """
+    try:
+        link, terminal = os.lstat(url), os.stat(url)
+    except (OSError, ValueError):
+        return  # opening it tells
+    if not stat.S_ISLNK(link.st_mode) or not os.path.realpath(url).startswith(_PSEUDO_TERMINALS):
+        return
+    if terminal.st_ctime > link.st_mtime + _LINK_TOLERANCE:
+        raise PortError(
+            f"the link {url} is older than the terminal behind it: whoever made it is gone",
+            "start the virtual board again, or make the link anew",
+            missing=True,
+        )
 
 
 def _descriptor(port: Any, url: str) -> int | None:
