@@ -13,7 +13,7 @@
 #define STILL_TICKS 60    /* of voltage that stays where it is */
 #define SHORT_TICKS 8
 #define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
-#define DOUBT_TICKS 20    /* at rest after a sudden stop, before a current is sent through the windings */
+#define DOUBT_TICKS ENCODER_DOUBT_TICKS
 #define SETTLED_TICKS 8   /* until it flows */
 #define PROBE_TICKS 80    /* in all: before the speed of the M/T method without its enhancement falls to zero */
 #define SWINGS_MOST 4
@@ -144,6 +144,13 @@ static frac16_t current_along(const axis_t *axis)
     return axis->encoder_watch.along_q ? axis->current_loop.current.q : axis->current_loop.current.d;
 }
 
+/* A back-EMF is still there when a current has been asked for, less what the resistance is wrong by; what noise has added
+ * up in the controllers is not. */
+static bool remains(const encoder_watch_t *w)
+{
+    return 4 * length_about(w->rest.d, w->rest.q) >= length_about(w->emf.d, w->emf.q);
+}
+
 /* The voltage turns like a back-EMF. Where hardly any current flows, or flowed while it did, or the voltage has stood before
  * for longer than a back-EMF does, it may be what the controllers add up in vain: then a current is asked for, where most
  * of the voltage is, for as long as they take. */
@@ -163,6 +170,10 @@ static fault_set_t lost(axis_t *axis)
     }
     w->asking = 0;
     const int32_t more = 4 * ((int32_t)current_along(axis) - w->before);
+    if (more >= 2 * (int32_t)asked(axis) && !remains(w)) {
+        w->turning = 0;
+        return 0;
+    }
     if (more >= 3 * (int32_t)asked(axis)) { /* where a phase lets nothing flow, a half of it at most comes */
         return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST);
     }

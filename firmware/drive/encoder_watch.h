@@ -11,6 +11,7 @@
 
 /* Slow ticks without movement after which the shaft is slower than any back-EMF that counts here. */
 #define ENCODER_CALM_TICKS 4
+#define ENCODER_DOUBT_TICKS 20 /* at rest after a sudden stop, before a current is sent through the windings */
 
 typedef struct {
     int32_t anchor;   /* position that the count has not left by more than two */
@@ -55,6 +56,12 @@ fault_set_t encoder_watch_voltage(struct axis *axis);
 static inline bool encoder_watch_is_asking(const encoder_watch_t *watch)
 {
     return watch->asking != 0U || watch->probing != 0U;
+}
+
+/* The shaft has just stopped at once, or the encoder has died, and the angle with it: it will show. */
+static inline bool encoder_watch_wonders(const encoder_watch_t *watch)
+{
+    return watch->sudden && watch->calm < ENCODER_DOUBT_TICKS;
 }
 
 /* Current that is asked for then, to see whether any flows. */

@@ -267,7 +267,8 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
             note_silence(w, config, x, is.phase[x], largest, bit);
         }
     }
-    if (note_wanted(w, axis->current_ref.q) && largest > config->least) {
+    if (note_wanted(w, axis->current_ref.q) && largest > config->least &&
+        !encoder_watch_wonders(&axis->encoder_watch)) {
         const phases_t wanted = sizes(axis->current_ref, at);
         compare(w, config, &is, &wanted);
     }

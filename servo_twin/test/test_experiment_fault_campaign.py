@@ -60,6 +60,26 @@ def test_a_shaft_that_comes_to_rest_is_not_taken_for_one_that_turns(motor: str, 
     assert not result.lost, str(result)
 
 
+@pytest.mark.slow
+def test_noise_that_the_controllers_add_up_is_not_taken_for_a_back_emf() -> None:
+    """Of a motor whose resistance takes more voltage than its back-EMF does, with three times the usual noise."""
+    trial = draw(PLANT, 71, 9)
+    assert (trial.motor.name, trial.state.name, trial.damage.kind) == ("gimbal", "manoeuvres", NO_DAMAGE)
+    with at_level("registers"):
+        result = run_trial(trial)
+    assert not result.lost, str(result)
+
+
+def test_an_encoder_that_dies_at_speed_under_torque_is_not_taken_for_a_lost_phase() -> None:
+    """The current stays behind what is asked of one phase, for the angle that it is asked at no longer turns."""
+    make, _ = DAMAGES["encoder plug"]
+    trial = draw(PLANT, 71, 97)
+    assert (trial.motor.name, trial.state.name) == ("axis1", "torque")
+    plug = make(random.Random(1), Where(PLANT, trial.motor.axis, trial.state))
+    result = run_trial(dataclasses.replace(trial, damage=plug))
+    assert result.name == "ENCODER_LOST", str(result)
+
+
 def slip(state: str, rng: random.Random) -> Damage:
     make, observed = DAMAGES["encoder slips"]
     assert not observed
