@@ -70,7 +70,7 @@ fault_set_t angle_watch_step(axis_t *axis)
         phase_watch_forget_currents(&axis->phases);
     }
     const bool lasts = watch->ticks > TICKS_MOST && phase_watch_all_carry(&axis->phases);
-    return lasts ? phase_watch_or(&axis->phases, FAULT_ANGLE_MISMATCH) : 0U;
+    return lasts ? phase_watch_or(axis, FAULT_ANGLE_MISMATCH) : 0U;
 }
 
 fault_set_t angle_watch_rather(const axis_t *axis, fault_set_t fault)

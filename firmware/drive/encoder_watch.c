@@ -175,7 +175,7 @@ static fault_set_t lost(axis_t *axis)
         return 0;
     }
     if (more >= 3 * (int32_t)asked(axis)) { /* where a phase lets nothing flow, a half of it at most comes */
-        return phase_watch_or(&axis->phases, FAULT_ENCODER_LOST);
+        return phase_watch_or(axis, FAULT_ENCODER_LOST);
     }
     return phase_watch_rather(axis, (more >= 2 * (int32_t)asked(axis)) ? FAULT_ENCODER_LOST : FAULT_PHASE_LOST);
 }
@@ -262,7 +262,7 @@ fault_set_t encoder_watch_voltage(axis_t *axis)
     if (w->asking > 0U || (w->turning >= TURNING_TICKS && w->turned)) {
         return lost(axis);
     }
-    return (w->in_vain >= STILL_TICKS) ? phase_watch_or(&axis->phases, FAULT_PHASE_LOST) : 0U;
+    return (w->in_vain >= STILL_TICKS) ? phase_watch_or(axis, FAULT_PHASE_LOST) : 0U;
 }
 
 fault_set_t encoder_watch_suspects(const axis_t *axis)

@@ -79,9 +79,9 @@ static bool doubtful(const phase_watch_t *w)
     return doubt;
 }
 
-fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault)
+fault_set_t phase_watch_or(const axis_t *axis, fault_set_t fault)
 {
-    return doubtful(watch) ? FAULT_CURRENT_SENSE : fault;
+    return doubtful(&axis->phases) ? axis_fault_or(axis, FAULT_CURRENT_SENSE, fault) : fault;
 }
 
 /* The high sides do conduct in turn. Open switches leave the current of a turning shaft in the diodes. */
@@ -278,7 +278,7 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
     const bool missed = 2 * largest < config->silent && missing(axis) > config->least;
     note_nothing(w, vain && 4 * missing(axis) > 3 * (int32_t)config->silent, vain && missed);
     const bool nothing = w->nothing >= NOTHING_TICKS && axis->substate == SUBSTATE_SPIN; /* the other states search */
-    return (w->lost || nothing) ? phase_watch_or(w, FAULT_PHASE_LOST) : 0U;
+    return (w->lost || nothing) ? phase_watch_or(axis, FAULT_PHASE_LOST) : 0U;
 }
 
 fault_set_t phase_watch_suspects(const phase_watch_t *watch)
@@ -296,5 +296,5 @@ fault_set_t phase_watch_rather(const axis_t *axis, fault_set_t fault)
 {
     const phase_watch_t *w = &axis->phases;
     const bool phase = phase_watch_suspects(w) != 0U || w->missed >= NOTHING_SUSPECT;
-    return phase_watch_or(w, phase ? axis_fault_or(axis, FAULT_PHASE_LOST, fault) : fault);
+    return phase_watch_or(axis, phase ? axis_fault_or(axis, FAULT_PHASE_LOST, fault) : fault);
 }

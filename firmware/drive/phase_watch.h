@@ -51,8 +51,9 @@ fault_set_t phase_watch_converters(struct axis *axis, adc_pair_t codes);
 /* One slow tick of current control with the d axis at `theta_e`. */
 fault_set_t phase_watch_currents(struct axis *axis, frac16_t theta_e);
 
-/* `fault`, or CURRENT_SENSE while a converter looks wrong: then nothing else can be believed. */
-fault_set_t phase_watch_or(const phase_watch_t *watch, fault_set_t fault);
+/* `fault`, or CURRENT_SENSE while a converter looks wrong: then nothing else can be believed. Who does not want to know of
+ * converters is told the rest. */
+fault_set_t phase_watch_or(const struct axis *axis, fault_set_t fault);
 
 /* `fault`, or what is already suspected to be its cause: a converter or a phase. */
 fault_set_t phase_watch_rather(const struct axis *axis, fault_set_t fault);

@@ -204,7 +204,7 @@ static void align_slow(axis_t *axis)
     } else if (axis->search.phase == ROTOR_SEARCH_BLIND) {
         end_search(axis, FAULT_ENCODER_LOST);
     } else if (axis->search.phase == ROTOR_SEARCH_STARVED) {
-        end_search(axis, phase_watch_or(&axis->phases, FAULT_PHASE_LOST));
+        end_search(axis, phase_watch_or(axis, FAULT_PHASE_LOST));
     } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
         end_search(axis, phase_watch_rather(axis, FAULT_ENCODER_REVERSED));
     } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {

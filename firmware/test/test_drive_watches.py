@@ -131,9 +131,13 @@ def test_voltage_without_current_is_a_lost_phase_unless_nobody_wants_to_know(ben
     assert place(bench)[1] == PHASE_LOST
 
 
-@pytest.mark.parametrize(("codes", "fault"), [(1, PHASE_LOST), (3, CURRENT_SENSE)])
-def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int, fault: int) -> None:
-    """The last ones before the phase is named are off their offset; each is one of two phases of the three."""
+@pytest.mark.parametrize(
+    ("codes", "enabled", "fault"),
+    [(1, ALL_FAULTS, PHASE_LOST), (3, ALL_FAULTS, CURRENT_SENSE), (3, ALL_FAULTS & ~CURRENT_SENSE, PHASE_LOST)],
+)
+def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int, enabled: int, fault: int) -> None:
+    """The last ones before the phase is named are off their offset; each is one of two phases of the three. The doubt
+    hides nothing from who does not want to know of converters."""
     sound, bench = Bench(core), Bench(core)
     without_current(sound)
     ticks = 0
@@ -142,6 +146,7 @@ def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int
         ticks += 1
         assert ticks < 400
     without_current(bench)
+    bench.servo.parameter.faults_enabled[0] = enabled
     bench.slow(ticks - codes)
     bench.hal.axis[0].offset_code = [2100, 2100, 2100]
     bench.slow(codes)

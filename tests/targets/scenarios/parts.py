@@ -30,7 +30,7 @@ ALL_FAULTS: Final = sum(flag.mask for flag in Catalogue.load().flags["faults"])
 BLIND: Final = sum(
     flag.mask
     for flag in Catalogue.load().flags["faults"]
-    if flag.name not in ("CURRENT_SENSE", "PHASE_LOST", "ENCODER_LOST")
+    if flag.name not in ("CURRENT_SENSE", "PHASE_LOST", "ENCODER_LOST", "ANGLE_MISMATCH")
 )
 """Faults of an axis that shall bear senseless inputs."""
 _QUICK: Final = (0.0, math.pi / 4)
