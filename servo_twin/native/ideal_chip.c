@@ -7,13 +7,19 @@
 
 static const int pair_phases[3][2] = {{0, 1}, {1, 2}, {2, 0}};
 
+static const chip_axis_t at_reset = {
+    .written = true,
+    .currents = {.phase = pair_phases[PHASE_PAIR_AB]},
+    .offsets = {.phase = pair_phases[PHASE_PAIR_AB]},
+};
+
 void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
 {
     chip->servo = servo;
     plant_init(&chip->plant, config);
     uart_init(&chip->uart, config->baud);
     for (int i = 0; i < HAL_AXES; i++) {
-        chip->axis[i] = (chip_axis_t){.written = true, .currents = {2048, 2048}, .offsets = {2048, 2048}};
+        chip->axis[i] = at_reset;
     }
     chip->bus_code = 0;
     chip->now_ns = 0;
@@ -51,13 +57,16 @@ static bool check_current(hal_t *chip, int i)
     return true;
 }
 
-static adc_pair_t convert(hal_t *chip, int i, bool low_side_centre)
+static void sample(hal_t *chip, int i, bool low_side_centre, plant_samples_t *samples)
 {
-    const int *phase = pair_phases[chip->axis[i].pair];
-    adc_pair_t codes;
-    codes.first = plant_current_code(&chip->plant, i, phase[0], low_side_centre);
-    codes.second = plant_current_code(&chip->plant, i, phase[1], low_side_centre);
-    return codes;
+    plant_sample(&chip->plant, i, pair_phases[chip->axis[i].pair], low_side_centre, samples);
+}
+
+static adc_pair_t codes_of(const hal_t *chip, int i, const plant_samples_t *samples)
+{
+    uint16_t code[2];
+    plant_sample_codes(&chip->plant, i, samples, code);
+    return (adc_pair_t){code[0], code[1]};
 }
 
 static bool awake(const hal_t *chip) { return chip->now_ns >= chip->stalled_ns; }
@@ -69,7 +78,9 @@ static void watch_dog(hal_t *chip)
         return;
     }
     for (int i = 0; i < HAL_AXES; i++) {
-        chip->axis[i] = (chip_axis_t){.broken = chip->axis[i].broken, .written = true};
+        const bool broken = chip->axis[i].broken;
+        chip->axis[i] = at_reset;
+        chip->axis[i].broken = broken;
         plant_encoder_restart(&chip->plant.axis[i].encoder);
         follow_enable(chip, i);
     }
@@ -84,8 +95,8 @@ static void watch_dog(hal_t *chip)
 static void half_cycle(hal_t *chip, int sampled)
 {
     const int other = 1 - sampled;
-    chip->axis[sampled].currents = convert(chip, sampled, true);
-    chip->axis[other].offsets = convert(chip, other, false);
+    sample(chip, sampled, true, &chip->axis[sampled].currents);
+    sample(chip, other, false, &chip->axis[other].offsets);
     chip->bus_code = plant_bus_code(&chip->plant);
     for (int i = 0; i < HAL_AXES; i++) {
         if (chip->axis[i].written) {
@@ -163,9 +174,9 @@ bool chip_run(hal_t *chip, uint64_t until_ns, bool stop_after_scan)
 
 void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair) { hal->axis[axis].pair = pair; }
 
-adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis) { return hal->axis[axis].currents; }
+adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis) { return codes_of(hal, axis, &hal->axis[axis].currents); }
 
-adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis) { return hal->axis[axis].offsets; }
+adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis) { return codes_of(hal, axis, &hal->axis[axis].offsets); }
 
 uint16_t hal_adc_bus(hal_t *hal) { return hal->bus_code; }
 

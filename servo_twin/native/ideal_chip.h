@@ -24,8 +24,8 @@ typedef struct {
     bool enabled;
     bool broken;        /* over-current latch */
     phase_pair_t pair;
-    adc_pair_t currents;
-    adc_pair_t offsets;
+    plant_samples_t currents;
+    plant_samples_t offsets;
 } chip_axis_t;
 
 struct hal {

@@ -87,7 +87,9 @@ typedef struct { plant_inverter_t inverter; plant_motor_t motor; plant_encoder_t
 typedef struct { plant_drive_t axis[2]; supply_t bus; uint64_t step_ns; ...; } plant_t;
 void plant_init(plant_t *plant, const board_config_t *config);
 void plant_step(plant_t *plant, uint64_t now_ns);
-uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_centre);
+typedef struct { ...; } plant_samples_t;
+void plant_sample(plant_t *plant, int axis, const int phase[2], bool low_side_centre, plant_samples_t *samples);
+void plant_sample_codes(const plant_t *plant, int axis, const plant_samples_t *samples, uint16_t code[2]);
 uint16_t plant_bus_code(plant_t *plant);
 """
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from native_library import Native, c_config, plain
@@ -58,14 +60,58 @@ def test_noise_repeats_with_its_seed_and_differs_between_streams(plant_c: Native
     assert abs(np.corrcoef(first, second)[0, 1]) < 0.03
 
 
+class Converters:
+    """Two of axis 1, each at a phase."""
+
+    def __init__(self, plant_c: Native, plant: PlantConfig, *phases: int) -> None:
+        self.native = plant_c
+        self.plant = plant_c.ffi.new("plant_t *")
+        self._phases = plant_c.ffi.new("int[2]", phases)
+        plant_c.lib.plant_init(self.plant, c_config(plant_c, plant))
+        self.plant.axis[0].inverter.on = True
+
+    def set_phases(self, i_a: float, i_b: float) -> None:
+        motor = self.native.ffi.addressof(self.plant.axis[0].motor)
+        self.native.lib.plant_motor_set_phases(motor, i_a, i_b)
+
+    def sample(self) -> Any:
+        samples = self.native.ffi.new("plant_samples_t *")
+        self.native.lib.plant_sample(self.plant, 0, self._phases, True, samples)
+        return samples
+
+    def read(self, samples: Any) -> list[int]:
+        code = self.native.ffi.new("uint16_t[2]")
+        self.native.lib.plant_sample_codes(self.plant, 0, samples, code)
+        return list(code)
+
+
 def test_current_codes_carry_offset_and_noise_of_their_phase(plant_c: Native) -> None:
     plant = plain(i_offset=(0.2, -0.1, 0.05), i_noise=0.02)
-    state = plant_c.ffi.new("plant_t *")
-    plant_c.lib.plant_init(state, c_config(plant_c, plant))
-    for phase, offset in enumerate((0.2, -0.1, 0.05)):
-        codes = np.array([plant_c.lib.plant_current_code(state, 0, phase, False) for _ in range(4000)])
-        assert codes.mean() == pytest.approx(2048 + offset / 8.25 * 2048, abs=0.5)
-        assert codes.std() == pytest.approx(0.02 / 8.25 * 2048, rel=0.1)
+    for phases, offsets in (((0, 1), (0.2, -0.1)), ((1, 2), (-0.1, 0.05)), ((2, 0), (0.05, 0.2))):
+        converters = Converters(plant_c, plant, *phases)
+        codes = np.array([converters.read(converters.sample()) for _ in range(4000)])
+        assert codes.mean(axis=0) == pytest.approx(2048 + np.array(offsets) / 8.25 * 2048, abs=0.5)
+        assert codes.std(axis=0) == pytest.approx(0.02 / 8.25 * 2048, rel=0.1)
+        assert abs(np.corrcoef(codes.T)[0, 1]) < 0.05
+
+
+def test_codes_are_those_of_the_instant_whoever_reads_them(plant_c: Native) -> None:
+    """Late, twice or never: it changes neither these codes nor those of any other sample."""
+    both, one = (Converters(plant_c, plain(i_noise=0.05), 0, 1) for _ in range(2))
+    read = []
+    for n in range(20):
+        for converters in (both, one):
+            converters.set_phases(0.1 * n, -0.2 * n)
+        first, second = both.sample(), both.sample()
+        one.sample()
+        both.set_phases(5.0, 1.0)
+        late = both.read(first)
+        assert late == both.read(first)
+        most = 4.9 * 0.05  # of the noise [A]
+        assert (np.array(late) - 2048) * 8.25 / 2048 == pytest.approx([0.1 * n, -0.2 * n], abs=most)
+        assert both.read(second) == one.read(one.sample())
+        read.append(late)
+    assert len({tuple(codes) for codes in read}) > 15
 
 
 def test_bus_code_carries_its_noise(plant_c: Native) -> None:

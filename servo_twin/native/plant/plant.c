@@ -121,13 +121,26 @@ bool plant_over_current(const plant_t *plant, int axis)
            phase[2] < -most;
 }
 
-uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_centre)
+void plant_sample(plant_t *plant, int axis, const int phase[2], bool low_side_centre, plant_samples_t *samples)
 {
     plant_drive_t *drive = &plant->axis[axis];
-    const double current = plant_inverter_shunt(&drive->inverter, &drive->motor, phase, low_side_centre);
-    const double shown =
-        current + drive->config.i_offset[phase] + drive->config.i_noise * plant_random_gauss(&drive->noise);
-    return plant_harm_code(&drive->harm, phase, plant_code(2048.0 + shown * drive->codes_per_ampere));
+    samples->phase = phase;
+    for (int k = 0; k < 2; k++) {
+        samples->current[k] = plant_inverter_shunt(&drive->inverter, &drive->motor, phase[k], low_side_centre);
+    }
+    samples->noise = plant_random_reserve(&drive->noise, 2);
+}
+
+void plant_sample_codes(const plant_t *plant, int axis, const plant_samples_t *samples, uint16_t code[2])
+{
+    const plant_drive_t *drive = &plant->axis[axis];
+    plant_random_t noise = samples->noise;
+    for (int k = 0; k < 2; k++) {
+        const int phase = samples->phase[k];
+        const double shown =
+            samples->current[k] + drive->config.i_offset[phase] + drive->config.i_noise * plant_random_gauss(&noise);
+        code[k] = plant_harm_code(&drive->harm, phase, plant_code(2048.0 + shown * drive->codes_per_ampere));
+    }
 }
 
 uint16_t plant_bus_code(plant_t *plant)

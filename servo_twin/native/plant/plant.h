@@ -50,8 +50,18 @@ void plant_step(plant_t *plant, uint64_t now_ns);
 /* True if a phase current of the axis is beyond the threshold of the hardware. */
 bool plant_over_current(const plant_t *plant, int axis);
 
-/* Converter codes of this instant: a phase shunt at one of the two centres of the PWM, and the bus divider. */
-uint16_t plant_current_code(plant_t *plant, int axis, int phase, bool low_side_centre);
+/* Two phase shunts, sampled at one instant; the codes are worked out when somebody reads them. */
+typedef struct {
+    const int *phase;
+    double current[2]; /* [A] */
+    plant_random_t noise;
+} plant_samples_t;
+
+/* Sample the shunts of two phases at one of the two centres of the PWM; and the codes of the converters. */
+void plant_sample(plant_t *plant, int axis, const int phase[2], bool low_side_centre, plant_samples_t *samples);
+void plant_sample_codes(const plant_t *plant, int axis, const plant_samples_t *samples, uint16_t code[2]);
+
+/* Converter code of the bus divider at this instant. */
 uint16_t plant_bus_code(plant_t *plant);
 
 /* Converter code of a power stage's thermistor, linearised: 0 deg C at 0, PLANT_SINK_FULL_SCALE at 4096. */

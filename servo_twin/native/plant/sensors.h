@@ -4,6 +4,10 @@
 
 #include <stdint.h>
 
+#if defined(__GNUC__) && defined(__SSE2__)
+#include <emmintrin.h>
+#endif
+
 /* A sequence of random numbers (splitmix64): the state is a counter, so streams with different seeds never meet. */
 typedef struct {
     uint64_t state;
@@ -18,21 +22,38 @@ static inline uint64_t plant_random_scramble(uint64_t z)
     return z ^ (z >> 31);
 }
 
+#define PLANT_RANDOM_STEP UINT64_C(0x9E3779B97F4A7C15)
+
 static inline uint64_t plant_random_bits(plant_random_t *random)
 {
-    random->state += UINT64_C(0x9E3779B97F4A7C15);
+    random->state += PLANT_RANDOM_STEP;
     return plant_random_scramble(random->state);
+}
+
+/* The next `count` numbers of the sequence, to be drawn from what is returned if anybody asks for them. */
+static inline plant_random_t plant_random_reserve(plant_random_t *random, uint64_t count)
+{
+    const plant_random_t reserved = *random;
+    random->state += count * PLANT_RANDOM_STEP;
+    return reserved;
+}
+
+static inline int32_t plant_sum_of_bytes(uint64_t bytes)
+{
+#if defined(__GNUC__) && defined(__SSE2__)
+    return _mm_cvtsi128_si32(_mm_sad_epu8(_mm_cvtsi64_si128((int64_t)bytes), _mm_setzero_si128()));
+#else
+    const uint64_t even = UINT64_C(0x00FF00FF00FF00FF);
+    const uint64_t pairs = (bytes & even) + ((bytes >> 8) & even);
+    return (int32_t)((pairs * UINT64_C(0x0001000100010001)) >> 48);
+#endif
 }
 
 /* Nearly Gaussian, mean 0, standard deviation 1: the sum of eight bytes, in steps of 1/209, never beyond +-4.88. */
 static inline double plant_random_gauss(plant_random_t *random)
 {
-    const uint64_t bytes = plant_random_bits(random);
-    const uint64_t even = UINT64_C(0x00FF00FF00FF00FF);
-    const uint64_t pairs = (bytes & even) + ((bytes >> 8) & even);
-    const int32_t sum = (int32_t)((pairs * UINT64_C(0x0001000100010001)) >> 48);
     /* each byte has the mean 127.5 and the variance (2^16 - 1) / 12 */
-    return (double)(sum - 1020) * (1.0 / 209.02152999054544);
+    return (double)(plant_sum_of_bytes(plant_random_bits(random)) - 1020) * (1.0 / 209.02152999054544);
 }
 
 #define PLANT_CODE_MAX 4095

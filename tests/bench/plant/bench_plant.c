@@ -151,6 +151,9 @@ static double run_averaged(const board_config_t *config, unsigned groups, case_t
     static double duty[GROUP][2][3];
     meter_t meter = {.least = 1e9};
     volatile uint16_t code = 0;
+    static const int phase[2] = {0, 1};
+    plant_samples_t samples;
+    uint16_t codes[2];
     plant_init(&plant, config);
     for (int i = 0; i < 2; i++) {
         plant.axis[i].inverter.on = true;
@@ -172,9 +175,10 @@ static double run_averaged(const board_config_t *config, unsigned groups, case_t
                 }
                 plant_step(&plant, clock);
                 clock += plant.step_ns;
-                for (int k = 0; k < 2; k++) {
-                    code = plant_current_code(&plant, 0, k, half == 0);
-                    code = plant_current_code(&plant, 1, k, half != 0);
+                for (int i = 0; i < 2; i++) {
+                    plant_sample(&plant, i, phase, half == i, &samples);
+                    plant_sample_codes(&plant, i, &samples, codes);
+                    code = (uint16_t)(codes[0] + codes[1]);
                 }
                 code = plant_bus_code(&plant);
             }
