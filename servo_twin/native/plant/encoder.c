@@ -114,14 +114,14 @@ static void move_quickly(plant_encoder_t *encoder, const plant_movement_t *movem
     const int64_t step = upwards ? 1 : -1;
     const int64_t first = upwards ? encoder->edge + 1 : encoder->edge; /* numbers of the edges */
     const int64_t last = upwards ? target : target + 1;
-    const int64_t first_b = ((first & 1) == 0) ? first : first + step;
+    const bool first_is_b = (first & 1) == 0;
     const uint16_t end = (uint16_t)(encoder->count + (uint16_t)(target - encoder->edge));
-    if ((last - first_b) * step >= 0) {
-        encoder->oflag = false;
-        if (encoder->armed) {
-            encoder->count = (uint16_t)(encoder->count + (uint16_t)(first_b - first + step));
-            latch(encoder, movement, reference_ns, first_b);
-        }
+    const bool passes_b = first_is_b || first != last;
+    encoder->oflag = encoder->oflag && !passes_b;
+    if (encoder->armed && passes_b) {
+        const int64_t first_b = first_is_b ? first : first + step;
+        encoder->count = (uint16_t)(encoder->count + (uint16_t)(first_b - first + step));
+        latch(encoder, movement, reference_ns, first_b);
     }
     encoder->count = end;
     encoder->edge = target;
