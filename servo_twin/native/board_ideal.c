@@ -69,15 +69,17 @@ static plant_drive_t *drive_of(board_t *board, int axis) { return &board->chip.p
 void board_truth(const board_t *board, int axis, board_truth_t *truth)
 {
     const plant_drive_t *drive = &board->chip.plant.axis[axis];
+    double voltage[3];
+    plant_voltages(&board->chip.plant, axis, voltage);
     *truth = (board_truth_t){
         .theta_m = drive->motor.theta,
         .omega_m = drive->motor.omega,
         .i_d = drive->motor.i_d,
         .i_q = drive->motor.i_q,
         .torque_e = plant_motor_torque(&drive->motor),
-        .u_a = drive->voltage[0],
-        .u_b = drive->voltage[1],
-        .u_c = drive->voltage[2],
+        .u_a = voltage[0],
+        .u_b = voltage[1],
+        .u_c = voltage[2],
         .t_sink = drive->sink.t,
         .u_dc = board->chip.plant.bus.u,
         .e_brake = board->chip.plant.bus.e_brake,

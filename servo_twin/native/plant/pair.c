@@ -75,7 +75,7 @@ static bool plain_case(const plant_lane_t *lane, double *direction)
 typedef struct {
     pair_state_t x;
     pair_t theta, sine, cosine;
-    pair_t phase[3], share[3], leg[3], voltage[3], charge, heat;
+    pair_t phase[3], share[3], leg[3], charge, heat;
 } ends_t;
 
 static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
@@ -92,7 +92,6 @@ static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
         motor->phase[k] = ends->phase[k][n];
         lane->inverter->share[k] = ends->share[k][n];
         lane->inverter->leg[k] = ends->leg[k][n];
-        lane->voltage[k] = ends->voltage[k][n];
     }
     *lane->heat += ends->heat[n];
 }
@@ -149,7 +148,6 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
     pair_t power = both(0.0);
     for (int k = 0; k < 3; k++) {
         charge_twice += ends.share[k] * (before[k] + ends.phase[k]);
-        ends.voltage[k] = pair_phase_voltage(ends.leg[k], ends.phase[k], r_on, u_dc);
         power += pair_leg_power(ends.phase[k], v_drop, r_on);
     }
     ends.heat = power * pair->step;

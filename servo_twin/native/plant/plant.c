@@ -2,7 +2,7 @@
 
 static inline plant_lane_t lane_of(plant_drive_t *axis)
 {
-    return (plant_lane_t){&axis->inverter, &axis->motor, axis->voltage, &axis->e_switch};
+    return (plant_lane_t){&axis->inverter, &axis->motor, &axis->e_switch};
 }
 
 void plant_init(plant_t *plant, const board_config_t *config)
@@ -51,7 +51,6 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
         done = (rest - used < 0.5) ? step : done + used;
     }
     axis->e_switch += plant_inverter_power(&axis->inverter, motor) * 1e-9 * step;
-    plant_inverter_voltages(&axis->inverter, motor, u_dc, axis->voltage);
     return charge;
 }
 
@@ -86,6 +85,7 @@ void plant_step(plant_t *plant, uint64_t now_ns)
     const double theta[2] = {drive[0].motor.theta, drive[1].motor.theta};
     const double omega[2] = {drive[0].motor.omega, drive[1].motor.omega};
     double charge;
+    plant->u_step = plant->bus.u;
     const unsigned taken = plant_pair_step(&plant->pair, lane, plant->bus.u, &charge);
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &drive[i];
@@ -109,6 +109,12 @@ void plant_step(plant_t *plant, uint64_t now_ns)
 bool plant_over_current(const plant_t *plant, int axis)
 {
     const plant_motor_t *motor = &plant->axis[axis].motor;
+void plant_voltages(const plant_t *plant, int axis, double voltage[3])
+{
+    const plant_drive_t *drive = &plant->axis[axis];
+    plant_inverter_voltages(&drive->inverter, &drive->motor, plant->u_step, voltage);
+}
+
     const double *phase = motor->phase;
     const double most = plant->axis[axis].config.i_break;
     if (plant_inverter_shorted(&plant->axis[axis].inverter)) { /* what flows there is beyond any threshold */

@@ -27,7 +27,6 @@ typedef struct {
     plant_harm_t harm;
     thermal_t sink;        /* heatsink of the inverter */
     double e_switch;       /* burnt there since its temperature was worked out [J] */
-    double voltage[3];     /* of the phases against the midpoint of the bus, in the last step [V] */
 } plant_drive_t;
 
 typedef struct {
@@ -39,6 +38,7 @@ typedef struct {
     double codes_per_volt;
     uint64_t step_ns;
     double step, steps_per_second;
+    double u_step;  /* of the bus, at the beginning of the last step [V] */
     unsigned steps; /* since the temperatures were worked out */
 } plant_t;
 
@@ -46,6 +46,9 @@ void plant_init(plant_t *plant, const board_config_t *config);
 
 /* One step of plant->step_ns, a half cycle of the PWM, that begins at `now_ns`. */
 void plant_step(plant_t *plant, uint64_t now_ns);
+
+/* Voltages of the phases against the midpoint of the bus at the end of the last step [V]. */
+void plant_voltages(const plant_t *plant, int axis, double voltage[3]);
 
 /* True if a phase current of the axis is beyond the threshold of the hardware. */
 bool plant_over_current(const plant_t *plant, int axis);
