@@ -10,14 +10,18 @@
 #define SIZE(x) fabs(x)
 #include "plant/averaged_kernel.h"
 
-/* Phase currents of the present state, and now and then sine and cosine of the angle. */
+void plant_motor_refresh(plant_motor_t *motor)
+{
+    motor->steps = 0;
+    plant_sincos(motor->pole_pairs * motor->theta, &motor->sine, &motor->cosine);
+    single_phases(motor->i_d, motor->i_q, motor->sine, motor->cosine, motor->phase);
+}
+
+/* Phase currents of the state after a step. */
 static void refresh(plant_motor_t *motor)
 {
-    if (++motor->steps > PLANT_FRESH_TRIG) {
-        motor->steps = 0;
-        plant_sincos(motor->pole_pairs * motor->theta, &motor->sine, &motor->cosine);
-    }
     single_phases(motor->i_d, motor->i_q, motor->sine, motor->cosine, motor->phase);
+    plant_motor_count_step(motor);
 }
 
 void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
@@ -40,8 +44,7 @@ void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
         .low = -INFINITY,
         .high = INFINITY,
     };
-    plant_sincos(motor->pole_pairs * motor->theta, &motor->sine, &motor->cosine);
-    refresh(motor);
+    plant_motor_refresh(motor);
 }
 
 /* Stator voltage seen from the rotor. */

@@ -52,15 +52,14 @@ static bool plain_case(const plant_lane_t *lane, double *direction)
 {
     plant_motor_t *motor = lane->motor;
     *direction = 0.0;
-    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->obstructed ||
-        motor->steps >= PLANT_FRESH_TRIG) {
+    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->obstructed) {
         return false;
     }
     if (motor->locked) {
         return true;
     }
-    if (motor->omega > PLANT_STANDING || motor->omega < -PLANT_STANDING) {
-        *direction = (motor->omega > 0.0) ? 1.0 : -1.0;
+    if (fabs(motor->omega) > PLANT_STANDING) {
+        *direction = copysign(1.0, motor->omega);
         return true;
     }
     const double drive = plant_motor_torque(motor) - motor->load;
@@ -87,13 +86,13 @@ static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
     motor->theta = ends->theta[n];
     motor->sine = ends->sine[n];
     motor->cosine = ends->cosine[n];
-    motor->steps++;
     for (int k = 0; k < 3; k++) {
         motor->phase[k] = ends->phase[k][n];
         lane->inverter->share[k] = ends->share[k][n];
         lane->inverter->leg[k] = ends->leg[k][n];
     }
     *lane->heat += ends->heat[n];
+    plant_motor_count_step(motor);
 }
 
 #define MOTOR(member) ((pair_t){lane[0].motor->member, lane[1].motor->member})
