@@ -184,7 +184,7 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
 {
     const int16_t raw[3] = {duty_a, duty_b, duty_c};
     for (int k = 0; k < 3; k++) {
-        hal->axis[axis].duty[k] = (raw[k] > 0) ? raw[k] * DUTY_FULL : 0.0;
+        hal->axis[axis].duty[k] = ((raw[k] > 0) ? raw[k] : 0) * DUTY_FULL;
     }
     hal->axis[axis].written = true;
 }

@@ -378,7 +378,7 @@ static double leg_current(const plant_inverter_t *inverter, const plant_motor_t 
 {
     const int from = inverter->short_from;
     const int to = inverter->short_to;
-    if (from == PLANT_WHOLE || (phase != from && phase != to)) {
+    if (!inverter->broken || from == PLANT_WHOLE || (phase != from && phase != to)) {
         return motor->phase[phase];
     }
     return (to == PLANT_MINUS) ? 0.0 : 0.5 * (motor->phase[from] + motor->phase[to]);

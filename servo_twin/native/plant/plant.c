@@ -97,7 +97,9 @@ void plant_step(plant_t *plant, uint64_t now_ns)
             };
             plant_encoder_move(&axis->encoder, &movement, now_ns);
         }
-        glitch(axis, plant->step, now_ns);
+        if (axis->harm.glitches[PLANT_LINE_A] + axis->harm.glitches[PLANT_LINE_B] > 0.0) {
+            glitch(axis, plant->step, now_ns);
+        }
     }
     (void)supply_advance(&plant->bus, plant->step, charge * plant->steps_per_second);
     if (++plant->steps == PLANT_STEPS_PER_WARMTH) {
@@ -106,18 +108,19 @@ void plant_step(plant_t *plant, uint64_t now_ns)
     }
 }
 
-bool plant_over_current(const plant_t *plant, int axis)
-{
-    const plant_motor_t *motor = &plant->axis[axis].motor;
 void plant_voltages(const plant_t *plant, int axis, double voltage[3])
 {
     const plant_drive_t *drive = &plant->axis[axis];
     plant_inverter_voltages(&drive->inverter, &drive->motor, plant->u_step, voltage);
 }
 
+bool plant_over_current(const plant_t *plant, int axis)
+{
+    const plant_motor_t *motor = &plant->axis[axis].motor;
+    const plant_inverter_t *inverter = &plant->axis[axis].inverter;
     const double *phase = motor->phase;
     const double most = plant->axis[axis].config.i_break;
-    if (plant_inverter_shorted(&plant->axis[axis].inverter)) { /* what flows there is beyond any threshold */
+    if (inverter->broken && plant_inverter_shorted(inverter)) { /* what flows there is beyond any threshold */
         return true;
     }
     if (motor->i_d * motor->i_d + motor->i_q * motor->i_q < most * most) { /* no phase is larger than the vector */
