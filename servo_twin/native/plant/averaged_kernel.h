@@ -8,16 +8,17 @@ typedef struct {
     NUM i_d, i_q, omega;
 } KERNEL(state_t);
 
-/* Coefficients of the motor's equations, each side divided by what stands before its derivative. */
+/* Coefficients of the motor's equations, each side divided by what stands before its derivative and times half the step h:
+ * what they give is the change in half a step. */
 typedef struct {
-    NUM pole_pairs;
-    NUM inv_l_d, inv_l_q; /* [1/H] */
-    NUM r_d, r_q; /* R / L_d, R / L_q [1/s] */
-    NUM cross_d, cross_q; /* p L_q / L_d, p L_d / L_q */
-    NUM emf; /* p psi_m / L_q */
-    NUM torque_psi, torque_l; /* 3/2 p psi_m / J, 3/2 p (L_d - L_q) / J */
-    NUM viscous; /* B / J */
-    NUM drag; /* load and friction, which keep their signs over the step, over J [rad/s^2] */
+    NUM angle; /* p h / 2: electrical, of speed */
+    NUM inv_l_d, inv_l_q; /* h / (2 L) */
+    NUM r_d, r_q; /* R h / (2 L_d), R h / (2 L_q) */
+    NUM cross_d, cross_q; /* p L_q h / (2 L_d), p L_d h / (2 L_q) */
+    NUM emf; /* p psi_m h / (2 L_q) */
+    NUM torque_psi, torque_l; /* 3/2 p psi_m h / (2 J), 3/2 p (L_d - L_q) h / (2 J) */
+    NUM viscous; /* B h / (2 J) */
+    NUM drag; /* load and friction, which keep their signs over the step, times h / (2 J) [rad/s] */
 } KERNEL(step_t);
 
 typedef struct {
@@ -56,50 +57,56 @@ static inline KERNEL(vector_t) KERNEL(turned_back)(KERNEL(vector_t) u, KERNEL(ve
     return v;
 }
 
-static inline KERNEL(state_t) KERNEL(derivative)(const KERNEL(step_t) * m, KERNEL(vector_t) u, KERNEL(state_t) x)
+/* The same when it has turned by some millionths more. */
+static inline KERNEL(vector_t) KERNEL(nudged_back)(KERNEL(vector_t) u, NUM x)
 {
-    const KERNEL(state_t) rate = {
+    const KERNEL(vector_t) v = {u.alpha + u.beta * x, u.beta - u.alpha * x};
+    return v;
+}
+
+/* Change in half a step at the rates of a state. */
+static inline KERNEL(state_t) KERNEL(change)(const KERNEL(step_t) * m, KERNEL(vector_t) u, KERNEL(state_t) x)
+{
+    const KERNEL(state_t) change = {
         (u.alpha * m->inv_l_d - m->r_d * x.i_d) + (m->cross_d * x.omega) * x.i_q,
         (u.beta * m->inv_l_q - m->r_q * x.i_q) - x.omega * (m->cross_q * x.i_d + m->emf),
         x.i_q * (m->torque_psi + m->torque_l * x.i_d) - (m->drag + m->viscous * x.omega),
     };
-    return rate;
+    return change;
 }
 
-static inline KERNEL(state_t) KERNEL(ahead)(KERNEL(state_t) x, KERNEL(state_t) rate, double h)
+static inline KERNEL(state_t) KERNEL(sum)(KERNEL(state_t) x, KERNEL(state_t) y)
 {
-    const KERNEL(state_t) y = {x.i_d + h * rate.i_d, x.i_q + h * rate.i_q, x.omega + h * rate.omega};
-    return y;
+    const KERNEL(state_t) z = {x.i_d + y.i_d, x.i_q + y.i_q, x.omega + y.omega};
+    return z;
 }
 
 /* Runge-Kutta 4 of the turning motor. `u` is the voltage seen from the rotor at the beginning, d and q: standing still in
  * the stator frame it turns backwards here. Both stages in the middle see it at one angle, the mean of theirs. The angles
  * at constant speed are known beforehand; what the acceleration adds to them is a few millionths. `e` becomes the angle
- * that the rotor has turned by. Returns the way of the shaft. */
+ * that the rotor has turned by. Returns the way of the shaft in the step `h`. */
 static inline NUM KERNEL(runge_kutta)(const KERNEL(step_t) * m, KERNEL(vector_t) u, double h, KERNEL(state_t) * x,
                                       KERNEL(vector_t) * e)
 {
-    const NUM p_h = m->pole_pairs * h;
     const KERNEL(state_t) x1 = *x;
-    const NUM straight = p_h * x1.omega;
-    const KERNEL(vector_t) e_middle = KERNEL(small_angle)(0.5 * straight);
+    const KERNEL(vector_t) e_middle = KERNEL(small_angle)(m->angle * x1.omega);
     const KERNEL(vector_t) e_end = KERNEL(doubled)(e_middle);
-    const KERNEL(state_t) k1 = KERNEL(derivative)(m, u, x1);
-    const KERNEL(vector_t) u_middle = KERNEL(turned_back)(u, KERNEL(nudged)(e_middle, p_h * (0.125 * h) * k1.omega));
-    const KERNEL(state_t) x2 = KERNEL(ahead)(x1, k1, 0.5 * h);
-    const KERNEL(state_t) k2 = KERNEL(derivative)(m, u_middle, x2);
-    const KERNEL(vector_t) u_end = KERNEL(turned_back)(u, KERNEL(nudged)(e_end, p_h * (0.5 * h) * k2.omega));
-    const KERNEL(state_t) x3 = KERNEL(ahead)(x1, k2, 0.5 * h);
-    const KERNEL(state_t) k3 = KERNEL(derivative)(m, u_middle, x3);
-    const KERNEL(state_t) x4 = KERNEL(ahead)(x1, k3, h);
-    const KERNEL(state_t) k4 = KERNEL(derivative)(m, u_end, x4);
-    const double sixth = h * (1.0 / 6.0);
-    x->i_d = x1.i_d + sixth * (k1.i_d + 2.0 * (k2.i_d + k3.i_d) + k4.i_d);
-    x->i_q = x1.i_q + sixth * (k1.i_q + 2.0 * (k2.i_q + k3.i_q) + k4.i_q);
-    x->omega = x1.omega + sixth * (k1.omega + 2.0 * (k2.omega + k3.omega) + k4.omega);
-    const NUM more = sixth * (h * (k1.omega + k2.omega + k3.omega)); /* beyond the way at constant speed */
-    *e = KERNEL(nudged)(e_end, m->pole_pairs * more);
-    return h * x1.omega + more;
+    const KERNEL(vector_t) u_middle = KERNEL(turned_back)(u, e_middle);
+    const KERNEL(vector_t) u_end = KERNEL(turned_back)(u, e_end);
+    const KERNEL(state_t) k1 = KERNEL(change)(m, u, x1);
+    const KERNEL(vector_t) u_23 = KERNEL(nudged_back)(u_middle, (0.5 * m->angle) * k1.omega);
+    const KERNEL(state_t) k2 = KERNEL(change)(m, u_23, KERNEL(sum)(x1, k1));
+    const KERNEL(state_t) k3 = KERNEL(change)(m, u_23, KERNEL(sum)(x1, k2));
+    const KERNEL(vector_t) u_4 = KERNEL(nudged_back)(u_end, (2.0 * m->angle) * k2.omega);
+    const KERNEL(state_t) k4 = KERNEL(change)(m, u_4, KERNEL(sum)(x1, KERNEL(sum)(k3, k3)));
+    const KERNEL(state_t) k23 = KERNEL(sum)(k2, k3);
+    const double third = 1.0 / 3.0;
+    x->i_d = x1.i_d + third * ((k1.i_d + 2.0 * k23.i_d) + k4.i_d);
+    x->i_q = x1.i_q + third * ((k1.i_q + 2.0 * k23.i_q) + k4.i_q);
+    x->omega = x1.omega + third * ((k1.omega + 2.0 * k23.omega) + k4.omega);
+    const NUM faster = third * (k1.omega + k23.omega); /* mean speed less that of the beginning */
+    *e = KERNEL(nudged)(e_end, (2.0 * m->angle) * faster);
+    return h * (x1.omega + faster);
 }
 
 /* Phase currents of a current vector in the rotor frame. */
@@ -122,11 +129,12 @@ static inline NUM KERNEL(drive_leg)(NUM current, NUM inv_i_w, NUM duty, NUM dead
     return share;
 }
 
-/* Power that a phase current burns in the switch or the diode that it goes through. */
-static inline NUM KERNEL(leg_power)(NUM current, NUM v_drop, NUM r_on)
+/* Power that the phase currents burn in the switches or diodes that they go through. */
+static inline NUM KERNEL(power)(const NUM phase[3], NUM v_drop, NUM r_on)
 {
-    const NUM size = SIZE(current);
-    return size * (v_drop + r_on * size);
+    const NUM sizes = (SIZE(phase[0]) + SIZE(phase[1])) + SIZE(phase[2]);
+    const NUM squares = (phase[0] * phase[0] + phase[1] * phase[1]) + phase[2] * phase[2];
+    return v_drop * sizes + r_on * squares;
 }
 
 /* Voltage of a phase against the midpoint of the bus. */

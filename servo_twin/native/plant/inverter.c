@@ -358,11 +358,7 @@ double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, dou
 
 double plant_inverter_power(const plant_inverter_t *inverter, const plant_motor_t *motor)
 {
-    double power = 0.0;
-    for (int k = 0; k < 3; k++) {
-        power += single_leg_power(motor->phase[k], inverter->v_drop, inverter->r_on);
-    }
-    return power;
+    return single_power(motor->phase, inverter->v_drop, inverter->r_on);
 }
 
 void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc,

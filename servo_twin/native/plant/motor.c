@@ -57,19 +57,22 @@ static single_vector_t seen_from_rotor(const plant_motor_t *m, plant_vector_t u)
 /* The turning motor, friction against `direction`. */
 static void turn(plant_motor_t *m, plant_vector_t u, double h, double direction)
 {
+    const double per_l_d = 0.5 * h * m->inv_l_d;
+    const double per_l_q = 0.5 * h * m->inv_l_q;
+    const double per_j = 0.5 * h * m->inv_inertia;
     const single_step_t step = {
-        .pole_pairs = m->pole_pairs,
-        .inv_l_d = m->inv_l_d,
-        .inv_l_q = m->inv_l_q,
-        .r_d = m->r * m->inv_l_d,
-        .r_q = m->r * m->inv_l_q,
-        .cross_d = m->pole_pairs * m->l_q * m->inv_l_d,
-        .cross_q = m->pole_pairs * m->l_d * m->inv_l_q,
-        .emf = m->pole_pairs * m->psi_m * m->inv_l_q,
-        .torque_psi = m->torque_psi * m->inv_inertia,
-        .torque_l = m->torque_l * m->inv_inertia,
-        .viscous = m->viscous * m->inv_inertia,
-        .drag = (m->load + direction * m->friction) * m->inv_inertia,
+        .angle = 0.5 * h * m->pole_pairs,
+        .inv_l_d = per_l_d,
+        .inv_l_q = per_l_q,
+        .r_d = m->r * per_l_d,
+        .r_q = m->r * per_l_q,
+        .cross_d = m->pole_pairs * m->l_q * per_l_d,
+        .cross_q = m->pole_pairs * m->l_d * per_l_q,
+        .emf = m->pole_pairs * m->psi_m * per_l_q,
+        .torque_psi = m->torque_psi * per_j,
+        .torque_l = m->torque_l * per_j,
+        .viscous = m->viscous * per_j,
+        .drag = (m->load + direction * m->friction) * per_j,
     };
     single_state_t x = {m->i_d, m->i_q, m->omega};
     single_vector_t e;

@@ -34,7 +34,7 @@ static inline pair_t limit_pair(pair_t x, double low, double high)
 static inline pair_t size_of(pair_t x)
 {
 #ifdef __SSE2__
-    return (pair_t)_mm_max_pd((__m128d)x, (__m128d)(-x));
+    return (pair_t)_mm_andnot_pd(_mm_set1_pd(-0.0), (__m128d)x);
 #else
     return (pair_t){fabs(x[0]), fabs(x[1])};
 #endif
@@ -118,7 +118,7 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
     const pair_t direction = pair_of(ways);
     const pair_t moves = direction * direction; /* without motion there is no acceleration */
     const pair_step_t m = {
-        .pole_pairs = pair_of(pair->pole_pairs),
+        .angle = pair_of(pair->angle),
         .inv_l_d = pair_of(pair->inv_l_d),
         .inv_l_q = pair_of(pair->inv_l_q),
         .r_d = pair_of(pair->r_d),
@@ -129,7 +129,7 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
         .torque_psi = moves * pair_of(pair->torque_psi),
         .torque_l = moves * pair_of(pair->torque_l),
         .viscous = pair_of(pair->viscous),
-        .drag = (moves * MOTOR(load) + direction * MOTOR(friction)) * pair_of(pair->inv_inertia),
+        .drag = (moves * MOTOR(load) + direction * MOTOR(friction)) * pair_of(pair->per_j),
     };
     const pair_t sine = MOTOR(sine);
     const pair_t cosine = MOTOR(cosine);
@@ -142,14 +142,11 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
     ends.cosine = cosine * e.alpha - sine * e.beta;
     ends.sine = sine * e.alpha + cosine * e.beta;
     pair_phases(ends.x.i_d, ends.x.i_q, ends.sine, ends.cosine, ends.phase);
-    const pair_t r_on = pair_of(pair->r_on);
     pair_t charge_twice = both(0.0);
-    pair_t power = both(0.0);
     for (int k = 0; k < 3; k++) {
         charge_twice += ends.share[k] * (before[k] + ends.phase[k]);
-        power += pair_leg_power(ends.phase[k], v_drop, r_on);
     }
-    ends.heat = power * pair->step;
+    ends.heat = pair_power(ends.phase, v_drop, pair_of(pair->r_on)) * pair->step;
     ends.charge = charge_twice * (0.5 * pair->step);
     const pair_t onwards = ends.x.omega * direction;
     unsigned taken = 0;
@@ -183,18 +180,21 @@ void plant_pair_init(plant_pair_t *pair, const plant_lane_t lane[2], double step
 {
     for (int i = 0; i < 2; i++) {
         const plant_motor_t *m = lane[i].motor;
-        pair->pole_pairs[i] = m->pole_pairs;
-        pair->inv_l_d[i] = m->inv_l_d;
-        pair->inv_l_q[i] = m->inv_l_q;
-        pair->r_d[i] = m->r * m->inv_l_d;
-        pair->r_q[i] = m->r * m->inv_l_q;
-        pair->cross_d[i] = m->pole_pairs * m->l_q * m->inv_l_d;
-        pair->cross_q[i] = m->pole_pairs * m->l_d * m->inv_l_q;
-        pair->emf[i] = m->pole_pairs * m->psi_m * m->inv_l_q;
-        pair->torque_psi[i] = m->torque_psi * m->inv_inertia;
-        pair->torque_l[i] = m->torque_l * m->inv_inertia;
-        pair->viscous[i] = m->viscous * m->inv_inertia;
-        pair->inv_inertia[i] = m->inv_inertia;
+        const double per_l_d = 0.5 * step * m->inv_l_d;
+        const double per_l_q = 0.5 * step * m->inv_l_q;
+        const double per_j = 0.5 * step * m->inv_inertia;
+        pair->angle[i] = 0.5 * step * m->pole_pairs;
+        pair->inv_l_d[i] = per_l_d;
+        pair->inv_l_q[i] = per_l_q;
+        pair->r_d[i] = m->r * per_l_d;
+        pair->r_q[i] = m->r * per_l_q;
+        pair->cross_d[i] = m->pole_pairs * m->l_q * per_l_d;
+        pair->cross_q[i] = m->pole_pairs * m->l_d * per_l_q;
+        pair->emf[i] = m->pole_pairs * m->psi_m * per_l_q;
+        pair->torque_psi[i] = m->torque_psi * per_j;
+        pair->torque_l[i] = m->torque_l * per_j;
+        pair->viscous[i] = m->viscous * per_j;
+        pair->per_j[i] = per_j;
         pair->v_drop[i] = lane[i].inverter->v_drop;
         pair->r_on[i] = lane[i].inverter->r_on;
     }

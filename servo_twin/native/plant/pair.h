@@ -14,8 +14,8 @@
 
 /* Parameters of both axes, lane by lane (averaged_kernel.h). */
 typedef struct {
-    double pole_pairs[2], inv_l_d[2], inv_l_q[2], r_d[2], r_q[2], cross_d[2], cross_q[2], emf[2], torque_psi[2],
-        torque_l[2], viscous[2], inv_inertia[2], v_drop[2], r_on[2];
+    double angle[2], inv_l_d[2], inv_l_q[2], r_d[2], r_q[2], cross_d[2], cross_q[2], emf[2], torque_psi[2], torque_l[2],
+        viscous[2], per_j[2], v_drop[2], r_on[2];
     double step; /* [s] */
 } plant_pair_t;
 
