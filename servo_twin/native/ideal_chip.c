@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "plant/inline.h"
+
 #define WATCHDOG_NS UINT64_C(50000000)
 #define DUTY_FULL (1.0 / 32767.0)
 
@@ -9,7 +11,7 @@ static const int pair_phases[3][2] = {{0, 1}, {1, 2}, {2, 0}};
 
 static const chip_axis_t at_reset = {
     .written = true,
-    .currents = {.phase = pair_phases[PHASE_PAIR_AB]},
+    .currents = {2048, 2048},
     .offsets = {.phase = pair_phases[PHASE_PAIR_AB]},
 };
 
@@ -57,12 +59,12 @@ static bool check_current(hal_t *chip, int i)
     return true;
 }
 
-static void sample(hal_t *chip, int i, bool low_side_centre, plant_samples_t *samples)
+PLANT_INLINE void sample(hal_t *chip, int i, bool low_side_centre, plant_samples_t *samples)
 {
     plant_sample(&chip->plant, i, pair_phases[chip->axis[i].pair], low_side_centre, samples);
 }
 
-static adc_pair_t codes_of(const hal_t *chip, int i, const plant_samples_t *samples)
+PLANT_INLINE adc_pair_t codes_of(const hal_t *chip, int i, const plant_samples_t *samples)
 {
     uint16_t code[2];
     plant_sample_codes(&chip->plant, i, samples, code);
@@ -91,12 +93,23 @@ static void watch_dog(hal_t *chip)
     servo_init(chip->servo, chip);
 }
 
+/* Currents of one axis, offsets of the other. */
+PLANT_INLINE void scan(hal_t *chip, int sampled, int other)
+{
+    plant_samples_t currents;
+    sample(chip, sampled, true, &currents);
+    sample(chip, other, false, &chip->axis[other].offsets);
+    chip->axis[sampled].currents = codes_of(chip, sampled, &currents);
+}
+
 /* Boundary of two half cycles: `sampled` is the axis whose low sides are at their centre. */
 static void half_cycle(hal_t *chip, int sampled)
 {
-    const int other = 1 - sampled;
-    sample(chip, sampled, true, &chip->axis[sampled].currents);
-    sample(chip, other, false, &chip->axis[other].offsets);
+    if (sampled == 0) {
+        scan(chip, 0, 1);
+    } else {
+        scan(chip, 1, 0);
+    }
     chip->bus_code = plant_bus_code(&chip->plant);
     for (int i = 0; i < HAL_AXES; i++) {
         if (chip->axis[i].written) {
@@ -174,8 +187,9 @@ bool chip_run(hal_t *chip, uint64_t until_ns, bool stop_after_scan)
 
 void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair) { hal->axis[axis].pair = pair; }
 
-adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis) { return codes_of(hal, axis, &hal->axis[axis].currents); }
+adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis) { return hal->axis[axis].currents; }
 
+/* Read in one period of four only. */
 adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis) { return codes_of(hal, axis, &hal->axis[axis].offsets); }
 
 uint16_t hal_adc_bus(hal_t *hal) { return hal->bus_code; }
@@ -183,10 +197,12 @@ uint16_t hal_adc_bus(hal_t *hal) { return hal->bus_code; }
 void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c)
 {
     const int16_t raw[3] = {duty_a, duty_b, duty_c};
+    chip_axis_t *written = &hal->axis[axis];
     for (int k = 0; k < 3; k++) {
-        hal->axis[axis].duty[k] = ((raw[k] > 0) ? raw[k] : 0) * DUTY_FULL;
+        const double duty = raw[k] * DUTY_FULL;
+        written->duty[k] = (duty > 0.0) ? duty : 0.0;
     }
-    hal->axis[axis].written = true;
+    written->written = true;
 }
 
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)

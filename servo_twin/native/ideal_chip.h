@@ -24,7 +24,7 @@ typedef struct {
     bool enabled;
     bool broken;        /* over-current latch */
     phase_pair_t pair;
-    plant_samples_t currents;
+    adc_pair_t currents;
     plant_samples_t offsets;
 } chip_axis_t;
 

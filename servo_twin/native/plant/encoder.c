@@ -1,6 +1,7 @@
 #include "plant/encoder.h"
 
 #include <math.h>
+#include <stddef.h>
 
 #include "plant/trig.h"
 
@@ -127,9 +128,9 @@ static void move_quickly(plant_encoder_t *encoder, const plant_movement_t *movem
     encoder->edge = target;
 }
 
-void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns)
+static inline void move_to(plant_encoder_t *encoder, int64_t target, const plant_movement_t *movement,
+                           uint64_t reference_ns)
 {
-    const int64_t target = edges_at(encoder, movement->theta_1);
     const int64_t edges = target - encoder->edge;
     if (edges == 0) {
         return;
@@ -142,6 +143,16 @@ void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *moveme
     } else {
         move_slowly(encoder, movement, reference_ns, target);
     }
+}
+
+void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns)
+{
+    move_to(encoder, edges_at(encoder, movement->theta_1), movement, reference_ns);
+}
+
+void plant_encoder_count(plant_encoder_t *encoder, double theta)
+{
+    move_to(encoder, edges_at(encoder, theta), NULL, 0);
 }
 
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta)

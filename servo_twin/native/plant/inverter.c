@@ -374,21 +374,18 @@ static double leg_current(const plant_inverter_t *inverter, const plant_motor_t 
 {
     const int from = inverter->short_from;
     const int to = inverter->short_to;
-    if (!inverter->broken || from == PLANT_WHOLE || (phase != from && phase != to)) {
+    if (from == PLANT_WHOLE || (phase != from && phase != to)) {
         return motor->phase[phase];
     }
     return (to == PLANT_MINUS) ? 0.0 : 0.5 * (motor->phase[from] + motor->phase[to]);
 }
 
-double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
-                            bool low_side_centre)
+double plant_inverter_rare_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
+                                 bool low_side_centre)
 {
     const double current = leg_current(inverter, motor, phase);
     if (!inverter->on) {
         return (current > 0.0) ? current : 0.0; /* only the lower diode passes the shunt */
     }
-    /* the switch of the other side takes the current away whenever it is on at all around this centre */
-    const double share = inverter->share[phase];
-    const bool low_conducts = low_side_centre ? share < 1.0 : share <= 0.0;
-    return low_conducts ? current : 0.0;
+    return plant_inverter_low_conducts(inverter, phase, low_side_centre) ? current : 0.0;
 }

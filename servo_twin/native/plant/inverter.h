@@ -80,9 +80,24 @@ double plant_inverter_power(const plant_inverter_t *inverter, const plant_motor_
 void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
                              double voltage[3]);
 
+/* The switch of the other side takes the current away from the low one whenever it is on at all around a centre. */
+static inline bool plant_inverter_low_conducts(const plant_inverter_t *inverter, int phase, bool low_side_centre)
+{
+    const double share = inverter->share[phase];
+    return low_side_centre ? share < 1.0 : share <= 0.0;
+}
+
 /* Current in the shunt of a phase at the centre of the low-side (or else the high-side) time: what the low switch or
- * its diode carries at that moment. */
-double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
-                            bool low_side_centre);
+ * its diode carries at that moment. The rare one is for switches that are open and for broken wires. */
+double plant_inverter_rare_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
+                                 bool low_side_centre);
+static inline double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
+                                          bool low_side_centre)
+{
+    if (!inverter->on || inverter->broken) {
+        return plant_inverter_rare_shunt(inverter, motor, phase, low_side_centre);
+    }
+    return plant_inverter_low_conducts(inverter, phase, low_side_centre) ? motor->phase[phase] : 0.0;
+}
 
 #endif

@@ -55,11 +55,11 @@ static bool plain_case(const plant_lane_t *lane, double *direction)
     if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->obstructed) {
         return false;
     }
-    if (motor->locked) {
-        return true;
-    }
     if (fabs(motor->omega) > PLANT_STANDING) {
         *direction = copysign(1.0, motor->omega);
+        return true;
+    }
+    if (motor->locked) {
         return true;
     }
     const double drive = plant_motor_torque(motor) - motor->load;

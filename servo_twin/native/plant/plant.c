@@ -92,10 +92,14 @@ void plant_step(plant_t *plant, uint64_t now_ns)
         if ((taken & (1u << i)) == 0u) {
             charge += axis_step(axis, plant->bus.u, now_ns, plant->step_ns);
         } else if (plant_encoder_leaves(&axis->encoder, axis->motor.theta)) {
-            const plant_movement_t movement = {
-                theta[i], axis->motor.theta, omega[i], axis->motor.omega, 0.0, (double)plant->step_ns,
-            };
-            plant_encoder_move(&axis->encoder, &movement, now_ns);
+            if (axis->encoder.armed) {
+                const plant_movement_t movement = {
+                    theta[i], axis->motor.theta, omega[i], axis->motor.omega, 0.0, (double)plant->step_ns,
+                };
+                plant_encoder_move(&axis->encoder, &movement, now_ns);
+            } else {
+                plant_encoder_count(&axis->encoder, axis->motor.theta);
+            }
         }
         if (axis->harm.glitches[PLANT_LINE_A] + axis->harm.glitches[PLANT_LINE_B] > 0.0) {
             glitch(axis, plant->step, now_ns);
@@ -128,28 +132,6 @@ bool plant_over_current(const plant_t *plant, int axis)
     }
     return phase[0] > most || phase[1] > most || phase[2] > most || phase[0] < -most || phase[1] < -most ||
            phase[2] < -most;
-}
-
-void plant_sample(plant_t *plant, int axis, const int phase[2], bool low_side_centre, plant_samples_t *samples)
-{
-    plant_drive_t *drive = &plant->axis[axis];
-    samples->phase = phase;
-    for (int k = 0; k < 2; k++) {
-        samples->current[k] = plant_inverter_shunt(&drive->inverter, &drive->motor, phase[k], low_side_centre);
-    }
-    samples->noise = plant_random_reserve(&drive->noise, 2);
-}
-
-void plant_sample_codes(const plant_t *plant, int axis, const plant_samples_t *samples, uint16_t code[2])
-{
-    const plant_drive_t *drive = &plant->axis[axis];
-    plant_random_t noise = samples->noise;
-    for (int k = 0; k < 2; k++) {
-        const int phase = samples->phase[k];
-        const double shown =
-            samples->current[k] + drive->config.i_offset[phase] + drive->config.i_noise * plant_random_gauss(&noise);
-        code[k] = plant_harm_code(&drive->harm, phase, plant_code(2048.0 + shown * drive->codes_per_ampere));
-    }
 }
 
 uint16_t plant_bus_code(plant_t *plant)

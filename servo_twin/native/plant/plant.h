@@ -60,9 +60,30 @@ typedef struct {
     plant_random_t noise;
 } plant_samples_t;
 
-/* Sample the shunts of two phases at one of the two centres of the PWM; and the codes of the converters. */
-void plant_sample(plant_t *plant, int axis, const int phase[2], bool low_side_centre, plant_samples_t *samples);
-void plant_sample_codes(const plant_t *plant, int axis, const plant_samples_t *samples, uint16_t code[2]);
+/* Sample the shunts of two phases at one of the two centres of the PWM. */
+static inline void plant_sample(plant_t *plant, int axis, const int phase[2], bool low_side_centre,
+                                plant_samples_t *samples)
+{
+    plant_drive_t *drive = &plant->axis[axis];
+    samples->phase = phase;
+    for (int k = 0; k < 2; k++) {
+        samples->current[k] = plant_inverter_shunt(&drive->inverter, &drive->motor, phase[k], low_side_centre);
+    }
+    samples->noise = plant_random_reserve(&drive->noise, 2);
+}
+
+/* Codes of the converters for them. */
+static inline void plant_sample_codes(const plant_t *plant, int axis, const plant_samples_t *samples, uint16_t code[2])
+{
+    const plant_drive_t *drive = &plant->axis[axis];
+    plant_random_t noise = samples->noise;
+    for (int k = 0; k < 2; k++) {
+        const int phase = samples->phase[k];
+        const double shown =
+            samples->current[k] + drive->config.i_offset[phase] + drive->config.i_noise * plant_random_gauss(&noise);
+        code[k] = plant_harm_code(&drive->harm, phase, plant_code(2048.0 + shown * drive->codes_per_ampere));
+    }
+}
 
 /* Converter code of the bus divider at this instant. */
 uint16_t plant_bus_code(plant_t *plant);
