@@ -108,24 +108,22 @@ static void move_slowly(plant_encoder_t *encoder, const plant_movement_t *moveme
 }
 
 /* All edges at once: both lines alive, and no compare value among the counts. */
-static void move_quickly(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns,
-                         int64_t target)
+static inline void move_quickly(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns,
+                                int64_t edges)
 {
-    const bool upwards = target > encoder->edge;
-    const int64_t step = upwards ? 1 : -1;
-    const int64_t first = upwards ? encoder->edge + 1 : encoder->edge; /* numbers of the edges */
-    const int64_t last = upwards ? target : target + 1;
-    const bool first_is_b = (first & 1) == 0;
-    const uint16_t end = (uint16_t)(encoder->count + (uint16_t)(target - encoder->edge));
-    const bool passes_b = first_is_b || first != last;
+    const bool upwards = edges > 0;
+    const uint16_t begin = encoder->count;
+    const bool first_is_b = ((encoder->edge & 1) != 0) == upwards;
+    const bool passes_b = first_is_b || edges > 1 || edges < -1;
     encoder->oflag = encoder->oflag && !passes_b;
     if (encoder->armed && passes_b) {
-        const int64_t first_b = first_is_b ? first : first + step;
-        encoder->count = (uint16_t)(encoder->count + (uint16_t)(first_b - first + step));
-        latch(encoder, movement, reference_ns, first_b);
+        const int to_b = first_is_b ? 1 : 2; /* edges up to the first on B */
+        const int64_t number = upwards ? encoder->edge + to_b : encoder->edge + 1 - to_b;
+        encoder->count = (uint16_t)(begin + (upwards ? to_b : -to_b));
+        latch(encoder, movement, reference_ns, number);
     }
-    encoder->count = end;
-    encoder->edge = target;
+    encoder->count = (uint16_t)(begin + (uint16_t)edges);
+    encoder->edge += edges;
 }
 
 static inline void move_to(plant_encoder_t *encoder, int64_t target, const plant_movement_t *movement,
@@ -135,11 +133,11 @@ static inline void move_to(plant_encoder_t *encoder, int64_t target, const plant
     if (edges == 0) {
         return;
     }
-    const int count = (int16_t)encoder->count;
-    const bool far = (edges > 0) ? count + edges < (int16_t)COMPARE_UP && count != (int16_t)COMPARE_UP
-                                 : count + edges > (int16_t)COMPARE_DOWN && count != (int16_t)COMPARE_DOWN;
-    if (far && encoder->alive[PLANT_LINE_A] && encoder->alive[PLANT_LINE_B]) {
-        move_quickly(encoder, movement, reference_ns, target);
+    const int64_t count = (int16_t)encoder->count + edges;
+    const int16_t compare = (int16_t)((edges > 0) ? COMPARE_UP : COMPARE_DOWN);
+    const bool within = (edges > 0) ? count < compare : count > compare;
+    if (within && encoder->alive[PLANT_LINE_A] && encoder->alive[PLANT_LINE_B]) {
+        move_quickly(encoder, movement, reference_ns, edges);
     } else {
         move_slowly(encoder, movement, reference_ns, target);
     }
