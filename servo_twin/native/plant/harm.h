@@ -13,6 +13,7 @@ typedef struct {
     uint16_t code[3];
     double i_whole; /* noise of a current sample, as it should be [A] */
     double glitches[2]; /* mean rate of pulses on the encoder's lines [1/s] */
+    bool glitching; /* on the averaged plant: there are some */
     bool heated; /* the power stage keeps its temperature */
     plant_random_t random;
 } plant_harm_t;

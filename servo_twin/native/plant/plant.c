@@ -13,6 +13,7 @@ void plant_init(plant_t *plant, const board_config_t *config)
     plant->step = step;
     plant->steps_per_second = 1.0 / step;
     supply_init(&plant->bus, &config->bus, config->ambient);
+    plant->bus_step = supply_step_of(&plant->bus, step);
     plant_random_init(&plant->bus_noise, config->seed, 0);
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
@@ -101,11 +102,11 @@ void plant_step(plant_t *plant, uint64_t now_ns)
                 plant_encoder_count(&axis->encoder, axis->motor.theta);
             }
         }
-        if (axis->harm.glitches[PLANT_LINE_A] + axis->harm.glitches[PLANT_LINE_B] > 0.0) {
+        if (axis->harm.glitching) {
             glitch(axis, plant->step, now_ns);
         }
     }
-    (void)supply_advance(&plant->bus, plant->step, charge * plant->steps_per_second);
+    (void)supply_take_step(&plant->bus, &plant->bus_step, charge * plant->steps_per_second);
     if (++plant->steps == PLANT_STEPS_PER_WARMTH) {
         plant->steps = 0;
         warm_up(plant);
@@ -190,6 +191,7 @@ void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed)
         break;
     case BOARD_ENCODER_GLITCHES:
         axis->harm.glitches[harm->part] = healed ? 0.0 : harm->value;
+        axis->harm.glitching = axis->harm.glitches[PLANT_LINE_A] > 0.0 || axis->harm.glitches[PLANT_LINE_B] > 0.0;
         break;
     case BOARD_STALLED_CORE:
         break; /* nothing of the plant */

@@ -32,6 +32,7 @@ typedef struct {
 typedef struct {
     plant_drive_t axis[BOARD_AXES];
     supply_t bus;
+    supply_step_t bus_step;
     double u_noise, u_noise_whole; /* of a bus sample; as it should be [V] */
     plant_random_t bus_noise;
     plant_pair_t pair;

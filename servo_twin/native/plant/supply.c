@@ -118,8 +118,9 @@ static double advance_slowly(supply_t *s, double h, double i_load)
     return u_h;
 }
 
-double supply_advance(supply_t *s, double h, double i_load)
+double supply_take_step(supply_t *s, const supply_step_t *step, double i_load)
 {
+    const double h = step->h;
     if (s->dip > 0.0) {
         s->dip -= h;
         if (s->dip <= 0.0) {
@@ -127,15 +128,20 @@ double supply_advance(supply_t *s, double h, double i_load)
         }
     }
     if (s->u < s->u_source && !s->braking) { /* the source feeds, nearly always */
-        const double x = h * s->per_rc;
         const double rise = h * s->inv_c * (s->g_source * (s->u_source - s->u) - i_load);
-        const double u = s->u + rise * (1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0))));
-        if (x < 0.125 && u < s->u_source && u > 0.0) {
-            const double u_h = h * (s->u + rise * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0))));
+        const double u = s->u + rise * step->end;
+        if (step->x < 0.125 && u < s->u_source && u > 0.0) {
+            const double u_h = h * (s->u + rise * step->mean);
             s->e_source += 0.5 * (s->u + u) * ((u - s->u) * s->c + i_load * h);
             s->u = u;
             return u_h;
         }
     }
     return advance_slowly(s, h, i_load);
+}
+
+double supply_advance(supply_t *s, double h, double i_load)
+{
+    const supply_step_t step = supply_step_of(s, h);
+    return supply_take_step(s, &step, i_load);
 }

@@ -28,11 +28,30 @@ typedef struct {
     thermal_t brake;  /* the resistor */
 } supply_t;
 
+/* What follows from the length of a step alone while the source feeds the bus. */
+typedef struct {
+    double h;          /* [s] */
+    double x;          /* h / (R C) */
+    double end, mean;  /* (1 - e^-x) / x, (x - 1 + e^-x) / x^2 */
+} supply_step_t;
+
+static inline supply_step_t supply_step_of(const supply_t *supply, double h)
+{
+    const double x = h * supply->per_rc;
+    return (supply_step_t){
+        .h = h,
+        .x = x,
+        .end = 1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0))),
+        .mean = 0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0)),
+    };
+}
+
 /* The bus is charged to the voltage of the source. */
 void supply_init(supply_t *supply, const plant_bus_t *config, double ambient);
 
 /* `h` seconds with the current `i_load` drawn. Returns the integral of the bus voltage [V s]. */
 double supply_advance(supply_t *supply, double h, double i_load);
+double supply_take_step(supply_t *supply, const supply_step_t *step, double i_load);
 
 /* Another source from now on. */
 void supply_set(supply_t *supply, double volts);
