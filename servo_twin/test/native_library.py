@@ -70,6 +70,7 @@ typedef struct { uint16_t count, index; bool oflag, armed, latched; int64_t edge
 typedef struct { double theta_0, theta_1, omega_0, omega_1, start_ns, duration_ns; } plant_movement_t;
 void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config);
 void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns);
+void plant_encoder_count(plant_encoder_t *encoder, double theta);
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta);
 void plant_encoder_stick(plant_encoder_t *encoder, int line, bool stuck, bool level);
 void plant_encoder_glitch(plant_encoder_t *encoder, int line, uint64_t now_ns);
