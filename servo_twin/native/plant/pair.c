@@ -115,6 +115,7 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
             pair_drive_leg(before[k], inv_i_w, INVERTER(duty[k]), INVERTER(dead_leg[k]), v_drop, u_dc, &ends.leg[k]);
     }
     const pair_t omega = MOTOR(omega);
+    /* not by way of memory, where a load of both waits until the stores of each are done, and the step with it */
     const pair_t direction = {ways[0], ways[1]};
     const pair_t moves = direction * direction; /* without motion there is no acceleration */
     const pair_step_t m = {
