@@ -101,6 +101,7 @@ class ServoTwin(Node):
         self._board_trouble = ""
         self._parameter_trouble = ""
         self._samples_before = 0
+        self._compared = False
         self._synchronisation = 0
         self._worst: Residual | None = None
         self._next_variables = 0
@@ -191,6 +192,8 @@ class ServoTwin(Node):
             text = f"following {self._board_namespace}, synchronisation {self._synchronisation}"
             self._log.info(text, throttle_duration_sec=1.0)
         if pairs:
+            with self._lock:
+                self._compared = True
             self._publish_table(pairs)
             for pair in pairs:
                 self._publish_joints(pair, self._compare(pair))
@@ -258,9 +261,9 @@ class ServoTwin(Node):
         figures = self._worker.figures()
         with self._lock:
             # Samples count when they come; those that came before the last look may have been compared since.
-            if figures.samples == self._samples_before and not figures.load:
+            if figures.samples == self._samples_before and not self._compared:
                 self._monitor.interrupt(self._board_trouble or f"no telemetry from {self._board_namespace}")
-            self._samples_before = figures.samples
+            self._samples_before, self._compared = figures.samples, False
             worst, self._worst = self._worst, None
             healthy, reason = self._monitor.healthy, self._reason()
         self._say()

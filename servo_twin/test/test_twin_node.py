@@ -251,6 +251,19 @@ def test_silence_makes_it_unhealthy(rig: Rig) -> None:
     rig.until(lambda: rig.status("comparison").message == "no telemetry from /servo")
 
 
+def test_commands_are_no_telemetry(rig: Rig) -> None:
+    """Whatever else keeps the worker busy."""
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+
+    def silent() -> bool:
+        rig.command(AppliedCommand("cmd.position", rig.board.real.tick, (0, 0), 3))
+        return bool(rig.status("comparison").message == "no telemetry from /servo")
+
+    rig.until(silent)
+    assert rig.last("/twin/healthy") is False
+
+
 def test_resync_answers_at_once(rig: Rig) -> None:
     rig.board.run(0.3)
     rig.caught_up()
