@@ -106,17 +106,41 @@ def test_old_input_is_thrown_away_when_opening(pty: Pty) -> None:
         assert port.read(soon(0.05)) == b""
 
 
+def age(link: Path) -> None:
+    """A minute older than now."""
+    then = time.time() - 60.0
+    os.utime(link, (then, then), follow_symlinks=False)
+
+
+def test_a_change_of_mode_is_no_new_terminal(pty: Pty, tmp_path: Path) -> None:
+    link = tmp_path / "board"
+    link.symlink_to(pty.path)
+    born = os.stat(pty.path).st_mtime
+    os.utime(pty.path, (born - 60.0, born - 60.0))  # as if it had been made then; changes the third of its times
+    then = born - 59.0
+    os.utime(link, (then, then), follow_symlinks=False)
+    os.chmod(pty.path, 0o620)
+    with SerialPort(str(link), 115_200):
+        pass
+
+
 def test_a_link_that_is_older_than_its_terminal_is_not_followed(pty: Pty, tmp_path: Path) -> None:
     link = tmp_path / "board"
     link.symlink_to(pty.path)
     with SerialPort(str(link), 115_200) as port:
         port.write(b"to the board")
     assert os.read(pty.master, 100) == b"to the board"
-    made = os.stat(pty.path).st_ctime
-    os.utime(link, (made - 60.0, made - 60.0), follow_symlinks=False)
-    with pytest.raises(PortError, match="older than the terminal behind it") as caught:
-        SerialPort(str(link), 115_200)
-    assert caught.value.missing
+    outer = tmp_path / "servo"
+    outer.symlink_to("board")
+    age(outer)
+    with SerialPort(str(outer), 115_200):  # made once and for all
+        pass
+    age(link)
+    for path in (link, outer):
+        with pytest.raises(PortError, match=f"{link} is older than the terminal behind it") as caught:
+            SerialPort(str(path), 115_200)
+        assert caught.value.missing
+        assert pty.path in caught.value.remedy
     assert not select.select([pty.master], [], [], 0.0)[0]
     with SerialPort(pty.path, 115_200):
         pass

@@ -193,21 +193,33 @@ class SerialPort:
 def _refuse_left_over_link(url: str) -> None:
     """Keep away from a terminal that has got the number of one that is gone: somebody else works there.
 
-    A virtual board that is killed leaves its link behind. A pseudo terminal has the change time of its making; no use
-    alters it, so a link that is older was not made for it.
+    A virtual board that is killed leaves its link behind. All times of a pseudo terminal begin with its making: reading
+    and writing move two of them, a change of its mode the third. A link that is older than all of them, and of several
+    in a row the last one counts, was not made for it.
     """
     try:
-        link, terminal = os.lstat(url), os.stat(url)
+        link = _last_link(url)
+        if link is None or not os.path.realpath(link).startswith(_PSEUDO_TERMINALS):
+            return
+        terminal, made = os.stat(link), os.lstat(link).st_mtime
     except (OSError, ValueError):
         return  # opening it tells
-    if not stat.S_ISLNK(link.st_mode) or not os.path.realpath(url).startswith(_PSEUDO_TERMINALS):
-        return
-    if terminal.st_ctime > link.st_mtime + _LINK_TOLERANCE:
+    if min(terminal.st_atime, terminal.st_mtime, terminal.st_ctime) > made + _LINK_TOLERANCE:
         raise PortError(
-            f"the link {url} is older than the terminal behind it: whoever made it is gone",
-            "start the virtual board again, or make the link anew",
+            f"the link {link} is older than the terminal behind it: whoever made it is gone",
+            f"start the virtual board again, make the link anew, or give {os.path.realpath(link)} itself",
             missing=True,
         )
+
+
+def _last_link(path: str) -> str | None:
+    """Of links to links the one that leads to the terminal."""
+    os.stat(path)  # OSError for links that lead in a circle
+    link = None
+    while os.path.islink(path):
+        link = path
+        path = os.path.join(os.path.dirname(path), os.readlink(path))
+    return link
 
 
 def _descriptor(port: Any, url: str) -> int | None:
