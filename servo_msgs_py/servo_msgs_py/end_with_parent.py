@@ -22,10 +22,10 @@ def bound_to_us(command: Sequence[str]) -> list[str]:
     Raises
     ------
     FileNotFoundError
-        If there is no such program.
+        If there is no such program, or it may not be run.
     """
     if shutil.which(command[0]) is None:
-        raise FileNotFoundError(f"there is no program {command[0]}")
+        raise FileNotFoundError(f"{command[0]} is no program that can be started")
     if not sys.platform.startswith("linux"):
         return list(command)
     return [sys.executable, "-I", "-S", __file__, str(os.getpid()), *command]
@@ -38,7 +38,12 @@ def _become(parent: int, command: list[str]) -> None:
     ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGTERM)
     if os.getppid() != parent:  # it died before we asked
         sys.exit(128 + signal.SIGTERM)
-    os.execvp(command[0], command)
+    for number in (signal.SIGPIPE, signal.SIGXFSZ):
+        signal.signal(number, signal.SIG_DFL)  # Python ignores them, and the program would, too
+    try:
+        os.execvp(command[0], command)
+    except OSError as error:
+        sys.exit(f"{command[0]} cannot be started: {error.strerror}")
 
 
 if __name__ == "__main__":
