@@ -251,7 +251,8 @@ void axis_watch(axis_t *axis)
     heat_watch_step(&axis->heat, &axis->config->heat, hal_adc_temperature(axis->hal, axis->index));
     const fault_set_t standing = faults | present_faults(axis);
     if (axis->sm.state != STATE_FAULT) {
-        faults |= watch_phases(axis) | watch_encoder(axis);
+        faults |= watch_phases(axis); /* by what the encoder showed in the tick before */
+        faults |= watch_encoder(axis);
     }
     axis->record->pending = standing;
     axis_raise(axis, faults | (axis->heat.hot ? FAULT_OVER_TEMPERATURE : 0U));

@@ -13,7 +13,6 @@
 #define STILL_TICKS 60    /* of voltage that stays where it is */
 #define SHORT_TICKS 8
 #define SUDDEN_COUNTS 8   /* per slow tick: slower shafts drive no current that trips anything */
-#define DOUBT_TICKS ENCODER_DOUBT_TICKS
 #define SETTLED_TICKS 8   /* until it flows */
 #define PROBE_TICKS 80    /* in all: before the speed of the M/T method without its enhancement falls to zero */
 #define SWINGS_MOST 4
@@ -144,8 +143,9 @@ static frac16_t current_along(const axis_t *axis)
     return axis->encoder_watch.along_q ? axis->current_loop.current.q : axis->current_loop.current.d;
 }
 
-/* A back-EMF is still there when a current has been asked for, less what the resistance is wrong by; what noise has added
- * up in the controllers is not. */
+/* A back-EMF is still there when a current has been asked for; what noise has added up in the controllers is not. Not all
+ * of it need be: the drops are different now, and the resistance may be wrong by as much. Where they happen to hide it, the
+ * rotor turns on, and the next look is at another angle. */
 static bool remains(const encoder_watch_t *w)
 {
     return 4 * length_about(w->rest.d, w->rest.q) >= length_about(w->emf.d, w->emf.q);
@@ -158,7 +158,7 @@ static fault_set_t lost(axis_t *axis)
 {
     encoder_watch_t *w = &axis->encoder_watch;
     if (w->asking == 0U) {
-        if (!w->rigid && 2U * w->idle <= w->turning && current_flows(axis)) {
+        if (!w->rigid && 2 * (int32_t)w->idle <= (int32_t)w->turning && current_flows(axis)) {
             return phase_watch_rather(axis, FAULT_ENCODER_LOST);
         }
         w->along_q = f16_abs(w->rest.q) > f16_abs(w->rest.d);
@@ -194,7 +194,7 @@ static bool steps(axis_t *axis)
 static bool doubts(const axis_t *axis)
 {
     const encoder_watch_t *w = &axis->encoder_watch;
-    return w->sudden && w->asking == 0U && w->calm >= DOUBT_TICKS && !current_flows(axis) &&
+    return w->sudden && w->asking == 0U && w->calm >= ENCODER_DOUBT_TICKS && !current_flows(axis) &&
            f16_abs(axis->current_ref.q) < 2 * (int32_t)axis->config->phases.silent;
 }
 
@@ -214,7 +214,7 @@ static fault_set_t probe(axis_t *axis)
         return 0;
     }
     const bool flows = 4 * (int32_t)current_along(axis) >= 3 * (int32_t)asked(axis);
-    const int32_t swing = length_about(held.d - w->emf.d, held.q - w->emf.q);
+    const int32_t swing = length_about((int32_t)held.d - w->emf.d, (int32_t)held.q - w->emf.q);
     w->swings = (flows && swing > (int32_t)axis->config->phases.emf_floor / 2) ? (uint8_t)(w->swings + 1U) : 0U;
     const bool turns = w->swings >= SWINGS_MOST;
     const bool changed = f16_abs(f16_sub(axis->current_ref.q, w->held)) > axis->config->phases.silent / 2;

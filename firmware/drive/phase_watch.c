@@ -195,7 +195,7 @@ static int32_t missing(const axis_t *axis)
 {
     const dq_t is = axis->current_loop.current;
     const dq_t wanted = axis->current_ref;
-    return length_about(is.d - wanted.d, is.q - wanted.q);
+    return length_about((int32_t)is.d - wanted.d, (int32_t)is.q - wanted.q);
 }
 
 /* Neither the windings nor the back-EMF are what holds the current back. */

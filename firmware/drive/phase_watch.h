@@ -52,7 +52,7 @@ fault_set_t phase_watch_converters(struct axis *axis, adc_pair_t codes);
 fault_set_t phase_watch_currents(struct axis *axis, frac16_t theta_e);
 
 /* `fault`, or CURRENT_SENSE while a converter looks wrong: then nothing else can be believed. Who does not want to know of
- * converters is told the rest. */
+ * converters is told `fault`. */
 fault_set_t phase_watch_or(const struct axis *axis, fault_set_t fault);
 
 /* `fault`, or what is already suspected to be its cause: a converter or a phase. */
