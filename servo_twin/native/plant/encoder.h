@@ -57,7 +57,7 @@ static inline bool plant_encoder_leaves(const plant_encoder_t *encoder, double t
 /* Follow the shaft; `reference_ns` is the simulated time that start_ns refers to. */
 void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns);
 
-/* The same when no edge is to be captured: only where the shaft ends matters. */
+/* The same for an encoder that is not armed: no edge is captured, and only where the shaft ends matters. */
 void plant_encoder_count(plant_encoder_t *encoder, double theta);
 
 /* Lines alive or dead; a dead encoder counts nothing, and what it missed is lost. */

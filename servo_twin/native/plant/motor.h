@@ -70,8 +70,10 @@ void plant_motor_lock(plant_motor_t *motor, bool locked);
 /* End stops so far [rad] to both sides of where the shaft is now. */
 void plant_motor_obstruct(plant_motor_t *motor, double below, double above);
 
-/* Another step has been taken: now and then sine, cosine and phase currents anew from the angle. */
+/* Sine, cosine and phase currents anew from the angle. */
 void plant_motor_refresh(plant_motor_t *motor);
+
+/* Another step has been taken; now and then all of these are due. */
 static inline void plant_motor_count_step(plant_motor_t *motor)
 {
     if (++motor->steps > PLANT_FRESH_TRIG) {

@@ -54,7 +54,8 @@ void plant_voltages(const plant_t *plant, int axis, double voltage[3]);
 /* True if a phase current of the axis is beyond the threshold of the hardware. */
 bool plant_over_current(const plant_t *plant, int axis);
 
-/* Two phase shunts, sampled at one instant; the codes are worked out when somebody reads them. */
+/* Two phase shunts, sampled at one instant: currents and noise are those of then, a converter's damage that of when somebody
+ * reads the codes. */
 typedef struct {
     const int *phase;
     double current[2]; /* [A] */

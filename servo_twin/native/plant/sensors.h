@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-#if defined(__GNUC__) && defined(__SSE2__)
+#if defined(__GNUC__) && defined(__x86_64__)
 #include <emmintrin.h>
 #endif
 
@@ -40,7 +40,7 @@ static inline plant_random_t plant_random_reserve(plant_random_t *random, uint64
 
 static inline int32_t plant_sum_of_bytes(uint64_t bytes)
 {
-#if defined(__GNUC__) && defined(__SSE2__)
+#if defined(__GNUC__) && defined(__x86_64__)
     return _mm_cvtsi128_si32(_mm_sad_epu8(_mm_cvtsi64_si128((int64_t)bytes), _mm_setzero_si128()));
 #else
     const uint64_t even = UINT64_C(0x00FF00FF00FF00FF);
