@@ -170,14 +170,14 @@ static fault_set_t lost(axis_t *axis)
     }
     w->asking = 0;
     const int32_t more = 4 * ((int32_t)current_along(axis) - w->before);
-    if (more >= 2 * (int32_t)asked(axis) && !remains(w)) {
-        w->turning = 0;
-        return 0;
+    if (more < 2 * (int32_t)asked(axis)) { /* where a phase lets nothing flow, a half of it at most comes */
+        return phase_watch_rather(axis, FAULT_PHASE_LOST);
     }
-    if (more >= 3 * (int32_t)asked(axis)) { /* where a phase lets nothing flow, a half of it at most comes */
-        return phase_watch_or(axis, FAULT_ENCODER_LOST);
-    }
-    return phase_watch_rather(axis, (more >= 2 * (int32_t)asked(axis)) ? FAULT_ENCODER_LOST : FAULT_PHASE_LOST);
+    w->turning = 0;
+    const bool certain = more >= 3 * (int32_t)asked(axis);
+    const fault_set_t fault =
+        certain ? phase_watch_or(axis, FAULT_ENCODER_LOST) : phase_watch_rather(axis, FAULT_ENCODER_LOST);
+    return remains(w) ? fault : 0U;
 }
 
 /* A step of the set-point asks for voltage beyond that, through the current controllers' gain. */
