@@ -78,7 +78,7 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@status=0; $(MAKE) --no-print-directory lint || { status=1; echo "make lint fails (above)"; }; \
 	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(PYTEST_ARGS) "$$@"; result=$$?; \
 	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; }; \
-	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0; \
+	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --max-worker-restart 0; \
 	run "one at a time" -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
 	exit $$status
 
