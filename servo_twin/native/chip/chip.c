@@ -43,10 +43,11 @@ void chip_no_value(chip_t *chip, uint32_t address, uint16_t value, const char *w
 void chip_reset(chip_t *chip, reset_cause_t cause)
 {
     for (unsigned i = 0; i < CHIP_SOURCES; i++) {
-        chip->next[i] = CHIP_NEVER;
+        chip_set_turn(chip, i, CHIP_NEVER);
     }
-    chip->quiet = SOURCE_FAULT;
-    chip->search = true;
+    chip_schedule_pwm(chip, 0);
+    chip_schedule_pwm(chip, 1);
+    chip->quiet_turn = chip->turn[SOURCE_FAULT]; /* the lowest of them */
     core_reset(chip);
     system_reset(chip, cause);
     pwm_reset(chip);
@@ -148,7 +149,7 @@ void chip_interrupts(chip_t *chip, bool on)
 static inline void serve(chip_t *chip, unsigned source)
 {
     if (source < SOURCE_FAULT) {
-        pwm_event(chip, source - SOURCE_PWM);
+        pwm_event(chip, (source - SOURCE_PWM) / PWM_SUBMODULES);
     } else if (source == SOURCE_FAULT) {
         pwm_fault_event(chip);
     } else if (source < SOURCE_ADC) {
@@ -167,30 +168,24 @@ static inline void serve(chip_t *chip, unsigned source)
 /* The next event up to `until`, or else that clock itself; false then. */
 static inline bool step(chip_t *chip, uint64_t until)
 {
-    const unsigned source = chip_soonest(chip);
-    const uint64_t clock = chip->next[source];
-    if (chip->touched) {
-        chip->touched = false;
-        chip->outside = world_next(chip->world);
-    }
-    const uint64_t outside = chip->outside;
+    const uint64_t turn = chip_next_turn(chip);
+    const uint64_t clock = CHIP_TURN_CLOCK(turn);
+    const uint64_t outside = chip_outside(chip);
     const uint64_t due = (outside < clock) ? outside : clock;
     if (due > until) {
         if (until > chip->now) {
-            chip->now = until;
-            chip->core.polls = 0;
+            chip_pass_time(chip, until);
         }
         return false;
     }
-    chip->now = due;
-    chip->core.polls = 0;
+    chip_pass_time(chip, due);
     if (outside <= due) {
         chip_meet_world(chip);
         chip->touched = true;
         world_events(chip->world);
     }
     if (clock <= due) {
-        serve(chip, source);
+        serve(chip, CHIP_TURN_SOURCE(turn));
     }
     return true;
 }
@@ -199,7 +194,8 @@ static void run_until(chip_t *chip, uint64_t until)
 {
     while (!chip->stop && step(chip, until)) {
         const core_t *core = &chip->core;
-        if ((core->changed || core->background_due) && !core->booting && chip->next[chip_soonest(chip)] > chip->now) {
+        if ((core->changed || core->background_due) && !core->booting &&
+            CHIP_TURN_CLOCK(chip_next_turn(chip)) > chip->now) {
             core_step(chip); /* all that happens in one clock comes first */
         }
     }

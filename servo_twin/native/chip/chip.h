@@ -33,8 +33,8 @@
 
 /* Sources of events; at one clock they are served in this order. */
 typedef enum {
-    SOURCE_PWM,                               /* one per module */
-    SOURCE_FAULT = SOURCE_PWM + PWM_MODULES,  /* filters of the fault inputs */
+    SOURCE_PWM,                                                /* one per submodule */
+    SOURCE_FAULT = SOURCE_PWM + PWM_MODULES * PWM_SUBMODULES,  /* filters of the fault inputs */
     SOURCE_TIMER,                             /* one per module */
     SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES, /* one per converter */
     SOURCE_SERIAL = SOURCE_ADC + ADC_CONVERTERS,
@@ -42,6 +42,13 @@ typedef enum {
     SOURCE_COP,
     CHIP_SOURCES
 } chip_source_t;
+
+/* When an event of a source is due, in one number: the smallest of several is the one to be served first. */
+#define CHIP_SOURCES_MOST 16u
+#define CHIP_TURN(clock, source) ((uint64_t)(clock) * CHIP_SOURCES_MOST + (source))
+#define CHIP_TURN_CLOCK(turn) ((turn) / CHIP_SOURCES_MOST)
+#define CHIP_TURN_SOURCE(turn) ((unsigned)((turn) % CHIP_SOURCES_MOST))
+#define CHIP_NO_TURN CHIP_TURN(CHIP_NEVER, 0) /* or one above: behind all others */
 
 typedef struct {
     chip_wiring_t wiring;
@@ -51,9 +58,9 @@ typedef struct {
 
 typedef struct chip {
     uint64_t now;
-    uint64_t next[CHIP_SOURCES]; /* clock of the next event of each source */
-    unsigned quiet;              /* the next of the sources behind the PWMs */
-    bool search;                 /* its event is later now, so that another one's may be next */
+    uint64_t turn[CHIP_SOURCES];    /* of the next event of each source */
+    uint64_t pwm_turn[PWM_MODULES]; /* the first of a module's */
+    uint64_t quiet_turn;            /* and of the sources behind them, which have few events */
     uint64_t outside;        /* clock of the world's next event */
     bool touched;            /* since then something has been done to the world */
     uint64_t world_clock;    /* the world stands here */
@@ -61,6 +68,7 @@ typedef struct chip {
     chip_config_t config;
     core_t core;
     pwm_t pwm[PWM_MODULES];
+    pwm_submodule_t *submodule[PWM_MODULES * PWM_SUBMODULES]; /* of both, by their sources of events */
     adc_t adc;
     qtmr_t timer[QTMR_MODULES];
     xbar_t xbar;

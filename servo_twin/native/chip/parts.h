@@ -60,37 +60,61 @@ static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32
     }
 }
 
-/* When the next event of a source is. The PWMs have most of the events; of the sources behind them the first one is
- * searched for only when that may have become another one. */
+static inline uint64_t chip_sooner(uint64_t a, uint64_t b) { return (a < b) ? a : b; }
+
+static inline void chip_set_turn(chip_t *chip, unsigned source, uint64_t clock)
+{
+    chip->turn[source] = CHIP_TURN(clock, source);
+}
+
+static inline bool chip_is_due(const chip_t *chip, unsigned source)
+{
+    return CHIP_TURN_CLOCK(chip->turn[source]) <= chip->now;
+}
+
+/* When the next event of a source behind the PWMs is. The first of them is searched for only when it was this one. */
 static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)
 {
-    const uint64_t first = chip->next[chip->quiet];
-    chip->next[source] = clock;
-    if (source == chip->quiet) {
-        chip->search = true;
-    } else if (clock < first || (clock == first && source < chip->quiet)) {
-        chip->quiet = source;
-    }
-}
-
-static inline void chip_schedule_pwm(chip_t *chip, unsigned module, uint64_t clock)
-{
-    chip->next[SOURCE_PWM + module] = clock;
-}
-
-/* The source whose event is next of all. */
-static inline unsigned chip_soonest(chip_t *chip)
-{
-    if (chip->search) {
-        unsigned source = SOURCE_FAULT;
-        for (unsigned i = SOURCE_FAULT + 1u; i < CHIP_SOURCES; i++) {
-            source = (chip->next[i] < chip->next[source]) ? i : source;
+    const uint64_t before = chip->turn[source];
+    chip_set_turn(chip, source, clock);
+    uint64_t first = chip->turn[source];
+    if (before == chip->quiet_turn) {
+        for (unsigned i = SOURCE_FAULT; i < CHIP_SOURCES; i++) {
+            first = chip_sooner(first, chip->turn[i]);
         }
-        chip->quiet = source;
-        chip->search = false;
+        chip->quiet_turn = first;
+    } else {
+        chip->quiet_turn = chip_sooner(first, chip->quiet_turn);
     }
-    const unsigned pwm = (chip->next[SOURCE_PWM + 1] < chip->next[SOURCE_PWM]) ? SOURCE_PWM + 1u : SOURCE_PWM;
-    return (chip->next[chip->quiet] < chip->next[pwm]) ? chip->quiet : pwm;
+}
+
+/* After a change of a submodule's turn. */
+static inline void chip_schedule_pwm(chip_t *chip, unsigned module)
+{
+    const uint64_t *turn = &chip->turn[SOURCE_PWM + PWM_SUBMODULES * module];
+    chip->pwm_turn[module] = chip_sooner(chip_sooner(turn[0], turn[1]), chip_sooner(turn[2], turn[3]));
+}
+
+/* The turn of the event that is next of all. */
+static inline uint64_t chip_next_turn(const chip_t *chip)
+{
+    return chip_sooner(chip->quiet_turn, chip_sooner(chip->pwm_turn[0], chip->pwm_turn[1]));
+}
+
+static inline void chip_pass_time(chip_t *chip, uint64_t clock)
+{
+    chip->now = clock;
+    chip->core.polls = 0;
+}
+
+/* Clock of the world's next event. */
+static inline uint64_t chip_outside(chip_t *chip)
+{
+    if (chip->touched) {
+        chip->touched = false;
+        chip->outside = world_next(chip->world);
+    }
+    return chip->outside;
 }
 
 /* Bring the world along to the present clock, before something acts on it or looks at it. */

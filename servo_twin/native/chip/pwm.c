@@ -142,7 +142,7 @@ static void find_anew(pwm_submodule_t *s, uint64_t now)
     while ((int64_t)PWM_EVENT_DISTANCE(*next) <= s->done || clock_of(s, *next) < now) {
         next++;
     }
-    s->next = (unsigned)(next - s->event);
+    s->next = next;
     s->next_clock = clock_of(s, *next);
 }
 
@@ -150,33 +150,22 @@ static void find_anew(pwm_submodule_t *s, uint64_t now)
 static inline void find_next(pwm_submodule_t *s, uint64_t now)
 {
     if (s->order == PWM_ORDER_KEPT) {
-        s->next_clock = clock_of(s, s->event[s->next]);
+        s->next_clock = clock_of(s, *s->next);
     } else {
         find_anew(s, now);
     }
 }
 
-static inline void find_due(pwm_submodule_t *s)
+static inline void find_due(chip_t *chip, const pwm_submodule_t *s)
 {
-    const uint64_t due = (s->dead_clock < s->next_clock) ? s->dead_clock : s->next_clock;
-    s->due = (s->sync_clock < due) ? s->sync_clock : due;
-}
-
-static inline void schedule_module(chip_t *chip, unsigned m)
-{
-    pwm_submodule_t *s = chip->pwm[m].sub;
-    pwm_submodule_t *a = (s[1].due < s[0].due) ? &s[1] : &s[0];
-    pwm_submodule_t *b = (s[3].due < s[2].due) ? &s[3] : &s[2];
-    pwm_submodule_t *first = (b->due < a->due) ? b : a;
-    chip->pwm[m].first = first;
-    chip_schedule_pwm(chip, m, first->due);
+    chip_set_turn(chip, s->id, chip_sooner(s->sync_clock, chip_sooner(s->dead_clock, s->next_clock)));
 }
 
 void pwm_schedule(chip_t *chip, pwm_submodule_t *s)
 {
     find_next(s, chip->now);
-    find_due(s);
-    schedule_module(chip, s->module);
+    find_due(chip, s);
+    chip_schedule_pwm(chip, s->module);
 }
 
 static void run(chip_t *chip, pwm_submodule_t *s);
@@ -227,7 +216,7 @@ void pwm_load(chip_t *chip, pwm_submodule_t *s)
     pwm->ldok = (uint16_t)(pwm->ldok & ~BIT(s->number));
     find_distances(s);
     s->stuck = s->running && never_counts(s) && s->base == s->active.init;
-    chip_note(chip, TRACE_LOAD, pwm_id(s), 0);
+    chip_note(chip, TRACE_LOAD, s->id, 0);
 }
 
 /* A reload point of a submodule: counts for LDFQ, then loads what is ready in it and in those that follow it. */
@@ -246,7 +235,7 @@ static void reload(chip_t *chip, pwm_submodule_t *s, bool at_end)
         other->flags = (uint16_t)(other->flags | STS_RF);
         if ((pwm->ldok & BIT(other->number)) != 0) {
             if (other != s && !at_end) { /* its matches of this clock see the old values */
-                if (other->due <= chip->now) {
+                if (chip_is_due(chip, other->id)) {
                     run(chip, other);
                 }
                 const int64_t here = position(other, chip->now);
@@ -264,7 +253,7 @@ static void reload(chip_t *chip, pwm_submodule_t *s, bool at_end)
         }
         if (other != s) {
             find_next(other, chip->now);
-            find_due(other);
+            find_due(chip, other);
         }
     }
 }
@@ -274,7 +263,7 @@ void pwm_begin_cycle(chip_t *chip, pwm_submodule_t *s)
 {
     s->origin = chip->now;
     s->done = s->settled = -1;
-    s->next = 0;
+    s->next = s->event;
     if (s->base != s->active.init) {
         s->base = s->active.init;
         find_distances(s);
@@ -283,7 +272,7 @@ void pwm_begin_cycle(chip_t *chip, pwm_submodule_t *s)
     if (s->stuck) {
         s->order = PWM_ORDER_STALE;
     }
-    chip_note(chip, TRACE_CYCLE, pwm_id(s), s->base);
+    chip_note(chip, TRACE_CYCLE, s->id, s->base);
     pwm_resume(chip, s, pwm_of(chip, s)->fsts_full);
 }
 
@@ -301,8 +290,8 @@ static inline void follow_sync(chip_t *chip, pwm_submodule_t *s)
         pwm_force_out(chip, s);
     }
     find_next(s, chip->now);
-    find_due(s);
-    if (s->due <= chip->now) {
+    find_due(chip, s);
+    if (chip_is_due(chip, s->id)) {
         run(chip, s);
     }
 }
@@ -350,7 +339,7 @@ static void matches(chip_t *chip, pwm_submodule_t *s, uint32_t d, unsigned hit)
     const unsigned noted = hit & (s->tctrl | s->inten) & 0x3Fu;
     if (noted != 0) {
         for (unsigned left = noted; left != 0; left &= left - 1u) {
-            chip_note(chip, TRACE_MATCH, pwm_id(s), chip_lowest_bit(left));
+            chip_note(chip, TRACE_MATCH, s->id, chip_lowest_bit(left));
         }
         if ((noted & s->inten) != 0) {
             pwm_request(chip, s);
@@ -374,11 +363,11 @@ static void matches(chip_t *chip, pwm_submodule_t *s, uint32_t d, unsigned hit)
 /* The counter's next events, all that share a distance. */
 static void handle(chip_t *chip, pwm_submodule_t *s)
 {
-    const uint32_t d = PWM_EVENT_DISTANCE(s->event[s->next]);
+    const uint32_t d = PWM_EVENT_DISTANCE(*s->next);
     unsigned what = 0;
     do {
-        what |= BIT(PWM_EVENT_NUMBER(s->event[s->next++]));
-    } while (PWM_EVENT_DISTANCE(s->event[s->next]) == d);
+        what |= BIT(PWM_EVENT_NUMBER(*s->next++));
+    } while (PWM_EVENT_DISTANCE(*s->next) == d);
     if ((what & BIT(PWM_CYCLE)) != 0) {
         local_sync(chip, s);
         if (s->done != (int64_t)d) {
@@ -389,7 +378,7 @@ static void handle(chip_t *chip, pwm_submodule_t *s)
         settle_to(s, (int64_t)WRAP_DISTANCE - 1);
         s->origin += (uint64_t)WRAP_DISTANCE << s->active.prescaler;
         s->done = s->settled = -1;
-        s->next = 0;
+        s->next = s->event;
     } else if ((what & STS_CMPF) != 0) {
         matches(chip, s, d, what & STS_CMPF); /* unless it ends a cycle VAL1 + 1 is a count like any other */
     }
@@ -419,46 +408,52 @@ static void run(chip_t *chip, pwm_submodule_t *s)
         }
     }
     if (s->dead_clock <= chip->now) {
-        pwm_end_dead_time(chip, s);
+        pwm_end_dead_time(s);
+        pwm_show(chip, s);
     }
-    find_due(s);
+    find_due(chip, s);
 }
 
-/* Most events are an edge of PWM23 or the end of a dead time, and nothing else: these go the short way. */
-static inline void edge_or_run(chip_t *chip, pwm_submodule_t *s)
+/* Most events are an edge of PWM23 that switches a pair or the end of a dead time, and nothing else. */
+static inline bool only_switches(const pwm_submodule_t *s, uint64_t now)
 {
-    const uint64_t now = chip->now;
     if (s->order != PWM_ORDER_KEPT || s->sync_clock <= now) {
-        run(chip, s);
-        return;
+        return false;
     }
-    if (s->next_clock > now) {
-        pwm_end_dead_time(chip, s);
-        find_due(s);
-        return;
-    }
-    const uint32_t event = s->event[s->next];
-    const uint32_t after = s->event[s->next + 1u];
-    if ((s->plain & BIT(PWM_EVENT_NUMBER(event))) == 0 || PWM_EVENT_DISTANCE(after) == PWM_EVENT_DISTANCE(event) ||
-        s->dead_clock <= now) {
-        run(chip, s);
-        return;
-    }
-    s->done = PWM_EVENT_DISTANCE(event);
-    s->next++;
-    s->next_clock = clock_of(s, after);
-    s->generated = (s->generated & ~1u) | (PWM_EVENT_NUMBER(event) == 2u ? 1u : 0u); /* VAL2 on, VAL3 off */
-    pwm_drive(chip, s);
-    find_due(s);
+    const uint32_t event = s->next[0];
+    const bool plain = ((s->plain >> PWM_EVENT_NUMBER(event)) & 1u) != 0;
+    return s->next_clock > now || (plain && (event ^ s->next[1]) >= PWM_EVENTS && s->dead_clock > now);
 }
 
+/* Such an event. When the next one is, is found before the world is told: a processor works ahead that far. */
+static inline void switch_pair(chip_t *chip, pwm_submodule_t *s)
+{
+    if (s->next_clock > chip->now) {
+        pwm_end_dead_time(s);
+    } else {
+        const uint32_t event = *s->next++;
+        s->done = PWM_EVENT_DISTANCE(event);
+        s->next_clock = clock_of(s, *s->next);
+        s->generated = (s->generated & 2u) | (PWM_EVENT_NUMBER(event) == 2u ? 1u : 0u); /* VAL2 on, VAL3 off */
+        pwm_drive_pair(chip, s, (((s->generated & s->followed) ^ s->given) & 1u) != 0);
+    }
+    find_due(chip, s);
+    chip_schedule_pwm(chip, s->module);
+    pwm_show(chip, s);
+}
+
+/* All events of a module in the present clock. */
 void pwm_event(chip_t *chip, unsigned m)
 {
-    const pwm_t *pwm = &chip->pwm[m];
     do {
-        edge_or_run(chip, pwm->first);
-        schedule_module(chip, m);
-    } while (pwm->first->due <= chip->now);
+        pwm_submodule_t *s = chip->submodule[CHIP_TURN_SOURCE(chip->pwm_turn[m])];
+        if (only_switches(s, chip->now)) {
+            switch_pair(chip, s);
+        } else {
+            run(chip, s);
+            chip_schedule_pwm(chip, m);
+        }
+    } while (CHIP_TURN_CLOCK(chip->pwm_turn[m]) <= chip->now);
 }
 
 void pwm_ext_sync(chip_t *chip, unsigned m, unsigned n)
@@ -518,10 +513,11 @@ void pwm_reset(chip_t *chip)
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
             levels[n] = pwm->sub[n].levels;
         }
-        *pwm = (pwm_t){.first = pwm->sub, .fault_pin = pins, .fault_filtered = pins};
+        *pwm = (pwm_t){.fault_pin = pins, .fault_filtered = pins};
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
             pwm_submodule_t *s = &pwm->sub[n];
             *s = (pwm_submodule_t){
+                .id = (uint8_t)(PWM_SUBMODULES * m + n),
                 .module = (uint8_t)m,
                 .number = (uint8_t)n,
                 .ctrl = CTRL_FULL,
@@ -531,13 +527,14 @@ void pwm_reset(chip_t *chip)
                 .sync_clock = CHIP_NEVER,
                 .dead_clock = CHIP_NEVER,
                 .next_clock = CHIP_NEVER,
-                .due = CHIP_NEVER,
                 .out = 2u,
+                .followed = 3u,
                 .order = PWM_ORDER_STALE,
                 .done = -1,
                 .settled = -1,
                 .levels = levels[n],
             };
+            chip->submodule[s->id] = s;
             find_distances(s);
             pwm_watch(chip, s);
         }

@@ -41,6 +41,7 @@ typedef struct {
 typedef enum { PWM_ORDER_KEPT, PWM_ORDER_MOVED, PWM_ORDER_STALE } pwm_order_t;
 
 typedef struct {
+    uint8_t id;             /* source of events, and its number in traces: 4 module + number */
     uint8_t module, number; /* whose it is, and which of the four */
     /* registers */
     pwm_buffered_t buffer; /* as written */
@@ -59,17 +60,16 @@ typedef struct {
     pwm_order_t order;     /* of the list of events */
     uint32_t
         event[PWM_EVENTS + 1]; /* of a cycle, PWM_EVENT(distance, number) in rising order; ends with PWM_NO_EVENT */
-    unsigned next;         /* index of the first that is still to come */
+    const uint32_t *next;  /* the first that is still to come */
     int64_t settled;       /* flags up to this distance have been found */
     unsigned plain;        /* VALs that do nothing but switch the pair */
     unsigned watched;      /* bit k: VALk is an event */
     uint64_t next_clock;   /* of the counter's next event */
     uint64_t sync_clock;   /* EXT_SYNC on its way */
-    uint64_t due;          /* the soonest of these and of the end of a dead time */
     /* outputs, bit 0 A and bit 1 B; generated and software: bit 0 PWM23, bit 1 PWM45 */
     unsigned generated;
-    unsigned source[2];    /* DTSRCSEL in force: of PWM23, of PWM45 */
-    unsigned software;     /* SWCOUT in force */
+    unsigned followed;     /* DTSRCSEL in force: which of them the outputs follow, ... */
+    unsigned given;        /* ... and to what they are added modulo two: inverted, or SWCOUT in force */
     unsigned mask;         /* MASK in force */
     bool from_45;          /* IPOL: the pair follows PWM45 */
     bool pair;             /* input of the dead-time unit */
@@ -82,7 +82,6 @@ typedef struct {
 
 typedef struct {
     pwm_submodule_t sub[PWM_SUBMODULES];
-    pwm_submodule_t *first; /* the submodule whose event is next */
     uint16_t outen, mask, swcout, dtsrcsel, mctrl2;
     uint16_t ldok, run, ipol;
     uint16_t fctrl, fsts_full, fsts_half, ffilt, ftst;

@@ -33,18 +33,6 @@ void pwm_prepare(chip_t *chip, pwm_submodule_t *s)
     s->fixed = inverted | high;
 }
 
-void pwm_show(chip_t *chip, pwm_submodule_t *s)
-{
-    const unsigned levels = (s->out & s->live) ^ s->fixed;
-    if (levels != s->levels) {
-        s->levels = levels;
-        chip_note(chip, TRACE_GATES, pwm_id(s), levels);
-        chip_meet_world(chip);
-        chip->touched = true;
-        world_gates(chip->world, s->module, s->number, levels);
-    }
-}
-
 void pwm_show_all(chip_t *chip, unsigned m)
 {
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
@@ -59,36 +47,15 @@ void pwm_pins_changed(chip_t *chip)
     pwm_show_all(chip, 1);
 }
 
-/* What DTSRCSEL takes: 0 generated, 1 inverted, 2 software. */
-static unsigned selected(const pwm_submodule_t *s, unsigned which)
-{
-    const unsigned source = s->source[which];
-    const unsigned values = (source == 2u) ? s->software : s->generated;
-    return (((values >> which) & 1u) ^ (source == 1u ? 1u : 0u));
-}
-
-/* The dead-time unit: the switch that closes waits for its count, the other opens at once. */
 void pwm_drive(chip_t *chip, pwm_submodule_t *s)
 {
+    const unsigned selected = (s->generated & s->followed) ^ s->given;
     if ((s->ctrl2 & CTRL2_INDEP) != 0) {
-        s->out = selected(s, 0) | selected(s, 1) << 1;
+        s->out = selected;
         s->dead_clock = CHIP_NEVER;
     } else {
-        const bool pair = s->from_45 ? selected(s, 1) == 0 : selected(s, 0) != 0;
-        if (pair != s->pair || (s->out == 0 && s->dead_clock == CHIP_NEVER)) {
-            s->pair = pair;
-            const unsigned dead = s->dtcnt[pair ? 0 : 1];
-            s->out = (dead > 0) ? 0u : pair ? 1u : 2u;
-            s->dead_clock = (dead > 0) ? chip->now + dead : CHIP_NEVER;
-        }
+        pwm_drive_pair(chip, s, s->from_45 ? (selected & 2u) == 0 : (selected & 1u) != 0);
     }
-    pwm_show(chip, s);
-}
-
-void pwm_end_dead_time(chip_t *chip, pwm_submodule_t *s)
-{
-    s->dead_clock = CHIP_NEVER;
-    s->out |= s->pair ? 1u : 2u;
     pwm_show(chip, s);
 }
 
@@ -96,9 +63,13 @@ void pwm_force_out(chip_t *chip, pwm_submodule_t *s)
 {
     const pwm_t *pwm = pwm_of(chip, s);
     const unsigned n = s->number;
-    s->source[0] = (pwm->dtsrcsel >> (4u * n + 2u)) & 3u;
-    s->source[1] = (pwm->dtsrcsel >> (4u * n)) & 3u;
-    s->software = ((pwm->swcout >> (2u * n + 1u)) & 1u) | ((pwm->swcout >> (2u * n)) & 1u) << 1;
+    s->followed = s->given = 0;
+    for (unsigned which = 0; which < 2u; which++) { /* PWM23 and PWM45: 0 generated, 1 inverted, 2 software */
+        const unsigned source = (pwm->dtsrcsel >> (4u * n + 2u - 2u * which)) & 3u;
+        const unsigned software = (pwm->swcout >> (2u * n + 1u - which)) & 1u;
+        s->followed |= (source != 2u ? 1u : 0u) << which;
+        s->given |= (source == 2u ? software : source) << which;
+    }
     s->mask = ((pwm->mask >> (8u + n)) & 1u) | (((pwm->mask >> (4u + n)) & 1u) << 1);
     pwm_prepare(chip, s);
     pwm_drive(chip, s);

@@ -39,9 +39,6 @@ enum { FORCE_LOCAL, FORCE_MASTER, FORCE_RELOAD, FORCE_MASTER_RELOAD, FORCE_SYNC,
 
 static inline pwm_t *pwm_of(chip_t *chip, const pwm_submodule_t *s) { return &chip->pwm[s->module]; }
 
-/* As traces count them. */
-static inline uint32_t pwm_id(const pwm_submodule_t *s) { return (uint32_t)s->module * PWM_SUBMODULES + s->number; }
-
 /* ---- counters and compares (pwm.c) ---------------------------------------------------------------------------------- */
 
 uint16_t pwm_counter(const pwm_submodule_t *s, uint64_t now);
@@ -71,12 +68,41 @@ void pwm_follow_run(chip_t *chip, unsigned m);
 
 /* Which pins of a pair follow its outputs. */
 void pwm_prepare(chip_t *chip, pwm_submodule_t *s);
-void pwm_show(chip_t *chip, pwm_submodule_t *s);
 void pwm_show_all(chip_t *chip, unsigned m);
 
-/* The dead-time unit, after a change of its inputs and at its end. */
+/* What the outputs have become, at the pins. */
+static inline void pwm_show(chip_t *chip, pwm_submodule_t *s)
+{
+    const unsigned levels = (s->out & s->live) ^ s->fixed;
+    if (levels != s->levels) {
+        s->levels = levels;
+        chip_note(chip, TRACE_GATES, s->id, levels);
+        chip_meet_world(chip);
+        chip->touched = true;
+        world_gates(chip->world, s->module, s->number, levels);
+    }
+}
+
+/* The dead-time unit of a pair: the switch that closes waits for its count, the other opens at once. */
+static inline void pwm_drive_pair(const chip_t *chip, pwm_submodule_t *s, bool pair)
+{
+    if (pair != s->pair || (s->out == 0 && s->dead_clock == CHIP_NEVER)) {
+        s->pair = pair;
+        const unsigned dead = s->dtcnt[pair ? 0 : 1];
+        s->out = (dead > 0) ? 0u : pair ? 1u : 2u;
+        s->dead_clock = (dead > 0) ? chip->now + dead : CHIP_NEVER;
+    }
+}
+
+/* The dead time in progress is over. */
+static inline void pwm_end_dead_time(pwm_submodule_t *s)
+{
+    s->dead_clock = CHIP_NEVER;
+    s->out |= s->pair ? 1u : 2u;
+}
+
+/* The outputs, after a change of what they follow. */
 void pwm_drive(chip_t *chip, pwm_submodule_t *s);
-void pwm_end_dead_time(chip_t *chip, pwm_submodule_t *s);
 
 void pwm_force_out(chip_t *chip, pwm_submodule_t *s);
 

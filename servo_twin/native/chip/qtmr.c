@@ -323,7 +323,7 @@ void qtmr_catch_up(chip_t *chip)
 /* The next edge of an input changes a count, and nothing follows from that: no compare, rollover, capture or output. */
 static bool only_counts(const chip_t *chip, const qtmr_t *timer, unsigned input)
 {
-    if (timer->heard != 0 || chip->next[SOURCE_TIMER + timer->module] != CHIP_NEVER ||
+    if (timer->heard != 0 || chip->turn[SOURCE_TIMER + timer->module] < CHIP_NO_TURN ||
         (timer->captures[input] & ~timer->captured) != 0) {
         return false;
     }

@@ -338,7 +338,7 @@ static void cop_restart(chip_t *chip)
 
 void cop_event(chip_t *chip)
 {
-    if (chip->next[SOURCE_COP] <= chip->now) {
+    if (chip_is_due(chip, SOURCE_COP)) {
         chip_reset(chip, RESET_COP);
     }
 }
