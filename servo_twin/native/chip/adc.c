@@ -172,14 +172,14 @@ static inline void hold(chip_t *chip, unsigned n, uint64_t ready)
 {
     adc_t *adc = &chip->adc;
     const unsigned c = n / ADC_PAIRS;
-    const unsigned channel = (adc->clist[n / 4u] >> (4u * (n % 4u))) & 0xFu;
-    if (channel / 8u != c) {
+    const unsigned channel = adc->channel[n];
+    if (channel / ADC_PAIRS != c) {
         chip_fail(chip, "ADC: sample %u of converter %c takes an input of the other one (CLIST)", n, "AB"[c]);
     }
     chip_note(chip, TRACE_SAMPLE, n, channel);
-    const unsigned pin = CHIP_PIN((channel < 8u) ? 'A' : 'B', channel & 7u);
     chip_meet_world(chip);
-    const uint16_t code = (pins_function(chip, pin) == FUNCTION_ANALOG) ? world_convert(chip->world, channel) : 0u;
+    const bool connected = ((chip->pins.analog >> channel) & 1u) != 0;
+    const uint16_t code = connected ? world_convert(chip->world, channel) : 0u;
     if (((adc->waits >> n) & 1u) != 0) {
         settle(chip);
     }
@@ -347,6 +347,15 @@ uint16_t adc_read(chip_t *chip, uint32_t address)
     }
 }
 
+/* The channels of four samples. */
+static void set_channels(adc_t *adc, unsigned list, uint16_t value)
+{
+    adc->clist[list] = value;
+    for (unsigned i = 0; i < 4u; i++) {
+        adc->channel[4u * list + i] = (uint8_t)((value >> (4u * i)) & 0xFu);
+    }
+}
+
 static void write_ctrl(chip_t *chip, uint32_t address, unsigned c, uint16_t value)
 {
     adc_t *adc = &chip->adc;
@@ -382,7 +391,7 @@ void adc_write(chip_t *chip, uint32_t address, uint16_t value)
         return;
     }
     if (r >= CLIST1 && r <= CLIST4) {
-        adc->clist[r - CLIST1] = value;
+        set_channels(adc, r - CLIST1, value);
         return;
     }
     if (r >= LOLIM0 && r < HILIM0) {
@@ -453,11 +462,14 @@ void adc_reset(chip_t *chip)
     chip->adc = (adc_t){
         .ctrl1 = 0x5005,
         .ctrl2 = 0x5044,
-        .clist = {0x3210, 0x7654, 0xBA98, 0xFEDC},
         .sdis = 0xF0F0,
         .pwr = 0x11A7, /* without the status bits */
         .pwr2 = 0x0400,
         .converter = {{.hold_clock = CHIP_NEVER, .end_clock = CHIP_NEVER, .sync_clock = CHIP_NEVER},
                       {.hold_clock = CHIP_NEVER, .end_clock = CHIP_NEVER, .sync_clock = CHIP_NEVER}},
     };
+    set_channels(&chip->adc, 0, 0x3210);
+    set_channels(&chip->adc, 1, 0x7654);
+    set_channels(&chip->adc, 2, 0xBA98);
+    set_channels(&chip->adc, 3, 0xFEDC);
 }

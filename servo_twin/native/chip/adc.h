@@ -27,6 +27,7 @@ typedef struct {
 typedef struct {
     uint16_t ctrl1, ctrl2, clist[4], sdis, stat, rdy, result[ADC_SAMPLES], offset[ADC_SAMPLES];
     uint16_t pwr, cal, sctrl, pwr2, ctrl3, schlten;
+    uint8_t channel[ADC_SAMPLES];  /* of each sample, as CLIST has it */
     uint64_t ready[ADC_SAMPLES];   /* clock at which `waiting` becomes the result; CHIP_NEVER without one */
     uint16_t waiting[ADC_SAMPLES];
     unsigned waits;                /* bit n: sample n waits */

@@ -98,15 +98,6 @@ static inline const block_t *block_of(chip_t *chip, uint32_t address)
 
 CHIP_APART static void run_until(chip_t *chip, uint64_t until);
 
-/* An access takes its time while the software boots. */
-static inline void take_time(chip_t *chip)
-{
-    if (chip->core.booting) {
-        run_until(chip, chip->now + chip->core.access_clocks);
-        qtmr_catch_up(chip);
-    }
-}
-
 CHIP_NORETURN CHIP_APART static void fail_waiting(chip_t *chip, uint32_t address)
 {
     char name[64];
@@ -114,28 +105,65 @@ CHIP_NORETURN CHIP_APART static void fail_waiting(chip_t *chip, uint32_t address
     chip_fail(chip, "the software waits for %s, which cannot change meanwhile", name);
 }
 
-uint16_t chip_read(chip_t *chip, uint32_t address)
+static inline uint16_t read_register(chip_t *chip, uint32_t address)
 {
-    take_time(chip);
-    const uint16_t *deferred = core_deferred(chip, address);
-    if (deferred != NULL) {
-        return *deferred;
-    }
     if (++chip->core.polls > POLLS_MOST) {
         fail_waiting(chip, address);
     }
     return block_of(chip, address)->read(chip, address);
 }
 
-void chip_write(chip_t *chip, uint32_t address, uint16_t value)
+static inline void write_register(chip_t *chip, uint32_t address, uint16_t value)
 {
-    take_time(chip);
-    if (core_defers(chip, address)) {
-        core_defer(chip, address, value);
-        return;
-    }
     chip_note(chip, TRACE_WRITE, address, value);
     block_of(chip, address)->write(chip, address, value);
+}
+
+/* An access takes its time while the software boots. */
+static void take_time(chip_t *chip)
+{
+    run_until(chip, chip->now + chip->core.access_clocks);
+    qtmr_catch_up(chip);
+}
+
+CHIP_APART static uint16_t read_booting(chip_t *chip, uint32_t address)
+{
+    take_time(chip);
+    return read_register(chip, address);
+}
+
+CHIP_APART static void write_booting(chip_t *chip, uint32_t address, uint16_t value)
+{
+    take_time(chip);
+    write_register(chip, address, value);
+}
+
+CHIP_APART static uint16_t read_behind_deferred(chip_t *chip, uint32_t address)
+{
+    const uint16_t *deferred = core_find_deferred(chip, address);
+    return (deferred != NULL) ? *deferred : read_register(chip, address);
+}
+
+uint16_t chip_read(chip_t *chip, uint32_t address)
+{
+    if (chip->core.booting) { /* without interrupts nothing is deferred */
+        return read_booting(chip, address);
+    }
+    if (chip->core.deferred_count > 0) {
+        return read_behind_deferred(chip, address);
+    }
+    return read_register(chip, address);
+}
+
+void chip_write(chip_t *chip, uint32_t address, uint16_t value)
+{
+    if (chip->core.booting) {
+        write_booting(chip, address, value);
+    } else if (chip->core.deferring && core_acts_last(chip, address)) {
+        core_defer(chip, address, value);
+    } else {
+        write_register(chip, address, value);
+    }
 }
 
 void chip_interrupts(chip_t *chip, bool on)

@@ -178,16 +178,6 @@ bool core_acts_last(const chip_t *chip, uint32_t address);
 void core_defer(chip_t *chip, uint32_t address, uint16_t value);
 CHIP_APART const uint16_t *core_find_deferred(const chip_t *chip, uint32_t address); /* NULL if there is none */
 
-static inline bool core_defers(const chip_t *chip, uint32_t address)
-{
-    return chip->core.deferring && core_acts_last(chip, address);
-}
-
-static inline const uint16_t *core_deferred(const chip_t *chip, uint32_t address)
-{
-    return (chip->core.deferred_count > 0) ? core_find_deferred(chip, address) : NULL;
-}
-
 /* ---- signals --------------------------------------------------------------------------------------------------------- */
 
 /* A peripheral asks for its interrupt, or no longer does. */

@@ -153,6 +153,12 @@ void pins_reroute(chip_t *chip)
         before[pin] = chip->pins.function[pin];
         chip->pins.function[pin] = (uint8_t)find(chip, pin);
     }
+    chip->pins.analog = 0;
+    for (unsigned channel = 0; channel < 16u; channel++) {
+        const unsigned pin = CHIP_PIN((channel < 8u) ? 'A' : 'B', channel & 7u);
+        const bool connected = pins_function(chip, pin) == FUNCTION_ANALOG;
+        chip->pins.analog = (uint16_t)(chip->pins.analog | ((connected ? 1u : 0u) << channel));
+    }
     for (unsigned i = 0; i < CHOICES; i++) { /* who has lost its pin hears silence */
         const unsigned pin = choices[i].pin;
         if (before[pin] != chip->pins.function[pin]) {

@@ -29,6 +29,7 @@ typedef struct {
     /* what follows */
     uint8_t function[CHIP_PINS]; /* pin_function_t */
     uint16_t gates[GPIO_PORTS];  /* pins that gate drivers are soldered to */
+    uint16_t analog;             /* channels of the ADC that have their pins: ANA0-7, ANB0-7 */
 } pins_t;
 
 #endif

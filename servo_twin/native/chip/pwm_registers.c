@@ -45,14 +45,16 @@ enum {
     FTST1 = 0xCD
 };
 
-/* Buffered registers by their offset in the module: 10h + 8 submodule + (0 INIT, 1-6 VAL0-5); 1 is MCTRL. */
+/* Buffered registers by their offset in the module: 8 submodule + (1 INIT, 2-7 VAL0-5); 80h is MCTRL. */
+#define BUFFERED_MCTRL 0x80u
 #define BUFFERED(n)                                                                                                    \
-    [(n) * SUB_SIZE + INIT] = 0x10 + 8 * (n), [(n) * SUB_SIZE + VAL0] = 0x11 + 8 * (n),                                \
-                      [(n) * SUB_SIZE + VAL0 + 2] = 0x12 + 8 * (n), [(n) * SUB_SIZE + VAL0 + 4] = 0x13 + 8 * (n),      \
-                      [(n) * SUB_SIZE + VAL0 + 6] = 0x14 + 8 * (n), [(n) * SUB_SIZE + VAL0 + 8] = 0x15 + 8 * (n),      \
-                      [(n) * SUB_SIZE + VAL5] = 0x16 + 8 * (n)
+    [(n) * SUB_SIZE + INIT] = 1 + 8 * (n), [(n) * SUB_SIZE + VAL0] = 2 + 8 * (n),                                      \
+                      [(n) * SUB_SIZE + VAL0 + 2] = 3 + 8 * (n), [(n) * SUB_SIZE + VAL0 + 4] = 4 + 8 * (n),            \
+                      [(n) * SUB_SIZE + VAL0 + 6] = 5 + 8 * (n), [(n) * SUB_SIZE + VAL0 + 8] = 6 + 8 * (n),            \
+                      [(n) * SUB_SIZE + VAL5] = 7 + 8 * (n)
 
-static const uint8_t buffered[MODULE_SIZE] = {BUFFERED(0), BUFFERED(1), BUFFERED(2), BUFFERED(3), [MCTRL] = 1};
+static const uint8_t buffered[MODULE_SIZE] = {BUFFERED(0), BUFFERED(1), BUFFERED(2), BUFFERED(3),
+                                              [MCTRL] = BUFFERED_MCTRL};
 
 bool pwm_buffers(uint32_t address) { return buffered[address & (MODULE_SIZE - 1u)] != 0; }
 
@@ -379,18 +381,18 @@ uint16_t pwm_read(chip_t *chip, uint32_t address)
 
 static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned what, uint16_t value)
 {
-    const unsigned n = (what >> 3) - 2u;
+    const unsigned n = what / 8u;
     pwm_t *pwm = &chip->pwm[m];
     pwm_submodule_t *s = &pwm->sub[n];
-    sim_gate(chip, address, 3, ((m == 0) ? 7u : 3u) - n);
+    sim_gate(chip, address, 3, 7u - s->id);
     if (((pwm->ldok >> n) & 1u) != 0) {
         pwm->locked_writes++;
         return;
     }
-    if ((what & 7u) == 0) {
+    if (what % 8u == 1u) {
         s->buffer.init = value;
     } else {
-        s->buffer.val[(what & 7u) - 1u] = value;
+        s->buffer.val[what % 8u - 2u] = value;
     }
     s->updated = true;
 }
@@ -410,7 +412,7 @@ CHIP_APART static void write_plain(chip_t *chip, uint32_t address, uint16_t valu
 void pwm_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     const unsigned what = buffered[address % MODULE_SIZE];
-    if (what > 1u) {
+    if (what != 0 && what != BUFFERED_MCTRL) {
         write_buffer(chip, address, (address - BASE) / MODULE_SIZE, what, value);
     } else {
         write_plain(chip, address, value);

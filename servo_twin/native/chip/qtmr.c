@@ -299,23 +299,18 @@ CHIP_APART static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
     FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(chip, timer, n, rises); }
 }
 
-/* Edges that their filters have let through. */
-CHIP_APART static void pass_edges(chip_t *chip, qtmr_t *timer)
+static void pass_unseen(chip_t *chip, qtmr_t *timer)
 {
     timer->unseen_clock = CHIP_NEVER;
-    for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
-        if (timer->change_clock[input] <= chip->now) {
-            timer->change_clock[input] = CHIP_NEVER;
-            edge(chip, timer, input);
-        }
-    }
+    timer->change_clock[timer->unseen_input] = CHIP_NEVER;
+    edge(chip, timer, timer->unseen_input);
 }
 
 void qtmr_catch_up(chip_t *chip)
 {
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
         if (chip->timer[m].unseen_clock <= chip->now) {
-            pass_edges(chip, &chip->timer[m]);
+            pass_unseen(chip, &chip->timer[m]);
         }
     }
 }
@@ -354,7 +349,7 @@ void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
         return;
     }
     if (timer->unseen_clock < chip->now) {
-        pass_edges(chip, timer);
+        pass_unseen(chip, timer);
     }
     timer->raw ^= bit;
     const uint32_t delay = timer->delay[input];
@@ -370,6 +365,7 @@ void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
         timer->change_clock[input] = chip->now + delay;
         if (!waits && only_counts(chip, timer, input)) {
             timer->unseen_clock = timer->change_clock[input];
+            timer->unseen_input = input;
             return;
         }
     }
@@ -381,7 +377,7 @@ void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
     qtmr_t *timer = &chip->timer[m];
     if (timer->delay[input] == 0) {
         if (timer->unseen_clock < chip->now) {
-            pass_edges(chip, timer);
+            pass_unseen(chip, timer);
         }
         edge(chip, timer, input);
         edge(chip, timer, input);
@@ -391,10 +387,18 @@ void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
     }
 }
 
+/* Edges that their filters have let through. */
 void qtmr_event(chip_t *chip, unsigned m)
 {
-    pass_edges(chip, &chip->timer[m]);
-    schedule(chip, &chip->timer[m]);
+    qtmr_t *timer = &chip->timer[m];
+    timer->unseen_clock = CHIP_NEVER;
+    for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
+        if (timer->change_clock[input] <= chip->now) {
+            timer->change_clock[input] = CHIP_NEVER;
+            edge(chip, timer, input);
+        }
+    }
+    schedule(chip, timer);
 }
 
 /* ---- registers ------------------------------------------------------------------------------------------------------- */

@@ -29,7 +29,8 @@ typedef struct {
     unsigned in;                         /* behind the filters */
     uint64_t change_clock[QTMR_CHANNELS]; /* when the filter of an input will let its level through */
     uint32_t delay[QTMR_CHANNELS];       /* of that filter */
-    uint64_t unseen_clock; /* such a clock that is no event: the edge only counts, CHIP_NEVER without one */
+    uint64_t unseen_clock; /* the only such clock, which is no event: the edge only counts; CHIP_NEVER without one */
+    unsigned unseen_input; /* and of which input it is */
     /* what follows from the registers */
     unsigned on_bus; /* channels that count the bus clock */
     unsigned heard; /* those of them whose compares and rollovers have a consequence */
