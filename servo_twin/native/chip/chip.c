@@ -42,11 +42,10 @@ void chip_no_value(chip_t *chip, uint32_t address, uint16_t value, const char *w
 
 void chip_reset(chip_t *chip, reset_cause_t cause)
 {
-    for (unsigned i = 0; i < CHIP_SOURCES; i++) {
+    for (unsigned i = 0; i < CHIP_SOURCES_MOST; i++) {
         chip_set_turn(chip, i, CHIP_NEVER);
+        chip_find_first(chip, i / CHIP_GROUP);
     }
-    chip_schedule_pwm(chip, 0);
-    chip_schedule_pwm(chip, 1);
     chip->quiet_turn = chip->turn[SOURCE_FAULT]; /* the lowest of them */
     core_reset(chip);
     system_reset(chip, cause);
@@ -193,28 +192,39 @@ static inline void serve(chip_t *chip, unsigned source)
     }
 }
 
+/* Nothing happens any more before `until`. */
+static bool stand_still(chip_t *chip, uint64_t until)
+{
+    if (until > chip->now) {
+        chip_pass_time(chip, until);
+    }
+    return false;
+}
+
 /* The next event up to `until`, or else that clock itself; false then. */
 static inline bool step(chip_t *chip, uint64_t until)
 {
     const uint64_t turn = chip_next_turn(chip);
     const uint64_t clock = CHIP_TURN_CLOCK(turn);
     const uint64_t outside = chip_outside(chip);
-    const uint64_t due = (outside < clock) ? outside : clock;
-    if (due > until) {
-        if (until > chip->now) {
-            chip_pass_time(chip, until);
+    if (clock < outside) {
+        if (clock > until) {
+            return stand_still(chip, until);
         }
-        return false;
-    }
-    chip_pass_time(chip, due);
-    if (outside <= due) {
+        chip_pass_time(chip, clock);
+    } else {
+        if (outside > until) {
+            return stand_still(chip, until);
+        }
+        chip_pass_time(chip, outside);
         chip_meet_world(chip);
         chip->touched = true;
         world_events(chip->world);
+        if (outside < clock) {
+            return true;
+        }
     }
-    if (clock <= due) {
-        serve(chip, CHIP_TURN_SOURCE(turn));
-    }
+    serve(chip, CHIP_TURN_SOURCE(turn));
     return true;
 }
 

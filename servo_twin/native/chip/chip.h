@@ -45,6 +45,8 @@ typedef enum {
 
 /* When an event of a source is due, in one number: the smallest of several is the one to be served first. */
 #define CHIP_SOURCES_MOST 16u
+#define CHIP_GROUP 4u /* sources whose first event is kept; one group per PWM module */
+#define CHIP_GROUPS (CHIP_SOURCES_MOST / CHIP_GROUP)
 #define CHIP_TURN(clock, source) ((uint64_t)(clock) * CHIP_SOURCES_MOST + (source))
 #define CHIP_TURN_CLOCK(turn) ((turn) / CHIP_SOURCES_MOST)
 #define CHIP_TURN_SOURCE(turn) ((unsigned)((turn) % CHIP_SOURCES_MOST))
@@ -58,9 +60,9 @@ typedef struct {
 
 typedef struct chip {
     uint64_t now;
-    uint64_t turn[CHIP_SOURCES];    /* of the next event of each source */
-    uint64_t pwm_turn[PWM_MODULES]; /* the first of a module's */
-    uint64_t quiet_turn;            /* and of the sources behind them, which have few events */
+    uint64_t turn[CHIP_SOURCES_MOST]; /* of the next event of each source */
+    uint64_t first[CHIP_GROUPS];      /* the first of each group */
+    uint64_t quiet_turn;              /* and of all behind the PWMs, which have few events */
     uint64_t outside;        /* clock of the world's next event */
     bool touched;            /* since then something has been done to the world */
     uint64_t world_clock;    /* the world stands here */

@@ -100,7 +100,7 @@ static void schedule(chip_t *chip)
     chip_schedule(chip, SOURCE_CORE, (core->depth > 0) ? core->frame[core->depth - 1].end_clock : CHIP_NEVER);
 }
 
-static void start(chip_t *chip, unsigned vector, int level)
+CHIP_APART static void start(chip_t *chip, unsigned vector, int level)
 {
     core_t *core = &chip->core;
     core_frame_t *frame = &core->frame[core->depth++];
@@ -120,7 +120,7 @@ static void start(chip_t *chip, unsigned vector, int level)
     schedule(chip);
 }
 
-static void start_handlers(chip_t *chip)
+CHIP_APART static void look_for_requests(chip_t *chip)
 {
     core_t *core = &chip->core;
     while (core->changed) {
@@ -137,15 +137,27 @@ static void start_handlers(chip_t *chip)
     }
 }
 
+static inline void start_handlers(chip_t *chip)
+{
+    if (chip->core.changed) {
+        look_for_requests(chip);
+    }
+}
+
+CHIP_APART static void run_background(chip_t *chip)
+{
+    chip->core.background_due = false;
+    world_background(chip->world);
+    start_handlers(chip);
+}
+
 void core_step(chip_t *chip)
 {
-    core_t *core = &chip->core;
+    const core_t *core = &chip->core;
     qtmr_catch_up(chip);
     start_handlers(chip);
     if (core->background_due && core->depth == 0 && !core->booting) {
-        core->background_due = false;
-        world_background(chip->world);
-        start_handlers(chip);
+        run_background(chip);
     }
 }
 

@@ -72,33 +72,28 @@ static inline bool chip_is_due(const chip_t *chip, unsigned source)
     return CHIP_TURN_CLOCK(chip->turn[source]) <= chip->now;
 }
 
-/* When the next event of a source behind the PWMs is. The first of them is searched for only when it was this one. */
-static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)
+/* After a change of a turn in this group of four. */
+static inline void chip_find_first(chip_t *chip, unsigned group)
 {
-    const uint64_t before = chip->turn[source];
-    chip_set_turn(chip, source, clock);
-    uint64_t first = chip->turn[source];
-    if (before == chip->quiet_turn) {
-        for (unsigned i = SOURCE_FAULT; i < CHIP_SOURCES; i++) {
-            first = chip_sooner(first, chip->turn[i]);
-        }
-        chip->quiet_turn = first;
-    } else {
-        chip->quiet_turn = chip_sooner(first, chip->quiet_turn);
-    }
+    const uint64_t *turn = &chip->turn[CHIP_GROUP * group];
+    chip->first[group] = chip_sooner(chip_sooner(turn[0], turn[1]), chip_sooner(turn[2], turn[3]));
 }
 
-/* After a change of a submodule's turn. */
-static inline void chip_schedule_pwm(chip_t *chip, unsigned module)
+/* When the next event of a submodule's module is. */
+static inline void chip_schedule_pwm(chip_t *chip, unsigned module) { chip_find_first(chip, module); }
+
+/* When the next event of a source behind the PWMs is. */
+static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)
 {
-    const uint64_t *turn = &chip->turn[SOURCE_PWM + PWM_SUBMODULES * module];
-    chip->pwm_turn[module] = chip_sooner(chip_sooner(turn[0], turn[1]), chip_sooner(turn[2], turn[3]));
+    chip_set_turn(chip, source, clock);
+    chip_find_first(chip, source / CHIP_GROUP);
+    chip->quiet_turn = chip_sooner(chip->first[PWM_MODULES], chip->first[PWM_MODULES + 1]);
 }
 
 /* The turn of the event that is next of all. */
 static inline uint64_t chip_next_turn(const chip_t *chip)
 {
-    return chip_sooner(chip->quiet_turn, chip_sooner(chip->pwm_turn[0], chip->pwm_turn[1]));
+    return chip_sooner(chip->quiet_turn, chip_sooner(chip->first[0], chip->first[1]));
 }
 
 static inline void chip_pass_time(chip_t *chip, uint64_t clock)

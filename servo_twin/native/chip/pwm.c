@@ -1,6 +1,7 @@
 #include "chip/pwm_parts.h"
 
 #define WRAP_DISTANCE UINT32_C(0x10000)
+#define LAST_EVENT PWM_EVENT(WRAP_DISTANCE, PWM_WRAP)
 #define BIT(k) (1u << (k))
 
 /* ---- counter ------------------------------------------------------------------------------------------------------- */
@@ -94,11 +95,12 @@ void pwm_watch(chip_t *chip, pwm_submodule_t *s)
 static void list_events(pwm_submodule_t *s)
 {
     unsigned count = 0;
-    for (unsigned k = 0; k < PWM_EVENTS; k++) {
-        if (((s->watched | BIT(PWM_CYCLE) | BIT(PWM_WRAP)) & BIT(k)) != 0) {
+    for (unsigned k = 0; k < PWM_WRAP; k++) {
+        if (((s->watched | BIT(PWM_CYCLE)) & BIT(k)) != 0) {
             s->event[count++] = PWM_EVENT(0, k);
         }
     }
+    s->event[count++] = LAST_EVENT;
     s->event[count] = PWM_NO_EVENT;
 }
 
@@ -110,7 +112,7 @@ static void sort_events(pwm_submodule_t *s)
     }
     s->order = PWM_ORDER_KEPT;
     uint32_t before = 0;
-    for (uint32_t *at = s->event; *at != PWM_NO_EVENT; at++) {
+    for (uint32_t *at = s->event; *at != LAST_EVENT; at++) {
         const unsigned number = PWM_EVENT_NUMBER(*at);
         const uint32_t event = PWM_EVENT(s->distance[number], number);
         if (event >= before) {
@@ -446,14 +448,14 @@ static inline void switch_pair(chip_t *chip, pwm_submodule_t *s)
 void pwm_event(chip_t *chip, unsigned m)
 {
     do {
-        pwm_submodule_t *s = chip->submodule[CHIP_TURN_SOURCE(chip->pwm_turn[m])];
+        pwm_submodule_t *s = chip->submodule[CHIP_TURN_SOURCE(chip->first[m])];
         if (only_switches(s, chip->now)) {
             switch_pair(chip, s);
         } else {
             run(chip, s);
             chip_schedule_pwm(chip, m);
         }
-    } while (CHIP_TURN_CLOCK(chip->pwm_turn[m]) <= chip->now);
+    } while (CHIP_TURN_CLOCK(chip->first[m]) <= chip->now);
 }
 
 void pwm_ext_sync(chip_t *chip, unsigned m, unsigned n)

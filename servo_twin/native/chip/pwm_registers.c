@@ -230,12 +230,13 @@ static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
     }
     pwm->run = (value >> 8) & 0xFu;
     const bool first_stuck = pwm->sub[0].running && pwm->sub[0].stuck;
-    for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
+    for (unsigned left = pwm->ldok; left != 0; left &= left - 1u) {
+        const unsigned n = chip_lowest_bit(left);
         pwm_submodule_t *s = &pwm->sub[n];
         /* A counter without a cycle meets its reload point, and that of its followers, in every clock. */
         const bool led = first_stuck && n > 0 && (s->ctrl2 & CTRL2_RELOAD_SEL) != 0;
         const bool stuck = s->running && (s->stuck || led);
-        if (((pwm->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || stuck)) {
+        if ((s->ctrl & CTRL_LDMOD) != 0 || stuck) {
             pwm_load(chip, s);
             if (stuck) {
                 pwm_begin_cycle(chip, s);

@@ -119,8 +119,8 @@ static void combine(chip_t *chip, unsigned before, unsigned after, bool pulse)
     if (!pulse) {
         xbar->aoi_in = after;
     }
-    for (unsigned event = 0; event < AOI_EVENTS; event++) {
-        if ((((before ^ after) >> (4u * event)) & 0xFu) == 0) {
+    for (unsigned event = 0, left = before ^ after; left != 0; event++, left >>= 4u) {
+        if ((left & 0xFu) == 0) {
             continue;
         }
         const bool from = evaluate(xbar, event, before);
