@@ -428,7 +428,7 @@ static inline bool only_switches(const pwm_submodule_t *s, uint64_t now)
 }
 
 /* Such an event. When the next one is, is found before the world is told: a processor works ahead that far. */
-static inline void switch_pair(chip_t *chip, pwm_submodule_t *s)
+static inline void switch_pair(chip_t *chip, unsigned m, pwm_submodule_t *s)
 {
     if (s->next_clock > chip->now) {
         pwm_end_dead_time(s);
@@ -436,11 +436,11 @@ static inline void switch_pair(chip_t *chip, pwm_submodule_t *s)
         const uint32_t event = *s->next++;
         s->done = PWM_EVENT_DISTANCE(event);
         s->next_clock = clock_of(s, *s->next);
-        s->generated = (s->generated & 2u) | (PWM_EVENT_NUMBER(event) == 2u ? 1u : 0u); /* VAL2 on, VAL3 off */
+        s->generated = (s->generated & 2u) | (~event & 1u); /* VAL2 on, VAL3 off */
         pwm_drive_pair(chip, s, (((s->generated & s->followed) ^ s->given) & 1u) != 0);
     }
     find_due(chip, s);
-    chip_schedule_pwm(chip, s->module);
+    chip_schedule_pwm(chip, m);
     pwm_show(chip, s);
 }
 
@@ -450,7 +450,7 @@ void pwm_event(chip_t *chip, unsigned m)
     do {
         pwm_submodule_t *s = chip->submodule[CHIP_TURN_SOURCE(chip->first[m])];
         if (only_switches(s, chip->now)) {
-            switch_pair(chip, s);
+            switch_pair(chip, m, s);
         } else {
             run(chip, s);
             chip_schedule_pwm(chip, m);

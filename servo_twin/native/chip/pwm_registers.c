@@ -230,13 +230,12 @@ static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
     }
     pwm->run = (value >> 8) & 0xFu;
     const bool first_stuck = pwm->sub[0].running && pwm->sub[0].stuck;
-    for (unsigned left = pwm->ldok; left != 0; left &= left - 1u) {
-        const unsigned n = chip_lowest_bit(left);
+    for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
         pwm_submodule_t *s = &pwm->sub[n];
         /* A counter without a cycle meets its reload point, and that of its followers, in every clock. */
         const bool led = first_stuck && n > 0 && (s->ctrl2 & CTRL2_RELOAD_SEL) != 0;
         const bool stuck = s->running && (s->stuck || led);
-        if ((s->ctrl & CTRL_LDMOD) != 0 || stuck) {
+        if (((pwm->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || stuck)) {
             pwm_load(chip, s);
             if (stuck) {
                 pwm_begin_cycle(chip, s);
@@ -382,11 +381,10 @@ uint16_t pwm_read(chip_t *chip, uint32_t address)
 
 static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned what, uint16_t value)
 {
-    const unsigned n = what / 8u;
     pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
+    pwm_submodule_t *s = chip->submodule[PWM_SUBMODULES * m + what / 8u];
     sim_gate(chip, address, 3, 7u - s->id);
-    if (((pwm->ldok >> n) & 1u) != 0) {
+    if (((pwm->ldok >> s->number) & 1u) != 0) {
         pwm->locked_writes++;
         return;
     }

@@ -333,8 +333,8 @@ static bool only_counts(const chip_t *chip, const qtmr_t *timer, unsigned input)
         const qtmr_channel_t *c = &timer->channel[n];
         const uint16_t count = c->cntr;
         const bool reloads = (c->ctrl & CTRL_LENGTH) != 0 && (count == c->comp1 || count == c->comp2);
-        if (reloads || count == (uint16_t)(c->comp1 - 1u) || count == (uint16_t)(c->comp2 + 1u) || count == 0 ||
-            count == 0xFFFFu) {
+        const bool wraps = (uint16_t)(count + 1u) <= 1u; /* or may do so */
+        if (reloads || count == (uint16_t)(c->comp1 - 1u) || count == (uint16_t)(c->comp2 + 1u) || wraps) {
             return false;
         }
     }

@@ -61,9 +61,33 @@ static bool evaluate(const xbar_t *xbar, unsigned event, unsigned inputs)
 
 /* ---- signals ---------------------------------------------------------------------------------------------------------- */
 
-static void lead(chip_t *chip, unsigned output, xbar_edge_t edge)
+CHIP_APART static void lead_to_fault(chip_t *chip, unsigned input, xbar_edge_t edge)
 {
     const bool level = edge == XBAR_RISE;
+    if (edge == XBAR_PULSE) {
+        chip_fail(chip, "XBARA: a pulse of one clock at a fault input is not modelled");
+    }
+    if (((chip->sim.ips0 >> input) & 1u) != 0) {
+        pwm_fault_input(chip, 0, input, level);
+    }
+    if (input < 3u && ((chip->sim.ips0 >> (4u + input)) & 1u) != 0) {
+        pwm_fault_input(chip, 1, input, level);
+    }
+}
+
+CHIP_APART static void lead_to_timer(chip_t *chip, unsigned module, unsigned input, xbar_edge_t edge)
+{
+    if (input < QTMR_CHANNELS && ((chip->sim.ips0 >> (8u + 4u * module + input)) & 1u) != 0) {
+        if (edge == XBAR_PULSE) {
+            qtmr_pulse(chip, module, input);
+        } else {
+            qtmr_input(chip, module, input, edge == XBAR_RISE);
+        }
+    }
+}
+
+static void lead(chip_t *chip, unsigned output, xbar_edge_t edge)
+{
     if (output == OUT_ADCA || output == OUT_ADCB) {
         if (edge != XBAR_FALL) {
             adc_sync(chip, output - OUT_ADCA);
@@ -77,26 +101,11 @@ static void lead(chip_t *chip, unsigned output, xbar_edge_t edge)
             pwm_ext_sync(chip, 1, output - OUT_PWMB_SYNC);
         }
     } else if (output >= OUT_FAULT0 && output < OUT_FAULT0 + PWM_FAULTS) {
-        const unsigned input = output - OUT_FAULT0;
-        if (edge == XBAR_PULSE) {
-            chip_fail(chip, "XBARA: a pulse of one clock at a fault input is not modelled");
-        }
-        if (((chip->sim.ips0 >> input) & 1u) != 0) {
-            pwm_fault_input(chip, 0, input, level);
-        }
-        if (input < 3u && ((chip->sim.ips0 >> (4u + input)) & 1u) != 0) {
-            pwm_fault_input(chip, 1, input, level);
-        }
+        lead_to_fault(chip, output - OUT_FAULT0, edge);
+    } else if (output >= OUT_TA0) {
+        lead_to_timer(chip, 0, output - OUT_TA0, edge);
     } else {
-        const unsigned module = (output >= OUT_TA0) ? 0u : 1u;
-        const unsigned input = output - ((module == 0) ? OUT_TA0 : OUT_TB0);
-        if (input < QTMR_CHANNELS && ((chip->sim.ips0 >> (8u + 4u * module + input)) & 1u) != 0) {
-            if (edge == XBAR_PULSE) {
-                qtmr_pulse(chip, module, input);
-            } else {
-                qtmr_input(chip, module, input, level);
-            }
-        }
+        lead_to_timer(chip, 1, output - OUT_TB0, edge);
     }
 }
 
