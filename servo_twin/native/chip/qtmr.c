@@ -134,6 +134,13 @@ CHIP_APART static void rollover(chip_t *chip, qtmr_t *timer, unsigned n)
     }
 }
 
+/* One count of which nothing follows. */
+static inline void only_count(qtmr_channel_t *c, bool up)
+{
+    c->csctrl = (uint16_t)(up ? (c->csctrl | CSCTRL_UP) : (c->csctrl & ~CSCTRL_UP));
+    c->cntr = (uint16_t)(c->cntr + (up ? 1u : 0xFFFFu));
+}
+
 /* One count. With LENGTH the count after a match is LOAD, in the direction of that match. */
 static void count(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
 {
@@ -269,14 +276,19 @@ CHIP_APART static void capture(chip_t *chip, qtmr_t *timer, unsigned n, bool ris
 }
 
 /* A leads B upwards: after an edge of A the lines differ then, after one of B they are equal. */
-static void decode(chip_t *chip, qtmr_t *timer, unsigned n, unsigned input)
+static inline bool decodes_up(const qtmr_t *timer, const qtmr_channel_t *c, unsigned input)
 {
-    const qtmr_channel_t *c = &timer->channel[n];
     const unsigned a = CTRL_PCS(c->ctrl);
     const unsigned b = CTRL_SCS(c->ctrl);
     const bool differ = (((timer->in >> a) ^ (timer->in >> b)) & 1u) != 0;
     const bool up = (input == a) ? differ : !differ;
-    count(chip, timer, n, up != counts_down(c));
+    return up != counts_down(c);
+}
+
+/* A channel that counts edges does so at this one. */
+static inline bool counts_edge(const qtmr_channel_t *c, bool rises)
+{
+    return CTRL_CM(c->ctrl) == CM_BOTH || rises != ((c->sctrl & SCTRL_IPS) != 0);
 }
 
 /* A level behind the filter has changed. What a secondary input does to OFLAG comes before the count, its capture after:
@@ -286,31 +298,43 @@ CHIP_APART static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
     timer->in ^= 1u << input;
     const bool rises = ((timer->in >> input) & 1u) != 0;
     FOR_EACH(n, timer->cleared_by[input]) { set_oflag(chip, timer, n, false); }
-    FOR_EACH(n, timer->decodes[input]) { decode(chip, timer, n, input); }
+    FOR_EACH(n, timer->decodes[input]) { count(chip, timer, n, decodes_up(timer, &timer->channel[n], input)); }
     FOR_EACH(n, timer->counts_edges[input])
     {
-        const qtmr_channel_t *c = &timer->channel[n];
-        const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
-        if (CTRL_CM(c->ctrl) == CM_BOTH || rises != inverted) {
-            count(chip, timer, n, !counts_down(c));
+        if (counts_edge(&timer->channel[n], rises)) {
+            count(chip, timer, n, !counts_down(&timer->channel[n]));
         }
     }
     /* what has been captured stays until software clears IEF */
     FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(chip, timer, n, rises); }
 }
 
-static void pass_unseen(chip_t *chip, qtmr_t *timer)
+/* The edge that only counts: nothing that could have changed this has been written since it was found. */
+static void pass_unseen(qtmr_t *timer)
 {
-    timer->unseen_clock = CHIP_NEVER;
-    timer->change_clock[timer->unseen_input] = CHIP_NEVER;
-    edge(chip, timer, timer->unseen_input);
+    const unsigned input = timer->unseen_input;
+    timer->unseen_clock = timer->change_clock[input] = CHIP_NEVER;
+    timer->in ^= 1u << input;
+    const bool rises = ((timer->in >> input) & 1u) != 0;
+    FOR_EACH(n, timer->decodes[input] & timer->enable)
+    {
+        qtmr_channel_t *c = &timer->channel[n];
+        only_count(c, decodes_up(timer, c, input));
+    }
+    FOR_EACH(n, timer->counts_edges[input] & timer->enable)
+    {
+        qtmr_channel_t *c = &timer->channel[n];
+        if (counts_edge(c, rises)) {
+            only_count(c, !counts_down(c));
+        }
+    }
 }
 
 void qtmr_catch_up(chip_t *chip)
 {
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
         if (chip->timer[m].unseen_clock <= chip->now) {
-            pass_unseen(chip, &chip->timer[m]);
+            pass_unseen(&chip->timer[m]);
         }
     }
 }
@@ -349,7 +373,7 @@ void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
         return;
     }
     if (timer->unseen_clock < chip->now) {
-        pass_unseen(chip, timer);
+        pass_unseen(timer);
     }
     timer->raw ^= bit;
     const uint32_t delay = timer->delay[input];
@@ -377,7 +401,7 @@ void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
     qtmr_t *timer = &chip->timer[m];
     if (timer->delay[input] == 0) {
         if (timer->unseen_clock < chip->now) {
-            pass_unseen(chip, timer);
+            pass_unseen(timer);
         }
         edge(chip, timer, input);
         edge(chip, timer, input);
