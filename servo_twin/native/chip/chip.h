@@ -33,24 +33,27 @@
 
 /* Sources of events; at one clock they are served in this order. */
 typedef enum {
-    SOURCE_PWM,                                                /* one per submodule */
-    SOURCE_FAULT = SOURCE_PWM + PWM_MODULES * PWM_SUBMODULES,  /* filters of the fault inputs */
-    SOURCE_TIMER,                             /* one per module */
-    SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES, /* one per converter */
+    SOURCE_PWM,                                               /* one per submodule */
+    SOURCE_FAULT = SOURCE_PWM + PWM_MODULES * PWM_SUBMODULES, /* filters of the fault inputs */
+    SOURCE_TIMER,                                             /* one per module */
+    SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES,                 /* one per converter */
     SOURCE_SERIAL = SOURCE_ADC + ADC_CONVERTERS,
     SOURCE_CORE,
     SOURCE_COP,
     CHIP_SOURCES
 } chip_source_t;
 
-/* When an event of a source is due, in one number: the smallest of several is the one to be served first. */
+/* When an event of a source is due, in one number: the smallest of several is the one to be served first. Clocks have 60
+ * bits then, more than three centuries; CHIP_NEVER stays behind all of them. */
 #define CHIP_SOURCES_MOST 16u
-#define CHIP_GROUP 4u /* sources whose first event is kept; one group per PWM module */
-#define CHIP_GROUPS (CHIP_SOURCES_MOST / CHIP_GROUP)
 #define CHIP_TURN(clock, source) ((uint64_t)(clock) * CHIP_SOURCES_MOST + (source))
 #define CHIP_TURN_CLOCK(turn) ((turn) / CHIP_SOURCES_MOST)
 #define CHIP_TURN_SOURCE(turn) ((unsigned)((turn) % CHIP_SOURCES_MOST))
-#define CHIP_NO_TURN CHIP_TURN(CHIP_NEVER, 0) /* or one above: behind all others */
+#define CHIP_NO_TURN CHIP_TURN(CHIP_NEVER, 0) /* or one above */
+
+/* Of each so many sources the first event is kept: of the submodules of a PWM module, then of the others. */
+#define CHIP_GROUP PWM_SUBMODULES
+#define CHIP_GROUPS (CHIP_SOURCES_MOST / CHIP_GROUP)
 
 typedef struct {
     chip_wiring_t wiring;

@@ -72,15 +72,12 @@ static inline bool chip_is_due(const chip_t *chip, unsigned source)
     return CHIP_TURN_CLOCK(chip->turn[source]) <= chip->now;
 }
 
-/* After a change of a turn in this group of four. */
+/* After a change of a turn in this group; that of a PWM module has its number. */
 static inline void chip_find_first(chip_t *chip, unsigned group)
 {
     const uint64_t *turn = &chip->turn[CHIP_GROUP * group];
     chip->first[group] = chip_sooner(chip_sooner(turn[0], turn[1]), chip_sooner(turn[2], turn[3]));
 }
-
-/* When the next event of a submodule's module is. */
-static inline void chip_schedule_pwm(chip_t *chip, unsigned module) { chip_find_first(chip, module); }
 
 /* When the next event of a source behind the PWMs is. */
 static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)

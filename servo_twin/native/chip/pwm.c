@@ -167,7 +167,7 @@ void pwm_schedule(chip_t *chip, pwm_submodule_t *s)
 {
     find_next(s, chip->now);
     find_due(chip, s);
-    chip_schedule_pwm(chip, s->module);
+    chip_find_first(chip, s->module);
 }
 
 static void run(chip_t *chip, pwm_submodule_t *s);
@@ -440,7 +440,7 @@ static inline void switch_pair(chip_t *chip, unsigned m, pwm_submodule_t *s)
         pwm_drive_pair(chip, s, (((s->generated & s->followed) ^ s->given) & 1u) != 0);
     }
     find_due(chip, s);
-    chip_schedule_pwm(chip, m);
+    chip_find_first(chip, m);
     pwm_show(chip, s);
 }
 
@@ -453,7 +453,7 @@ void pwm_event(chip_t *chip, unsigned m)
             switch_pair(chip, m, s);
         } else {
             run(chip, s);
-            chip_schedule_pwm(chip, m);
+            chip_find_first(chip, m);
         }
     } while (CHIP_TURN_CLOCK(chip->first[m]) <= chip->now);
 }
