@@ -32,6 +32,8 @@ ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64
 COMPILE = echo "compiling firmware and virtual board$(1)" && cd servo_twin && SERVO_TWIN_FLAGS='$(ARCH) $(2)' \
           ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
 PROFILE := $(abspath $(VENV))/profile
+# The use of a profile turns these on again, whatever the compiler has been told of vectors in general.
+SCALAR := -fno-tree-loop-vectorize -fno-tree-slp-vectorize
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 
@@ -103,7 +105,7 @@ $(VENV)/.fast: $(VENV)/.native
 	@rm -rf $(PROFILE)
 	@$(call COMPILE, for a profile,-fprofile-generate=$(PROFILE) -fprofile-update=single)
 	@for level in ideal registers; do $(BIN)/servo-sim bench --level $$level --time 1 >/dev/null || exit; done
-	@$(call COMPILE, with it,-fprofile-use=$(PROFILE) -fprofile-partial-training -Wno-missing-profile)
+	@$(call COMPILE, with it,-fprofile-use=$(PROFILE) -fprofile-partial-training -Wno-missing-profile $(SCALAR))
 	@touch $(VENV)/.native $@
 
 # Not from the installed packages: while the generated files are stale, the extension among them may not compile.
