@@ -46,6 +46,7 @@ typedef enum {
 /* When an event of a source is due, in one number: the smallest of several is the one to be served first. Clocks have 60
  * bits then, more than three centuries; CHIP_NEVER stays behind all of them. */
 #define CHIP_SOURCES_MOST 16u
+typedef char chip_sources_fit_t[(CHIP_SOURCES <= CHIP_SOURCES_MOST) ? 1 : -1];
 #define CHIP_TURN(clock, source) ((uint64_t)(clock) * CHIP_SOURCES_MOST + (source))
 #define CHIP_TURN_CLOCK(turn) ((turn) / CHIP_SOURCES_MOST)
 #define CHIP_TURN_SOURCE(turn) ((unsigned)((turn) % CHIP_SOURCES_MOST))

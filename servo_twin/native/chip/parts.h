@@ -62,11 +62,13 @@ static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32
 
 static inline uint64_t chip_sooner(uint64_t a, uint64_t b) { return (a < b) ? a : b; }
 
+/* When the next event of a source is; who keeps the first of several has to look again. */
 static inline void chip_set_turn(chip_t *chip, unsigned source, uint64_t clock)
 {
     chip->turn[source] = CHIP_TURN(clock, source);
 }
 
+/* At the present clock, or missed. */
 static inline bool chip_is_due(const chip_t *chip, unsigned source)
 {
     return CHIP_TURN_CLOCK(chip->turn[source]) <= chip->now;
@@ -93,6 +95,7 @@ static inline uint64_t chip_next_turn(const chip_t *chip)
     return chip_sooner(chip->quiet_turn, chip_sooner(chip->first[0], chip->first[1]));
 }
 
+/* Software that has waited for something may do so again. */
 static inline void chip_pass_time(chip_t *chip, uint64_t clock)
 {
     chip->now = clock;

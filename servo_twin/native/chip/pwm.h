@@ -66,7 +66,7 @@ typedef struct {
     unsigned watched;      /* bit k: VALk is an event */
     uint64_t next_clock;   /* of the counter's next event */
     uint64_t sync_clock;   /* EXT_SYNC on its way */
-    /* outputs, bit 0 A and bit 1 B; generated and software: bit 0 PWM23, bit 1 PWM45 */
+    /* outputs, bit 0 A and bit 1 B; generated, followed and given: bit 0 PWM23, bit 1 PWM45 */
     unsigned generated;
     unsigned followed;     /* DTSRCSEL in force: which of them the outputs follow, ... */
     unsigned given;        /* ... and to what they are added modulo two: inverted, or SWCOUT in force */
