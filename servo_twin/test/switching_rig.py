@@ -10,7 +10,7 @@ from servo_twin.plant import PlantConfig
 from switching_reference import Edge
 
 SWITCHING_CDEF = """
-typedef struct { double theta, omega, phase[4], low, high; int sign[3]; ...; } bridge_t;
+typedef struct { double theta, omega, phase[3], low, high; unsigned positive, negative, joint; ...; } bridge_t;
 typedef struct { bridge_t bridge; ...; } switching_axis_t;
 typedef struct { switching_axis_t axis[2]; supply_t supply; ...; } switching_t;
 typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;

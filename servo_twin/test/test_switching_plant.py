@@ -477,3 +477,32 @@ class TestOther:
         assert list(after.phase) == [0.0, 0.0, 0.0]
         drag = (axis.friction + axis.viscous * before.omega) / axis.inertia
         assert after.omega == pytest.approx(before.omega - drag * 20 * PERIOD * CLOCK, rel=1e-4)
+
+
+@pytest.mark.parametrize("gap", [1000, 2400, 3100])
+def test_encoder_edges_come_when_the_shaft_is_there(switching_c: Native, gap: int) -> None:
+    """However long a frame lasts until the next gate: edges are where the angle is, in both axes."""
+    plant = PlantConfig.load()
+    for axis in range(2):
+        plant = plant.with_axis(
+            axis, theta_start=0.1, encoder_jitter=0.0, encoder_duty_error=0.0, encoder_hysteresis=0.0, friction=0.0
+        )
+    edges = [
+        (n * gap + 300 * high, axis, 0, HIGH if high else LOW)
+        for n in range(1, 400_000 // gap)
+        for high in (1, 0)
+        for axis in range(2)
+    ]
+    edges += [(0, axis, phase, LOW) for axis in range(2) for phase in range(3)]
+    edges.sort(key=lambda edge: edge[0])
+    first, again = (Switching(switching_c, plant) for _ in range(2))
+    for switching in (first, again):
+        for axis in range(2):
+            switching.spin(axis, 70.0 - 120.0 * axis)
+    first.run(edges, 400_000)
+    assert len(first.events) > 150
+    for clock, _, axis, _, _ in (event for event in first.events if event[1] == ENCODER):
+        again.run([edge for edge in edges if edge[0] < clock], clock)
+        edges = [edge for edge in edges if edge[0] >= clock]
+        counts = again.truth(axis).theta / (2.0 * math.pi) * 4000.0
+        assert counts == pytest.approx(round(counts), abs=0.01)

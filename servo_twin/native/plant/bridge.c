@@ -4,13 +4,21 @@
 #define SPLITS 24 /* parts of one segment; the rest of it is taken in one piece */
 #define CURVED 3e3 /* [1/s] */
 #define NEAR 0.5e-6 /* so soon a current has hardly left the slope that it began with [s] */
-#define FRESH_TRIG 64u /* steps between two evaluations of sine and cosine; in between they are turned on */
+#define FRESH_TRIG 64u /* turns of sine and cosine until they are evaluated afresh */
 
 /* Where the rotor looks, from its angle. */
 static void face(bridge_t *b)
 {
     plant_sincos(b->pole_pairs * b->theta, &b->sine, &b->cosine);
     b->inverse = inverse_of(b, b->cosine, b->sine);
+}
+
+void bridge_count_turn(bridge_t *b)
+{
+    if (++b->turns >= FRESH_TRIG) {
+        b->turns = 0;
+        face(b);
+    }
 }
 
 void bridge_init(bridge_t *bridge, const plant_axis_t *config)
@@ -22,14 +30,11 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .r = config->r_s + config->r_on,
         .l_d = config->l_d,
         .l_q = config->l_q,
-        .inv_l_d = 1.0 / config->l_d,
-        .inv_l_q = 1.0 / config->l_q,
         .inv_l_mean = 0.5 / config->l_d + 0.5 / config->l_q,
         .inv_l_half = 0.5 / config->l_d - 0.5 / config->l_q,
         .psi_m = config->psi_m,
         .pole_pairs = config->pole_pairs,
         .k_torque = 1.5 * config->pole_pairs,
-        .inertia = config->inertia,
         .inv_inertia = 1.0 / config->inertia,
         .friction = config->friction,
         .viscous = config->viscous,
@@ -39,7 +44,7 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .low = -INFINITY,
         .high = INFINITY,
         .moved = true,
-        .zeros = 7u,
+        .own = LEGS,
         .shorted_leg = -1,
         .shorted_beside = -1,
         .grounded = -1,
@@ -50,6 +55,12 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         bridge->decay_fine[n] = plant_decay(n * x);
         bridge->decay_coarse[n] = plant_decay(n * BRIDGE_DECAY * x);
     }
+    for (unsigned legs = 0; legs <= LEGS; legs++) { /* without current out of the motor a leg is one drop lower */
+        for (int lane = 0; lane < BRIDGE_LANES; lane++) {
+            bridge->drops[legs][lane] = 2.0 * config->v_drop * legs_at[legs][lane];
+        }
+        bridge->drops[legs][LEGS_MEAN] -= config->v_drop;
+    }
     face(bridge);
     bridge->psi.alpha = bridge->psi_m * bridge->cosine;
     bridge->psi.beta = bridge->psi_m * bridge->sine;
@@ -58,13 +69,14 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
 /* ---- moving on ---------------------------------------------------------------------------------------------------- */
 
 /* The amplifiers, h seconds on, behind currents that go straight to `phase`. */
-static void filter(bridge_t *b, double h, const double phase[BRIDGE_LANES])
+static void filter(bridge_t *b, double h, const double phase[3])
 {
     const double left = decay(b, h);
     const double tau_h = b->tau / h;
     for (int k = 0; k < 3; k++) {
-        const double seen = (b->paths & LOWER(k)) ? 1.0 : 0.0;
-        b->amplifier[k] = lag_behind(b->amplifier[k], seen * b->phase[k], seen * phase[k], tau_h, left);
+        const double seen = (b->paths.lower >> k & 1u) ? 1.0 : 0.0;
+        double *shown = &b->amplifier[BRIDGE_LANE(k)];
+        *shown = lag_behind(*shown, seen * b->phase[k], seen * phase[k], tau_h, left);
     }
 }
 
@@ -91,6 +103,7 @@ double bridge_accept(bridge_t *b, double h, double u_h, const end_t *e)
     b->phase[1] = e->phase[1];
     b->phase[2] = e->phase[2];
     b->begun = false;
+    bridge_count_turn(b);
     return charge;
 }
 
@@ -185,44 +198,40 @@ double bridge_advance(bridge_t *b, double h, double u_h)
 {
     const double u = u_h / h;
     double rest = h;
-    double charge = b->framed ? bridge_frame_advance(b, &rest, u) : 0.0;
-    if (rest > INSTANT) {
-        charge += split_advance(b, rest, u);
-    }
-    if (++b->steps >= FRESH_TRIG) {
-        b->steps = 0;
-        face(b);
-    }
-    return charge;
+    const double charge = b->framed ? bridge_frame_advance(b, &rest, u) : 0.0;
+    return (rest > INSTANT) ? charge + split_advance(b, rest, u) : charge;
 }
 
 /* ---- what others want to know ------------------------------------------------------------------------------------- */
 
 bool bridge_amplifier(const bridge_t *b, int k, double h, double *shown)
 {
-    *shown = b->amplifier[k];
+    const double before = b->amplifier[BRIDGE_LANE(k)];
     if (h <= 0.0) {
+        *shown = before;
         return true;
     }
-    double phase[BRIDGE_LANES];
-    if (!bridge_foresee(b, h, phase)) {
-        if (h > NEAR) {
-            return false;
-        }
-        phase[k] = b->phase[k] + h * dot(b->di, phase_axis[k]);
+    double current;
+    double i[BRIDGE_LANES];
+    if (bridge_foresee(b, h, i)) {
+        current = i[BRIDGE_LANE(k)];
+    } else if (h <= NEAR) {
+        current = b->phase[k] + h * dot(b->di, phase_axis[k]);
+    } else {
+        return false;
     }
-    const double seen = (b->paths & LOWER(k)) ? 1.0 : 0.0;
-    *shown = lag_behind(b->amplifier[k], seen * b->phase[k], seen * phase[k], b->tau / h, decay(b, h));
+    const double seen = (b->paths.lower >> k & 1u) ? 1.0 : 0.0;
+    *shown = lag_behind(before, seen * b->phase[k], seen * current, b->tau / h, decay(b, h));
     return true;
 }
 
-double bridge_shunt(const bridge_t *b, int k) { return (b->paths & LOWER(k)) ? b->phase[k] : 0.0; }
+double bridge_shunt(const bridge_t *b, int k) { return (b->paths.lower >> k & 1u) ? b->phase[k] : 0.0; }
 
 void bridge_gates(bridge_t *b, int k, bridge_gates_t gates)
 {
-    b->gates[k] = gates;
-    b->kind[k] = (k == b->grounded) ? GROUNDED : gates;
-    find_path(b, k);
+    const unsigned leg = 1u << k;
+    b->upper = (b->upper & ~leg) | ((unsigned)gates & 1u) << k;
+    b->lower = (b->lower & ~leg) | ((unsigned)gates >> 1) << k;
 }
 
 /* Without current: true if none begins with the leg's other gates. */
@@ -231,12 +240,14 @@ static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
     if (gates == BRIDGE_OPEN && b->direction == 0.0) {
         return true; /* its interval grows, and there is no back-EMF */
     }
-    const unsigned before = b->kind[k];
+    const unsigned upper = b->upper;
+    const unsigned lower = b->lower;
     int out = 0;
     int back = 0;
-    b->kind[k] = gates;
+    bridge_gates(b, k, gates);
     const bool dead = b->unplugged || bridge_excess(b, b->u, b->psi, b->omega, &out, &back) <= 0.0;
-    b->kind[k] = before;
+    b->upper = upper;
+    b->lower = lower;
     return dead;
 }
 
@@ -257,15 +268,28 @@ bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
     if (b->dead) {
         return stays_dead(b, k, gates);
     }
-    if (b->sign[k] == 0) {
+    const int sign = sign_of(b, k);
+    if (sign == 0) {
         return gates == BRIDGE_OPEN && floats_on(b, k, h);
     }
-    if (b->path[k] != leg_paths[gates][b->sign[k] + 1] << k) {
+    /* the diode across the other switch conducts, whether its gate is on or off */
+    const unsigned on = (sign > 0) ? b->upper : b->lower;
+    if ((on >> k & 1u) != (gates == ((sign > 0) ? BRIDGE_HIGH : BRIDGE_LOW))) {
         return false;
     }
     /* the current must not have been at zero yet: i'' is some R / L + w times i', and less than CURVED times that */
     const double bent = h * h * CURVED * (fabs(b->di.alpha) + fabs(b->di.beta));
-    return b->way[k] * (b->phase[k] + h * dot(b->di, phase_axis[k])) > bent;
+    return sign * (b->phase[k] + h * dot(b->di, phase_axis[k])) > bent;
+}
+
+void bridge_begin_again(bridge_t *b)
+{
+    b->begun = false;
+    for (int k = 0; k < 3; k++) {
+        if (b->phase[k] == 0.0) {
+            set_sign(b, k, 0);
+        }
+    }
 }
 
 void bridge_set_winding(bridge_t *b, double r_s)
@@ -291,9 +315,11 @@ static void rewire(bridge_t *b)
     b->alone = joint ? alone : -1;
     b->grounded = (b->shorted_leg >= 0 && b->play[b->shorted_leg] <= 0.0) ? b->shorted_leg : -1;
     b->shorted = b->grounded >= 0 || b->alone >= 0;
+    b->joint = joint ? LEGS & ~(1u << alone) : 0u;
+    b->own = LEGS & ~b->joint & ~((b->grounded >= 0) ? 1u << b->grounded : 0u);
+    b->positive = b->negative = 0u;
     b->begun = false;
     for (int k = 0; k < 3; k++) { /* those that went together were without a sign of their own */
-        b->kind[k] = (k == b->grounded) ? GROUNDED : b->gates[k];
         set_sign(b, k, (b->phase[k] > 0.0) - (b->phase[k] < 0.0));
     }
 }

@@ -15,7 +15,7 @@
  * Motor, in the stator frame (DRM E11-E15 with L_d and L_q kept apart, amplitude-invariant vectors):
  *   d(psi)/dt = v - R i,    i = e^{j theta_e} L^-1 (e^{-j theta_e} psi - psi_m)
  *   T_e = 3/2 p psi x i,    J d(omega)/dt = T_e - T_load - B omega - T_friction
- * A segment is a stretch in which no gate changes and no current changes its sign, so the legs' part of v is known:
+ * A segment is a stretch in which no gate changes and, but in a frame, no current its sign, so the legs' part of v is known:
  * u a + b with constant vectors a, b. The voltage enters psi as its integral, without error. Only R i has to be
  * integrated, by the quadrature that is exact for a current of second order,
  *   Q = h (2 i_0 + i_1) / 3 + h^2 i_0' / 6,    error h^4 i''' / 72,
@@ -24,14 +24,14 @@
  * (u h/L) (h/tau)^3 / 12, for the motors of the reference design some 1e-7 A in 10 us and 1e-5 A in 30 us. Whole runs
  * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A).
  *
- * While nothing unusual happens segments are parabolas within a frame (bridge_frame.c), which costs a third; whole runs
- * stay within 1e-4 A then.
+ * While nothing unusual happens segments are parabolas within a frame (bridge_frame.c), which costs less than a third; whole
+ * runs stay within 1e-4 A then.
  *
  * Broken wires: the interval of an open leg has no ends, that of a leg on bus minus no width, and two legs that touch go
  * together: the third one's current alone decides on their voltage.
  *
  * Where a segment ends within itself is found in closed form: a current at zero by its slope, corrected once by the slope
- * found there; a shaft that stops or breaks loose by the root of a parabola; a floating leg that reaches an end of its
+ * found there (in a frame as bridge_course.h says); a shaft that stops or breaks loose by the root of a parabola; a floating leg that reaches an end of its
  * interval by a straight line.
  */
 #ifndef PLANT_BRIDGE_H
@@ -50,9 +50,12 @@ typedef enum {
     BRIDGE_LOW = 2,
 } bridge_gates_t;
 
-#define BRIDGE_GATES 3
 #define BRIDGE_CLOCK_HZ 100e6 /* bus clock of the chip */
-#define BRIDGE_LANES 4 /* the three phases in one register; the fourth number is zero */
+#define BRIDGE_FRAME 64e-6 /* angle and speed are brought along so often, but for the last segment [s] */
+
+/* A stator vector together with its phases in one register: alpha (which is phase a), beta, phase b, phase c. */
+#define BRIDGE_LANES 4
+#define BRIDGE_LANE(phase) ((phase) + ((phase) > 0))
 
 /* Decay of the amplifiers, e^(-n clocks / tau), as the product of two entries. */
 #define BRIDGE_DECAY 32
@@ -64,29 +67,45 @@ typedef struct {
 
 /* A short time in which the currents obey an equation with constant coefficients. */
 typedef struct {
-    double longest;                      /* segment that bends, and frame without the last one [s] */
-    double rate;                         /* at most, of the equation, for L_q up to 2 L_d [1/s] */
-    plant_vector_t inverse[2], drift[2]; /* by columns: of i' with v [1/H], with i [1/s] */
-    plant_vector_t push, push_slope;     /* i' without either, and how it changes [A/s], [A/s^2] */
+    double longest;                      /* without its last segment [s] */
+    double longest_driven, longest_idle; /* segments, with a voltage across the motor and with none [s] */
+    double inverse[2][BRIDGE_LANES];     /* by columns: i' with v [1/H] */
+    double drift[2][BRIDGE_LANES];       /* by columns: i' with i [1/s] */
+    double push[BRIDGE_LANES], push_slope[BRIDGE_LANES]; /* i' without either, and how it changes [A/s], [A/s^2] */
+    double along[3][BRIDGE_LANES];       /* i' with a voltage along a phase's axis [1/H] .. */
+    double per_l[3];                     /* .. and 1 over its part in that phase [H] */
     plant_vector_t charge, moment;       /* since its beginning, and the integral of that [A s], [A s^2] */
     double reluctance;                   /* part of the torque there [N m] */
+    double squares, dropped;             /* 3/2 of the integral of i^2 [A^2 s]; lost in the drops [J] */
+    /* the segment */
+    double i[BRIDGE_LANES], di[BRIDGE_LANES], ddi[BRIDGE_LANES]; /* where it begins [A], [A/s], [A/s^2] */
+    double v[BRIDGE_LANES];              /* of the legs: alpha, beta, their mean, nothing [V] */
+    double hold_slope;                   /* of the floating leg [V/s] */
 } bridge_frame_t;
+
+/* Ways through the legs, bit per leg. */
+typedef struct {
+    unsigned upper;                      /* from the positive rail */
+    unsigned raised;                     /* with the drop counting upwards: current out of the motor */
+    unsigned lower;                      /* through the shunt */
+} bridge_paths_t;
 
 typedef struct {
     /* parameters */
     double v_drop;                       /* [V] */
+    double drops[8][BRIDGE_LANES];       /* by the legs with a current out of the motor, as `v` of a frame */
     double r_s, r_on, r;                 /* winding, switch or diode, their sum [ohm] */
-    double l_d, l_q, inv_l_d, inv_l_q;
-    double inv_l_mean, inv_l_half;       /* half the sum and half the difference of the last two */
+    double l_d, l_q;
+    double inv_l_mean, inv_l_half;       /* half the sum and half the difference of 1 / L_d and 1 / L_q */
     double psi_m, pole_pairs;
     double k_torque;                     /* 3/2 p */
-    double inertia, inv_inertia;
+    double inv_inertia;
     double friction, viscous;
     double longest;                      /* step that the series are good for [s] */
     double tau;                          /* of the current amplifiers [s] */
     double decay_fine[BRIDGE_DECAY], decay_coarse[BRIDGE_DECAY];
     /* inputs */
-    bridge_gates_t gates[3];
+    unsigned upper, lower;               /* gates that are on, bit per leg */
     double load;                         /* [N m] */
     bool locked, unplugged;
     double low, high;                    /* end stops, inelastic, mechanical [rad] */
@@ -95,30 +114,28 @@ typedef struct {
     int grounded;                        /* leg that touches bus minus, -1: none */
     int alone;                           /* the other two legs touch each other, -1: they do not */
     bool shorted;                        /* one of the two */
+    unsigned joint;                      /* the two that touch, bit per leg: their own currents tell nothing */
+    unsigned own;                        /* the others, but for a grounded one */
     /* state */
     plant_vector_t psi;                  /* stator flux linkage [V s] */
     double theta, omega;                 /* mechanical [rad], [rad/s] */
-    int sign[3];                         /* of the phase currents; 0: the leg floats */
-    double way[BRIDGE_LANES];            /* the same as a number */
-    unsigned kind[3];                    /* of the leg: its gates, or that it is grounded, see bridge_kernel.h */
-    unsigned path[3];                    /* of the leg, by gates and sign */
-    unsigned zeros;                      /* bit per leg without current */
+    unsigned positive, negative;         /* signs of the phase currents, bit per leg; neither: the leg floats */
     double amplifier[BRIDGE_LANES];      /* output of the current amplifiers [A] */
     /* what follows from it */
     double cosine, sine;                 /* of the electrical angle */
     bridge_matrix_t inverse;             /* inductance^-1 in the stator frame [1/H] */
     plant_vector_t i;                    /* [A] */
-    double phase[BRIDGE_LANES];          /* [A] */
+    double phase[3];                     /* [A] */
     double torque;                       /* [N m] */
-    unsigned steps;                      /* since cosine and sine were made afresh */
-    /* the segment that begins here, valid while `begun` */
+    unsigned turns;                      /* of cosine and sine since they were made afresh */
+    /* the segment that begins here, valid while `begun`; b, level and dtorque only outside of a frame */
     bool begun;
     double u;                            /* bus voltage [V] */
     bool held;                           /* the shaft has just stopped and stays so to the end of the segment */
     int floating;                        /* index of the only leg without current, -1 if there is none */
     double hold;                         /* its voltage at the beginning [V] */
     bool dead;                           /* no current at all, and none will flow */
-    unsigned paths;                      /* through the legs, see bridge_kernel.h */
+    bridge_paths_t paths;                /* through the legs */
     plant_vector_t a, b;                 /* v = u a + b */
     double level;                        /* mean of the legs above the negative rail [V] */
     plant_vector_t di;                   /* [A/s] */
@@ -129,8 +146,6 @@ typedef struct {
     bool framed;
     double frame_time;                   /* since the frame began [s]: angle, speed and flux stand there */
     bridge_frame_t frame;
-    plant_vector_t ddi;                  /* [A/s^2] */
-    double hold_slope;                   /* of the floating leg [V/s] */
     bool moved;                          /* angle and speed are others than before: set here, cleared by who looks */
     /* sums since the beginning */
     double e_copper, e_switch;           /* [J] */
@@ -161,6 +176,9 @@ void bridge_gates(bridge_t *bridge, int phase, bridge_gates_t gates);
 /* True if other gates on a leg would change nothing, now and in the `h` seconds since the segment began: a dead time
  * that the diode has bridged already, or is about to. */
 bool bridge_indifferent(bridge_t *bridge, int phase, bridge_gates_t gates, double h);
+
+/* A segment that has taken no time is to begin anew: what it has decided about legs without current does not count. */
+void bridge_begin_again(bridge_t *bridge);
 
 /* What the shunt of a phase carries at the beginning of the segment. */
 double bridge_shunt(const bridge_t *bridge, int phase);

@@ -1,50 +1,42 @@
 /* bridge_frame.c - segments while nothing unusual happens: the shaft goes on, or stands all along.
  *
- * For some microseconds the rotor's angle hardly changes and its speed not at all. In such a frame the currents obey
+ * For some microseconds the rotor's angle hardly changes and its speed nearly as little. In such a frame the currents obey
  *   i' = L^-1 v + K i + e + e' t,   K = -R L^-1 + w (J - L^-1 J L),   e = -w L^-1 J psi_m,   J = (0 -1; 1 0)
- * with L^-1 and K of its middle, and a segment is a parabola with i' and i'' = K i' + e': where a phase's current is at zero
- * is the root of one. What the parabolas leave out, (h / tau)^3 / 6 of u / L, does not add up: at the end of the frame flux
- * is the exact integral of the voltages minus R times the charge, the shaft follows from the impulse of the torque and, where
- * the magnet makes it, from its first moment, and the currents are those that belong to this flux and this angle.
+ * with L^-1 and K of its middle and the acceleration of the frame before in e', and a segment is a parabola with i' and
+ * i'' = K i' + e', or a few where currents go through zero (bridge_course.h). What the parabolas leave out,
+ * (h / tau)^3 / 6 of u / L, does not add up: at the end of the frame flux is the exact integral of the voltages minus R times
+ * the charge, the shaft follows from the impulse of the torque and, where the magnet makes it, from its first moment, and the
+ * currents are those that belong to this flux and this angle.
  */
 #include "plant/bridge_kernel.h"
 
-#ifdef __GNUC__ /* vectors of the stator frame in one register: half of the instructions */
+/* Acceleration in the frame so far, as the angle sees it, by the first moment of the torque, if flux stood. */
+static inline double mean_accel(const bridge_t *b)
+{
+    const double h = b->frame_time;
+    if (b->direction == 0.0 || h <= 0.0) {
+        return 0.0;
+    }
+    const plant_vector_t moment = b->frame.moment;
+    const double first = b->k_torque * b->psi_m * (b->cosine * moment.beta - b->sine * moment.alpha);
+    const double drag = b->load + b->direction * b->friction + b->viscous * b->omega;
+    return (2.0 * first / (h * h) - drag) * b->inv_inertia;
+}
 
-#include <string.h>
+#ifdef __GNUC__ /* a stator vector and its phases in one register: half of the instructions */
 
-/* A segment, and a frame without its last one, are not longer than this: as much of the currents' time constant, of the
- * rotor's turn, and a time that pays [s]. A segment that hardly bends may be twice as long: with all legs on one side there
- * is no voltage but the back-EMF. */
-#define OF_TIME_CONSTANT 0.03
-#define OF_TURN 0.015 /* [rad] */
-#define LONGEST 32e-6
+#include "plant/bridge_course.h"
+
+/* Longest frame (without its last segment), longest segment, and longest one with all legs on one side, where there is no
+ * voltage but the back-EMF: as much of the currents' time constant, of the rotor's turn, and a PWM period [s]. */
+#define FRAME_OF_TIME_CONSTANT 0.08
+#define DRIVEN_OF_TIME_CONSTANT 0.03
+#define IDLE_OF_TIME_CONSTANT 0.05
+#define OF_TURN 0.016 /* [rad] */
+#define LONGEST BRIDGE_FRAME
 #define SHORTEST 2e-6
-#define BENT 4e-5 /* what a long segment's parabola may leave out [A] */
 #define MARGIN 0.05 /* of friction, for the reluctance torque */
 #define SPLITS 24 /* parts of one segment */
-
-typedef double pair_t __attribute__((vector_size(16)));
-typedef double lanes_t __attribute__((vector_size(32))); /* by phase; the fourth lane is zero. Never passed by value. */
-typedef int64_t sides_t __attribute__((vector_size(32)));
-
-static inline pair_t pair_of(const plant_vector_t *x)
-{
-    pair_t pair;
-    memcpy(&pair, x, sizeof pair);
-    return pair;
-}
-
-static inline void put(plant_vector_t *x, pair_t pair) { memcpy(x, &pair, sizeof *x); }
-
-static inline pair_t both(double x) { return (pair_t){x, x}; }
-
-static inline double sum(pair_t x) { return x[0] + x[1]; }
-
-static inline pair_t product(const plant_vector_t column[2], pair_t x)
-{
-    return pair_of(&column[0]) * both(x[0]) + pair_of(&column[1]) * both(x[1]);
-}
 
 /* The shaft is far from standing still and from its end stops: whatever the currents do meanwhile. */
 static inline bool runs_freely(const bridge_t *b)
@@ -71,7 +63,9 @@ static inline double aligned(const bridge_t *b, plant_vector_t i)
     return b->k_torque * b->psi_m * (b->cosine * i.beta - b->sine * i.alpha);
 }
 
-bool bridge_frame(bridge_t *b, double u)
+static inline double shorter(double a, double b) { return (a < b) ? a : b; }
+
+PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
 {
     b->u = u;
     const bool standing = stands(b);
@@ -79,10 +73,11 @@ bool bridge_frame(bridge_t *b, double u)
         return false;
     }
     const double w = b->pole_pairs * b->omega;
-    double longest = (10.0 * OF_TIME_CONSTANT) * b->longest;
-    longest = (longest < LONGEST) ? longest : LONGEST;
+    const double time_constant = 10.0 * b->longest;
+    double longest = shorter(LONGEST, FRAME_OF_TIME_CONSTANT * time_constant);
     longest = (longest * fabs(w) > OF_TURN) ? OF_TURN / fabs(w) : longest;
-    if (longest < SHORTEST) {
+    const double longest_driven = shorter(longest, DRIVEN_OF_TIME_CONSTANT * time_constant);
+    if (longest_driven < SHORTEST) {
         return false;
     }
     const double x = w * (0.5 * longest);
@@ -90,27 +85,39 @@ bool bridge_frame(bridge_t *b, double u)
     const double s = b->sine * (1.0 - 0.5 * x * x) + b->cosine * x;
     const bridge_matrix_t m = inverse_of(b, c, s);
     const double l_mean = 0.5 * (b->l_d + b->l_q);
-    const double along = 0.5 * (b->l_d - b->l_q) * (c * c - s * s);
-    const bridge_matrix_t l = {l_mean + along, (b->l_d - b->l_q) * c * s, l_mean - along};
+    const double l_half = 0.5 * (b->l_d - b->l_q) * (c * c - s * s);
+    const bridge_matrix_t l = {l_mean + l_half, (b->l_d - b->l_q) * c * s, l_mean - l_half};
     bridge_frame_t *f = &b->frame;
     f->longest = longest;
-    f->rate = 0.1 / b->longest + fabs(w);
-    f->inverse[0] = (plant_vector_t){m.aa, m.ab};
-    f->inverse[1] = (plant_vector_t){m.ab, m.bb};
-    f->drift[0] = (plant_vector_t){-b->r * m.aa + w * (m.aa * l.ab - m.ab * l.aa),
-                                   -b->r * m.ab + w * (1.0 + m.ab * l.ab - m.bb * l.aa)};
-    f->drift[1] = (plant_vector_t){-b->r * m.ab - w * (1.0 - m.aa * l.bb + m.ab * l.ab),
-                                   -b->r * m.bb + w * (m.ab * l.bb - m.bb * l.ab)};
+    f->longest_driven = longest_driven;
+    f->longest_idle = shorter(longest, IDLE_OF_TIME_CONSTANT * time_constant);
+    put_lanes(f->inverse[0], spread(m.aa, m.ab));
+    put_lanes(f->inverse[1], spread(m.ab, m.bb));
+    put_lanes(f->drift[0], spread(-b->r * m.aa + w * (m.aa * l.ab - m.ab * l.aa),
+                                  -b->r * m.ab + w * (1.0 + m.ab * l.ab - m.bb * l.aa)));
+    put_lanes(f->drift[1], spread(-b->r * m.ab - w * (1.0 - m.aa * l.bb + m.ab * l.ab),
+                                  -b->r * m.bb + w * (m.ab * l.bb - m.bb * l.ab)));
     const double emf = w * b->psi_m;
-    f->push = times(m, (plant_vector_t){emf * b->sine, -emf * b->cosine});
-    f->push_slope = times(m, (plant_vector_t){w * emf * c, w * emf * s});
+    const plant_vector_t push = times(m, (plant_vector_t){emf * b->sine, -emf * b->cosine});
+    const double gain = standing ? 0.0 : b->pole_pairs * b->psi_m * b->accel; /* as in the frame before */
+    const plant_vector_t push_slope = times(m, (plant_vector_t){w * emf * c + gain * s, w * emf * s - gain * c});
+    put_lanes(f->push, spread(push.alpha, push.beta));
+    put_lanes(f->push_slope, spread(push_slope.alpha, push_slope.beta));
+    for (int k = 0; k < 3; k++) {
+        const plant_vector_t along = times(m, phase_axis[k]);
+        put_lanes(f->along[k], spread(along.alpha, along.beta));
+        f->per_l[k] = 1.0 / dot(phase_axis[k], along);
+    }
+    put_lanes(f->i, (lanes_t){b->i.alpha, b->i.beta, b->phase[1], b->phase[2]});
     f->charge = f->moment = (plant_vector_t){0.0, 0.0};
+    f->squares = f->dropped = 0.0;
     f->reluctance = b->torque - aligned(b, b->i);
     b->frame_time = 0.0;
     b->direction = standing ? 0.0 : (b->omega > 0.0) ? 1.0 : -1.0;
     b->accel =
         standing ? 0.0 : (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
     b->jerk = 0.0;
+    b->moved = true; /* on another course than a step before */
     b->framed = true;
     return true;
 }
@@ -120,317 +127,242 @@ static inline bool rests(const bridge_t *b) { return b->dead && b->direction == 
 
 /* ---- begin -------------------------------------------------------------------------------------------------------- */
 
-/* i'' = K i' + e'. */
-static inline pair_t bend_of(const bridge_frame_t *f, pair_t di)
+/* What conducts, and what it gives to the motor. */
+PLANT_INLINE lanes_t find_voltage(bridge_t *b, double u)
 {
-    return product(f->drift, di) + pair_of(&f->push_slope);
+    b->paths = paths_of(b);
+    const lanes_t upper = lanes_of(legs_at[b->paths.upper]);
+    put(&b->a, vector(upper));
+    lanes_t v = all(u) * upper + lanes_of(b->drops[b->paths.raised]);
+    if (b->grounded >= 0 && sign_of(b, b->grounded) != 0) { /* it is there, and not one drop below */
+        v += all(b->v_drop) * lanes_of(legs_at[1u << b->grounded]);
+    }
+    return v;
 }
 
 /* A leg without current takes the voltage that keeps it so, or begins to conduct. */
-static void begin_at_zero(bridge_t *b, int k, double u)
+PLANT_INLINE void settle_at_zero(bridge_t *b, int k, double u, lanes_t *v, lanes_t *di)
 {
     const bridge_frame_t *f = &b->frame;
-    const pair_t n = pair_of(&phase_axis[k]);
-    const pair_t per_n = product(f->inverse, n);
-    const double per_l = 1.0 / sum(n * per_n);
-    plant_vector_t along;
-    put(&along, per_n);
-    const double more = settle_leg(b, k, u, along, per_l);
-    const pair_t di = pair_of(&b->di);
-    pair_t ddi = bend_of(f, di);
-    if (b->floating < 0) {
-        find_paths(b);
-    } else {
-        const double bent = -sum(n * ddi) * per_l;
-        ddi += both(bent) * per_n;
-        b->hold_slope = 1.5 * bent;
-        put(&b->b, pair_of(&b->b) + both(more) * n);
-    }
-    put(&b->ddi, ddi);
+    const double lift = settle_leg(b, k, u, phase_of(*di, k), f->per_l[k]);
+    *di += all((2.0 / 3.0) * lift) * lanes_of(f->along[k]);
+    *v = (b->floating >= 0) ? *v + all(lift) * lanes_of(legs_at[1u << k]) : find_voltage(b, u);
 }
 
-static inline void begin_dead(bridge_t *b) { b->a = b->b = b->di = b->ddi = (plant_vector_t){0.0, 0.0}; }
-
-bool bridge_frame_begin(bridge_t *b, double u)
+/* How the voltage of the leg that floats has to change for its current to stay at zero. */
+PLANT_INLINE void bend_at_zero(bridge_frame_t *f, int k, lanes_t *ddi)
 {
+    const double more = -phase_of(*ddi, k) * f->per_l[k];
+    *ddi += all(more) * lanes_of(f->along[k]);
+    f->hold_slope = 1.5 * more;
+}
+
+/* Without any current the flux is that of the magnet, where it looks by now. */
+static inline void follow_magnet(bridge_t *b)
+{
+    const double t = b->frame_time;
+    const double x = b->pole_pairs * t * (b->omega + 0.5 * t * mean_accel(b));
+    const double c = 1.0 - 0.5 * x * x;
+    const double s = x * (1.0 - SIXTH * x * x);
+    b->psi.alpha = b->psi_m * (b->cosine * c - b->sine * s);
+    b->psi.beta = b->psi_m * (b->sine * c + b->cosine * s);
+}
+
+/* A current begins within a frame: what its earlier charge has cost will come off at its end. */
+static inline void leave_magnet(bridge_t *b)
+{
+    b->psi.alpha += b->r * b->frame.charge.alpha;
+    b->psi.beta += b->r * b->frame.charge.beta;
+}
+
+PLANT_INLINE void begin_segment(bridge_t *b, double u)
+{
+    bridge_frame_t *f = &b->frame;
     int k = leg_at_zero(b);
-    const bool rested = rests(b);
     b->dead = false;
     b->floating = -1;
     b->u = u;
-    if (k == NO_CURRENT) { /* the flux that such a frame begins with is that of the magnet */
-        if (b->frame_time > 0.0 && !rested) {
-            bridge_settle(b);
-            if (!bridge_frame(b, u)) {
-                return false;
-            }
-        }
-        k = bridge_leave_one(b, u);
-    }
     b->begun = true;
-    find_paths(b);
+    if (k == NO_CURRENT) {
+        follow_magnet(b);
+        k = bridge_leave_one(b, u);
+        if (!b->dead) {
+            leave_magnet(b);
+        }
+    }
+    lanes_t v = find_voltage(b, u);
+    lanes_t di = all(0.0);
+    lanes_t ddi = all(0.0);
     if (b->dead) {
-        begin_dead(b);
-        return true;
-    }
-    const bridge_frame_t *f = &b->frame;
-    const pair_t v = both(u) * pair_of(&b->a) + pair_of(&b->b);
-    const pair_t di = product(f->inverse, v) + product(f->drift, pair_of(&b->i)) + pair_of(&f->push) +
-                      both(b->frame_time) * pair_of(&f->push_slope);
-    put(&b->di, di);
-    if (k >= 0) {
-        begin_at_zero(b, k, u);
+        b->a = (plant_vector_t){0.0, 0.0};
+        v *= (lanes_t){0.0, 0.0, 1.0, 0.0};
     } else {
-        put(&b->ddi, bend_of(f, di));
+        const lanes_t push_slope = lanes_of(f->push_slope);
+        di = product(f->inverse, v) + product(f->drift, lanes_of(f->i)) +
+             (lanes_of(f->push) + all(b->frame_time) * push_slope);
+        if (k >= 0) {
+            settle_at_zero(b, k, u, &v, &di);
+        }
+        ddi = product(f->drift, di) + push_slope; /* i'' = K i' + e' */
+        if (b->floating >= 0) {
+            bend_at_zero(f, k, &ddi);
+        }
     }
-    return true;
+    put_lanes(f->v, v);
+    put_lanes(f->di, di);
+    put_lanes(f->ddi, ddi);
+    put(&b->di, vector(di));
 }
+
+PLANT_WIDE void bridge_frame_begin(bridge_t *b, double u) { begin_segment(b, u); }
 
 /* ---- go on -------------------------------------------------------------------------------------------------------- */
 
-static inline pair_t current_after(const bridge_t *b, double t)
-{
-    return pair_of(&b->i) + both(t) * (pair_of(&b->di) + both(0.5 * t) * pair_of(&b->ddi));
-}
-
-PLANT_INLINE void load(lanes_t *lanes, const double x[BRIDGE_LANES]) { memcpy(lanes, x, sizeof *lanes); }
-
-/* How much of `rest` is one segment: its parabola leaves i''' h^3 / 6 out. */
+/* How much of `rest` is one segment. */
 static inline double span(const bridge_t *b, double rest)
 {
+    const bool idle = b->paths.upper == 0u || b->paths.upper == LEGS;
+    const double most = idle ? b->frame.longest_idle : b->frame.longest_driven;
+    return (rest < most) ? rest : most;
+}
+
+PLANT_WIDE bool bridge_foresee(const bridge_t *b, double h, double i[BRIDGE_LANES])
+{
     const bridge_frame_t *f = &b->frame;
-    if (rest <= f->longest) {
-        return rest;
-    }
-    const double most = (SIXTH * f->rate) * (fabs(b->ddi.alpha) + fabs(b->ddi.beta));
-    return (rest < 2.0 * f->longest && rest * rest * rest * most < BENT) ? rest : f->longest;
-}
-
-static inline void phases_of_pair(pair_t i, double phase[BRIDGE_LANES])
-{
-    const lanes_t along_alpha = {1.0, -0.5, -0.5, 0.0};
-    const lanes_t along_beta = {0.0, HALF_SQRT3, -HALF_SQRT3, 0.0};
-    const lanes_t all = along_alpha * i[0] + along_beta * i[1];
-    memcpy(phase, &all, sizeof all);
-}
-
-static inline bool beyond_zero(const bridge_t *b, const double phase[BRIDGE_LANES])
-{
-    lanes_t all, way;
-    load(&all, phase);
-    load(&way, b->way);
-    const sides_t beyond = all * way < 0.0;
-    return (beyond[0] | beyond[1] | beyond[2]) != 0;
-}
-
-bool bridge_foresee(const bridge_t *b, double h, double phase[BRIDGE_LANES])
-{
-    if (!b->framed || !b->begun || b->floating >= 0 || h > b->frame.longest) {
+    if (!b->framed || !b->begun || b->floating >= 0 || h > span(b, h)) {
         return false;
     }
-    phases_of_pair(current_after(b, h), phase);
-    return !beyond_zero(b, phase);
+    const lanes_t there = lanes_of(f->i) + all(h) * (lanes_of(f->di) + all(0.5 * h) * lanes_of(f->ddi));
+    put_lanes(i, there);
+    return beyond_zero(there, b->positive, b->negative) == 0u;
 }
 
-/* Of the phases that have changed sides at `end`, *t seconds on: which was the first at zero, and when. */
-static int first_zero(const bridge_t *b, const double end[BRIDGE_LANES], double *t)
-{
-    const double h = *t;
-    int first = -1;
-    for (int k = 0; k < 3; k++) {
-        const double way = b->way[k];
-        if (end[k] * way < 0.0) {
-            const double zero = root_within(b->phase[k] * way, dot(phase_axis[k], b->di) * way,
-                                            0.5 * dot(phase_axis[k], b->ddi) * way, h);
-            if (first < 0 || zero < *t) {
-                first = k;
-                *t = zero;
-            }
-        }
-    }
-    return first;
-}
-
-/* The moment up to *t at which the floating leg's voltage leaves its interval; returns the sign of the current that begins
- * then. */
+/* The moment up to *t at which the floating leg's voltage leaves its interval, whose ends follow the bus; returns the sign
+ * of the current that begins then. */
 static inline int first_clamp(const bridge_t *b, double u, double *t)
 {
     const double low = lowest(b, b->floating, u);
     const double high = highest(b, b->floating, u);
-    const double end = b->hold + b->hold_slope * *t;
-    if (end < low || end > high) {
-        *t = (((end < low) ? low : high) - b->hold) / b->hold_slope;
-        return (end < low) ? 1 : -1;
+    const double end = b->hold + b->frame.hold_slope * *t;
+    if (end >= low && end <= high) {
+        return 0;
     }
-    return 0;
+    const double left = (((end < low) ? low : high) - b->hold) / b->frame.hold_slope;
+    *t = (b->hold > low && b->hold < high) ? shorter(left, *t) : 0.0;
+    return (end < low) ? 1 : -1;
 }
 
-/* A current that goes through zero in a leg with a gate on, where only the drop changes its sign: the segment goes on
- * with another slope. */
-typedef struct {
-    int phase; /* -1: none does */
-    double way; /* of the current before */
-    double after; /* time left then [s] */
-    pair_t charge; /* that the other slope adds [A s] */
-} pass_t;
-
-#define NO_PASS ((pass_t){.phase = -1})
-
-/* Phase k is at zero after t of a segment of `whole`. If it goes on to the other side, that is the pass, and the end of the
- * segment moves to where it leads. False, with all as it was, if the drop keeps the current at zero, if it comes back, or if
- * another one has changed sides, too. */
-static inline bool pass_zero(const bridge_t *b, int k, double t, double whole, pass_t *pass, pair_t *i,
-                             double phase[BRIDGE_LANES])
+/* The amplifiers of all phases, as filter() of bridge.c. */
+PLANT_INLINE void filter_lanes(bridge_t *b, double t, lanes_t from, lanes_t to)
 {
-    if (b->gates[k] == BRIDGE_OPEN || b->floating >= 0 || b->shorted) {
-        return false;
-    }
-    const pair_t n = pair_of(&phase_axis[k]);
-    const double way = b->way[k];
-    const pair_t more = both(way * (4.0 / 3.0) * b->v_drop) * product(b->frame.inverse, n); /* slope */
-    const double slope = sum(n * (pair_of(&b->di) + both(t) * pair_of(&b->ddi) + more));
-    if (!(slope * way < 0.0)) {
-        return false;
-    }
-    const double after = whole - t;
-    const pair_t end = *i + both(after) * (more + both(0.5 * after) * product(b->frame.drift, more));
-    double there[BRIDGE_LANES];
-    phases_of_pair(end, there);
-    for (int j = 0; j < 3; j++) {
-        if (there[j] * ((j == k) ? -way : b->way[j]) < 0.0) {
-            return false;
-        }
-    }
-    *pass = (pass_t){k, way, after, both(0.5 * after * after) * more};
-    *i = end;
-    memcpy(phase, there, sizeof there);
-    return true;
+    static const double through[8][BRIDGE_LANES] = {{0, 0, 0, 0}, {1, 0, 0, 0}, {0, 0, 1, 0}, {1, 0, 1, 0},
+                                                    {0, 0, 0, 1}, {1, 0, 0, 1}, {0, 0, 1, 1}, {1, 0, 1, 1}};
+    const lanes_t seen = lanes_of(through[b->paths.lower]);
+    const lanes_t shown = lanes_of(b->amplifier);
+    const lanes_t lag = all(b->tau / t) * seen * (to - from);
+    put_lanes(b->amplifier, seen * to - lag + (shown - seen * from + lag) * all(decay(b, t)));
 }
 
-/* What the other sign of the drop adds to the sums of a segment that ends with these phase currents. */
-static inline void account_pass(bridge_t *b, const pass_t *pass, const double phase[BRIDGE_LANES])
+/* The segment, as it has gone. Returns the charge taken out of the bus. */
+PLANT_INLINE double stride(bridge_t *b, const course_t *c, double u)
 {
-    const double volt_seconds = 2.0 * b->v_drop * pass->way * pass->after;
-    put(&b->psi, pair_of(&b->psi) + both((2.0 / 3.0) * volt_seconds) * pair_of(&phase_axis[pass->phase]));
-    b->volt_seconds_0 += THIRD * volt_seconds;
-    b->e_switch -= 0.5 * volt_seconds * phase[pass->phase];
-    set_sign(b, pass->phase, (pass->way < 0.0) ? 1 : -1);
-}
-
-/* The same as filter() of bridge.c, for all phases at once. */
-static inline void filter_lanes(bridge_t *b, double t, const double phase[BRIDGE_LANES])
-{
-    static const double through[8][BRIDGE_LANES] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 0},
-                                                    {0, 0, 1}, {1, 0, 1}, {0, 1, 1}, {1, 1, 1}};
-    const double left = decay(b, t);
-    const double tau_t = b->tau / t;
-    lanes_t seen, from, to, shown;
-    load(&seen, through[PHASES(b->paths, LOWER(0))]);
-    load(&from, b->phase);
-    load(&to, phase);
-    load(&shown, b->amplifier);
-    from *= seen;
-    to *= seen;
-    const lanes_t lag = tau_t * (to - from);
-    shown = to - lag + (shown - from + lag) * left;
-    memcpy(b->amplifier, &shown, sizeof shown);
-}
-
-/* The part of a segment up to t, with `more` charge than its parabola has. Returns the charge taken out of the bus. */
-static inline double stride(bridge_t *b, double t, double u, pair_t i, const double phase[BRIDGE_LANES], pair_t more)
-{
-    const pair_t before = pair_of(&b->i);
-    const pair_t a = pair_of(&b->a);
-    const pair_t rest = pair_of(&b->b);
-    const pair_t charge =
-        both(t) * (before + both(t) * (both(0.5) * pair_of(&b->di) + both(SIXTH * t) * pair_of(&b->ddi))) + more;
-    const double drawn = 1.5 * sum(a * charge);
-    const double squares = (0.5 * t) * sum(before * (before + i) + i * i); /* 3/2 int i^2 */
-    filter_lanes(b, t, phase);
-    b->e_copper += b->r_s * squares;
-    b->e_switch += b->r_on * squares - 1.5 * sum(rest * charge);
+    bridge_frame_t *f = &b->frame;
+    const double t = c->end;
+    const lanes_t from = lanes_of(f->i);
+    const lanes_t v = lanes_of(f->v) + all(u - b->u) * lanes_of(legs_at[b->paths.upper]); /* the bus has moved since */
+    const pair_t before = vector(from);
+    const pair_t after = vector(c->last);
+    pair_t charge =
+        both(t) *
+        (before + both(t) * (both(0.5) * vector(lanes_of(f->di)) + both(SIXTH * t) * vector(lanes_of(f->ddi))));
+    lanes_t impulse = all(t) * v;
+    filter_lanes(b, t, from, c->last);
+    if (c->passes > 0) {
+        account_passes(c, f, &charge, &impulse, &f->dropped);
+    }
+    if (b->floating >= 0) {
+        impulse += all(0.5 * f->hold_slope * t * t) * lanes_of(legs_at[1u << b->floating]);
+    }
+    const double drawn = 1.5 * sum(pair_of(&b->a) * charge);
+    f->squares += (0.5 * t) * sum(before * (before + after) + after * after);
+    f->dropped += drawn * u - 1.5 * sum(vector(v) * charge);
     b->e_bus += drawn * u;
-    b->volt_seconds_0 += b->level * t;
-    const pair_t earlier = pair_of(&b->frame.charge);
-    put(&b->frame.charge, earlier + charge);
-    put(&b->frame.moment, pair_of(&b->frame.moment) + both(t) * (earlier + both(SIXTH * t) * (both(2.0) * before + i)));
-    pair_t psi = pair_of(&b->psi) + both(t) * (both(u) * a + rest);
-    if (b->floating >= 0) {
-        psi += both(THIRD * b->hold_slope * t * t) * pair_of(&phase_axis[b->floating]);
-    }
-    put(&b->psi, psi);
-    put(&b->i, i);
-    memcpy(b->phase, phase, sizeof b->phase);
-    if (b->floating >= 0) {
-        b->phase[b->floating] = 0.0;
-    }
+    const pair_t earlier = pair_of(&f->charge);
+    put(&f->charge, earlier + charge);
+    put(&f->moment, pair_of(&f->moment) + both(t) * (earlier + both(SIXTH * t) * (both(2.0) * before + after)));
+    put(&b->psi, pair_of(&b->psi) + vector(impulse));
+    b->volt_seconds_0 += impulse[LEGS_MEAN];
     b->frame_time += t;
     return drawn;
 }
 
-/* The last current ends: a frame of its own follows. */
-static void end_current(bridge_t *b)
+/* Signs and currents where the segment has ended: at zero in leg `zero` unless that is -1, and a leg that has floated begins
+ * to conduct unless `sign` is 0. */
+PLANT_INLINE void end_segment(bridge_t *b, const course_t *c, int zero, int sign)
 {
-    bridge_settle(b);
-    bridge_remove_all(b);
+    lanes_t i = c->last;
+    b->begun = false;
+    b->positive = c->positive;
+    b->negative = c->negative;
+    if (sign != 0) {
+        set_sign(b, b->floating, sign);
+        i = without(i, b->floating);
+    } else if (zero >= 0 && c->floating >= 0) { /* the last current */
+        b->positive = b->negative = 0u;
+        i = all(0.0);
+    } else if (zero >= 0 || c->floating >= 0) {
+        const int k = (zero >= 0) ? zero : c->floating;
+        set_sign(b, k, 0);
+        i = without(i, k);
+    }
+    put_lanes(b->frame.i, i);
 }
 
-double bridge_frame_advance(bridge_t *b, double *rest, double u)
+/* The currents, for others. */
+PLANT_INLINE void show(bridge_t *b)
 {
+    const lanes_t i = lanes_of(b->frame.i);
+    put(&b->i, vector(i));
+    b->phase[0] = i[BRIDGE_LANE(0)];
+    b->phase[1] = i[BRIDGE_LANE(1)];
+    b->phase[2] = i[BRIDGE_LANE(2)];
+}
+
+PLANT_WIDE double bridge_frame_advance(bridge_t *b, double *rest, double u)
+{
+    const bridge_frame_t *f = &b->frame;
     double drawn = 0.0;
     for (int n = 0; n < SPLITS && *rest > INSTANT; n++) {
-        if (!b->begun && !((b->framed || bridge_frame(b, u)) && bridge_frame_begin(b, u))) {
-            return drawn;
-        }
-        double t = span(b, *rest);
-        double phase[BRIDGE_LANES];
-        int zero = -1;
-        int sign = 0;
-        pass_t pass = NO_PASS;
-        pair_t i = current_after(b, t);
-        phases_of_pair(i, phase);
-        if (beyond_zero(b, phase)) {
-            const double whole = t;
-            zero = first_zero(b, phase, &t);
-            if (pass_zero(b, zero, t, whole, &pass, &i, phase)) {
-                t = whole;
-                zero = -1;
+        if (!b->begun) {
+            if (!b->framed && !bridge_frame(b, u)) {
+                return drawn;
             }
+            begin_segment(b, u);
         }
-        if (b->floating >= 0 && (sign = first_clamp(b, u, &t)) != 0) {
-            zero = -1;
-        }
+        course_t course;
+        start_course(&course, b, span(b, *rest));
+        const int zero = follow_course(&course, b, u);
+        const int sign = (b->floating >= 0) ? first_clamp(b, u, &course.end) : 0;
         if (zero >= 0 || sign != 0) {
-            i = current_after(b, t);
-            phases_of_pair(i, phase);
+            course.last = course_at(&course, course.end);
         }
-        if (b->direction == 0.0 && !holds(b, aligned(b, (plant_vector_t){i[0], i[1]}))) {
+        if (b->direction == 0.0 && !holds(b, aligned(b, (plant_vector_t){course.last[0], course.last[1]}))) {
             break;
         }
-        if (t > INSTANT) {
-            drawn += stride(b, t, u, i, phase, pass.charge);
-            *rest -= t;
-            if (pass.phase >= 0) {
-                account_pass(b, &pass, phase);
-            }
+        if (course.end > INSTANT) {
+            drawn += stride(b, &course, u);
+            *rest -= course.end;
         }
-        if (b->floating >= 0) {
-            if (sign != 0) {
-                set_sign(b, b->floating, sign);
-            } else if (zero >= 0) {
-                end_current(b);
-            }
-        } else if (zero >= 0) {
-            set_sign(b, zero, 0);
-            b->phase[zero] = 0.0;
-        }
-        b->begun = false;
-        if (b->frame_time > 0.99 * b->frame.longest && !rests(b)) {
+        end_segment(b, &course, zero, sign);
+        if (b->frame_time > 0.99 * f->longest && !rests(b)) {
             bridge_settle(b);
         }
     }
     if (*rest > INSTANT) {
         bridge_settle(b);
+    }
+    if (b->framed) {
+        show(b);
     }
     return drawn;
 }
@@ -444,7 +376,11 @@ bool bridge_frame(bridge_t *b, double u)
     return false;
 }
 
-bool bridge_frame_begin(bridge_t *b, double u) { return bridge_frame(b, u); }
+void bridge_frame_begin(bridge_t *b, double u)
+{
+    (void)b;
+    (void)u;
+}
 
 double bridge_frame_advance(bridge_t *b, double *rest, double u)
 {
@@ -454,11 +390,11 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
     return 0.0;
 }
 
-bool bridge_foresee(const bridge_t *b, double h, double phase[BRIDGE_LANES])
+bool bridge_foresee(const bridge_t *b, double h, double i[BRIDGE_LANES])
 {
     (void)b;
     (void)h;
-    (void)phase;
+    (void)i;
     return false;
 }
 
@@ -477,16 +413,15 @@ void bridge_settle(bridge_t *b)
     const double h = b->frame_time;
     const double k_psi = b->k_torque * b->psi_m;
     const plant_vector_t charge = b->frame.charge;
-    const plant_vector_t moment = b->frame.moment;
     b->charge.alpha += charge.alpha;
     b->charge.beta += charge.beta;
+    b->e_copper += b->r_s * b->frame.squares;
+    b->e_switch += b->r_on * b->frame.squares + b->frame.dropped;
     const double early = k_psi * (b->cosine * charge.beta - b->sine * charge.alpha);
-    const double first = k_psi * (b->cosine * moment.beta - b->sine * moment.alpha);
     const double drag = b->load + b->direction * b->friction;
     end_t e;
     const bool standing = b->direction == 0.0;
-    const double mean = 2.0 * first / (h * h) - drag - b->viscous * b->omega; /* for the angle, if flux stood */
-    b->accel = standing ? 0.0 : mean * b->inv_inertia;
+    b->accel = mean_accel(b);
     b->jerk = 0.0;
     turn(b, h, &e);
     e.psi = (plant_vector_t){b->psi.alpha - b->r * charge.alpha, b->psi.beta - b->r * charge.beta};
@@ -519,4 +454,5 @@ void bridge_settle(bridge_t *b)
         b->phase[(zero + 1) % 3] = -b->phase[(zero + 2) % 3];
     }
     b->frame_time = 0.0;
+    bridge_count_turn(b);
 }

@@ -21,7 +21,7 @@ typedef struct {
     plant_vector_t psi, i, charge; /* charge: integral of i */
     double theta, omega, cosine, sine;
     bridge_matrix_t inverse;
-    double phase[BRIDGE_LANES];
+    double phase[3];
     double torque;
 } end_t;
 
@@ -34,29 +34,15 @@ typedef struct {
     int phase, sign;
 } cut_t;
 
-/* Ways through a leg, one bit per phase: from the positive rail; with the drop counting upwards (current out of the
- * motor); through the shunt. */
-#define UPPER(k) (1u << (k))
-#define RAISED(k) (8u << (k))
-#define LOWER(k) (64u << (k))
-#define PHASES(paths, bit0) (((paths) / (bit0)) & 7u)
+#define LEGS 7u
 
 /* Kind of a leg on bus minus; that of any other one is its gates. */
-#define GROUNDED BRIDGE_GATES
-#define LEG_KINDS (BRIDGE_GATES + 1)
+#define GROUNDED 3u
 
-/* For one phase, by kind and sign of the current + 1, to be shifted by the number of the phase. */
-static const unsigned leg_paths[LEG_KINDS][3] = {
-    [BRIDGE_OPEN] = {UPPER(0) | RAISED(0), 0, LOWER(0)},
-    [BRIDGE_HIGH] = {UPPER(0) | RAISED(0), 0, UPPER(0)},
-    [BRIDGE_LOW] = {LOWER(0) | RAISED(0), LOWER(0), LOWER(0)},
-    [GROUNDED] = {0, 0, 0},
-};
-
-/* Ends of the interval, in bus voltages and in drops. */
+/* Ends of the interval by kind of leg, in bus voltages and in drops. */
 static const struct {
     double low_u, low_drop, high_u, high_drop;
-} leg_interval[LEG_KINDS] = {
+} leg_interval[] = {
     [BRIDGE_OPEN] = {0.0, -1.0, 1.0, 1.0},
     [BRIDGE_HIGH] = {1.0, -1.0, 1.0, 1.0},
     [BRIDGE_LOW] = {0.0, -1.0, 0.0, 1.0},
@@ -64,19 +50,17 @@ static const struct {
 };
 
 /* Clarke transform and mean of legs that are at 1 (bit set) or 0. */
-static const struct {
-    plant_vector_t v;
-    double mean;
-} legs_at[8] = {
-    {{0.0, 0.0}, 0.0},
-    {{2.0 * THIRD, 0.0}, THIRD},
-    {{-THIRD, 1.0 / PLANT_SQRT3}, THIRD},
-    {{THIRD, 1.0 / PLANT_SQRT3}, 2.0 * THIRD},
-    {{-THIRD, -1.0 / PLANT_SQRT3}, THIRD},
-    {{THIRD, -1.0 / PLANT_SQRT3}, 2.0 * THIRD},
-    {{-2.0 * THIRD, 0.0}, 2.0 * THIRD},
-    {{0.0, 0.0}, 1.0},
+static const double legs_at[8][BRIDGE_LANES] = {
+    {0.0, 0.0, 0.0},
+    {2.0 * THIRD, 0.0, THIRD},
+    {-THIRD, 1.0 / PLANT_SQRT3, THIRD},
+    {THIRD, 1.0 / PLANT_SQRT3, 2.0 * THIRD},
+    {-THIRD, -1.0 / PLANT_SQRT3, THIRD},
+    {THIRD, -1.0 / PLANT_SQRT3, 2.0 * THIRD},
+    {-2.0 * THIRD, 0.0, 2.0 * THIRD},
+    {0.0, 0.0, 1.0},
 };
+enum { LEGS_ALPHA, LEGS_BETA, LEGS_MEAN };
 
 /* ---- small pieces ------------------------------------------------------------------------------------------------- */
 
@@ -122,48 +106,62 @@ static inline plant_vector_t slope_of(const bridge_t *b, plant_vector_t dpsi)
     return (plant_vector_t){rate.alpha - w * b->i.beta, rate.beta + w * b->i.alpha};
 }
 
-static inline void find_path(bridge_t *b, int k) { b->path[k] = leg_paths[b->kind[k]][b->sign[k] + 1] << k; }
-
-static inline double path_voltage(const bridge_t *b, unsigned path, double u)
+/* Of the current of a leg. */
+static inline int sign_of(const bridge_t *b, int k)
 {
-    return ((path & UPPER(0)) ? u : 0.0) + ((path & RAISED(0)) ? b->v_drop : -b->v_drop);
+    return (int)(b->positive >> k & 1u) - (int)(b->negative >> k & 1u);
+}
+
+/* Ways through legs that stand for themselves, by their gates and signs. */
+static inline bridge_paths_t own_paths(const bridge_t *b)
+{
+    const unsigned out = b->negative & b->own; /* of the motor */
+    const unsigned in = b->positive & b->own;
+    const unsigned lower = b->lower & b->own;
+    return (bridge_paths_t){
+        .upper = (out & ~lower) | (in & b->upper), .raised = out, .lower = (in & ~b->upper) | lower};
 }
 
 /* Way through two legs that touch each other, by the sign of what both give together. Those that are not switched alike
  * are taken for open: where they fight, the comparator has the last word. */
-static inline unsigned joint_path(const bridge_t *b, int sign)
+static inline bridge_paths_t joint_paths(const bridge_t *b, int sign)
 {
-    const bridge_gates_t gates = b->gates[(b->alone + 1) % 3];
-    return leg_paths[(gates == b->gates[(b->alone + 2) % 3]) ? gates : BRIDGE_OPEN][sign + 1];
+    const unsigned joint = b->joint;
+    const bool from_upper = (sign < 0) ? (b->lower & joint) != joint : (b->upper & joint) == joint;
+    return (bridge_paths_t){
+        .upper = from_upper ? joint : 0u, .raised = (sign < 0) ? joint : 0u, .lower = from_upper ? 0u : joint};
+}
+
+static inline double path_voltage(const bridge_t *b, bridge_paths_t paths, double u)
+{
+    return ((paths.upper != 0u) ? u : 0.0) + ((paths.raised != 0u) ? b->v_drop : -b->v_drop);
+}
+
+static inline unsigned kind_of(const bridge_t *b, int k)
+{
+    return (k == b->grounded) ? GROUNDED : (b->upper >> k & 1u) * BRIDGE_HIGH + (b->lower >> k & 1u) * BRIDGE_LOW;
 }
 
 /* Ends of a leg's interval. That of a leg beside two that touch is as seen from these, which are taken to be at -V. */
 static inline double lowest(const bridge_t *b, int k, double u)
 {
-    const unsigned kind = b->kind[k];
+    const unsigned kind = kind_of(b, k);
     const double low = leg_interval[kind].low_u * u + leg_interval[kind].low_drop * b->v_drop - b->play[k];
-    return (k == b->alone) ? low - path_voltage(b, joint_path(b, -1), u) - b->v_drop : low;
+    return (k == b->alone) ? low - path_voltage(b, joint_paths(b, -1), u) - b->v_drop : low;
 }
 
 static inline double highest(const bridge_t *b, int k, double u)
 {
-    const unsigned kind = b->kind[k];
+    const unsigned kind = kind_of(b, k);
     const double high = leg_interval[kind].high_u * u + leg_interval[kind].high_drop * b->v_drop + b->play[k];
-    return (k == b->alone) ? high - path_voltage(b, joint_path(b, 1), u) - b->v_drop : high;
+    return (k == b->alone) ? high - path_voltage(b, joint_paths(b, 1), u) - b->v_drop : high;
 }
 
 static inline void set_sign(bridge_t *b, int k, int sign)
 {
-    if (b->alone >= 0 && k != b->alone) { /* one of two that touch: its own current tells nothing */
-        b->sign[k] = 1;
-        b->way[k] = 0.0;
-        b->zeros &= ~(1u << k);
-        return;
-    }
-    b->sign[k] = sign;
-    b->way[k] = sign;
-    b->zeros = (b->zeros & ~(1u << k)) | (unsigned)(sign == 0) << k;
-    find_path(b, k);
+    const unsigned leg = (1u << k) & ~b->joint;
+    b->positive = (b->positive & ~leg) | ((sign > 0) ? leg : 0u);
+    b->negative = (b->negative & ~leg) | ((sign < 0) ? leg : 0u);
 }
 
 /* First-order lag behind a straight line, exact. */
@@ -264,7 +262,7 @@ PLANT_INLINE double travel_floating(const bridge_t *b, double h, plant_vector_t 
 
 static inline bool crossed(const bridge_t *b, const end_t *e)
 {
-    return e->phase[0] * b->way[0] < 0.0 || e->phase[1] * b->way[1] < 0.0 || e->phase[2] * b->way[2] < 0.0;
+    return e->phase[0] * sign_of(b, 0) < 0.0 || e->phase[1] * sign_of(b, 1) < 0.0 || e->phase[2] * sign_of(b, 2) < 0.0;
 }
 
 /* An end stop lets a resting shaft go one way only. */
@@ -320,6 +318,9 @@ void bridge_shift(const bridge_t *bridge, double h, double t, end_t *end);
 /* bridge.c: take over the end of a step of length h > 0. Returns the charge taken out of the bus. */
 double bridge_accept(bridge_t *bridge, double h, double u_h, const end_t *end);
 
+/* Sine and cosine have been turned on; now and then they are made afresh. */
+void bridge_count_turn(bridge_t *bridge);
+
 /* Take the current of phase k out of i and psi; what is left of it is the error of a root. */
 void bridge_remove_phase(bridge_t *bridge, int k);
 
@@ -336,32 +337,32 @@ void bridge_begin_anew(bridge_t *bridge, double u);
 /* bridge_frame.c: make a frame, if nothing forbids it. */
 bool bridge_frame(bridge_t *bridge, double u);
 
-/* Begin a segment of the frame; false, and the frame is settled, if there is something unusual about it. */
-bool bridge_frame_begin(bridge_t *bridge, double u);
+/* Begin a segment of the frame. */
+void bridge_frame_begin(bridge_t *bridge, double u);
 
 /* Up to `rest` seconds as far as nothing unusual happens; `rest` becomes what is left. Returns the charge taken out of the
  * bus. */
 double bridge_frame_advance(bridge_t *bridge, double *rest, double u);
 
-/* The currents `h` seconds into a segment of the frame; false if something changes before. */
-bool bridge_foresee(const bridge_t *bridge, double h, double phase[BRIDGE_LANES]);
+/* The current `h` seconds into a segment of the frame; false if something changes before. */
+bool bridge_foresee(const bridge_t *bridge, double h, double i[BRIDGE_LANES]);
 
 /* bridge_legs.c: the only leg without current, -1 if there is none, NO_CURRENT if there are more. */
 #define NO_CURRENT 3
 static inline int leg_at_zero(const bridge_t *b)
 {
-    static const int8_t leg[8] = {-1, 0, 1, NO_CURRENT, 2, NO_CURRENT, NO_CURRENT, NO_CURRENT};
-    return leg[b->zeros];
+    static const int8_t leg[8] = {NO_CURRENT, NO_CURRENT, NO_CURRENT, 2, NO_CURRENT, 1, 0, -1};
+    return leg[b->positive | b->negative | b->joint];
 }
 
-/* Leg k, taken to be at -V so far, goes to the voltage inside its interval that keeps its current at zero, or as near to
- * it as it can: `per_n` is L^-1 along its axis, `per_l` 1 over the part of that along the axis. Returns what that adds
- * along the leg's axis [V]. */
-static inline double settle_leg(bridge_t *b, int k, double u, plant_vector_t per_n, double per_l)
+/* Leg k, at -V so far and its current with it at this slope, goes to the voltage inside its interval that keeps the current
+ * at zero, or as near to it as it can; `per_l` is what a volt along its axis makes of the slope, inverted. Returns how far
+ * it has gone up [V]. */
+static inline double settle_leg(bridge_t *b, int k, double u, double slope, double per_l)
 {
     const double low = lowest(b, k, u);
     const double high = highest(b, k, u);
-    const double hold = -1.5 * dot(phase_axis[k], b->di) * per_l - b->v_drop;
+    const double hold = -1.5 * slope * per_l - b->v_drop;
     b->hold = hold;
     double voltage = hold;
     b->floating = -1;
@@ -374,19 +375,21 @@ static inline double settle_leg(bridge_t *b, int k, double u, plant_vector_t per
     } else {
         b->floating = k;
     }
-    const double more = (2.0 / 3.0) * (voltage + b->v_drop);
-    b->di.alpha += more * per_n.alpha;
-    b->di.beta += more * per_n.beta;
-    return more;
+    return voltage + b->v_drop;
 }
 
-/* The way through two legs that touch each other: without current through them any will do, -V is what others expect. */
-static inline void find_joint_path(bridge_t *b)
+/* What conducts. Without current through two legs that touch each other any way will do, -V is what others expect. */
+static inline bridge_paths_t paths_of(const bridge_t *b)
 {
-    const int sign = b->sign[b->alone];
-    const unsigned path = (sign != 0) ? joint_path(b, -sign) : 0u;
-    b->path[(b->alone + 1) % 3] = path << (b->alone + 1) % 3;
-    b->path[(b->alone + 2) % 3] = path << (b->alone + 2) % 3;
+    bridge_paths_t paths = own_paths(b);
+    const int sign = (b->alone >= 0) ? sign_of(b, b->alone) : 0;
+    if (sign != 0) {
+        const bridge_paths_t joint = joint_paths(b, -sign);
+        paths.upper |= joint.upper;
+        paths.raised |= joint.raised;
+        paths.lower |= joint.lower;
+    }
+    return paths;
 }
 
 /* A leg on bus minus that carries a current is there, and not one drop below. */
@@ -401,17 +404,13 @@ static inline void lift_grounded(bridge_t *b)
 /* What conducts, and the vectors that belong to it. */
 static inline void find_paths(bridge_t *b)
 {
-    if (b->alone >= 0) {
-        find_joint_path(b);
-    }
-    b->paths = b->path[0] | b->path[1] | b->path[2];
-    const double drop = 2.0 * b->v_drop; /* the legs are at plus or minus half of this */
-    const unsigned upper = PHASES(b->paths, UPPER(0));
-    const unsigned raised = PHASES(b->paths, RAISED(0));
-    b->a = legs_at[upper].v;
-    b->b = (plant_vector_t){drop * legs_at[raised].v.alpha, drop * legs_at[raised].v.beta};
-    b->level = b->u * legs_at[upper].mean + drop * legs_at[raised].mean - b->v_drop;
-    if (b->grounded >= 0 && b->sign[b->grounded] != 0) {
+    b->paths = paths_of(b);
+    const double *upper = legs_at[b->paths.upper];
+    const double *drops = b->drops[b->paths.raised];
+    b->a = (plant_vector_t){upper[LEGS_ALPHA], upper[LEGS_BETA]};
+    b->b = (plant_vector_t){drops[LEGS_ALPHA], drops[LEGS_BETA]};
+    b->level = b->u * upper[LEGS_MEAN] + drops[LEGS_MEAN];
+    if (b->grounded >= 0 && sign_of(b, b->grounded) != 0) {
         lift_grounded(b);
     }
 }

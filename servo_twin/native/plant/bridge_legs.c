@@ -31,11 +31,7 @@ int bridge_leave_one(bridge_t *b, double u)
 {
     int out = 0;
     int back = 0;
-    if (b->zeros != 7u) {
-        for (int n = 0; n < 3; n++) {
-            set_sign(b, n, 0);
-        }
-    }
+    b->positive = b->negative = 0u;
     b->dead = b->unplugged || bridge_excess(b, u, b->psi, b->omega, &out, &back) <= 0.0 || out == back;
     if (b->dead) {
         return -1;
@@ -78,14 +74,18 @@ void bridge_begin_anew(bridge_t *b, double u)
         b->di = slope_of(b, dpsi);
         if (k >= 0) {
             const plant_vector_t per_n = times(b->inverse, phase_axis[k]);
-            const double more = settle_leg(b, k, u, per_n, 1.0 / dot(phase_axis[k], per_n));
-            const plant_vector_t lift = {more * phase_axis[k].alpha, more * phase_axis[k].beta};
-            dpsi.alpha += lift.alpha;
-            dpsi.beta += lift.beta;
+            const double lift = settle_leg(b, k, u, dot(phase_axis[k], b->di), 1.0 / dot(phase_axis[k], per_n));
+            const double more = (2.0 / 3.0) * lift;
+            const plant_vector_t along = {more * phase_axis[k].alpha, more * phase_axis[k].beta};
+            b->di.alpha += more * per_n.alpha;
+            b->di.beta += more * per_n.beta;
+            dpsi.alpha += along.alpha;
+            dpsi.beta += along.beta;
             find_paths(b);
             if (b->floating >= 0) {
-                b->b.alpha += lift.alpha;
-                b->b.beta += lift.beta;
+                b->b.alpha += along.alpha;
+                b->b.beta += along.beta;
+                b->level += THIRD * lift;
             }
         }
         b->dtorque = b->k_torque * (cross(dpsi, b->i) + cross(b->psi, b->di));
@@ -109,7 +109,9 @@ void bridge_begin_anew(bridge_t *b, double u)
 
 void bridge_begin(bridge_t *b, double u)
 {
-    if (!((b->framed || bridge_frame(b, u)) && bridge_frame_begin(b, u))) {
+    if (b->framed || bridge_frame(b, u)) {
+        bridge_frame_begin(b, u);
+    } else {
         bridge_begin_anew(b, u);
     }
 }

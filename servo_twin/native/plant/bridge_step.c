@@ -46,8 +46,8 @@ static inline double first_zero(const bridge_t *b, double h, int *phase)
     phases_of(b->di, slope);
     double first = h;
     for (int k = 0; k < 3; k++) {
-        const double falls = -slope[k] * b->way[k];
-        const double size = b->phase[k] * b->way[k];
+        const double falls = -slope[k] * sign_of(b, k);
+        const double size = b->phase[k] * sign_of(b, k);
         if (falls > 0.0 && size < falls * first) {
             first = size / falls;
             *phase = k;
@@ -67,8 +67,8 @@ static double to_zero(const bridge_t *b, const end_t *e, double h, int expected,
     double nearest = NEVER;
     phases_of(late, slope);
     for (int k = 0; k < 3; k++) {
-        const double falls = -slope[k] * b->way[k];
-        const double size = e->phase[k] * b->way[k];
+        const double falls = -slope[k] * sign_of(b, k);
+        const double size = e->phase[k] * sign_of(b, k);
         if (falls > 0.0 && (k == expected || size < 0.0) && size < falls * nearest) {
             nearest = size / falls;
             *phase = k;

@@ -90,9 +90,14 @@ static double crossing(supply_t *s, double h, double i_load, bool fed, double u)
     return part;
 }
 
-/* With a change of the regime, a brake or a source of little resistance. */
-static double advance_slowly(supply_t *s, double h, double i_load)
+double supply_advance_slowly(supply_t *s, double h, double i_load)
 {
+    if (s->dip > 0.0) {
+        s->dip -= h;
+        if (s->dip <= 0.0) {
+            supply_recover(s);
+        }
+    }
     const bool fed = s->u < s->u_source || (s->u == s->u_source && i_load > 0.0);
     double u_h;
     double u = settle(s, h, i_load, fed, &u_h);
@@ -116,28 +121,6 @@ static double advance_slowly(supply_t *s, double h, double i_load)
         s->u = 0.0;
     }
     return u_h;
-}
-
-double supply_take_step(supply_t *s, const supply_step_t *step, double i_load)
-{
-    const double h = step->h;
-    if (s->dip > 0.0) {
-        s->dip -= h;
-        if (s->dip <= 0.0) {
-            supply_recover(s);
-        }
-    }
-    if (s->u < s->u_source && !s->braking) { /* the source feeds, nearly always */
-        const double rise = h * s->inv_c * (s->g_source * (s->u_source - s->u) - i_load);
-        const double u = s->u + rise * step->end;
-        if (step->x < 0.125 && u < s->u_source && u > 0.0) {
-            const double u_h = h * (s->u + rise * step->mean);
-            s->e_source += 0.5 * (s->u + u) * ((u - s->u) * s->c + i_load * h);
-            s->u = u;
-            return u_h;
-        }
-    }
-    return advance_slowly(s, h, i_load);
 }
 
 double supply_advance(supply_t *s, double h, double i_load)

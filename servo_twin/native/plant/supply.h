@@ -49,9 +49,26 @@ static inline supply_step_t supply_step_of(const supply_t *supply, double h)
 /* The bus is charged to the voltage of the source. */
 void supply_init(supply_t *supply, const plant_bus_t *config, double ambient);
 
-/* `h` seconds with the current `i_load` drawn. Returns the integral of the bus voltage [V s]. */
+/* `h` seconds with the current `i_load` drawn, whatever happens to the bus meanwhile: a change of the regime, a brake, a
+ * source of little resistance. Returns the integral of the bus voltage [V s]. */
+double supply_advance_slowly(supply_t *supply, double h, double i_load);
+
+/* The same; nearly always the source feeds all along. */
+static inline double supply_take_step(supply_t *s, const supply_step_t *step, double i_load)
+{
+    const double h = step->h;
+    const double rise = h * s->inv_c * (s->g_source * (s->u_source - s->u) - i_load);
+    const double u = s->u + rise * step->end;
+    if (s->u < s->u_source && u < s->u_source && u > 0.0 && step->x < 0.125 && !s->braking && s->dip <= 0.0) {
+        const double u_h = h * (s->u + rise * step->mean);
+        s->e_source += 0.5 * (s->u + u) * ((u - s->u) * s->c + i_load * h);
+        s->u = u;
+        return u_h;
+    }
+    return supply_advance_slowly(s, h, i_load);
+}
+
 double supply_advance(supply_t *supply, double h, double i_load);
-double supply_take_step(supply_t *supply, const supply_step_t *step, double i_load);
 
 /* Another source from now on. */
 void supply_set(supply_t *supply, double volts);

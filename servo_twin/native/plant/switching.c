@@ -3,11 +3,13 @@
 #include <math.h>
 #include <string.h>
 
+#include "plant/inline.h"
 #include "plant/trig.h"
 
 #define CLOCK (1.0 / SWITCHING_CLOCK_HZ) /* [s] */
 #define NEVER UINT64_MAX
-#define EDGE_HORIZON (2.0 * SWITCHING_HORIZON * CLOCK) /* edges are looked for so far ahead [s] */
+/* Edges are looked for as far ahead as a frame may last [s]. */
+#define EDGE_HORIZON (BRIDGE_FRAME + SWITCHING_HORIZON * CLOCK)
 #define THERMAL_STEP UINT64_C(100000) /* [clocks] */
 #define GLITCH 100u /* a disturbance of an encoder line lasts so long [clocks] */
 #define SLIP 100u /* from edge to edge of a disc that slips [clocks] */
@@ -144,10 +146,10 @@ static void find_rare(switching_t *plant)
 }
 
 /* The segment of an axis that begins at the present clock. */
-static void begin(switching_t *plant, switching_axis_t *axis)
+static inline void begin(switching_t *plant, switching_axis_t *axis, double u)
 {
     bridge_t *b = &axis->bridge;
-    bridge_begin(b, plant->supply.u);
+    bridge_begin(b, u);
     axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
     axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
     if (b->moved) {
@@ -165,7 +167,7 @@ void switching_look_around(switching_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
         if (!plant->axis[i].bridge.begun) {
-            begin(plant, &plant->axis[i]);
+            begin(plant, &plant->axis[i], plant->supply.u);
         }
     }
     find_next_of_all(plant);
@@ -175,7 +177,7 @@ void switching_look_around(switching_t *plant)
 /* ---- moving on ---------------------------------------------------------------------------------------------------- */
 
 /* The bus to the present clock, with the currents of both axes extrapolated along their slopes. */
-static void advance_supply(switching_t *plant)
+PLANT_INLINE void move_supply(switching_t *plant)
 {
     const uint64_t from = plant->supply_clock;
     if (plant->now == from) {
@@ -191,12 +193,16 @@ static void advance_supply(switching_t *plant)
         axis->booked += current * h;
         load += current;
     }
-    const double u_h = supply_advance(&plant->supply, h, load);
+    const supply_step_t step = supply_step_of(&plant->supply, h);
+    const double u_h = supply_take_step(&plant->supply, &step, load);
     for (int i = 0; i < BOARD_AXES; i++) {
         plant->axis[i].u_h += u_h;
     }
     plant->supply_clock = plant->now;
 }
+
+/* The same for who comes seldom. */
+static void advance_supply(switching_t *plant) { move_supply(plant); }
 
 /* Output of the comparator. */
 static void compare(switching_t *plant, int i)
@@ -212,23 +218,30 @@ static void compare(switching_t *plant, int i)
     }
 }
 
-/* One axis to the present clock. */
-static void advance_axis(switching_t *plant, int i)
+/* One axis to the present clock. Returns the voltage that the bus was expected to have there: what it really has takes
+ * longer to find out, and makes no difference to the slopes of a segment. */
+PLANT_INLINE double move_axis(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
-    if (axis->clock == plant->now) {
-        return;
-    }
-    advance_supply(plant);
+    move_supply(plant);
+    const double u = plant->supply.u;
     const double charge = bridge_advance(&axis->bridge, seconds(axis->clock, plant->now), axis->u_h);
     supply_take(&plant->supply, charge - axis->booked);
     axis->booked = 0.0;
     axis->u_h = 0.0;
     axis->clock = plant->now;
-    plant->stale = true;
     const plant_vector_t current = axis->bridge.i;
     if (axis->tripped || current.alpha * current.alpha + current.beta * current.beta > axis->square_break) {
         compare(plant, i);
+    }
+    return u;
+}
+
+static void advance_axis(switching_t *plant, int i)
+{
+    if (plant->axis[i].clock != plant->now) {
+        (void)move_axis(plant, i);
+        plant->stale = true;
     }
 }
 
@@ -405,6 +418,21 @@ static void watch_short(switching_t *plant, int i, int phase, switching_leg_t le
     }
 }
 
+/* The axis goes on with other gates. */
+static inline void switch_over(switching_t *plant, int i, int phase, bridge_gates_t gates)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    double u = plant->supply.u;
+    if (axis->clock != plant->now) {
+        u = move_axis(plant, i);
+    } else {
+        bridge_begin_again(&axis->bridge); /* several legs switch at one clock */
+    }
+    bridge_gates(&axis->bridge, phase, gates);
+    begin(plant, axis, u);
+    find_next_of_all(plant);
+}
+
 void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
 {
     switching_axis_t *axis = &plant->axis[i];
@@ -413,12 +441,11 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
         return;
     }
     const bridge_gates_t gates = (leg == SWITCHING_SHORT) ? BRIDGE_OPEN : (bridge_gates_t)leg;
-    if (!bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now))) {
-        advance_axis(plant, i);
-        b->begun = false;
-        plant->stale = true;
+    if (bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now))) {
+        bridge_gates(b, phase, gates);
+    } else {
+        switch_over(plant, i, phase, gates);
     }
-    bridge_gates(b, phase, gates);
     watch_short(plant, i, phase, leg);
 }
 
@@ -432,7 +459,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
     if (!bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), &current)) {
         advance_axis(plant, i);
         switching_look_around(plant);
-        current = axis->bridge.amplifier[phase];
+        current = axis->bridge.amplifier[BRIDGE_LANE(phase)];
     }
     const double shown = current + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
     return plant_harm_code(&axis->harm, phase, plant_code(2048.0 + shown * axis->codes_per_ampere));
@@ -499,7 +526,7 @@ void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
     for (int k = 0; k < 3; k++) {
         truth->phase[k] = b->phase[k];
         truth->shunt[k] = bridge_shunt(b, k);
-        truth->amplifier[k] = b->amplifier[k];
+        truth->amplifier[k] = b->amplifier[BRIDGE_LANE(k)];
     }
 }
 
