@@ -232,8 +232,7 @@ static void run_until(chip_t *chip, uint64_t until)
 {
     while (!chip->stop && step(chip, until)) {
         const core_t *core = &chip->core;
-        if ((core->changed || core->background_due) && !core->booting &&
-            CHIP_TURN_CLOCK(chip_next_turn(chip)) > chip->now) {
+        if (core->changed && !core->booting && CHIP_TURN_CLOCK(chip_next_turn(chip)) > chip->now) {
             core_step(chip); /* all that happens in one clock comes first */
         }
     }

@@ -149,6 +149,7 @@ CHIP_APART static void run_background(chip_t *chip)
     chip->core.background_due = false;
     world_background(chip->world);
     start_handlers(chip);
+    chip->core.changed = chip->core.background_due; /* it has woken itself */
 }
 
 void core_step(chip_t *chip)
@@ -178,8 +179,7 @@ void core_event(chip_t *chip)
     core->deferred_count = frame.deferred;
     core->depth--;
     chip_note(chip, TRACE_LEAVE, frame.vector, 0);
-    core->changed = true;
-    core->background_due = true;
+    core_wake(chip);
     schedule(chip);
 }
 

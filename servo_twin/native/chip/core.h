@@ -39,11 +39,10 @@ typedef struct {
     uint16_t ipr[13], vba, ctrl;
     uint64_t request[2];            /* bit per vector: the peripheral asks */
     uint64_t enabled[CORE_LEVELS][2];
-    bool changed;                   /* look for a handler to start */
+    /* Look for a handler to start, or for the background. Not beside other flags: read together with them, just written, it
+     * would keep a processor waiting until the write is through. */
+    bool changed;
     /* core */
-    bool booting;                   /* every access takes time, no interrupts */
-    bool masked;                    /* all interrupts of peripherals */
-    bool background_due;
     core_frame_t frame[CORE_LEVELS];
     int depth;
     struct {
@@ -51,6 +50,9 @@ typedef struct {
         uint16_t value;
     } deferred[CORE_DEFERRED];
     unsigned deferred_count;
+    bool booting;                   /* every access takes time, no interrupts */
+    bool masked;                    /* all interrupts of peripherals */
+    bool background_due;
     bool deferring;                 /* software is inside a handler */
     uint32_t polls;                 /* reads since time last moved */
     uint64_t access_clocks;         /* per access while booting */

@@ -187,6 +187,13 @@ static inline void intc_request(chip_t *chip, unsigned vector, bool on)
     }
 }
 
+/* The background has something to do, as soon as no handler runs. */
+static inline void core_wake(chip_t *chip)
+{
+    chip->core.background_due = true;
+    chip->core.changed = true;
+}
+
 /* An input of crossbar A, of B (-1: none). */
 void xbar_signal(chip_t *chip, int a_input, int b_input, xbar_edge_t edge);
 

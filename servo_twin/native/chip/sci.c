@@ -59,7 +59,7 @@ static void request(chip_t *chip, unsigned m)
     intc_request(chip, vector + 1u, (stat & (STAT_RDRF | STAT_OR)) != 0 && (sci->ctrl1 & CTRL1_RFIE) != 0);
     intc_request(chip, vector + 2u, (stat & STAT_TIDLE) != 0 && (sci->ctrl1 & CTRL1_TIIE) != 0);
     intc_request(chip, vector + 3u, (stat & STAT_TDRE) != 0 && (sci->ctrl1 & CTRL1_TEIE) != 0);
-    chip->core.background_due = true;
+    core_wake(chip);
 }
 
 /* What a receiver makes of a byte whose bits last `sent` while it believes in `heard`: each bit in its middle, from the
