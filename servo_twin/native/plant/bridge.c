@@ -4,6 +4,7 @@
 #define SPLITS 24 /* parts of one segment; the rest of it is taken in one piece */
 #define CURVED 3e3 /* [1/s] */
 #define NEAR 0.5e-6 /* so soon a current has hardly left the slope that it began with [s] */
+#define FAR 1e9 /* voltage that no leg comes to [V] */
 #define FRESH_TRIG 64u /* turns of sine and cosine until they are evaluated afresh */
 
 /* Where the rotor looks, from its angle. */
@@ -25,6 +26,7 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
 {
     *bridge = (bridge_t){
         .v_drop = config->v_drop,
+        .reach = {config->v_drop, config->v_drop, config->v_drop},
         .r_s = config->r_s,
         .r_on = config->r_on,
         .r = config->r_s + config->r_on,
@@ -194,9 +196,8 @@ static double split_advance(bridge_t *b, double h, double u)
     return charge;
 }
 
-double bridge_advance(bridge_t *b, double h, double u_h)
+double bridge_advance(bridge_t *b, double h, double u)
 {
-    const double u = u_h / h;
     double rest = h;
     const double charge = b->framed ? bridge_frame_advance(b, &rest, u) : 0.0;
     return (rest > INSTANT) ? charge + split_advance(b, rest, u) : charge;
@@ -212,27 +213,27 @@ bool bridge_amplifier(const bridge_t *b, int k, double h, double *shown)
         return true;
     }
     double current;
+    double slope, late; /* of it, now and then */
     double i[BRIDGE_LANES];
-    if (bridge_foresee(b, h, i)) {
+    double di[BRIDGE_LANES];
+    if (bridge_foresee(b, h, i, di)) {
         current = i[BRIDGE_LANE(k)];
+        slope = b->frame.di[BRIDGE_LANE(k)];
+        late = di[BRIDGE_LANE(k)];
     } else if (h <= NEAR) {
-        current = b->phase[k] + h * dot(b->di, phase_axis[k]);
+        slope = late = dot(b->di, phase_axis[k]);
+        current = b->phase[k] + h * slope;
     } else {
         return false;
     }
     const double seen = (b->paths.lower >> k & 1u) ? 1.0 : 0.0;
-    *shown = lag_behind(before, seen * b->phase[k], seen * current, b->tau / h, decay(b, h));
+    *shown = seen * (current - b->tau * late) + (before - seen * (b->phase[k] - b->tau * slope)) * decay(b, h);
     return true;
 }
 
 double bridge_shunt(const bridge_t *b, int k) { return (b->paths.lower >> k & 1u) ? b->phase[k] : 0.0; }
 
-void bridge_gates(bridge_t *b, int k, bridge_gates_t gates)
-{
-    const unsigned leg = 1u << k;
-    b->upper = (b->upper & ~leg) | ((unsigned)gates & 1u) << k;
-    b->lower = (b->lower & ~leg) | ((unsigned)gates >> 1) << k;
-}
+void bridge_gates(bridge_t *b, int k, bridge_gates_t gates) { set_gates(b, k, gates); }
 
 /* Without current: true if none begins with the leg's other gates. */
 static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
@@ -274,7 +275,7 @@ bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
     }
     /* the diode across the other switch conducts, whether its gate is on or off */
     const unsigned on = (sign > 0) ? b->upper : b->lower;
-    if ((on >> k & 1u) != (gates == ((sign > 0) ? BRIDGE_HIGH : BRIDGE_LOW))) {
+    if ((on >> k & 1u) != ((sign > 0) ? (unsigned)gates & 1u : (unsigned)gates >> 1)) {
         return false;
     }
     /* the current must not have been at zero yet: i'' is some R / L + w times i', and less than CURVED times that */
@@ -307,13 +308,15 @@ void bridge_plug(bridge_t *b, bool plugged)
     }
 }
 
+static bool is_open(const bridge_t *b, int k) { return b->reach[k] >= FAR; }
+
 /* An open phase is beyond the reach of any short. */
 static void rewire(bridge_t *b)
 {
     const int alone = b->shorted_beside;
-    const bool joint = alone >= 0 && b->play[(alone + 1) % 3] <= 0.0 && b->play[(alone + 2) % 3] <= 0.0;
+    const bool joint = alone >= 0 && !is_open(b, (alone + 1) % 3) && !is_open(b, (alone + 2) % 3);
     b->alone = joint ? alone : -1;
-    b->grounded = (b->shorted_leg >= 0 && b->play[b->shorted_leg] <= 0.0) ? b->shorted_leg : -1;
+    b->grounded = (b->shorted_leg >= 0 && !is_open(b, b->shorted_leg)) ? b->shorted_leg : -1;
     b->shorted = b->grounded >= 0 || b->alone >= 0;
     b->joint = joint ? LEGS & ~(1u << alone) : 0u;
     b->own = LEGS & ~b->joint & ~((b->grounded >= 0) ? 1u << b->grounded : 0u);
@@ -326,7 +329,7 @@ static void rewire(bridge_t *b)
 
 void bridge_open(bridge_t *b, int k, bool open)
 {
-    b->play[k] = open ? 1e9 : 0.0;
+    b->reach[k] = open ? FAR : b->v_drop;
     if (open) {
         bridge_remove_phase(b, k);
     }

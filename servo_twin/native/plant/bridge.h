@@ -24,8 +24,8 @@
  * (u h/L) (h/tau)^3 / 12, for the motors of the reference design some 1e-7 A in 10 us and 1e-5 A in 30 us. Whole runs
  * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A).
  *
- * While nothing unusual happens segments are parabolas within a frame (bridge_frame.c), which costs less than a third; whole
- * runs stay within 1e-4 A then.
+ * While nothing unusual happens and no leg touches anything segments are parabolas within a frame (bridge_frame.c), which
+ * costs less than a third; whole runs stay within 1e-4 A then.
  *
  * Broken wires: the interval of an open leg has no ends, that of a leg on bus minus no width, and two legs that touch go
  * together: the third one's current alone decides on their voltage.
@@ -76,7 +76,8 @@ typedef struct {
     double per_l[3];                     /* .. and 1 over its part in that phase [H] */
     plant_vector_t charge, moment;       /* since its beginning, and the integral of that [A s], [A s^2] */
     double reluctance;                   /* part of the torque there [N m] */
-    double squares, dropped;             /* 3/2 of the integral of i^2 [A^2 s]; lost in the drops [J] */
+    double squares[2], work[2];          /* integrals of 3/2 i^2 [A^2 s] and of v i [V A s], alpha and beta */
+    double taken;                        /* out of the bus, less what passes through zero have saved [J] */
     /* the segment */
     double i[BRIDGE_LANES], di[BRIDGE_LANES], ddi[BRIDGE_LANES]; /* where it begins [A], [A/s], [A/s^2] */
     double v[BRIDGE_LANES];              /* of the legs: alpha, beta, their mean, nothing [V] */
@@ -109,7 +110,7 @@ typedef struct {
     double load;                         /* [N m] */
     bool locked, unplugged;
     double low, high;                    /* end stops, inelastic, mechanical [rad] */
-    double play[3];                      /* beyond both ends of a leg's interval: without end for an open phase [V] */
+    double reach[3];                     /* of a leg's interval beyond the rails, without end for an open phase [V] */
     int shorted_leg, shorted_beside;     /* the next two, were no phase open */
     int grounded;                        /* leg that touches bus minus, -1: none */
     int alone;                           /* the other two legs touch each other, -1: they do not */
@@ -139,6 +140,7 @@ typedef struct {
     plant_vector_t a, b;                 /* v = u a + b */
     double level;                        /* mean of the legs above the negative rail [V] */
     plant_vector_t di;                   /* [A/s] */
+    double drain, drain_slope;           /* current out of the bus, for others [A], [A/s] */
     double dtorque;                      /* [N m/s] */
     double direction;                    /* of motion, 1 or -1; 0: stands */
     double accel, jerk;                  /* [rad/s^2], [rad/s^3] */
@@ -164,9 +166,8 @@ void bridge_settle(bridge_t *bridge);
 /* Look at the present gates, currents and bus voltage: how this segment begins. */
 void bridge_begin(bridge_t *bridge, double u_dc);
 
-/* Move on by `h` seconds, in which the bus voltage has the integral `u_h` [V s]. Returns the charge taken out of the
- * bus [A s]. */
-double bridge_advance(bridge_t *bridge, double h, double u_h);
+/* Move on by `h` seconds, in which the bus voltage has the mean `u`. Returns the charge taken out of the bus [A s]. */
+double bridge_advance(bridge_t *bridge, double h, double u);
 
 /* What a phase's amplifier shows `h` seconds into the segment; false if something changes before. */
 bool bridge_amplifier(const bridge_t *bridge, int phase, double h, double *shown);

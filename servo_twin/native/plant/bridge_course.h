@@ -2,9 +2,8 @@
  *
  * Where a phase's current comes to zero its leg goes to another voltage: with a gate on, the drop changes its sign, and the
  * current goes through if that lets it; or else the leg floats. Either way the segment goes on as another parabola. What
- * that adds to charge, impulse and losses follows from the volts and the moments; only the amplifiers and the square of the
- * current go by a straight line to the end, from which a leg that floats after some 20 mA in a dead time is 3 mA away for a
- * few of the amplifier's time constants. Where it can't go on so, the segment ends.
+ * that adds to charge, impulse, losses and amplifiers follows from the volts and the moments; only the square of the current
+ * goes by a straight line to the end. Where it can't go on so, the segment ends.
  */
 #ifndef PLANT_BRIDGE_COURSE_H
 #define PLANT_BRIDGE_COURSE_H
@@ -13,6 +12,13 @@
 
 #define STRAIGHT 0.05 /* bend of a current on its way through zero, of its fall, that a series is good for */
 #define PASSES 4
+#define FADED 12.0 /* time constants of an amplifier after which nothing is left of a step */
+
+/* How a segment begins. */
+typedef struct {
+    lanes_t i, di, ddi; /* [A], [A/s], [A/s^2] */
+    lanes_t v;          /* of the legs: alpha, beta, their mean, nothing [V] */
+} segment_t;
 
 typedef struct {
     int phase;
@@ -31,19 +37,61 @@ typedef struct {
     pass_t pass[PASSES];
 } course_t;
 
+PLANT_INLINE segment_t segment_of(const bridge_t *b)
+{
+    const bridge_frame_t *f = &b->frame;
+    return (segment_t){lanes_of(f->i), lanes_of(f->di), lanes_of(f->ddi), lanes_of(f->v)};
+}
+
+PLANT_INLINE void keep_segment(bridge_t *b, const segment_t *s)
+{
+    bridge_frame_t *f = &b->frame;
+    put_lanes(f->i, s->i);
+    put_lanes(f->di, s->di);
+    put_lanes(f->ddi, s->ddi);
+    put_lanes(f->v, s->v);
+    put(&b->di, vector(s->di));
+    b->drain = 1.5 * sum(pair_of(&b->a) * vector(s->i));
+    b->drain_slope = 1.5 * sum(pair_of(&b->a) * vector(s->di));
+}
+
+/* ---- legs: a frame has none that touches another one, or bus minus ---------------------------------------------------- */
+
+/* What conducts. What is said of a leg without current makes no difference. */
+PLANT_INLINE void find_way(bridge_t *b)
+{
+    const unsigned upper = (b->negative & ~b->lower) | (b->positive & b->upper);
+    b->paths = (bridge_paths_t){.upper = upper, .raised = b->negative, .lower = LEGS & ~upper};
+    put(&b->a, vector(lanes_of(legs_at[upper])));
+}
+
+/* Ends of a leg's interval. */
+PLANT_INLINE double low_end(const bridge_t *b, int k, double u)
+{
+    return ((b->upper >> k & 1u) != 0u ? u : 0.0) - b->reach[k];
+}
+
+PLANT_INLINE double high_end(const bridge_t *b, int k, double u)
+{
+    return ((b->lower >> k & 1u) != 0u ? 0.0 : u) + b->reach[k];
+}
+
+/* ---- the way ---------------------------------------------------------------------------------------------------------- */
+
 PLANT_INLINE lanes_t course_at(const course_t *c, double t)
 {
     const double h = t - c->from;
     return c->i + all(h) * (c->di + all(0.5 * h) * c->ddi);
 }
 
-PLANT_INLINE void start_course(course_t *c, const bridge_t *b, double end)
+PLANT_INLINE lanes_t slope_at(const course_t *c, double t) { return c->di + all(t - c->from) * c->ddi; }
+
+PLANT_INLINE void start_course(course_t *c, const bridge_t *b, const segment_t *s, double end)
 {
-    const bridge_frame_t *f = &b->frame;
     c->from = 0.0;
-    c->i = lanes_of(f->i);
-    c->di = lanes_of(f->di);
-    c->ddi = lanes_of(f->ddi);
+    c->i = s->i;
+    c->di = s->di;
+    c->ddi = s->ddi;
     c->end = end;
     c->last = course_at(c, end);
     c->positive = b->positive;
@@ -52,19 +100,24 @@ PLANT_INLINE void start_course(course_t *c, const bridge_t *b, double end)
     c->passes = 0;
 }
 
-/* Root within h of a parabola that goes from f0 to f1 on the other side of zero, with the slope d0: where its chord is at
- * zero, and the bend as a series. One that bends much is solved. */
-PLANT_INLINE double chord_root(double f0, double f1, double d0, double h)
+/* Where parabolas that begin with slopes d0 go through zero within h, by phase: where the chord does, and the bend as a
+ * series. Returns the phases, bit per leg, for which that is good enough. */
+PLANT_INLINE unsigned chord_roots(lanes_t f0, lanes_t f1, lanes_t d0, double h, lanes_t *root)
 {
-    const double bend = f1 - f0 - d0 * h;
-    const double per_fall = 1.0 / (f0 - f1);
-    const double part = f0 * per_fall;
-    const double bent = bend * per_fall;
-    if (part > 0.0 && part < 1.0 && bent < STRAIGHT && bent > -STRAIGHT) {
-        return h * (part - bent * part * (1.0 - part) * (1.0 - bent * (1.0 - 2.0 * part)));
-    }
+    const lanes_t fall = f0 - f1;
+    const lanes_t per_fall = all(1.0) / fall;
+    const lanes_t part = f0 * per_fall;
+    const lanes_t left = all(1.0) - part;
+    const lanes_t bent = (all(-h) * d0 - fall) * per_fall;
+    *root = all(h) * (part - bent * part * left * (all(1.0) - bent * (left - part)));
+    return legs_where((part > 0.0) & (left > 0.0) & (bent < STRAIGHT) & (bent > -STRAIGHT));
+}
+
+/* The same for one that bends much. */
+static inline double bent_root(double f0, double f1, double d0, double h)
+{
     const double way = (f1 < 0.0) ? 1.0 : -1.0;
-    return root_within(f0 * way, d0 * way, bend * way / (h * h), h);
+    return root_of(f0 * way, d0 * way, f1 * way, h);
 }
 
 /* Of the phases `beyond` zero at the end: which was the first to be there, and when. In branches, that a processor may go
@@ -72,12 +125,15 @@ PLANT_INLINE double chord_root(double f0, double f1, double d0, double h)
 PLANT_INLINE int first_zero(const course_t *c, unsigned beyond, double *t)
 {
     const double h = c->end - c->from;
+    lanes_t roots;
+    const unsigned straight = chord_roots(c->i, c->last, c->di, h, &roots);
     double soonest = h;
     int first = -1;
     for (int k = 0; k < 3; k++) {
         if ((beyond >> k & 1u) != 0u) {
             const int lane = BRIDGE_LANE(k);
-            const double zero = chord_root(c->i[lane], c->last[lane], c->di[lane], h);
+            const double zero =
+                (straight >> k & 1u) != 0u ? roots[lane] : bent_root(c->i[lane], c->last[lane], c->di[lane], h);
             if (first < 0 || zero < soonest) {
                 first = k;
                 soonest = zero;
@@ -92,7 +148,7 @@ PLANT_INLINE int first_zero(const course_t *c, unsigned beyond, double *t)
  * end there. */
 PLANT_INLINE bool pass_zero(course_t *c, const bridge_t *b, int k, double t, double u)
 {
-    if (c->floating >= 0 || b->shorted || c->passes == PASSES) {
+    if (c->floating >= 0 || c->passes == PASSES) {
         return false;
     }
     const bridge_frame_t *f = &b->frame;
@@ -153,19 +209,24 @@ PLANT_INLINE int follow_course(course_t *c, const bridge_t *b, double u)
     }
 }
 
-/* What the passes add to charge, impulse of the voltage and losses [A s], [V s], [J]. */
-PLANT_INLINE void account_passes(const course_t *c, const bridge_frame_t *f, pair_t *charge, lanes_t *impulse,
+/* What the passes add to charge, impulse of the voltage and losses [A s], [V s], [J]; and what the amplifiers have not seen
+ * of the slope at the end [A/s]. */
+PLANT_INLINE void account_passes(const course_t *c, const bridge_t *b, pair_t *charge, lanes_t *impulse, lanes_t *slope,
                                  double *lost)
 {
     double last[BRIDGE_LANES];
     put_lanes(last, c->last);
     for (const pass_t *pass = c->pass; pass < c->pass + c->passes; pass++) {
+        const lanes_t along = lanes_of(b->frame.along[pass->phase]);
         const double h = c->end - pass->at;
         const double volt_seconds = h * (pass->volts + 0.5 * h * pass->slope);
         const double volt_seconds_2 = h * h * (pass->volts + THIRD * h * pass->slope); /* twice their integral */
-        *charge += both(THIRD * volt_seconds_2) * vector(lanes_of(f->along[pass->phase]));
+        *charge += both(THIRD * volt_seconds_2) * vector(along);
         *impulse += all(volt_seconds) * lanes_of(legs_at[1u << pass->phase]);
         *lost -= 0.5 * volt_seconds * last[BRIDGE_LANE(pass->phase)];
+        if (h < FADED * b->tau) {
+            *slope -= all((2.0 / 3.0) * pass->volts * decay(b, h)) * along;
+        }
     }
 }
 

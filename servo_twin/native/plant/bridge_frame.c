@@ -33,7 +33,6 @@ static inline double mean_accel(const bridge_t *b)
 #define DRIVEN_OF_TIME_CONSTANT 0.03
 #define IDLE_OF_TIME_CONSTANT 0.05
 #define OF_TURN 0.016 /* [rad] */
-#define LONGEST BRIDGE_FRAME
 #define SHORTEST 2e-6
 #define MARGIN 0.05 /* of friction, for the reluctance torque */
 #define SPLITS 24 /* parts of one segment */
@@ -41,7 +40,7 @@ static inline double mean_accel(const bridge_t *b)
 /* The shaft is far from standing still and from its end stops: whatever the currents do meanwhile. */
 static inline bool runs_freely(const bridge_t *b)
 {
-    const double time = 2.0 * LONGEST;
+    const double time = 2.0 * BRIDGE_FRAME;
     const double most = fabs(b->i.alpha) + fabs(b->i.beta) + time * b->u * (b->inv_l_mean + fabs(b->inv_l_half));
     const double torque = b->k_torque * (b->psi_m + fabs(b->l_d - b->l_q) * most) * most + fabs(b->load) + b->friction;
     const double reach = 2.0 * time * fabs(b->omega);
@@ -69,12 +68,12 @@ PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
 {
     b->u = u;
     const bool standing = stands(b);
-    if (b->locked || b->held || b->unplugged || !(standing || runs_freely(b))) {
+    if (b->locked || b->held || b->unplugged || b->shorted || !(standing || runs_freely(b))) {
         return false;
     }
     const double w = b->pole_pairs * b->omega;
     const double time_constant = 10.0 * b->longest;
-    double longest = shorter(LONGEST, FRAME_OF_TIME_CONSTANT * time_constant);
+    double longest = shorter(BRIDGE_FRAME, FRAME_OF_TIME_CONSTANT * time_constant);
     longest = (longest * fabs(w) > OF_TURN) ? OF_TURN / fabs(w) : longest;
     const double longest_driven = shorter(longest, DRIVEN_OF_TIME_CONSTANT * time_constant);
     if (longest_driven < SHORTEST) {
@@ -110,7 +109,9 @@ PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
     }
     put_lanes(f->i, (lanes_t){b->i.alpha, b->i.beta, b->phase[1], b->phase[2]});
     f->charge = f->moment = (plant_vector_t){0.0, 0.0};
-    f->squares = f->dropped = 0.0;
+    put_pair(f->squares, both(0.0));
+    put_pair(f->work, both(0.0));
+    f->taken = 0.0;
     f->reluctance = b->torque - aligned(b, b->i);
     b->frame_time = 0.0;
     b->direction = standing ? 0.0 : (b->omega > 0.0) ? 1.0 : -1.0;
@@ -127,34 +128,22 @@ static inline bool rests(const bridge_t *b) { return b->dead && b->direction == 
 
 /* ---- begin -------------------------------------------------------------------------------------------------------- */
 
-/* What conducts, and what it gives to the motor. */
-PLANT_INLINE lanes_t find_voltage(bridge_t *b, double u)
-{
-    b->paths = paths_of(b);
-    const lanes_t upper = lanes_of(legs_at[b->paths.upper]);
-    put(&b->a, vector(upper));
-    lanes_t v = all(u) * upper + lanes_of(b->drops[b->paths.raised]);
-    if (b->grounded >= 0 && sign_of(b, b->grounded) != 0) { /* it is there, and not one drop below */
-        v += all(b->v_drop) * lanes_of(legs_at[1u << b->grounded]);
-    }
-    return v;
-}
-
 /* A leg without current takes the voltage that keeps it so, or begins to conduct. */
-PLANT_INLINE void settle_at_zero(bridge_t *b, int k, double u, lanes_t *v, lanes_t *di)
+PLANT_INLINE void settle_at_zero(bridge_t *b, segment_t *s, int k, double u)
 {
-    const bridge_frame_t *f = &b->frame;
-    const double lift = settle_leg(b, k, u, phase_of(*di, k), f->per_l[k]);
-    *di += all((2.0 / 3.0) * lift) * lanes_of(f->along[k]);
-    *v = (b->floating >= 0) ? *v + all(lift) * lanes_of(legs_at[1u << k]) : find_voltage(b, u);
-}
-
-/* How the voltage of the leg that floats has to change for its current to stay at zero. */
-PLANT_INLINE void bend_at_zero(bridge_frame_t *f, int k, lanes_t *ddi)
-{
-    const double more = -phase_of(*ddi, k) * f->per_l[k];
-    *ddi += all(more) * lanes_of(f->along[k]);
-    f->hold_slope = 1.5 * more;
+    bridge_frame_t *f = &b->frame;
+    const lanes_t along = lanes_of(f->along[k]);
+    const double lift = settle_leg(b, k, low_end(b, k, u), high_end(b, k, u), phase_of(s->di, k), f->per_l[k]);
+    const lanes_t more = all((2.0 / 3.0) * lift) * along;
+    s->v += all(lift) * lanes_of(legs_at[1u << k]);
+    s->di += more;
+    s->ddi += product(f->drift, more);
+    if (b->floating >= 0) { /* its voltage has to change for its current to stay at zero */
+        f->hold_slope = -1.5 * phase_of(s->ddi, k) * f->per_l[k];
+        s->ddi += all((2.0 / 3.0) * f->hold_slope) * along;
+    } else {
+        find_way(b);
+    }
 }
 
 /* Without any current the flux is that of the magnet, where it looks by now. */
@@ -175,9 +164,10 @@ static inline void leave_magnet(bridge_t *b)
     b->psi.beta += b->r * b->frame.charge.beta;
 }
 
-PLANT_INLINE void begin_segment(bridge_t *b, double u)
+/* With the present gates, from the currents in `s`. */
+PLANT_INLINE void begin_segment(bridge_t *b, segment_t *s, double u)
 {
-    bridge_frame_t *f = &b->frame;
+    const bridge_frame_t *f = &b->frame;
     int k = leg_at_zero(b);
     b->dead = false;
     b->floating = -1;
@@ -190,59 +180,60 @@ PLANT_INLINE void begin_segment(bridge_t *b, double u)
             leave_magnet(b);
         }
     }
-    lanes_t v = find_voltage(b, u);
-    lanes_t di = all(0.0);
-    lanes_t ddi = all(0.0);
+    find_way(b);
+    s->v = all(u) * lanes_of(legs_at[b->paths.upper]) + lanes_of(b->drops[b->paths.raised]);
     if (b->dead) {
-        b->a = (plant_vector_t){0.0, 0.0};
-        v *= (lanes_t){0.0, 0.0, 1.0, 0.0};
-    } else {
-        const lanes_t push_slope = lanes_of(f->push_slope);
-        di = product(f->inverse, v) + product(f->drift, lanes_of(f->i)) +
-             (lanes_of(f->push) + all(b->frame_time) * push_slope);
-        if (k >= 0) {
-            settle_at_zero(b, k, u, &v, &di);
-        }
-        ddi = product(f->drift, di) + push_slope; /* i'' = K i' + e' */
-        if (b->floating >= 0) {
-            bend_at_zero(f, k, &ddi);
-        }
+        s->v *= (lanes_t){0.0, 0.0, 1.0, 0.0};
+        s->di = s->ddi = all(0.0);
+        return;
     }
-    put_lanes(f->v, v);
-    put_lanes(f->di, di);
-    put_lanes(f->ddi, ddi);
-    put(&b->di, vector(di));
+    const lanes_t push_slope = lanes_of(f->push_slope);
+    s->di = product(f->inverse, s->v) + product(f->drift, s->i) + (lanes_of(f->push) + all(b->frame_time) * push_slope);
+    s->ddi = product(f->drift, s->di) + push_slope; /* i'' = K i' + e' */
+    if (k >= 0) {
+        settle_at_zero(b, s, k, u);
+    }
 }
 
-PLANT_WIDE void bridge_frame_begin(bridge_t *b, double u) { begin_segment(b, u); }
+PLANT_WIDE PLANT_ONCE void bridge_frame_begin(bridge_t *b, double u)
+{
+    segment_t s = {.i = lanes_of(b->frame.i)};
+    begin_segment(b, &s, u);
+    keep_segment(b, &s);
+}
 
 /* ---- go on -------------------------------------------------------------------------------------------------------- */
 
 /* How much of `rest` is one segment. */
 static inline double span(const bridge_t *b, double rest)
 {
+    const bridge_frame_t *f = &b->frame;
+    if (rest <= f->longest_driven) {
+        return rest;
+    }
     const bool idle = b->paths.upper == 0u || b->paths.upper == LEGS;
-    const double most = idle ? b->frame.longest_idle : b->frame.longest_driven;
-    return (rest < most) ? rest : most;
+    return idle ? shorter(rest, f->longest_idle) : f->longest_driven;
 }
 
-PLANT_WIDE bool bridge_foresee(const bridge_t *b, double h, double i[BRIDGE_LANES])
+PLANT_WIDE bool bridge_foresee(const bridge_t *b, double h, double i[BRIDGE_LANES], double di[BRIDGE_LANES])
 {
-    const bridge_frame_t *f = &b->frame;
     if (!b->framed || !b->begun || b->floating >= 0 || h > span(b, h)) {
         return false;
     }
-    const lanes_t there = lanes_of(f->i) + all(h) * (lanes_of(f->di) + all(0.5 * h) * lanes_of(f->ddi));
-    put_lanes(i, there);
-    return beyond_zero(there, b->positive, b->negative) == 0u;
+    const segment_t s = segment_of(b);
+    course_t c;
+    start_course(&c, b, &s, h);
+    put_lanes(i, c.last);
+    put_lanes(di, slope_at(&c, h));
+    return beyond_zero(c.last, b->positive, b->negative) == 0u;
 }
 
 /* The moment up to *t at which the floating leg's voltage leaves its interval, whose ends follow the bus; returns the sign
  * of the current that begins then. */
 static inline int first_clamp(const bridge_t *b, double u, double *t)
 {
-    const double low = lowest(b, b->floating, u);
-    const double high = highest(b, b->floating, u);
+    const double low = low_end(b, b->floating, u);
+    const double high = high_end(b, b->floating, u);
     const double end = b->hold + b->frame.hold_slope * *t;
     if (end >= low && end <= high) {
         return 0;
@@ -252,108 +243,108 @@ static inline int first_clamp(const bridge_t *b, double u, double *t)
     return (end < low) ? 1 : -1;
 }
 
-/* The amplifiers of all phases, as filter() of bridge.c. */
-PLANT_INLINE void filter_lanes(bridge_t *b, double t, lanes_t from, lanes_t to)
+/* The amplifiers of all phases follow what goes through their shunts, as late as its slope says, the one that they see at the
+ * end; what is left of earlier times decays. */
+PLANT_INLINE void filter_lanes(bridge_t *b, const segment_t *s, const course_t *c, lanes_t slope)
 {
     static const double through[8][BRIDGE_LANES] = {{0, 0, 0, 0}, {1, 0, 0, 0}, {0, 0, 1, 0}, {1, 0, 1, 0},
                                                     {0, 0, 0, 1}, {1, 0, 0, 1}, {0, 0, 1, 1}, {1, 0, 1, 1}};
     const lanes_t seen = lanes_of(through[b->paths.lower]);
-    const lanes_t shown = lanes_of(b->amplifier);
-    const lanes_t lag = all(b->tau / t) * seen * (to - from);
-    put_lanes(b->amplifier, seen * to - lag + (shown - seen * from + lag) * all(decay(b, t)));
+    const lanes_t tau = all(b->tau);
+    const lanes_t off = lanes_of(b->amplifier) - seen * (s->i - tau * s->di);
+    put_lanes(b->amplifier, seen * (c->last - tau * slope) + off * all(decay(b, c->end)));
 }
 
-/* The segment, as it has gone. Returns the charge taken out of the bus. */
-PLANT_INLINE double stride(bridge_t *b, const course_t *c, double u)
+/* The segment, as it has gone. */
+PLANT_INLINE void stride(bridge_t *b, const segment_t *s, const course_t *c, double u, double *drawn)
 {
     bridge_frame_t *f = &b->frame;
     const double t = c->end;
-    const lanes_t from = lanes_of(f->i);
-    const lanes_t v = lanes_of(f->v) + all(u - b->u) * lanes_of(legs_at[b->paths.upper]); /* the bus has moved since */
-    const pair_t before = vector(from);
+    const lanes_t v = s->v + all(u - b->u) * lanes_of(legs_at[b->paths.upper]); /* the bus has moved since */
+    const pair_t before = vector(s->i);
     const pair_t after = vector(c->last);
-    pair_t charge =
-        both(t) *
-        (before + both(t) * (both(0.5) * vector(lanes_of(f->di)) + both(SIXTH * t) * vector(lanes_of(f->ddi))));
+    pair_t charge = both(t) * (before + both(t) * (both(0.5) * vector(s->di) + both(SIXTH * t) * vector(s->ddi)));
     lanes_t impulse = all(t) * v;
-    filter_lanes(b, t, from, c->last);
+    lanes_t slope = slope_at(c, t);
     if (c->passes > 0) {
-        account_passes(c, f, &charge, &impulse, &f->dropped);
+        account_passes(c, b, &charge, &impulse, &slope, &f->taken);
     }
+    filter_lanes(b, s, c, slope);
     if (b->floating >= 0) {
         impulse += all(0.5 * f->hold_slope * t * t) * lanes_of(legs_at[1u << b->floating]);
     }
-    const double drawn = 1.5 * sum(pair_of(&b->a) * charge);
-    f->squares += (0.5 * t) * sum(before * (before + after) + after * after);
-    f->dropped += drawn * u - 1.5 * sum(vector(v) * charge);
-    b->e_bus += drawn * u;
+    const double taken = 1.5 * sum(pair_of(&b->a) * charge);
+    f->taken += taken * u;
+    *drawn += taken;
+    put_pair(f->squares, pair_at(f->squares) + both(0.5 * t) * (before * (before + after) + after * after));
+    put_pair(f->work, pair_at(f->work) + vector(v) * charge);
     const pair_t earlier = pair_of(&f->charge);
     put(&f->charge, earlier + charge);
     put(&f->moment, pair_of(&f->moment) + both(t) * (earlier + both(SIXTH * t) * (both(2.0) * before + after)));
     put(&b->psi, pair_of(&b->psi) + vector(impulse));
     b->volt_seconds_0 += impulse[LEGS_MEAN];
     b->frame_time += t;
-    return drawn;
 }
 
 /* Signs and currents where the segment has ended: at zero in leg `zero` unless that is -1, and a leg that has floated begins
  * to conduct unless `sign` is 0. */
-PLANT_INLINE void end_segment(bridge_t *b, const course_t *c, int zero, int sign)
+PLANT_INLINE lanes_t end_segment(bridge_t *b, const course_t *c, int zero, int sign)
 {
-    lanes_t i = c->last;
-    b->begun = false;
     b->positive = c->positive;
     b->negative = c->negative;
     if (sign != 0) {
         set_sign(b, b->floating, sign);
-        i = without(i, b->floating);
-    } else if (zero >= 0 && c->floating >= 0) { /* the last current */
+        return without(c->last, b->floating);
+    }
+    if (zero >= 0 && c->floating >= 0) { /* the last current */
         b->positive = b->negative = 0u;
-        i = all(0.0);
-    } else if (zero >= 0 || c->floating >= 0) {
+        return all(0.0);
+    }
+    if (zero >= 0 || c->floating >= 0) {
         const int k = (zero >= 0) ? zero : c->floating;
         set_sign(b, k, 0);
-        i = without(i, k);
+        return without(c->last, k);
     }
-    put_lanes(b->frame.i, i);
+    return c->last;
 }
 
 /* The currents, for others. */
-PLANT_INLINE void show(bridge_t *b)
+PLANT_INLINE void show(bridge_t *b, lanes_t i)
 {
-    const lanes_t i = lanes_of(b->frame.i);
     put(&b->i, vector(i));
     b->phase[0] = i[BRIDGE_LANE(0)];
     b->phase[1] = i[BRIDGE_LANE(1)];
     b->phase[2] = i[BRIDGE_LANE(2)];
 }
 
-PLANT_WIDE double bridge_frame_advance(bridge_t *b, double *rest, double u)
+PLANT_WIDE PLANT_ONCE double bridge_frame_advance(bridge_t *b, double *rest, double u)
 {
-    const bridge_frame_t *f = &b->frame;
+    bridge_frame_t *f = &b->frame;
     double drawn = 0.0;
     for (int n = 0; n < SPLITS && *rest > INSTANT; n++) {
         if (!b->begun) {
             if (!b->framed && !bridge_frame(b, u)) {
-                return drawn;
+                break;
             }
-            begin_segment(b, u);
+            bridge_frame_begin(b, u);
         }
-        course_t course;
-        start_course(&course, b, span(b, *rest));
-        const int zero = follow_course(&course, b, u);
-        const int sign = (b->floating >= 0) ? first_clamp(b, u, &course.end) : 0;
+        const segment_t s = segment_of(b);
+        course_t c;
+        start_course(&c, b, &s, span(b, *rest));
+        const int zero = follow_course(&c, b, u);
+        const int sign = (b->floating >= 0) ? first_clamp(b, u, &c.end) : 0;
         if (zero >= 0 || sign != 0) {
-            course.last = course_at(&course, course.end);
+            c.last = course_at(&c, c.end);
         }
-        if (b->direction == 0.0 && !holds(b, aligned(b, (plant_vector_t){course.last[0], course.last[1]}))) {
+        if (b->direction == 0.0 && !holds(b, aligned(b, (plant_vector_t){c.last[0], c.last[1]}))) {
             break;
         }
-        if (course.end > INSTANT) {
-            drawn += stride(b, &course, u);
-            *rest -= course.end;
+        if (c.end > INSTANT) {
+            stride(b, &s, &c, u, &drawn);
+            *rest -= c.end;
         }
-        end_segment(b, &course, zero, sign);
+        put_lanes(f->i, end_segment(b, &c, zero, sign));
+        b->begun = false;
         if (b->frame_time > 0.99 * f->longest && !rests(b)) {
             bridge_settle(b);
         }
@@ -362,8 +353,9 @@ PLANT_WIDE double bridge_frame_advance(bridge_t *b, double *rest, double u)
         bridge_settle(b);
     }
     if (b->framed) {
-        show(b);
+        show(b, lanes_of(f->i));
     }
+    b->e_bus += drawn * u;
     return drawn;
 }
 
@@ -390,11 +382,12 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
     return 0.0;
 }
 
-bool bridge_foresee(const bridge_t *b, double h, double i[BRIDGE_LANES])
+bool bridge_foresee(const bridge_t *b, double h, double i[BRIDGE_LANES], double di[BRIDGE_LANES])
 {
     (void)b;
     (void)h;
     (void)i;
+    (void)di;
     return false;
 }
 
@@ -415,8 +408,9 @@ void bridge_settle(bridge_t *b)
     const plant_vector_t charge = b->frame.charge;
     b->charge.alpha += charge.alpha;
     b->charge.beta += charge.beta;
-    b->e_copper += b->r_s * b->frame.squares;
-    b->e_switch += b->r_on * b->frame.squares + b->frame.dropped;
+    const double squares = b->frame.squares[0] + b->frame.squares[1];
+    b->e_copper += b->r_s * squares;
+    b->e_switch += b->r_on * squares + b->frame.taken - 1.5 * (b->frame.work[0] + b->frame.work[1]);
     const double early = k_psi * (b->cosine * charge.beta - b->sine * charge.alpha);
     const double drag = b->load + b->direction * b->friction;
     end_t e;

@@ -39,9 +39,9 @@ typedef struct {
 /* Kind of a leg on bus minus; that of any other one is its gates. */
 #define GROUNDED 3u
 
-/* Ends of the interval by kind of leg, in bus voltages and in drops. */
+/* Ends of the interval by kind of leg, in bus voltages and in reaches. */
 static const struct {
-    double low_u, low_drop, high_u, high_drop;
+    double low_u, low_reach, high_u, high_reach;
 } leg_interval[] = {
     [BRIDGE_OPEN] = {0.0, -1.0, 1.0, 1.0},
     [BRIDGE_HIGH] = {1.0, -1.0, 1.0, 1.0},
@@ -146,15 +146,22 @@ static inline unsigned kind_of(const bridge_t *b, int k)
 static inline double lowest(const bridge_t *b, int k, double u)
 {
     const unsigned kind = kind_of(b, k);
-    const double low = leg_interval[kind].low_u * u + leg_interval[kind].low_drop * b->v_drop - b->play[k];
+    const double low = leg_interval[kind].low_u * u + leg_interval[kind].low_reach * b->reach[k];
     return (k == b->alone) ? low - path_voltage(b, joint_paths(b, -1), u) - b->v_drop : low;
 }
 
 static inline double highest(const bridge_t *b, int k, double u)
 {
     const unsigned kind = kind_of(b, k);
-    const double high = leg_interval[kind].high_u * u + leg_interval[kind].high_drop * b->v_drop + b->play[k];
+    const double high = leg_interval[kind].high_u * u + leg_interval[kind].high_reach * b->reach[k];
     return (k == b->alone) ? high - path_voltage(b, joint_paths(b, 1), u) - b->v_drop : high;
+}
+
+static inline void set_gates(bridge_t *b, int k, bridge_gates_t gates)
+{
+    const unsigned leg = 1u << k;
+    b->upper = (b->upper & ~leg) | ((unsigned)gates & 1u) << k;
+    b->lower = (b->lower & ~leg) | ((unsigned)gates >> 1) << k;
 }
 
 static inline void set_sign(bridge_t *b, int k, int sign)
@@ -344,8 +351,8 @@ void bridge_frame_begin(bridge_t *bridge, double u);
  * bus. */
 double bridge_frame_advance(bridge_t *bridge, double *rest, double u);
 
-/* The current `h` seconds into a segment of the frame; false if something changes before. */
-bool bridge_foresee(const bridge_t *bridge, double h, double i[BRIDGE_LANES]);
+/* The current `h` seconds into a segment of the frame, and its slope; false if something changes before. */
+bool bridge_foresee(const bridge_t *bridge, double h, double i[BRIDGE_LANES], double di[BRIDGE_LANES]);
 
 /* bridge_legs.c: the only leg without current, -1 if there is none, NO_CURRENT if there are more. */
 #define NO_CURRENT 3
@@ -358,10 +365,8 @@ static inline int leg_at_zero(const bridge_t *b)
 /* Leg k, at -V so far and its current with it at this slope, goes to the voltage inside its interval that keeps the current
  * at zero, or as near to it as it can; `per_l` is what a volt along its axis makes of the slope, inverted. Returns how far
  * it has gone up [V]. */
-static inline double settle_leg(bridge_t *b, int k, double u, double slope, double per_l)
+static inline double settle_leg(bridge_t *b, int k, double low, double high, double slope, double per_l)
 {
-    const double low = lowest(b, k, u);
-    const double high = highest(b, k, u);
     const double hold = -1.5 * slope * per_l - b->v_drop;
     b->hold = hold;
     double voltage = hold;
@@ -392,15 +397,6 @@ static inline bridge_paths_t paths_of(const bridge_t *b)
     return paths;
 }
 
-/* A leg on bus minus that carries a current is there, and not one drop below. */
-static inline void lift_grounded(bridge_t *b)
-{
-    const double more = (2.0 / 3.0) * b->v_drop;
-    b->b.alpha += more * phase_axis[b->grounded].alpha;
-    b->b.beta += more * phase_axis[b->grounded].beta;
-    b->level += THIRD * b->v_drop;
-}
-
 /* What conducts, and the vectors that belong to it. */
 static inline void find_paths(bridge_t *b)
 {
@@ -410,8 +406,11 @@ static inline void find_paths(bridge_t *b)
     b->a = (plant_vector_t){upper[LEGS_ALPHA], upper[LEGS_BETA]};
     b->b = (plant_vector_t){drops[LEGS_ALPHA], drops[LEGS_BETA]};
     b->level = b->u * upper[LEGS_MEAN] + drops[LEGS_MEAN];
-    if (b->grounded >= 0 && sign_of(b, b->grounded) != 0) {
-        lift_grounded(b);
+    if (b->grounded >= 0 && sign_of(b, b->grounded) != 0) { /* it is there, and not one drop below */
+        const double *lift = legs_at[1u << b->grounded];
+        b->b.alpha += b->v_drop * lift[LEGS_ALPHA];
+        b->b.beta += b->v_drop * lift[LEGS_BETA];
+        b->level += b->v_drop * lift[LEGS_MEAN];
     }
 }
 

@@ -23,6 +23,15 @@ PLANT_INLINE void put(plant_vector_t *x, pair_t pair) { memcpy(x, &pair, sizeof 
 
 PLANT_INLINE pair_t both(double x) { return (pair_t){x, x}; }
 
+PLANT_INLINE pair_t pair_at(const double x[2])
+{
+    pair_t pair;
+    memcpy(&pair, x, sizeof pair);
+    return pair;
+}
+
+PLANT_INLINE void put_pair(double x[2], pair_t pair) { memcpy(x, &pair, sizeof pair); }
+
 PLANT_INLINE double sum(pair_t x) { return x[0] + x[1]; }
 
 PLANT_INLINE lanes_t lanes_of(const double x[BRIDGE_LANES])
@@ -72,17 +81,25 @@ PLANT_INLINE lanes_t without(lanes_t x, int k)
     return x * lanes_of(keep[k]) + all(0.0); /* not -0 */
 }
 
+/* Phases of which the sign is set, or all bits. */
+PLANT_INLINE unsigned legs_where(sides_t x)
+{
+#ifdef __AVX__
+    lanes_t signs;
+    memcpy(&signs, &x, sizeof signs);
+    const unsigned set = (unsigned)__builtin_ia32_movmskpd256(signs);
+    return (set & 1u) | (set >> 1 & 6u);
+#else
+    return (unsigned)((x[0] < 0 ? 1 : 0) | (x[2] < 0 ? 2 : 0) | (x[3] < 0 ? 4 : 0));
+#endif
+}
+
 /* Phases below zero, a bit each. None is ever at -0: that takes terms that all are. */
 PLANT_INLINE unsigned below_zero(lanes_t x)
 {
-#ifdef __AVX__
-    const unsigned below = (unsigned)__builtin_ia32_movmskpd256(x);
-    return (below & 1u) | (below >> 1 & 6u);
-#else
-    const sides_t bit = {1, 0, 2, 4};
-    const sides_t below = (x < 0.0) & bit;
-    return (unsigned)(below[0] | below[2] | below[3]);
-#endif
+    sides_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return legs_where(bits);
 }
 
 /* Phases that are not on their sides. */

@@ -74,7 +74,8 @@ void bridge_begin_anew(bridge_t *b, double u)
         b->di = slope_of(b, dpsi);
         if (k >= 0) {
             const plant_vector_t per_n = times(b->inverse, phase_axis[k]);
-            const double lift = settle_leg(b, k, u, dot(phase_axis[k], b->di), 1.0 / dot(phase_axis[k], per_n));
+            const double lift = settle_leg(b, k, lowest(b, k, u), highest(b, k, u), dot(phase_axis[k], b->di),
+                                           1.0 / dot(phase_axis[k], per_n));
             const double more = (2.0 / 3.0) * lift;
             const plant_vector_t along = {more * phase_axis[k].alpha, more * phase_axis[k].beta};
             b->di.alpha += more * per_n.alpha;
@@ -113,5 +114,7 @@ void bridge_begin(bridge_t *b, double u)
         bridge_frame_begin(b, u);
     } else {
         bridge_begin_anew(b, u);
+        b->drain = 1.5 * dot(b->a, b->i);
+        b->drain_slope = 1.5 * dot(b->a, b->di);
     }
 }

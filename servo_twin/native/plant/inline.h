@@ -2,11 +2,14 @@
 #ifndef PLANT_INLINE_H
 #define PLANT_INLINE_H
 
-/* A function that a compiler would call twice rather than copy. */
+/* A function that a compiler would call twice rather than copy, and one that it would copy where once is enough: what runs in a
+ * PWM period is twice as much code as a processor keeps at hand. */
 #ifdef __GNUC__
 #define PLANT_INLINE static inline __attribute__((always_inline))
+#define PLANT_ONCE __attribute__((noinline))
 #else
 #define PLANT_INLINE static inline
+#define PLANT_ONCE
 #endif
 
 /* A function of four numbers at once: compiled for processors without registers for them it is there twice, and the

@@ -145,19 +145,24 @@ static void find_rare(switching_t *plant)
     }
 }
 
-/* The segment of an axis that begins at the present clock. */
-static inline void begin(switching_t *plant, switching_axis_t *axis, double u)
+/* Of the current vector [A^2]. */
+static inline double square_of(const switching_axis_t *axis)
+{
+    const plant_vector_t current = axis->bridge.i;
+    return current.alpha * current.alpha + current.beta * current.beta;
+}
+
+/* What follows from the segment of an axis that has begun at the present clock, with this square of the current. */
+static inline void look_at(switching_t *plant, switching_axis_t *axis, double square)
 {
     bridge_t *b = &axis->bridge;
-    bridge_begin(b, u);
-    axis->i_bus = 1.5 * (b->a.alpha * b->i.alpha + b->a.beta * b->i.beta);
-    axis->di_bus = 1.5 * (b->a.alpha * b->di.alpha + b->a.beta * b->di.beta);
+    axis->i_bus = b->drain;
+    axis->di_bus = b->drain_slope;
     if (b->moved) {
         b->moved = false;
         axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, EDGE_HORIZON);
         find_edge(plant, axis);
     }
-    const double square = b->i.alpha * b->i.alpha + b->i.beta * b->i.beta;
     axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
     find_next(axis);
 }
@@ -167,7 +172,8 @@ void switching_look_around(switching_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
         if (!plant->axis[i].bridge.begun) {
-            begin(plant, &plant->axis[i], plant->supply.u);
+            bridge_begin(&plant->axis[i].bridge, plant->supply.u);
+            look_at(plant, &plant->axis[i], square_of(&plant->axis[i]));
         }
     }
     find_next_of_all(plant);
@@ -218,20 +224,22 @@ static void compare(switching_t *plant, int i)
     }
 }
 
-/* One axis to the present clock. Returns the voltage that the bus was expected to have there: what it really has takes
- * longer to find out, and makes no difference to the slopes of a segment. */
-PLANT_INLINE double move_axis(switching_t *plant, int i)
+/* One axis to the present clock; `square` is that of the current there. Returns the voltage that the bus was expected to
+ * have: what it really has takes longer to find out, and makes no difference to the slopes of a segment. */
+PLANT_INLINE double move_axis(switching_t *plant, int i, double *square)
 {
     switching_axis_t *axis = &plant->axis[i];
+    const double h = seconds(axis->clock, plant->now);
+    const double per_h = 1.0 / h; /* ready when the voltage is */
     move_supply(plant);
     const double u = plant->supply.u;
-    const double charge = bridge_advance(&axis->bridge, seconds(axis->clock, plant->now), axis->u_h);
+    const double charge = bridge_advance(&axis->bridge, h, axis->u_h * per_h);
     supply_take(&plant->supply, charge - axis->booked);
     axis->booked = 0.0;
     axis->u_h = 0.0;
     axis->clock = plant->now;
-    const plant_vector_t current = axis->bridge.i;
-    if (axis->tripped || current.alpha * current.alpha + current.beta * current.beta > axis->square_break) {
+    *square = square_of(axis);
+    if (axis->tripped || *square > axis->square_break) {
         compare(plant, i);
     }
     return u;
@@ -240,7 +248,8 @@ PLANT_INLINE double move_axis(switching_t *plant, int i)
 static void advance_axis(switching_t *plant, int i)
 {
     if (plant->axis[i].clock != plant->now) {
-        (void)move_axis(plant, i);
+        double square;
+        (void)move_axis(plant, i, &square);
         plant->stale = true;
     }
 }
@@ -422,14 +431,18 @@ static void watch_short(switching_t *plant, int i, int phase, switching_leg_t le
 static inline void switch_over(switching_t *plant, int i, int phase, bridge_gates_t gates)
 {
     switching_axis_t *axis = &plant->axis[i];
+    bridge_t *b = &axis->bridge;
     double u = plant->supply.u;
+    double square;
     if (axis->clock != plant->now) {
-        u = move_axis(plant, i);
+        u = move_axis(plant, i, &square);
     } else {
-        bridge_begin_again(&axis->bridge); /* several legs switch at one clock */
+        bridge_begin_again(b); /* several legs switch at one clock */
+        square = square_of(axis);
     }
-    bridge_gates(&axis->bridge, phase, gates);
-    begin(plant, axis, u);
+    bridge_gates(b, phase, gates);
+    bridge_begin(b, u);
+    look_at(plant, axis, square);
     find_next_of_all(plant);
 }
 
