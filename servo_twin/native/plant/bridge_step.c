@@ -57,23 +57,34 @@ static inline double first_zero(const bridge_t *b, double h, int *phase)
 }
 
 /* Seconds from the end of a step to the nearest zero of a current (before or after it), by the slope there: of the one
- * that was expected to come first, and of those that are beyond it. */
-static double to_zero(const bridge_t *b, const end_t *e, double h, int expected, int *phase)
+ * that was expected to come first, and of those that are beyond it. Its phase is expected from then on. */
+static double to_zero(const bridge_t *b, const end_t *e, double h, int *expected)
 {
     double slope[3];
+    double early[3];
     const double twice_per_h = 2.0 / h;
     const plant_vector_t late = {twice_per_h * (e->i.alpha - b->i.alpha) - b->di.alpha,
                                  twice_per_h * (e->i.beta - b->i.beta) - b->di.beta};
     double nearest = NEVER;
+    int phase = *expected;
     phases_of(late, slope);
+    phases_of(b->di, early);
     for (int k = 0; k < 3; k++) {
-        const double falls = -slope[k] * sign_of(b, k);
-        const double size = e->phase[k] * sign_of(b, k);
-        if (falls > 0.0 && (k == expected || size < 0.0) && size < falls * nearest) {
-            nearest = size / falls;
-            *phase = k;
+        const int sign = sign_of(b, k);
+        const double falls = -slope[k] * sign;
+        const double size = e->phase[k] * sign;
+        double way = NEVER;
+        if (falls > 0.0 && (k == *expected || size < 0.0)) {
+            way = size / falls;
+        } else if (size < 0.0) { /* on its way back already */
+            way = root_of(b->phase[k] * sign, early[k] * sign, size, h) - h;
+        }
+        if (way < nearest) {
+            nearest = way;
+            phase = k;
         }
     }
+    *expected = phase;
     return nearest;
 }
 
@@ -158,13 +169,12 @@ cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
     if (b->dead) {
         find_conduction(b, t, u, e, &cut);
     } else if (t < h || crossed(b, e)) {
-        int phase = 0;
-        double more = to_zero(b, e, t, expected, &phase);
+        double more = to_zero(b, e, t, &expected);
         const double near = (b->floating >= 0) ? INSTANT : NEAR; /* its shift would need the leg's voltage */
         for (int n = 0; n < 3 && fabs(more) > near && t + more < h && t + more > 0.0; n++) {
             t += more;
             bridge_step(b, t, u, e, &hold);
-            more = to_zero(b, e, t, expected, &phase);
+            more = to_zero(b, e, t, &expected);
         }
         if (t + more >= h) { /* curvature has saved it */
             t = h;
@@ -176,7 +186,7 @@ cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
                 bridge_shift(b, t, more, e);
                 t += more;
             }
-            cut = (cut_t){t, CURRENT_ZERO, phase, 0};
+            cut = (cut_t){t, CURRENT_ZERO, expected, 0};
         }
     }
     cut_t first = {t, cut.reason, cut.phase, cut.sign};
