@@ -109,6 +109,16 @@ double bridge_accept(bridge_t *b, double h, double u_h, const end_t *e)
     return charge;
 }
 
+/* Flux and torque of the present currents. */
+static void flux_follows(bridge_t *b)
+{
+    const double d = b->psi_m + b->l_d * (b->i.alpha * b->cosine + b->i.beta * b->sine);
+    const double q = b->l_q * (b->i.beta * b->cosine - b->i.alpha * b->sine);
+    b->psi.alpha = d * b->cosine - q * b->sine;
+    b->psi.beta = d * b->sine + q * b->cosine;
+    b->torque = b->k_torque * cross(b->psi, b->i);
+}
+
 void bridge_remove_phase(bridge_t *b, int k)
 {
     const double i_k = dot(b->i, phase_axis[k]);
@@ -117,11 +127,7 @@ void bridge_remove_phase(bridge_t *b, int k)
     phases_of(b->i, b->phase);
     b->phase[k] = 0.0;
     b->phase[(k + 1) % 3] = -b->phase[(k + 2) % 3];
-    const double d = b->psi_m + b->l_d * (b->i.alpha * b->cosine + b->i.beta * b->sine);
-    const double q = b->l_q * (b->i.beta * b->cosine - b->i.alpha * b->sine);
-    b->psi.alpha = d * b->cosine - q * b->sine;
-    b->psi.beta = d * b->sine + q * b->cosine;
-    b->torque = 1.5 * b->pole_pairs * cross(b->psi, b->i);
+    flux_follows(b);
 }
 
 void bridge_remove_all(bridge_t *b)
@@ -158,8 +164,11 @@ static void apply(bridge_t *b, const cut_t *cut)
         b->omega = 0.0;
         break;
     case ENDED:
-        b->theta = (cut->sign > 0) ? b->high : b->low; /* where a parabola has brought it to within rounding */
+        b->held = cut->after <= 0.0;
+        b->theta = (cut->sign > 0) ? b->high : b->low; /* a parabola has brought it nearly there */
         b->omega = 0.0;
+        face(b);
+        flux_follows(b);
         break;
     case BROKE_LOOSE:
     case WHOLE:
@@ -184,6 +193,9 @@ static double split_advance(bridge_t *b, double h, double u)
             cut = bridge_step_to_change(b, part, u, &e);
         } else {
             bridge_step(b, part, u, &e, &hold);
+            if (e.theta > b->high || e.theta < b->low) {
+                cut = (cut_t){part, ENDED, 0, (e.theta > b->high) ? 1 : -1};
+            }
         }
         if (cut.after > 0.0) {
             charge += bridge_accept(b, cut.after, u * cut.after, &e);

@@ -41,17 +41,26 @@ int bridge_leave_one(bridge_t *b, double u)
     return 3 - out - back;
 }
 
+/* From rest; a torque that will exceed the friction in no time does so already. */
+static bool breaks_loose(const bridge_t *b, double way)
+{
+    const double rest = (b->torque - b->load) * way - b->friction;
+    const double grows = b->dtorque * way;
+    const bool goes = rest > 0.0 || (grows > 0.0 && rest > -THRESHOLD * b->friction - 2.0 * INSTANT * grows);
+    return goes && open_way(b, way);
+}
+
 /* Of motion, from rest. */
-static double break_loose(const bridge_t *b)
+static double direction_from_rest(const bridge_t *b)
 {
     if (b->locked || b->held) {
         return 0.0;
     }
-    const double drive = b->torque - b->load;
-    const double way = (drive > 0.0) ? 1.0 : -1.0;
-    const double rest = drive * way - b->friction;
-    const bool goes = rest > 0.0 || (rest > -THRESHOLD * b->friction && b->dtorque * way > 0.0);
-    return (goes && open_way(b, way)) ? way : 0.0;
+    const double way = (b->torque > b->load) ? 1.0 : -1.0;
+    if (breaks_loose(b, way)) {
+        return way;
+    }
+    return breaks_loose(b, -way) ? -way : 0.0; /* without friction, from an end stop */
 }
 
 void bridge_begin_anew(bridge_t *b, double u)
@@ -97,7 +106,7 @@ void bridge_begin_anew(bridge_t *b, double u)
         b->direction = -1.0;
     } else {
         b->omega = 0.0;
-        b->direction = break_loose(b);
+        b->direction = direction_from_rest(b);
         if (b->direction == 0.0) {
             b->accel = 0.0;
             b->jerk = 0.0;
