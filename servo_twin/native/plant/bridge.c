@@ -52,6 +52,9 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .grounded = -1,
         .alone = -1,
     };
+    const double beside = 0.5 * bridge->inv_l_mean + fabs(bridge->inv_l_half);
+    const double aside = beside / (bridge->inv_l_mean - fabs(bridge->inv_l_half));
+    bridge->coupling = aside + aside * aside; /* straight, or by way of the third phase */
     const double x = (config->i_settle > 0.0) ? 1.0 / (BRIDGE_CLOCK_HZ * config->i_settle) : 800.0;
     for (int n = 0; n < BRIDGE_DECAY; n++) {
         bridge->decay_fine[n] = plant_decay(n * x);
@@ -273,6 +276,20 @@ static bool floats_on(const bridge_t *b, int k, double h)
     return b->hold - drift > lowest(b, k, b->u) && b->hold + drift < highest(b, k, b->u);
 }
 
+/* How far the currents may be beyond zero together, a floating leg's included, when they have gone straight on to these
+ * values, within `bent`. */
+static inline double past_zero(const bridge_t *b, const double phase[3], double bent)
+{
+    static const double side[8][3] = {{1, 1, 1},  {-1, 1, 1},  {1, -1, 1},  {-1, -1, 1},
+                                      {1, 1, -1}, {-1, 1, -1}, {1, -1, -1}, {-1, -1, -1}};
+    double past = 0.0;
+    for (int k = 0; k < 3; k++) {
+        const double beyond = bent - side[b->negative][k] * phase[k];
+        past += (beyond > 0.0) ? beyond : 0.0;
+    }
+    return past;
+}
+
 bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
 {
     if (!b->begun || b->shorted) {
@@ -282,17 +299,23 @@ bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
         return stays_dead(b, k, gates);
     }
     const int sign = sign_of(b, k);
-    if (sign == 0) {
-        return gates == BRIDGE_OPEN && floats_on(b, k, h);
-    }
     /* the diode across the other switch conducts, whether its gate is on or off */
     const unsigned on = (sign > 0) ? b->upper : b->lower;
-    if ((on >> k & 1u) != ((sign > 0) ? (unsigned)gates & 1u : (unsigned)gates >> 1)) {
+    const unsigned to = (sign > 0) ? (unsigned)gates & 1u : (unsigned)gates >> 1;
+    if ((sign == 0) ? gates != BRIDGE_OPEN : (on >> k & 1u) != to) {
         return false;
     }
-    /* the current must not have been at zero yet: i'' is some R / L + w times i', and less than CURVED times that */
+    /* i'' is some R / L + w times i', and less than CURVED times that */
     const double bent = h * h * CURVED * (fabs(b->di.alpha) + fabs(b->di.beta));
-    return sign * (b->phase[k] + h * dot(b->di, phase_axis[k])) > bent;
+    double phase[3];
+    phases_of((plant_vector_t){b->i.alpha + h * b->di.alpha, b->i.beta + h * b->di.beta}, phase);
+    const double past = past_zero(b, phase, bent);
+    if (sign == 0) {
+        return past < 1.5 * bent && floats_on(b, k, h);
+    }
+    /* Its current must not have been at zero yet. Where another one was, its slope has changed by as much as it would have
+     * gone on at most: going through it is slowed down by the drop that changes its sign, or else it stays there. */
+    return sign * phase[k] > bent + b->coupling * past;
 }
 
 void bridge_begin_again(bridge_t *b)

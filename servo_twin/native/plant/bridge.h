@@ -99,6 +99,7 @@ typedef struct {
     double l_d, l_q;
     double inv_l_mean, inv_l_half;       /* half the sum and half the difference of 1 / L_d and 1 / L_q */
     double psi_m, pole_pairs;
+    double coupling;                     /* of what a phase's slope changes by, how much may be in another one */
     double k_torque;                     /* 3/2 p */
     double inv_inertia;
     double friction, viscous;
