@@ -4,6 +4,7 @@
 #define SPLITS 24 /* parts of one segment; the rest of it is taken in one piece */
 #define CURVED 3e3 /* [1/s] */
 #define NEAR 0.5e-6 /* so soon a current has hardly left the slope that it began with [s] */
+#define MOVED 0.05 /* of the bus, so that a segment is better begun with its mean voltage [V] */
 #define FAR 1e9 /* voltage that no leg comes to [V] */
 #define FRESH_TRIG 64u /* turns of sine and cosine until they are evaluated afresh */
 
@@ -214,6 +215,10 @@ static double split_advance(bridge_t *b, double h, double u)
 double bridge_advance(bridge_t *b, double h, double u)
 {
     double rest = h;
+    if (fabs(u - b->u) > MOVED) { /* the slopes are no longer those that the segment began with */
+        bridge_settle(b);
+        bridge_begin_again(b);
+    }
     const double charge = b->framed ? bridge_frame_advance(b, &rest, u) : 0.0;
     return (rest > INSTANT) ? charge + split_advance(b, rest, u) : charge;
 }
