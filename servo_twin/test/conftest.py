@@ -52,17 +52,21 @@ def chip_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
     )
 
 
+def build_switching(folder: Path, name: str, *defines: str) -> Native:
+    preamble = '#include "plant/plant.h"\n#include "plant/switching.h"\n#include "plant/bridge_kernel.h"'
+    return build(folder, name, PLANT_CDEF + SWITCHING_CDEF, preamble, [NATIVE], [], defines)
+
+
 @pytest.fixture(scope="session")
 def switching_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
     """The plant at switching level (``ffi``, ``lib``)."""
-    return build(
-        tmp_path_factory.mktemp("switching"),
-        "switching_under_test",
-        PLANT_CDEF + SWITCHING_CDEF,
-        '#include "plant/plant.h"\n#include "plant/switching.h"\n#include "plant/bridge_kernel.h"',
-        [NATIVE],
-        [],
-    )
+    return build_switching(tmp_path_factory.mktemp("switching"), "switching_under_test")
+
+
+@pytest.fixture(scope="session")
+def stepping_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
+    """The same without frames: every segment goes by the steps that are otherwise for what is unusual."""
+    return build_switching(tmp_path_factory.mktemp("stepping"), "stepping_under_test", "PLANT_NO_FRAMES")
 
 
 @pytest.fixture(scope="session")

@@ -122,7 +122,13 @@ uint64_t uart_next_ns(const uart_t *uart);
 
 
 def build(
-    folder: Path, name: str, cdef: str, preamble: str, include: Sequence[Path], sources: Sequence[Path]
+    folder: Path,
+    name: str,
+    cdef: str,
+    preamble: str,
+    include: Sequence[Path],
+    sources: Sequence[Path],
+    defines: Sequence[str] = (),
 ) -> Native:
     """Compile the plant and more C files into a module of their own in `folder`."""
     builder = FFI()
@@ -133,6 +139,7 @@ def build(
         sources=[str(path) for path in [*sorted((NATIVE / "plant").glob("*.c")), *sources]],
         include_dirs=[str(path) for path in include],
         libraries=["m"],
+        define_macros=[(macro, None) for macro in defines],
         extra_compile_args=["-std=c99", "-O1", "-ffp-contract=off"],
     )
     spec = importlib.util.spec_from_file_location(name, builder.compile(tmpdir=str(folder)))

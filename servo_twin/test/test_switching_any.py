@@ -40,7 +40,7 @@ def any_plant(rnd: random.Random) -> PlantConfig:
     return plant
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(200), 235, 259, 260, 270, 278, 703])
 def test_currents_stay_sound_whatever_the_gates_do(switching_c: Native, seed: int) -> None:
     rnd = random.Random(seed)
     plant = any_plant(rnd)

@@ -18,13 +18,28 @@ DEAD = 100
 AMPERES = 2e-4
 """Bound on each phase current: a twentieth of a converter's step (4 mA)."""
 
+ANY_AMPERES = 1e-3
+"""The same with gates that follow no modulation, shafts at up to 700 rad/s and currents of some amperes."""
+
 
 def plant() -> PlantConfig:
     return PlantConfig.load().with_axis(0, theta_start=0.3).with_axis(1, theta_start=-1.0)
 
 
-def compare(switching: Switching, reference: Reference, edges: Sequence[Edge], until: int, step: int = 1000) -> float:
-    """Run both through the edges and look at everything on the way. Returns the largest current seen."""
+def compare(
+    switching: Switching,
+    reference: Reference,
+    edges: Sequence[Edge],
+    until: int,
+    step: int = 1000,
+    *,
+    amperes: float = AMPERES,
+    roughness: float = 1.0,
+) -> float:
+    """Run both through the edges and look at everything on the way. Returns the largest current seen.
+
+    `roughness` multiplies the bounds on everything but the currents.
+    """
     largest = 0.0
     left = sorted(edges, key=lambda edge: edge[0])
     for clock in range(step, until + 1, step):
@@ -35,12 +50,12 @@ def compare(switching: Switching, reference: Reference, edges: Sequence[Edge], u
         for index, machine in enumerate(reference.axes):
             truth = switching.truth(index)
             where = f"axis {index}, clock {clock}"
-            assert list(truth.phase) == pytest.approx(machine.phases(), abs=AMPERES), where
-            assert truth.omega == pytest.approx(machine.omega, abs=1e-3), where
-            assert truth.theta == pytest.approx(machine.theta, abs=3e-6), where
-            assert truth.torque == pytest.approx(machine.torque(), abs=1e-5), where
+            assert list(truth.phase) == pytest.approx(machine.phases(), abs=amperes), where
+            assert truth.omega == pytest.approx(machine.omega, abs=1e-3 * roughness), where
+            assert truth.theta == pytest.approx(machine.theta, abs=3e-6 * roughness), where
+            assert truth.torque == pytest.approx(machine.torque(), abs=1e-5 * roughness), where
             largest = max(largest, *map(abs, machine.phases()))
-        assert switching.bus.u_dc == pytest.approx(reference.u, abs=2e-5)
+        assert switching.bus.u_dc == pytest.approx(reference.u, abs=2e-5 * roughness)
     return largest
 
 
@@ -117,3 +132,44 @@ def test_every_gate_pattern(switching_c: Native) -> None:
         for phase, gates in enumerate(state)
     ]
     assert compare(switching, reference, edges, 137 + 251 * 28, step=251) > 0.05
+
+
+def any_run(seed: int) -> tuple[PlantConfig, list[float], list[Edge]]:
+    """Shafts at any angles and speeds, and gates that anything may happen to at any clock."""
+    rnd = random.Random(seed)
+    config = PlantConfig.load()
+    for axis in range(2):
+        config = config.with_axis(axis, theta_start=rnd.uniform(-3.0, 3.0))
+    speeds = [
+        rnd.choice([0.0, rnd.uniform(-10.0, 10.0), rnd.uniform(-300.0, 300.0), rnd.uniform(-700.0, 700.0)])
+        for _ in range(2)
+    ]
+    edges: list[Edge] = []
+    clock = 0
+    most = rnd.choice([60, 300, 1500])
+    while clock < 15_000:
+        clock += rnd.randrange(60 if rnd.random() < 0.4 else most) + 1
+        edges.append((clock, rnd.randrange(2), rnd.randrange(3), rnd.randrange(3)))
+    return config, speeds, edges
+
+
+# Shafts that break loose while a current grows (6, 8, 22, 47, 132), gates that only seemed to make no difference (6,
+# 70), a current that bends through zero at the end of a step (78), the largest deviations of frames (221, 240).
+@pytest.mark.parametrize("seed", [6, 8, 22, 47, 70, 78, 132, 221, 240])
+@pytest.mark.parametrize("frames", [True, False])
+def test_any_gates(request: pytest.FixtureRequest, frames: bool, seed: int) -> None:
+    native = request.getfixturevalue("switching_c" if frames else "stepping_c")
+    config, speeds, edges = any_run(seed)
+    switching, reference = Switching(native, config), Reference(config)
+    for axis, omega in enumerate(speeds):
+        switching.spin(axis, omega)
+        reference.axes[axis].omega = omega
+    compare(
+        switching,
+        reference,
+        edges,
+        16_000,
+        step=250,
+        amperes=ANY_AMPERES if frames else AMPERES,
+        roughness=10.0 if frames else 6.0,
+    )

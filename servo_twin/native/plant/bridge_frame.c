@@ -23,7 +23,7 @@ static inline double mean_accel(const bridge_t *b)
     return (2.0 * first / (h * h) - drag) * b->inv_inertia;
 }
 
-#ifdef __GNUC__ /* a stator vector and its phases in one register: half of the instructions */
+#if defined(__GNUC__) && !defined(PLANT_NO_FRAMES) /* a stator vector and its phases in one register */
 
 #include "plant/bridge_course.h"
 
