@@ -253,7 +253,7 @@ bool bridge_amplifier(const bridge_t *b, int k, double h, double *shown)
 
 double bridge_shunt(const bridge_t *b, int k) { return (b->paths.lower >> k & 1u) ? b->phase[k] : 0.0; }
 
-void bridge_gates(bridge_t *b, int k, bridge_gates_t gates) { set_gates(b, k, gates); }
+void bridge_gates(bridge_t *b, int k, bridge_gates_t gates) { b->gates = gates_with(b, k, gates); }
 
 /* Without current: true if none begins with the leg's other gates. */
 static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
@@ -261,14 +261,12 @@ static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
     if (gates == BRIDGE_OPEN && b->direction == 0.0) {
         return true; /* its interval grows, and there is no back-EMF */
     }
-    const unsigned upper = b->upper;
-    const unsigned lower = b->lower;
+    const unsigned before = b->gates;
     int out = 0;
     int back = 0;
     bridge_gates(b, k, gates);
     const bool dead = b->unplugged || bridge_excess(b, b->u, b->psi, b->omega, &out, &back) <= 0.0;
-    b->upper = upper;
-    b->lower = lower;
+    b->gates = before;
     return dead;
 }
 
@@ -281,46 +279,37 @@ static bool floats_on(const bridge_t *b, int k, double h)
     return b->hold - drift > lowest(b, k, b->u) && b->hold + drift < highest(b, k, b->u);
 }
 
-/* How far the currents may be beyond zero together, a floating leg's included, when they have gone straight on to these
- * values, within `bent`. */
-static inline double past_zero(const bridge_t *b, const double phase[3], double bent)
+bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
 {
     static const double side[8][3] = {{1, 1, 1},  {-1, 1, 1},  {1, -1, 1},  {-1, -1, 1},
                                       {1, 1, -1}, {-1, 1, -1}, {1, -1, -1}, {-1, -1, -1}};
-    double past = 0.0;
-    for (int k = 0; k < 3; k++) {
-        const double beyond = bent - side[b->negative][k] * phase[k];
-        past += (beyond > 0.0) ? beyond : 0.0;
-    }
-    return past;
-}
-
-bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
-{
     if (!b->begun || b->shorted) {
         return false;
     }
     if (b->dead) {
         return stays_dead(b, k, gates);
     }
-    const int sign = sign_of(b, k);
     /* the diode across the other switch conducts, whether its gate is on or off */
-    const unsigned on = (sign > 0) ? b->upper : b->lower;
-    const unsigned to = (sign > 0) ? (unsigned)gates & 1u : (unsigned)gates >> 1;
-    if ((sign == 0) ? gates != BRIDGE_OPEN : (on >> k & 1u) != to) {
+    const unsigned changed = b->gates ^ gates_with(b, k, gates);
+    if ((changed & (b->positive | b->negative << BRIDGE_LOWER)) != 0u) {
         return false;
     }
-    /* i'' is some R / L + w times i', and less than CURVED times that */
+    const bool floats = ((b->positive | b->negative) >> k & 1u) == 0u;
+    if (floats && (gates != BRIDGE_OPEN || !floats_on(b, k, h))) {
+        return false;
+    }
+    /* Straight on, where are the currents? i'' is some R / L + w times i', and less than CURVED times that. */
     const double bent = h * h * CURVED * (fabs(b->di.alpha) + fabs(b->di.beta));
+    double past = 0.0; /* those that may have been at zero, and would be beyond by now */
     double phase[3];
     phases_of((plant_vector_t){b->i.alpha + h * b->di.alpha, b->i.beta + h * b->di.beta}, phase);
-    const double past = past_zero(b, phase, bent);
-    if (sign == 0) {
-        return past < 1.5 * bent && floats_on(b, k, h);
+    for (int j = 0; j < 3; j++) {
+        phase[j] *= side[b->negative][j];
+        past += (phase[j] < bent) ? bent - phase[j] : 0.0;
     }
-    /* Its current must not have been at zero yet. Where another one was, its slope has changed by as much as it would have
-     * gone on at most: going through it is slowed down by the drop that changes its sign, or else it stays there. */
-    return sign * phase[k] > bent + b->coupling * past;
+    /* Where another current was at zero, its slope has changed by as much as it would have gone on at most: going through it
+     * is slowed down by the drop that changes its sign, or else it stays there. A leg that floats is where it was. */
+    return floats ? past < 1.5 * bent : phase[k] > bent + b->coupling * past;
 }
 
 void bridge_begin_again(bridge_t *b)

@@ -50,6 +50,7 @@ typedef enum {
     BRIDGE_LOW = 2,
 } bridge_gates_t;
 
+#define BRIDGE_LOWER 8
 #define BRIDGE_CLOCK_HZ 100e6 /* bus clock of the chip */
 #define BRIDGE_FRAME 64e-6 /* angle and speed are brought along so often, but for the last segment [s] */
 
@@ -107,7 +108,7 @@ typedef struct {
     double tau;                          /* of the current amplifiers [s] */
     double decay_fine[BRIDGE_DECAY], decay_coarse[BRIDGE_DECAY];
     /* inputs */
-    unsigned upper, lower;               /* gates that are on, bit per leg */
+    unsigned gates;                      /* that are on: upper ones, bit per leg, and lower ones << BRIDGE_LOWER */
     double load;                         /* [N m] */
     bool locked, unplugged;
     double low, high;                    /* end stops, inelastic, mechanical [rad] */
@@ -141,7 +142,6 @@ typedef struct {
     plant_vector_t a, b;                 /* v = u a + b */
     double level;                        /* mean of the legs above the negative rail [V] */
     plant_vector_t di;                   /* [A/s] */
-    double drain, drain_slope;           /* current out of the bus, for others [A], [A/s] */
     double dtorque;                      /* [N m/s] */
     double direction;                    /* of motion, 1 or -1; 0: stands */
     double accel, jerk;                  /* [rad/s^2], [rad/s^3] */
@@ -172,6 +172,17 @@ double bridge_advance(bridge_t *bridge, double h, double u);
 
 /* What a phase's amplifier shows `h` seconds into the segment; false if something changes before. */
 bool bridge_amplifier(const bridge_t *bridge, int phase, double h, double *shown);
+
+/* Current out of the bus at the beginning of the segment, and its slope [A], [A/s]. */
+static inline double bridge_drain(const bridge_t *bridge)
+{
+    return 1.5 * (bridge->a.alpha * bridge->i.alpha + bridge->a.beta * bridge->i.beta);
+}
+
+static inline double bridge_drain_slope(const bridge_t *bridge)
+{
+    return 1.5 * (bridge->a.alpha * bridge->di.alpha + bridge->a.beta * bridge->di.beta);
+}
 
 void bridge_gates(bridge_t *bridge, int phase, bridge_gates_t gates);
 

@@ -51,29 +51,16 @@ PLANT_INLINE void keep_segment(bridge_t *b, const segment_t *s)
     put_lanes(f->ddi, s->ddi);
     put_lanes(f->v, s->v);
     put(&b->di, vector(s->di));
-    b->drain = 1.5 * sum(pair_of(&b->a) * vector(s->i));
-    b->drain_slope = 1.5 * sum(pair_of(&b->a) * vector(s->di));
 }
 
 /* ---- legs: a frame has none that touches another one, or bus minus ---------------------------------------------------- */
 
-/* What conducts. What is said of a leg without current makes no difference. */
+/* What conducts. */
 PLANT_INLINE void find_way(bridge_t *b)
 {
-    const unsigned upper = (b->negative & ~b->lower) | (b->positive & b->upper);
+    const unsigned upper = from_upper(b);
     b->paths = (bridge_paths_t){.upper = upper, .raised = b->negative, .lower = LEGS & ~upper};
     put(&b->a, vector(lanes_of(legs_at[upper])));
-}
-
-/* Ends of a leg's interval. */
-PLANT_INLINE double low_end(const bridge_t *b, int k, double u)
-{
-    return ((b->upper >> k & 1u) != 0u ? u : 0.0) - b->reach[k];
-}
-
-PLANT_INLINE double high_end(const bridge_t *b, int k, double u)
-{
-    return ((b->lower >> k & 1u) != 0u ? 0.0 : u) + b->reach[k];
 }
 
 /* ---- the way ---------------------------------------------------------------------------------------------------------- */
@@ -154,7 +141,7 @@ PLANT_INLINE bool pass_zero(course_t *c, const bridge_t *b, int k, double t, dou
     const bridge_frame_t *f = &b->frame;
     const unsigned leg = 1u << k;
     const bool falls = (c->positive & leg) != 0u;
-    const bool open = ((b->upper | b->lower) & leg) == 0u;
+    const bool open = (b->gates & (leg | leg << BRIDGE_LOWER)) == 0u;
     const double most = 2.0 * b->v_drop + (open ? u : 0.0); /* from one end of the leg's interval to the other */
     const double h = t - c->from;
     const double rest = c->end - t;

@@ -36,19 +36,6 @@ typedef struct {
 
 #define LEGS 7u
 
-/* Kind of a leg on bus minus; that of any other one is its gates. */
-#define GROUNDED 3u
-
-/* Ends of the interval by kind of leg, in bus voltages and in reaches. */
-static const struct {
-    double low_u, low_reach, high_u, high_reach;
-} leg_interval[] = {
-    [BRIDGE_OPEN] = {0.0, -1.0, 1.0, 1.0},
-    [BRIDGE_HIGH] = {1.0, -1.0, 1.0, 1.0},
-    [BRIDGE_LOW] = {0.0, -1.0, 0.0, 1.0},
-    [GROUNDED] = {0.0, 0.0, 0.0, 0.0},
-};
-
 /* Clarke transform and mean of legs that are at 1 (bit set) or 0. */
 static const double legs_at[8][BRIDGE_LANES] = {
     {0.0, 0.0, 0.0},
@@ -112,14 +99,24 @@ static inline int sign_of(const bridge_t *b, int k)
     return (int)(b->positive >> k & 1u) - (int)(b->negative >> k & 1u);
 }
 
+/* Lower gates that are on, bit per leg. */
+static inline unsigned lower_of(const bridge_t *b) { return b->gates >> BRIDGE_LOWER; }
+
+/* Gates with others on leg k. */
+static inline unsigned gates_with(const bridge_t *b, int k, bridge_gates_t gates)
+{
+    static const uint16_t on[] = {[BRIDGE_OPEN] = 0u, [BRIDGE_HIGH] = 1u, [BRIDGE_LOW] = 1u << BRIDGE_LOWER};
+    return (b->gates & ~((1u | 1u << BRIDGE_LOWER) << k)) | (unsigned)on[gates] << k;
+}
+
+/* Legs that are at the positive rail. What is said of one without current makes no difference, here and below. */
+static inline unsigned from_upper(const bridge_t *b) { return (b->negative & ~lower_of(b)) | (b->positive & b->gates); }
+
 /* Ways through legs that stand for themselves, by their gates and signs. */
 static inline bridge_paths_t own_paths(const bridge_t *b)
 {
-    const unsigned out = b->negative & b->own; /* of the motor */
-    const unsigned in = b->positive & b->own;
-    const unsigned lower = b->lower & b->own;
-    return (bridge_paths_t){
-        .upper = (out & ~lower) | (in & b->upper), .raised = out, .lower = (in & ~b->upper) | lower};
+    const unsigned upper = from_upper(b) & b->own;
+    return (bridge_paths_t){.upper = upper, .raised = b->negative & b->own, .lower = b->own & ~upper};
 }
 
 /* Way through two legs that touch each other, by the sign of what both give together. Those that are not switched alike
@@ -127,7 +124,7 @@ static inline bridge_paths_t own_paths(const bridge_t *b)
 static inline bridge_paths_t joint_paths(const bridge_t *b, int sign)
 {
     const unsigned joint = b->joint;
-    const bool from_upper = (sign < 0) ? (b->lower & joint) != joint : (b->upper & joint) == joint;
+    const bool from_upper = (sign < 0) ? (lower_of(b) & joint) != joint : (b->gates & joint) == joint;
     return (bridge_paths_t){
         .upper = from_upper ? joint : 0u, .raised = (sign < 0) ? joint : 0u, .lower = from_upper ? 0u : joint};
 }
@@ -137,31 +134,28 @@ static inline double path_voltage(const bridge_t *b, bridge_paths_t paths, doubl
     return ((paths.upper != 0u) ? u : 0.0) + ((paths.raised != 0u) ? b->v_drop : -b->v_drop);
 }
 
-static inline unsigned kind_of(const bridge_t *b, int k)
+/* Ends of the interval of a leg that touches nothing. */
+static inline double low_end(const bridge_t *b, int k, double u)
 {
-    return (k == b->grounded) ? GROUNDED : (b->upper >> k & 1u) * BRIDGE_HIGH + (b->lower >> k & 1u) * BRIDGE_LOW;
+    return ((b->gates >> k & 1u) != 0u ? u : 0.0) - b->reach[k];
 }
 
-/* Ends of a leg's interval. That of a leg beside two that touch is as seen from these, which are taken to be at -V. */
+static inline double high_end(const bridge_t *b, int k, double u)
+{
+    return ((lower_of(b) >> k & 1u) != 0u ? 0.0 : u) + b->reach[k];
+}
+
+/* The same for any leg. That of one beside two that touch is as seen from these, which are taken to be at -V. */
 static inline double lowest(const bridge_t *b, int k, double u)
 {
-    const unsigned kind = kind_of(b, k);
-    const double low = leg_interval[kind].low_u * u + leg_interval[kind].low_reach * b->reach[k];
+    const double low = (k == b->grounded) ? 0.0 : low_end(b, k, u);
     return (k == b->alone) ? low - path_voltage(b, joint_paths(b, -1), u) - b->v_drop : low;
 }
 
 static inline double highest(const bridge_t *b, int k, double u)
 {
-    const unsigned kind = kind_of(b, k);
-    const double high = leg_interval[kind].high_u * u + leg_interval[kind].high_reach * b->reach[k];
+    const double high = (k == b->grounded) ? 0.0 : high_end(b, k, u);
     return (k == b->alone) ? high - path_voltage(b, joint_paths(b, 1), u) - b->v_drop : high;
-}
-
-static inline void set_gates(bridge_t *b, int k, bridge_gates_t gates)
-{
-    const unsigned leg = 1u << k;
-    b->upper = (b->upper & ~leg) | ((unsigned)gates & 1u) << k;
-    b->lower = (b->lower & ~leg) | ((unsigned)gates >> 1) << k;
 }
 
 static inline void set_sign(bridge_t *b, int k, int sign)

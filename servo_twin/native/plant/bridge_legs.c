@@ -123,7 +123,5 @@ void bridge_begin(bridge_t *b, double u)
         bridge_frame_begin(b, u);
     } else {
         bridge_begin_anew(b, u);
-        b->drain = 1.5 * dot(b->a, b->i);
-        b->drain_slope = 1.5 * dot(b->a, b->di);
     }
 }

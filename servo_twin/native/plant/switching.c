@@ -156,8 +156,8 @@ static inline double square_of(const switching_axis_t *axis)
 static inline void look_at(switching_t *plant, switching_axis_t *axis, double square)
 {
     bridge_t *b = &axis->bridge;
-    axis->i_bus = b->drain;
-    axis->di_bus = b->drain_slope;
+    axis->i_bus = bridge_drain(b);
+    axis->di_bus = bridge_drain_slope(b);
     if (b->moved) {
         b->moved = false;
         axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, EDGE_HORIZON);
