@@ -17,6 +17,8 @@
 #define FADE_TICKS 128
 #define FAINT_MOST 14   /* of these ticks without enough current to tell directions */
 #define DIRECTIONS 6    /* of 8: a whole phase is silent in 4 of them at most, where it changes its sign */
+#define SILENCES 32U /* .. and silent so often: small currents that are mostly noise come to 6 directions by chance */
+#define SILENCE 0x100U /* one of these: the count stands above the directions */
 #define SUSPECT_DIRECTIONS 3 /* of these 2 in a row at most */
 
 void phase_watch_start(phase_watch_t *watch) { *watch = (phase_watch_t){0}; }
@@ -145,10 +147,10 @@ static phases_t sizes(dq_t vector, sin_cos_t at)
 
 static int32_t larger(int32_t a, int32_t b) { return (a > b) ? a : b; }
 
-static uint16_t count_bits(uint16_t word)
+static uint16_t directions(uint16_t sectors)
 {
     uint16_t bits = 0;
-    for (; word != 0U; word = (uint16_t)(word >> 1)) {
+    for (uint16_t word = (uint16_t)(sectors & (SILENCE - 1U)); word != 0U; word = (uint16_t)(word >> 1)) {
         bits = (uint16_t)(bits + (word & 1U));
     }
     return bits;
@@ -159,9 +161,13 @@ static void note_direction(phase_watch_t *w, uint16_t x, int32_t size, int32_t l
 {
     if (3 * size >= largest) {
         w->sectors[x] = 0;
-    } else if ((w->sectors[x] & bit) == 0U) {
-        w->sectors[x] = (uint16_t)(w->sectors[x] | bit);
-        w->lost = w->lost || count_bits(w->sectors[x]) >= DIRECTIONS;
+        return;
+    }
+    w->sectors[x] = (uint16_t)(w->sectors[x] | bit);
+    if (w->sectors[x] < SILENCES * SILENCE) {
+        w->sectors[x] = (uint16_t)(w->sectors[x] + SILENCE);
+    } else {
+        w->lost = w->lost || directions(w->sectors[x]) >= DIRECTIONS;
     }
 }
 
@@ -284,7 +290,7 @@ fault_set_t phase_watch_currents(axis_t *axis, frac16_t theta_e)
 fault_set_t phase_watch_suspects(const phase_watch_t *watch)
 {
     for (uint16_t x = 0; x < SENSE_PHASES; x++) {
-        const bool silent = watch->silent[x] >= SUSPECT_TICKS || count_bits(watch->sectors[x]) >= SUSPECT_DIRECTIONS;
+        const bool silent = watch->silent[x] >= SUSPECT_TICKS || directions(watch->sectors[x]) >= SUSPECT_DIRECTIONS;
         if (silent && !doubtful(watch) && !frozen(watch, x, SUSPECT_TICKS)) {
             return FAULT_PHASE_LOST;
         }

@@ -21,7 +21,7 @@ typedef struct {
 
 typedef struct {
     uint16_t silent[SENSE_PHASES];  /* slow ticks without the current that is asked for */
-    uint16_t sectors[SENSE_PHASES]; /* eighths of an electrical turn in which the phase was silent, a bit each */
+    uint16_t sectors[SENSE_PHASES]; /* eighths of an electrical turn in which it was silent, a bit each; how often */
     frac16_t wanted;                /* i_q* of the last slow tick */
     uint16_t carried;               /* phases that have carried current since somebody wanted to know, a bit each */
     uint16_t faint;                 /* recent slow ticks with too little current for that */

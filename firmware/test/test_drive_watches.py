@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from core_library import Core
 from servo_bench import (
@@ -119,6 +121,39 @@ def test_a_converter_is_named_instead_of_the_over_current_that_it_caused(bench: 
 
 
 # ---- phases and encoder: this board has no currents and no back-EMF
+
+
+def turning(bench: Bench, ticks: int, i_beta: float, i_alpha: float = 0.0) -> list[int]:
+    """Faults that a small current in the stator's frame [full scale] raises, the rotor an eighth of a turn further with
+    each slow tick."""
+    axis = bench.core.ffi.addressof(bench.axis(0))
+    faults: list[int] = []
+    for tick in range(ticks):
+        angle = (tick + 0.5) * math.pi / 4
+        c, s = math.cos(angle), math.sin(angle)
+        axis.current_loop.current.d = round((i_alpha * c + i_beta * s) * 32768)
+        axis.current_loop.current.q = round((i_beta * c - i_alpha * s) * 32768)
+        theta = round(angle / math.pi * 32768)
+        faults.append(bench.core.lib.phase_watch_currents(axis, (theta + 32768) % 65536 - 32768))
+    return faults
+
+
+SMALL = 0.015  # of full scale, 0.12 A: enough to tell a silent phase by, too little to be certain
+
+
+def test_a_phase_that_is_silent_in_every_direction_is_lost(bench: Bench) -> None:
+    faults = turning(bench, 48, SMALL)  # a has none
+    assert not any(faults[:30])
+    assert faults[-1] == PHASE_LOST
+
+
+def test_a_phase_that_is_silent_in_every_direction_by_chance_is_not(bench: Bench) -> None:
+    """Twice around nothing is heard of it, then it is there for once."""
+    for _ in range(50):
+        assert not any(turning(bench, 16, SMALL))
+        assert not any(turning(bench, 1, SMALL, 0.5 * SMALL))
+
+
 def without_current(bench: Bench) -> None:
     bench.to_spin(0)
     bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~ENCODER_LOST
