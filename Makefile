@@ -99,7 +99,7 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-fast: $(VENV)/.fast ## compile the virtual board anew, led by a profile of itself: 15 to 20 % faster until a source changes, the same bits
+fast: $(VENV)/.fast ## compile the virtual board anew, led by a profile of itself: a tenth faster until a source changes, the same bits
 
 $(VENV)/.fast: $(VENV)/.native
 	@rm -rf $(PROFILE)
