@@ -193,6 +193,10 @@ def test_a_shaft_that_is_held_during_the_search_is_not_found_anywhere() -> None:
                 assert faults(board, 0) <= {"ROTOR_SEARCH", "STALLED"}
 
 
+BACK_MOST = 16
+"""What is left of the speed at the end of a ramp [counts]; 12 at most of sixty boards."""
+
+
 @pytest.mark.parametrize(("i_q", "acceleration"), [(4.0, 4000.0), (0.5, 4000.0), (0.2, 4000.0), (4.0, 50000.0)])
 def test_a_stop_does_not_run_back(board: Board, i_q: float, acceleration: float) -> None:
     """With little current, or a steep ramp, the shaft is still fast when the ramp has ended."""
@@ -204,5 +208,5 @@ def test_a_stop_does_not_run_back(board: Board, i_q: float, acceleration: float)
     log = record(board, 3.0)
     for axis in (0, 1):
         position = log[f"axis{axis + 1}.position"].astype(np.int64)
-        assert position.max() - position[-1] <= 10
+        assert position.max() - position[-1] <= BACK_MOST
         assert faults(board, axis) == set()
