@@ -2,9 +2,8 @@
 #include "plant/decay.h"
 
 #define SPLITS 24 /* parts of one segment; the rest of it is taken in one piece */
-#define CURVED 3e3 /* [1/s] */
+#define CURVED 0.75 /* half of i'' h^2, and as much again of that for what is beyond */
 #define NEAR 0.5e-6 /* so soon a current has hardly left the slope that it began with [s] */
-#define MOVED 0.05 /* of the bus, so that a segment is better begun with its mean voltage [V] */
 #define FAR 1e9 /* voltage that no leg comes to [V] */
 #define FRESH_TRIG 64u /* turns of sine and cosine until they are evaluated afresh */
 
@@ -53,8 +52,10 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .grounded = -1,
         .alone = -1,
     };
-    const double beside = 0.5 * bridge->inv_l_mean + fabs(bridge->inv_l_half);
-    const double aside = beside / (bridge->inv_l_mean - fabs(bridge->inv_l_half));
+    const double inv_l_least = bridge->inv_l_mean - fabs(bridge->inv_l_half);
+    bridge->inv_l_most = bridge->inv_l_mean + fabs(bridge->inv_l_half);
+    bridge->saliency = bridge->inv_l_most / inv_l_least;
+    const double aside = (0.5 * bridge->inv_l_mean + fabs(bridge->inv_l_half)) / inv_l_least;
     bridge->coupling = aside + aside * aside; /* straight, or by way of the third phase */
     const double x = (config->i_settle > 0.0) ? 1.0 / (BRIDGE_CLOCK_HZ * config->i_settle) : 800.0;
     for (int n = 0; n < BRIDGE_DECAY; n++) {
@@ -215,11 +216,11 @@ static double split_advance(bridge_t *b, double h, double u)
 double bridge_advance(bridge_t *b, double h, double u)
 {
     double rest = h;
-    if (fabs(u - b->u) > MOVED) { /* the slopes are no longer those that the segment began with */
+    if (bridge_is_stale(b, u)) {
         bridge_settle(b);
         bridge_begin_again(b);
     }
-    const double charge = b->framed ? bridge_frame_advance(b, &rest, u) : 0.0;
+    const double charge = (b->framed || !b->begun) ? bridge_frame_advance(b, &rest, u) : 0.0;
     return (rest > INSTANT) ? charge + split_advance(b, rest, u) : charge;
 }
 
@@ -279,7 +280,7 @@ static bool floats_on(const bridge_t *b, int k, double h)
     return b->hold - drift > lowest(b, k, b->u) && b->hold + drift < highest(b, k, b->u);
 }
 
-bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
+bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h, double u)
 {
     static const double side[8][3] = {{1, 1, 1},  {-1, 1, 1},  {1, -1, 1},  {-1, -1, 1},
                                       {1, 1, -1}, {-1, 1, -1}, {1, -1, -1}, {-1, -1, -1}};
@@ -291,15 +292,15 @@ bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
     }
     /* the diode across the other switch conducts, whether its gate is on or off */
     const unsigned changed = b->gates ^ gates_with(b, k, gates);
-    if ((changed & (b->positive | b->negative << BRIDGE_LOWER)) != 0u) {
+    if ((changed & (b->positive | b->negative << BRIDGE_LOWER)) != 0u || bridge_is_stale(b, u)) {
         return false;
     }
     const bool floats = ((b->positive | b->negative) >> k & 1u) == 0u;
     if (floats && (gates != BRIDGE_OPEN || !floats_on(b, k, h))) {
         return false;
     }
-    /* Straight on, where are the currents? i'' is some R / L + w times i', and less than CURVED times that. */
-    const double bent = h * h * CURVED * (fabs(b->di.alpha) + fabs(b->di.beta));
+    /* Straight on, where are the currents? And how far may they have bent: i'' = K i' + e', as bridge_frame.c has it. */
+    const double bent = CURVED * h * h * (b->k_most * (fabs(b->di.alpha) + fabs(b->di.beta)) + b->push_most);
     double past = 0.0; /* those that may have been at zero, and would be beyond by now */
     double phase[3];
     phases_of((plant_vector_t){b->i.alpha + h * b->di.alpha, b->i.beta + h * b->di.beta}, phase);
@@ -308,7 +309,7 @@ bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h)
         past += (phase[j] < bent) ? bent - phase[j] : 0.0;
     }
     /* Where another current was at zero, its slope has changed by as much as it would have gone on at most: going through it
-     * is slowed down by the drop that changes its sign, or else it stays there. A leg that floats is where it was. */
+     * is slowed down by the drop that changes its sign, or else it stays there. A leg that floats counts as bent. */
     return floats ? past < 1.5 * bent : phase[k] > bent + b->coupling * past;
 }
 

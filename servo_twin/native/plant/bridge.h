@@ -22,18 +22,19 @@
  * with i_1 from a first guess of third order; the torque is integrated the same way. In a segment of length h the current
  * is wrong by about (R/L) (h^4 i'''/72) + (R h/L)/3 (R/L) (h^3 i''/6): with 1/tau = max(R/L, omega_e) and i' = u/L this is
  * (u h/L) (h/tau)^3 / 12, for the motors of the reference design some 1e-7 A in 10 us and 1e-5 A in 30 us. Whole runs
- * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A), 6e-5 A with gates that follow
+ * against an independent integration stay within 1.1e-5 A (the converter's step is 4e-3 A), 2e-4 A with gates that follow
  * no modulation and shafts at up to 700 rad/s.
  *
  * While nothing unusual happens and no leg touches anything segments are parabolas within a frame (bridge_frame.c), which
- * costs less than a third; whole runs stay within 1e-4 A then, and 7e-4 A with such gates.
+ * costs less than a third; whole runs stay within 1e-4 A then, and 1e-3 A with such gates.
  *
  * Broken wires: the interval of an open leg has no ends, that of a leg on bus minus no width, and two legs that touch go
  * together: the third one's current alone decides on their voltage.
  *
- * Where a segment ends within itself is found in closed form: a current at zero by its slope, corrected once by the slope
- * found there (in a frame as bridge_course.h says); a shaft that stops or breaks loose by the root of a parabola; a floating leg that reaches an end of its
- * interval by a straight line.
+ * Where a segment ends within itself is found in closed form: a current at zero by its slope, corrected by the slopes found
+ * there (in a frame as bridge_course.h says); a shaft that stops or breaks loose by the root of a parabola; a floating leg
+ * that reaches an end of its interval by a straight line. What would take no time has happened already: an instant that
+ * came again and again would use up the parts of a segment.
  */
 #ifndef PLANT_BRIDGE_H
 #define PLANT_BRIDGE_H
@@ -52,6 +53,7 @@ typedef enum {
 } bridge_gates_t;
 
 #define BRIDGE_LOWER 8
+#define BRIDGE_MOVED 0.05 /* of the bus, so that a segment is better begun anew [V] */
 #define BRIDGE_CLOCK_HZ 100e6 /* bus clock of the chip */
 #define BRIDGE_FRAME 64e-6 /* angle and speed are brought along so often, but for the last segment [s] */
 
@@ -101,6 +103,7 @@ typedef struct {
     double l_d, l_q;
     double inv_l_mean, inv_l_half;       /* half the sum and half the difference of 1 / L_d and 1 / L_q */
     double psi_m, pole_pairs;
+    double inv_l_most, saliency;         /* the larger of 1 / L_d and 1 / L_q; over the smaller one */
     double coupling;                     /* of what a phase's slope changes by, how much may be in another one */
     double k_torque;                     /* 3/2 p */
     double inv_inertia;
@@ -145,6 +148,7 @@ typedef struct {
     plant_vector_t di;                   /* [A/s] */
     double dtorque;                      /* [N m/s] */
     double direction;                    /* of motion, 1 or -1; 0: stands */
+    double k_most, push_most;            /* of i'' = K i' + e' (bridge_frame.c), at most [1/s], [A/s^2] */
     double accel, jerk;                  /* [rad/s^2], [rad/s^3] */
     /* while nothing unusual happens (bridge_frame.c) */
     bool framed;
@@ -187,9 +191,15 @@ static inline double bridge_drain_slope(const bridge_t *bridge)
 
 void bridge_gates(bridge_t *bridge, int phase, bridge_gates_t gates);
 
+/* The bus has moved, so that the slopes are no longer those that the segment began with. */
+static inline bool bridge_is_stale(const bridge_t *bridge, double u)
+{
+    return u > bridge->u + BRIDGE_MOVED || u < bridge->u - BRIDGE_MOVED;
+}
+
 /* True if other gates on a leg would change nothing, now and in the `h` seconds since the segment began: a dead time
- * that the diode has bridged already, or is about to. */
-bool bridge_indifferent(bridge_t *bridge, int phase, bridge_gates_t gates, double h);
+ * that the diode has bridged already, or is about to. The bus is at `u` by now. */
+bool bridge_indifferent(bridge_t *bridge, int phase, bridge_gates_t gates, double h, double u);
 
 /* A segment that has taken no time is to begin anew: what it has decided about legs without current does not count. */
 void bridge_begin_again(bridge_t *bridge);

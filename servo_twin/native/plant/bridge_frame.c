@@ -119,6 +119,7 @@ PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
         standing ? 0.0 : (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
     b->jerk = 0.0;
     b->moved = true; /* on another course than a step before */
+    find_bend(b);
     b->framed = true;
     return true;
 }

@@ -9,6 +9,7 @@
 #include "plant/trig.h"
 
 #define INSTANT 1e-14 /* shorter is no time at all [s] */
+#define NOTHING 1e-12 /* a current that a rounding has left [A] */
 #define THIRD (1.0 / 3.0)
 #define SIXTH (1.0 / 6.0)
 #define HALF_SQRT3 (0.5 * PLANT_SQRT3)
@@ -172,6 +173,14 @@ static inline double lag_behind(double y, double from, double to, double tau_h, 
     return to - lag + (y - from + lag) * left;
 }
 
+/* How much the currents may bend at this speed. */
+static inline void find_bend(bridge_t *b)
+{
+    const double w = fabs(b->pole_pairs * b->omega);
+    b->k_most = b->r * b->inv_l_most + w * (1.0 + b->saliency);
+    b->push_most = w * w * b->psi_m * b->inv_l_most;
+}
+
 /* ---- one plain step ---------------------------------------------------------------------------------------------- */
 
 /* The shaft, and the rotor's angle with it. */
@@ -263,7 +272,8 @@ PLANT_INLINE double travel_floating(const bridge_t *b, double h, plant_vector_t 
 
 static inline bool crossed(const bridge_t *b, const end_t *e)
 {
-    return e->phase[0] * sign_of(b, 0) < 0.0 || e->phase[1] * sign_of(b, 1) < 0.0 || e->phase[2] * sign_of(b, 2) < 0.0;
+    return e->phase[0] * sign_of(b, 0) < -NOTHING || e->phase[1] * sign_of(b, 1) < -NOTHING ||
+           e->phase[2] * sign_of(b, 2) < -NOTHING;
 }
 
 /* An end stop lets a resting shaft go one way only. */

@@ -69,6 +69,7 @@ void bridge_begin_anew(bridge_t *b, double u)
     b->dead = false;
     b->begun = b->moved = true;
     b->u = u;
+    find_bend(b);
     int k = leg_at_zero(b);
     if (k == NO_CURRENT) {
         k = bridge_leave_one(b, u);

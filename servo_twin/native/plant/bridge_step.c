@@ -3,6 +3,7 @@
 
 #define NEAR 3e-7 /* so far a moment is moved by slopes alone [s] */
 #define NEVER 1e9 /* [s] */
+#define STILL 1e-9 /* of a slope that the bus makes: no slope at all */
 
 static void travel_out(const bridge_t *b, double h, plant_vector_t drive, end_t *e) { travel(b, h, drive, e); }
 
@@ -39,16 +40,18 @@ static void sooner(cut_t *cut, double after, reason_t reason, int phase, int sig
     }
 }
 
-/* Straight on, when is the first current down to zero, and which one? */
+/* Straight on, when is the first current down to zero, and which one? One that has just begun, because its leg's voltage has
+ * come to an end of the interval, does so without a slope. */
 static inline double first_zero(const bridge_t *b, double h, int *phase)
 {
     double slope[3];
     phases_of(b->di, slope);
+    const double still = STILL * (b->u + b->v_drop) * b->inv_l_most;
     double first = h;
     for (int k = 0; k < 3; k++) {
         const double falls = -slope[k] * sign_of(b, k);
         const double size = b->phase[k] * sign_of(b, k);
-        if (falls > 0.0 && size < falls * first) {
+        if (falls > ((size > NOTHING) ? 0.0 : still) && size < falls * first) {
             first = size / falls;
             *phase = k;
         }
@@ -155,6 +158,19 @@ static void find_conduction(const bridge_t *b, double h, double u, const end_t *
     }
 }
 
+/* Steps that end nearer and nearer to a zero, unless it turns out to be beyond h. Returns what is left to go. */
+static double approach_zero(const bridge_t *b, double h, double u, double *t, int *expected, end_t *e, double *hold)
+{
+    const double near = (b->floating >= 0) ? INSTANT : NEAR; /* its shift would need the leg's voltage */
+    double more = to_zero(b, e, *t, expected);
+    for (int n = 0; n < 3 && fabs(more) > near && *t + more < h && *t + more > 0.0; n++) {
+        *t += more;
+        bridge_step(b, *t, u, e, hold);
+        more = to_zero(b, e, *t, expected);
+    }
+    return more;
+}
+
 cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
 {
     double hold = 0.0;
@@ -169,18 +185,14 @@ cut_t bridge_step_to_change(const bridge_t *b, double h, double u, end_t *e)
     if (b->dead) {
         find_conduction(b, t, u, e, &cut);
     } else if (t < h || crossed(b, e)) {
-        double more = to_zero(b, e, t, &expected);
-        const double near = (b->floating >= 0) ? INSTANT : NEAR; /* its shift would need the leg's voltage */
-        for (int n = 0; n < 3 && fabs(more) > near && t + more < h && t + more > 0.0; n++) {
-            t += more;
+        double more = approach_zero(b, h, u, &t, &expected, e, &hold);
+        if (t + more >= h) { /* curvature has saved it, if no other current */
+            t = cut.after = h;
+            expected = -1;
             bridge_step(b, t, u, e, &hold);
-            more = to_zero(b, e, t, &expected);
+            more = crossed(b, e) ? approach_zero(b, h, u, &t, &expected, e, &hold) : NEVER;
         }
-        if (t + more >= h) { /* curvature has saved it */
-            t = h;
-            bridge_step(b, t, u, e, &hold);
-            cut.after = t;
-        } else {
+        if (t + more < h) {
             more = (t + more > 0.0) ? more : 0.0;
             if (b->floating < 0) {
                 bridge_shift(b, t, more, e);

@@ -454,7 +454,7 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
         return;
     }
     const bridge_gates_t gates = (leg == SWITCHING_SHORT) ? BRIDGE_OPEN : (bridge_gates_t)leg;
-    if (bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now))) {
+    if (bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now), plant->supply.u)) {
         bridge_gates(b, phase, gates);
     } else {
         switch_over(plant, i, phase, gates);
@@ -469,7 +469,8 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
     switching_axis_t *axis = &plant->axis[i];
     double current;
     switching_look(plant);
-    if (!bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), &current)) {
+    if (bridge_is_stale(&axis->bridge, plant->supply.u) ||
+        !bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), &current)) {
         advance_axis(plant, i);
         switching_look_around(plant);
         current = axis->bridge.amplifier[BRIDGE_LANE(phase)];
