@@ -1,8 +1,8 @@
 /* phase_watch.h - phases that carry no current, and current converters that say what cannot be.
  *
- * A lost phase is silent while the others are not: at rest although current is asked of it, turning in every direction of
- * the rotor. A converter is broken when it says at the centre of the high side, where its shunt carries nothing, that
- * there is current, or the same code again and again while its neighbours show noise.
+ * A lost phase is silent while the others are not: at rest although current is asked of it, turning often and in every
+ * direction of the rotor. A converter is broken when it says at the centre of the high side, where its shunt carries
+ * nothing, that there is current, or the same code again and again while its neighbours show noise.
  */
 #ifndef SERVO_DRIVE_PHASE_WATCH_H
 #define SERVO_DRIVE_PHASE_WATCH_H
