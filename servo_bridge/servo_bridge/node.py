@@ -109,6 +109,13 @@ class ServoBridge(Node):
         **node_arguments: Any,
     ) -> None:
         super().__init__("servo_bridge", namespace="servo", **node_arguments)
+        try:
+            self._set_up(call_soon, link_factory)
+        except BaseException:
+            self.destroy_node()  # one that is only collected some day takes the log of the next of its name with it
+            raise
+
+    def _set_up(self, call_soon: Callable[[Callable[[], None]], object], link_factory: LinkFactory) -> None:
         self.failure = ""  # nothing ends this node: it waits for a board that comes back
         self._log = Node.get_logger(self)
         self._catalogue = Catalogue.load()

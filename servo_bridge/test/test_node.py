@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import math
 import time
@@ -393,6 +394,18 @@ def test_senseless_parameters_are_named(parameters: dict[str, Any], sentence: st
     with pytest.raises(ParameterError) as caught, Rig(**parameters):
         pass
     assert sentence in str(caught.value)
+
+
+def test_a_bridge_that_did_not_start_takes_nobody_s_log_with_it() -> None:
+    """What is left of it may be collected at any time, while the next one of its name is at work."""
+    with pytest.raises(ParameterError) as refused, Rig(joints=["one"]):
+        pass
+    with Rig() as rig:
+        del refused
+        gc.collect()
+        rig.ready()
+        rig.commands.publish(Float64MultiArray(data=[1.0]))
+        rig.until(rig.rejections)
 
 
 def test_joint_names_reach_topics_and_messages() -> None:
