@@ -14,10 +14,11 @@
 #define VECTOR_START 87u /* PWMA_CMP0: the sequence of both loops */
 
 struct board {
+    switching_t plant; /* at a multiple of SWITCHING_LINE */
+    chip_t chip;
     servo_t servo;
     hal_t hal;
-    chip_t chip;
-    switching_t plant;
+    void *allocated; /* what the board lies in */
     board_core_t core;
     uint64_t time_ns;  /* since `zero` */
     uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
@@ -188,10 +189,12 @@ void world_background(void *world)
 
 board_t *board_new(const board_config_t *config)
 {
-    board_t *board = (board_t *)calloc(1, sizeof *board);
-    if (board == NULL) {
+    uint8_t *room = (uint8_t *)calloc(1, sizeof(board_t) + SWITCHING_LINE);
+    if (room == NULL) {
         return NULL;
     }
+    board_t *board = (board_t *)(void *)(room + SWITCHING_LINE - (uintptr_t)room % SWITCHING_LINE);
+    board->allocated = room;
     board->core = config->core;
     switching_init(&board->plant, config);
     const chip_config_t chip = {.wiring = wiring, .baud = config->baud, .crossbar_clocks = SYNC_CLOCKS};
@@ -227,7 +230,12 @@ static void boot_once(board_t *board)
     board->starting = false;
 }
 
-void board_free(board_t *board) { free(board); }
+void board_free(board_t *board)
+{
+    if (board != NULL) {
+        free(board->allocated);
+    }
+}
 
 servo_t *board_servo(board_t *board)
 {
@@ -275,10 +283,10 @@ size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_
 
 size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room)
 {
-    board->chip.trace = (trace_t){.entry = log, .size = 0, .room = room};
+    board->chip.trace = (trace_t){.entry = log, .size = 0, .left = room};
     board_advance(board, until_ns);
     const size_t size = board->chip.trace.size;
-    board->chip.trace = (trace_t){.entry = NULL, .size = 0, .room = 0};
+    board->chip.trace = (trace_t){.entry = NULL, .size = 0, .left = 0};
     return size;
 }
 

@@ -241,7 +241,7 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 
 uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return plant_sink_code(&hal->plant, axis); }
 
-void hal_brake(hal_t *hal, bool on) { hal->plant.bus.braking = on; }
+void hal_brake(hal_t *hal, bool on) { supply_switch(&hal->plant.bus, on); }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 

@@ -34,7 +34,7 @@ CDEF = (
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
 typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; } chip_config_t;
 typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
-typedef struct { trace_entry_t *entry; size_t size, room; } trace_t;
+typedef struct { trace_entry_t *entry; size_t size, left; } trace_t;
 typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
 typedef struct { uint32_t services; ...; } cop_t;
 typedef struct { uint32_t locked_writes; ...; } pwm_t;
@@ -359,7 +359,7 @@ class ChipRig:
 
     def clear(self) -> None:
         """Forget what has been recorded."""
-        self.chip.trace = {"entry": self._trace, "size": 0, "room": 200_000}
+        self.chip.trace = {"entry": self._trace, "size": 0, "left": 200_000}
         self.gates.clear()
 
     def events(self, *kinds: str) -> list[Event]:

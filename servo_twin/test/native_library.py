@@ -59,7 +59,7 @@ void plant_inverter_short(plant_inverter_t *inverter, int phase, int to);
 bool plant_inverter_shorted(const plant_inverter_t *inverter);
 double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase, bool low);
 
-typedef struct { double u_source, u, e_source, e_brake; bool braking; ...; } supply_t;
+typedef struct { double u_source, u, e_source, e_brake; ...; } supply_t;
 void supply_init(supply_t *supply, const plant_bus_t *config, double ambient);
 double supply_advance(supply_t *supply, double h, double i_load);
 void supply_set(supply_t *supply, double volts);

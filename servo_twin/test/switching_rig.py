@@ -10,7 +10,13 @@ from servo_twin.plant import PlantConfig
 from switching_reference import Edge
 
 SWITCHING_CDEF = """
-typedef struct { double theta, omega, phase[3], low, high; unsigned positive, negative, joint; ...; } bridge_t;
+typedef struct {
+    double i[4], di[4], ddi[4], v[4], inverse[2][4], drift[2][4], push[4], push_slope[4], along[3][4]; ...;
+} bridge_frame_t;
+typedef struct {
+    bridge_frame_t frame; double amplifier[4], drops[14][4]; plant_vector_t psi, a, i, di;
+    double theta, omega, phase[3], low, high; unsigned positive, negative, joint; ...;
+} bridge_t;
 typedef struct { bridge_t bridge; ...; } switching_axis_t;
 typedef struct { switching_axis_t axis[2]; supply_t supply; ...; } switching_t;
 typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;

@@ -534,3 +534,17 @@ def test_encoder_edges_come_when_the_shaft_is_there(switching_c: Native, gap: in
         edges = [edge for edge in edges if edge[0] >= clock]
         counts = again.truth(axis).theta / (2.0 * math.pi) * 4000.0
         assert counts == pytest.approx(round(counts), abs=0.01)
+
+
+def test_vectors_lie_in_one_line_of_the_cache_each(switching_c: Native) -> None:
+    """If the plant begins one. A vector across two costs time, and nothing else shows that."""
+    ffi = switching_c.ffi
+    axis = ffi.offsetof("switching_t", "axis")
+    vectors = [(name, 32) for name in ("amplifier", "drops")] + [(name, 16) for name in ("psi", "a", "i", "di")]
+    assert axis % 64 == 0
+    assert ffi.sizeof("switching_axis_t") % 64 == 0
+    assert ffi.offsetof("switching_axis_t", "bridge") == ffi.offsetof("bridge_t", "frame") == 0
+    for name, size in vectors:
+        assert ffi.offsetof("bridge_t", name) % size == 0, name
+    for name in ("i", "di", "ddi", "v", "inverse", "drift", "push", "push_slope", "along"):
+        assert ffi.offsetof("bridge_frame_t", name) % 32 == 0, name

@@ -139,7 +139,7 @@ def test_every_gate_pattern(switching_c: Native) -> None:
 
 
 @dataclass(frozen=True)
-class Any:
+class AnyRun:
     """Shafts at any angles and speeds, and gates that anything may happen to at any clock.
 
     Attributes
@@ -157,7 +157,7 @@ class Any:
     edges: list[Edge]
 
 
-def any_run(seed: int, longest: int | None) -> Any:
+def any_run(seed: int, longest: int | None) -> AnyRun:
     """Draw one with at most so many clocks from edge to edge; one of three numbers, if none is given."""
     rnd = random.Random(seed)
     config = PlantConfig.load()
@@ -174,7 +174,7 @@ def any_run(seed: int, longest: int | None) -> Any:
     while clock < 15_000:
         clock += rnd.randrange(60 if rnd.random() < 0.4 else longest) + 1
         edges.append((clock, rnd.randrange(2), rnd.randrange(3), rnd.randrange(3)))
-    return Any(config, speeds, edges)
+    return AnyRun(config, speeds, edges)
 
 
 # Shafts that break loose while a current grows (6, 8, 22, 47, 132), gates that only seemed to make no difference (6 and

@@ -55,7 +55,8 @@ CHIP_NORETURN void chip_reset(chip_t *chip, reset_cause_t cause);
 
 static inline void chip_note(chip_t *chip, trace_kind_t kind, uint32_t a, uint32_t b)
 {
-    if (chip->trace.size < chip->trace.room) {
+    if (chip->trace.left > 0u) {
+        chip->trace.left--;
         chip->trace.entry[chip->trace.size++] = (trace_entry_t){chip->now, (uint16_t)kind, (uint16_t)a, b};
     }
 }

@@ -30,7 +30,8 @@ typedef struct { /* without padding: the same run gives the same bytes */
 
 typedef struct {
     trace_entry_t *entry;
-    size_t size, room; /* nothing is written once it is full */
+    size_t size;
+    size_t left; /* room that there still is; nothing is written once it is full */
 } trace_t;
 
 #endif

@@ -46,7 +46,7 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .low = -INFINITY,
         .high = INFINITY,
         .moved = true,
-        .own = LEGS,
+        .own = BRIDGE_LEGS,
         .shorted_leg = -1,
         .shorted_beside = -1,
         .grounded = -1,
@@ -62,7 +62,8 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         bridge->decay_fine[n] = plant_decay(n * x);
         bridge->decay_coarse[n] = plant_decay(n * BRIDGE_DECAY * x);
     }
-    for (unsigned legs = 0; legs <= LEGS; legs++) { /* without current out of the motor a leg is one drop lower */
+    /* without current out of the motor a leg is one drop lower */
+    for (unsigned legs = 0; legs < BRIDGE_LEG_SETS; legs++) {
         for (int lane = 0; lane < BRIDGE_LANES; lane++) {
             bridge->drops[legs][lane] = 2.0 * config->v_drop * legs_at[legs][lane];
         }
@@ -81,7 +82,7 @@ static void filter(bridge_t *b, double h, const double phase[3])
     const double left = decay(b, h);
     const double tau_h = b->tau / h;
     for (int k = 0; k < 3; k++) {
-        const double seen = (b->paths.lower >> k & 1u) ? 1.0 : 0.0;
+        const double seen = (b->paths.lower & BRIDGE_LEG(k)) != 0u ? 1.0 : 0.0;
         double *shown = &b->amplifier[BRIDGE_LANE(k)];
         *shown = lag_behind(*shown, seen * b->phase[k], seen * phase[k], tau_h, left);
     }
@@ -226,12 +227,15 @@ double bridge_advance(bridge_t *b, double h, double u)
 
 /* ---- what others want to know ------------------------------------------------------------------------------------- */
 
-bool bridge_amplifier(const bridge_t *b, int k, double h, double *shown)
+bool bridge_amplifier(const bridge_t *b, int k, double h, double u, double *shown)
 {
     const double before = b->amplifier[BRIDGE_LANE(k)];
     if (h <= 0.0) {
         *shown = before;
         return true;
+    }
+    if (bridge_is_stale(b, u)) {
+        return false;
     }
     double current;
     double slope, late; /* of it, now and then */
@@ -247,25 +251,23 @@ bool bridge_amplifier(const bridge_t *b, int k, double h, double *shown)
     } else {
         return false;
     }
-    const double seen = (b->paths.lower >> k & 1u) ? 1.0 : 0.0;
+    const double seen = (b->paths.lower & BRIDGE_LEG(k)) != 0u ? 1.0 : 0.0;
     *shown = seen * (current - b->tau * late) + (before - seen * (b->phase[k] - b->tau * slope)) * decay(b, h);
     return true;
 }
 
-double bridge_shunt(const bridge_t *b, int k) { return (b->paths.lower >> k & 1u) ? b->phase[k] : 0.0; }
+double bridge_shunt(const bridge_t *b, int k) { return (b->paths.lower & BRIDGE_LEG(k)) != 0u ? b->phase[k] : 0.0; }
 
-void bridge_gates(bridge_t *b, int k, bridge_gates_t gates) { b->gates = gates_with(b, k, gates); }
-
-/* Without current: true if none begins with the leg's other gates. */
-static bool stays_dead(bridge_t *b, int k, bridge_gates_t gates)
+/* Without current: true if none begins with other gates, all off in their leg if it `opens`. */
+static bool stays_dead(bridge_t *b, bool opens, unsigned gates)
 {
-    if (gates == BRIDGE_OPEN && b->direction == 0.0) {
+    if (opens && b->direction == 0.0) {
         return true; /* its interval grows, and there is no back-EMF */
     }
     const unsigned before = b->gates;
     int out = 0;
     int back = 0;
-    bridge_gates(b, k, gates);
+    b->gates = gates;
     const bool dead = b->unplugged || bridge_excess(b, b->u, b->psi, b->omega, &out, &back) <= 0.0;
     b->gates = before;
     return dead;
@@ -280,23 +282,32 @@ static bool floats_on(const bridge_t *b, int k, double h)
     return b->hold - drift > lowest(b, k, b->u) && b->hold + drift < highest(b, k, b->u);
 }
 
-bool bridge_indifferent(bridge_t *b, int k, bridge_gates_t gates, double h, double u)
+bool bridge_indifferent(bridge_t *b, int k, unsigned gates, double h, double u)
 {
-    static const double side[8][3] = {{1, 1, 1},  {-1, 1, 1},  {1, -1, 1},  {-1, -1, 1},
-                                      {1, 1, -1}, {-1, 1, -1}, {1, -1, -1}, {-1, -1, -1}};
+    static const double side[BRIDGE_LEG_SETS][3] = {
+        [0] = {1, 1, 1},
+        [LEG_A] = {-1, 1, 1},
+        [LEG_B] = {1, -1, 1},
+        [LEG_A | LEG_B] = {-1, -1, 1},
+        [LEG_C] = {1, 1, -1},
+        [LEG_A | LEG_C] = {-1, 1, -1},
+        [LEG_B | LEG_C] = {1, -1, -1},
+        [BRIDGE_LEGS] = {-1, -1, -1},
+    };
+    const unsigned leg = BRIDGE_LEG(k);
+    const bool opens = (gates & (leg | leg << BRIDGE_LOWER)) == 0u;
     if (!b->begun || b->shorted) {
         return false;
     }
     if (b->dead) {
-        return stays_dead(b, k, gates);
+        return stays_dead(b, opens, gates);
     }
     /* the diode across the other switch conducts, whether its gate is on or off */
-    const unsigned changed = b->gates ^ gates_with(b, k, gates);
-    if ((changed & (b->positive | b->negative << BRIDGE_LOWER)) != 0u || bridge_is_stale(b, u)) {
+    if (((b->gates ^ gates) & (b->positive | b->negative << BRIDGE_LOWER)) != 0u || bridge_is_stale(b, u)) {
         return false;
     }
-    const bool floats = ((b->positive | b->negative) >> k & 1u) == 0u;
-    if (floats && (gates != BRIDGE_OPEN || !floats_on(b, k, h))) {
+    const bool floats = ((b->positive | b->negative) & leg) == 0u;
+    if (floats && (!opens || !floats_on(b, k, h))) {
         return false;
     }
     /* Straight on, where are the currents? And how far may they have bent: i'' = K i' + e', as bridge_frame.c has it. */
@@ -348,8 +359,8 @@ static void rewire(bridge_t *b)
     b->alone = joint ? alone : -1;
     b->grounded = (b->shorted_leg >= 0 && !is_open(b, b->shorted_leg)) ? b->shorted_leg : -1;
     b->shorted = b->grounded >= 0 || b->alone >= 0;
-    b->joint = joint ? LEGS & ~(1u << alone) : 0u;
-    b->own = LEGS & ~b->joint & ~((b->grounded >= 0) ? 1u << b->grounded : 0u);
+    b->joint = joint ? BRIDGE_LEGS & ~BRIDGE_LEG(alone) : 0u;
+    b->own = BRIDGE_LEGS & ~b->joint & ~((b->grounded >= 0) ? BRIDGE_LEG(b->grounded) : 0u);
     b->positive = b->negative = 0u;
     b->begun = false;
     for (int k = 0; k < 3; k++) { /* those that went together were without a sign of their own */

@@ -52,7 +52,6 @@ typedef enum {
     BRIDGE_LOW = 2,
 } bridge_gates_t;
 
-#define BRIDGE_LOWER 8
 #define BRIDGE_MOVED 0.05 /* of the bus, so that a segment is better begun anew [V] */
 #define BRIDGE_CLOCK_HZ 100e6 /* bus clock of the chip */
 #define BRIDGE_FRAME 64e-6 /* angle and speed are brought along so often, but for the last segment [s] */
@@ -60,6 +59,12 @@ typedef enum {
 /* A stator vector together with its phases in one register: alpha (which is phase a), beta, phase b, phase c. */
 #define BRIDGE_LANES 4
 #define BRIDGE_LANE(phase) ((phase) + ((phase) > 0))
+
+/* Where there is a bit for each leg it lies as the lanes do; 14 numbers hold them all. */
+#define BRIDGE_LEG(phase) (1u << BRIDGE_LANE(phase))
+#define BRIDGE_LEGS 13u
+#define BRIDGE_LEG_SETS (BRIDGE_LEGS + 1u)
+#define BRIDGE_LOWER 8 /* by so many bits the lower gates lie above the upper ones */
 
 /* Decay of the amplifiers, e^(-n clocks / tau), as the product of two entries. */
 #define BRIDGE_DECAY 32
@@ -71,34 +76,79 @@ typedef struct {
 
 /* A short time in which the currents obey an equation with constant coefficients. */
 typedef struct {
-    double longest;                      /* without its last segment [s] */
-    double longest_driven, longest_idle; /* segments, with a voltage across the motor and with none [s] */
+    /* the segment */
+    double i[BRIDGE_LANES], di[BRIDGE_LANES], ddi[BRIDGE_LANES]; /* where it begins [A], [A/s], [A/s^2] */
+    double v[BRIDGE_LANES];              /* of the legs: alpha, beta, their mean, nothing [V] */
+    /* coefficients */
     double inverse[2][BRIDGE_LANES];     /* by columns: i' with v [1/H] */
     double drift[2][BRIDGE_LANES];       /* by columns: i' with i [1/s] */
     double push[BRIDGE_LANES], push_slope[BRIDGE_LANES]; /* i' without either, and how it changes [A/s], [A/s^2] */
     double along[3][BRIDGE_LANES];       /* i' with a voltage along a phase's axis [1/H] .. */
-    double per_l[3];                     /* .. and 1 over its part in that phase [H] */
+    /* sums */
     plant_vector_t charge, moment;       /* since its beginning, and the integral of that [A s], [A s^2] */
-    double reluctance;                   /* part of the torque there [N m] */
     double squares[2], work[2];          /* integrals of 3/2 i^2 [A^2 s] and of v i [V A s], alpha and beta */
     double taken;                        /* out of the bus, less what passes through zero have saved [J] */
-    /* the segment */
-    double i[BRIDGE_LANES], di[BRIDGE_LANES], ddi[BRIDGE_LANES]; /* where it begins [A], [A/s], [A/s^2] */
-    double v[BRIDGE_LANES];              /* of the legs: alpha, beta, their mean, nothing [V] */
-    double hold_slope;                   /* of the floating leg [V/s] */
+    double hold_slope;                   /* of the floating leg in the segment [V/s] */
+    double longest;                      /* without its last segment [s] */
+    double longest_driven, longest_idle; /* segments, with a voltage across the motor and with none [s] */
+    double per_l[3];                     /* 1 over the part of `along` in that phase [H] */
+    double reluctance;                   /* part of the torque at the beginning [N m] */
+    double time;                         /* since its beginning [s]: angle, speed and flux stand there */
 } bridge_frame_t;
 
-/* Ways through the legs, bit per leg. */
+/* Ways through the legs, a bit for each. */
 typedef struct {
     unsigned upper;                      /* from the positive rail */
     unsigned raised;                     /* with the drop counting upwards: current out of the motor */
     unsigned lower;                      /* through the shunt */
 } bridge_paths_t;
 
+/* What a frame reads as vectors comes first: if the bridge begins a line of the cache, none of that lies across two. */
 typedef struct {
+    bridge_frame_t frame;                /* while nothing unusual happens (bridge_frame.c) */
+    double accel, jerk;                  /* [rad/s^2], [rad/s^3] */
+    double amplifier[BRIDGE_LANES];      /* output of the current amplifiers [A] */
+    double drops[BRIDGE_LEG_SETS][BRIDGE_LANES]; /* by the legs with a current out of the motor, as `v` of a frame */
+    /* state */
+    plant_vector_t psi;                  /* stator flux linkage [V s] */
+    double theta, omega;                 /* mechanical [rad], [rad/s] */
+    unsigned positive, negative;         /* signs of the phase currents; neither: the leg floats */
+    /* the segment that begins here, valid while `begun`; b, level and dtorque only outside of a frame */
+    bool begun;
+    bool held;                           /* the shaft has just stopped and stays so to the end of the segment */
+    bool dead;                           /* no current at all, and none will flow */
+    bool framed;
+    int floating;                        /* index of the only leg without current, -1 if there is none */
+    plant_vector_t a, b;                 /* v = u a + b */
+    plant_vector_t i, di;                /* [A], [A/s] */
+    double phase[3];                     /* [A] */
+    double u;                            /* bus voltage [V] */
+    double hold;                         /* of the floating leg at the beginning [V] */
+    bridge_paths_t paths;                /* through the legs */
+    double level;                        /* mean of the legs above the negative rail [V] */
+    double dtorque;                      /* [N m/s] */
+    double direction;                    /* of motion, 1 or -1; 0: stands */
+    double k_most, push_most;            /* of i'' = K i' + e' (bridge_frame.c), at most [1/s], [A/s^2] */
+    bool moved;                          /* angle and speed are others than before: set here, cleared by who looks */
+    /* what follows from the state */
+    double cosine, sine;                 /* of the electrical angle */
+    bridge_matrix_t inverse;             /* inductance^-1 in the stator frame [1/H] */
+    double torque;                       /* [N m] */
+    unsigned turns;                      /* of cosine and sine since they were made afresh */
+    /* inputs */
+    unsigned gates;                      /* that are on: upper ones, and lower ones << BRIDGE_LOWER */
+    double load;                         /* [N m] */
+    bool locked, unplugged;
+    double low, high;                    /* end stops, inelastic, mechanical [rad] */
+    double reach[3];                     /* of a leg's interval beyond the rails, without end for an open phase [V] */
+    int shorted_leg, shorted_beside;     /* the next two, were no phase open */
+    int grounded;                        /* leg that touches bus minus, -1: none */
+    int alone;                           /* the other two legs touch each other, -1: they do not */
+    bool shorted;                        /* one of the two */
+    unsigned joint;                      /* the two that touch: their own currents tell nothing */
+    unsigned own;                        /* the others, but for a grounded one */
     /* parameters */
     double v_drop;                       /* [V] */
-    double drops[8][BRIDGE_LANES];       /* by the legs with a current out of the motor, as `v` of a frame */
     double r_s, r_on, r;                 /* winding, switch or diode, their sum [ohm] */
     double l_d, l_q;
     double inv_l_mean, inv_l_half;       /* half the sum and half the difference of 1 / L_d and 1 / L_q */
@@ -111,50 +161,6 @@ typedef struct {
     double longest;                      /* step that the series are good for [s] */
     double tau;                          /* of the current amplifiers [s] */
     double decay_fine[BRIDGE_DECAY], decay_coarse[BRIDGE_DECAY];
-    /* inputs */
-    unsigned gates;                      /* that are on: upper ones, bit per leg, and lower ones << BRIDGE_LOWER */
-    double load;                         /* [N m] */
-    bool locked, unplugged;
-    double low, high;                    /* end stops, inelastic, mechanical [rad] */
-    double reach[3];                     /* of a leg's interval beyond the rails, without end for an open phase [V] */
-    int shorted_leg, shorted_beside;     /* the next two, were no phase open */
-    int grounded;                        /* leg that touches bus minus, -1: none */
-    int alone;                           /* the other two legs touch each other, -1: they do not */
-    bool shorted;                        /* one of the two */
-    unsigned joint;                      /* the two that touch, bit per leg: their own currents tell nothing */
-    unsigned own;                        /* the others, but for a grounded one */
-    /* state */
-    plant_vector_t psi;                  /* stator flux linkage [V s] */
-    double theta, omega;                 /* mechanical [rad], [rad/s] */
-    unsigned positive, negative;         /* signs of the phase currents, bit per leg; neither: the leg floats */
-    double amplifier[BRIDGE_LANES];      /* output of the current amplifiers [A] */
-    /* what follows from it */
-    double cosine, sine;                 /* of the electrical angle */
-    bridge_matrix_t inverse;             /* inductance^-1 in the stator frame [1/H] */
-    plant_vector_t i;                    /* [A] */
-    double phase[3];                     /* [A] */
-    double torque;                       /* [N m] */
-    unsigned turns;                      /* of cosine and sine since they were made afresh */
-    /* the segment that begins here, valid while `begun`; b, level and dtorque only outside of a frame */
-    bool begun;
-    double u;                            /* bus voltage [V] */
-    bool held;                           /* the shaft has just stopped and stays so to the end of the segment */
-    int floating;                        /* index of the only leg without current, -1 if there is none */
-    double hold;                         /* its voltage at the beginning [V] */
-    bool dead;                           /* no current at all, and none will flow */
-    bridge_paths_t paths;                /* through the legs */
-    plant_vector_t a, b;                 /* v = u a + b */
-    double level;                        /* mean of the legs above the negative rail [V] */
-    plant_vector_t di;                   /* [A/s] */
-    double dtorque;                      /* [N m/s] */
-    double direction;                    /* of motion, 1 or -1; 0: stands */
-    double k_most, push_most;            /* of i'' = K i' + e' (bridge_frame.c), at most [1/s], [A/s^2] */
-    double accel, jerk;                  /* [rad/s^2], [rad/s^3] */
-    /* while nothing unusual happens (bridge_frame.c) */
-    bool framed;
-    double frame_time;                   /* since the frame began [s]: angle, speed and flux stand there */
-    bridge_frame_t frame;
-    bool moved;                          /* angle and speed are others than before: set here, cleared by who looks */
     /* sums since the beginning */
     double e_copper, e_switch;           /* [J] */
     double e_bus;                        /* taken out of the bus [J] */
@@ -175,9 +181,6 @@ void bridge_begin(bridge_t *bridge, double u_dc);
 /* Move on by `h` seconds, in which the bus voltage has the mean `u`. Returns the charge taken out of the bus [A s]. */
 double bridge_advance(bridge_t *bridge, double h, double u);
 
-/* What a phase's amplifier shows `h` seconds into the segment; false if something changes before. */
-bool bridge_amplifier(const bridge_t *bridge, int phase, double h, double *shown);
-
 /* Current out of the bus at the beginning of the segment, and its slope [A], [A/s]. */
 static inline double bridge_drain(const bridge_t *bridge)
 {
@@ -189,7 +192,12 @@ static inline double bridge_drain_slope(const bridge_t *bridge)
     return 1.5 * (bridge->a.alpha * bridge->di.alpha + bridge->a.beta * bridge->di.beta);
 }
 
-void bridge_gates(bridge_t *bridge, int phase, bridge_gates_t gates);
+/* All gates, as they are kept, with these on one leg. */
+static inline unsigned bridge_gates_with(const bridge_t *bridge, int phase, bridge_gates_t gates)
+{
+    const unsigned leg = ((unsigned)gates & 1u) | ((unsigned)gates >> 1) << BRIDGE_LOWER;
+    return (bridge->gates & ~((1u | 1u << BRIDGE_LOWER) << BRIDGE_LANE(phase))) | leg << BRIDGE_LANE(phase);
+}
 
 /* The bus has moved, so that the slopes are no longer those that the segment began with. */
 static inline bool bridge_is_stale(const bridge_t *bridge, double u)
@@ -197,9 +205,12 @@ static inline bool bridge_is_stale(const bridge_t *bridge, double u)
     return u > bridge->u + BRIDGE_MOVED || u < bridge->u - BRIDGE_MOVED;
 }
 
-/* True if other gates on a leg would change nothing, now and in the `h` seconds since the segment began: a dead time
+/* What a phase's amplifier shows `h` seconds into the segment, the bus at `u` by now; false if something changes before. */
+bool bridge_amplifier(const bridge_t *bridge, int phase, double h, double u, double *shown);
+
+/* True if `gates`, others on one leg, would change nothing, now and in the `h` seconds since the segment began: a dead time
  * that the diode has bridged already, or is about to. The bus is at `u` by now. */
-bool bridge_indifferent(bridge_t *bridge, int phase, bridge_gates_t gates, double h, double u);
+bool bridge_indifferent(bridge_t *bridge, int phase, unsigned gates, double h, double u);
 
 /* A segment that has taken no time is to begin anew: what it has decided about legs without current does not count. */
 void bridge_begin_again(bridge_t *bridge);

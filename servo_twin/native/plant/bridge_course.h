@@ -59,7 +59,7 @@ PLANT_INLINE void keep_segment(bridge_t *b, const segment_t *s)
 PLANT_INLINE void find_way(bridge_t *b)
 {
     const unsigned upper = from_upper(b);
-    b->paths = (bridge_paths_t){.upper = upper, .raised = b->negative, .lower = LEGS & ~upper};
+    b->paths = (bridge_paths_t){.upper = upper, .raised = b->negative, .lower = BRIDGE_LEGS & ~upper};
     put(&b->a, vector(lanes_of(legs_at[upper])));
 }
 
@@ -88,7 +88,7 @@ PLANT_INLINE void start_course(course_t *c, const bridge_t *b, const segment_t *
 }
 
 /* Where parabolas that begin with slopes d0 go through zero within h, by phase: where the chord does, and the bend as a
- * series. Returns the phases, bit per leg, for which that is good enough. */
+ * series. Returns the phases for which that is good enough. */
 PLANT_INLINE unsigned chord_roots(lanes_t f0, lanes_t f1, lanes_t d0, double h, lanes_t *root)
 {
     const lanes_t fall = f0 - f1;
@@ -97,7 +97,7 @@ PLANT_INLINE unsigned chord_roots(lanes_t f0, lanes_t f1, lanes_t d0, double h, 
     const lanes_t left = all(1.0) - part;
     const lanes_t bent = (all(-h) * d0 - fall) * per_fall;
     *root = all(h) * (part - bent * part * left * (all(1.0) - bent * (left - part)));
-    return legs_where((part > 0.0) & (left > 0.0) & (bent < STRAIGHT) & (bent > -STRAIGHT));
+    return lanes_where((part > 0.0) & (left > 0.0) & (bent < STRAIGHT) & (bent > -STRAIGHT));
 }
 
 /* The same for one that bends much. */
@@ -117,10 +117,10 @@ PLANT_INLINE int first_zero(const course_t *c, unsigned beyond, double *t)
     double soonest = h;
     int first = -1;
     for (int k = 0; k < 3; k++) {
-        if ((beyond >> k & 1u) != 0u) {
+        if ((beyond & BRIDGE_LEG(k)) != 0u) {
             const int lane = BRIDGE_LANE(k);
             const double zero =
-                (straight >> k & 1u) != 0u ? roots[lane] : bent_root(c->i[lane], c->last[lane], c->di[lane], h);
+                (straight & BRIDGE_LEG(k)) != 0u ? roots[lane] : bent_root(c->i[lane], c->last[lane], c->di[lane], h);
             if (first < 0 || zero < soonest) {
                 first = k;
                 soonest = zero;
@@ -139,7 +139,7 @@ PLANT_INLINE bool pass_zero(course_t *c, const bridge_t *b, int k, double t, dou
         return false;
     }
     const bridge_frame_t *f = &b->frame;
-    const unsigned leg = 1u << k;
+    const unsigned leg = BRIDGE_LEG(k);
     const bool falls = (c->positive & leg) != 0u;
     const bool open = (b->gates & (leg | leg << BRIDGE_LOWER)) == 0u;
     const double most = 2.0 * b->v_drop + (open ? u : 0.0); /* from one end of the leg's interval to the other */
@@ -209,7 +209,7 @@ PLANT_INLINE void account_passes(const course_t *c, const bridge_t *b, pair_t *c
         const double volt_seconds = h * (pass->volts + 0.5 * h * pass->slope);
         const double volt_seconds_2 = h * h * (pass->volts + THIRD * h * pass->slope); /* twice their integral */
         *charge += both(THIRD * volt_seconds_2) * vector(along);
-        *impulse += all(volt_seconds) * lanes_of(legs_at[1u << pass->phase]);
+        *impulse += all(volt_seconds) * lanes_of(legs_at[BRIDGE_LEG(pass->phase)]);
         *lost -= 0.5 * volt_seconds * last[BRIDGE_LANE(pass->phase)];
         if (h < FADED * b->tau) {
             *slope -= all((2.0 / 3.0) * pass->volts * decay(b, h)) * along;

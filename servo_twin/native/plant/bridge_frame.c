@@ -13,7 +13,7 @@
 /* Acceleration in the frame so far, as the angle sees it, by the first moment of the torque, if flux stood. */
 static inline double mean_accel(const bridge_t *b)
 {
-    const double h = b->frame_time;
+    const double h = b->frame.time;
     if (b->direction == 0.0 || h <= 0.0) {
         return 0.0;
     }
@@ -41,7 +41,7 @@ static inline double mean_accel(const bridge_t *b)
 static inline bool runs_freely(const bridge_t *b)
 {
     const double time = 2.0 * BRIDGE_FRAME;
-    const double most = fabs(b->i.alpha) + fabs(b->i.beta) + time * b->u * (b->inv_l_mean + fabs(b->inv_l_half));
+    const double most = fabs(b->i.alpha) + fabs(b->i.beta) + time * b->u * b->inv_l_most;
     const double torque = b->k_torque * (b->psi_m + fabs(b->l_d - b->l_q) * most) * most + fabs(b->load) + b->friction;
     const double reach = 2.0 * time * fabs(b->omega);
     return fabs(b->omega) > 2.0 * time * torque * b->inv_inertia && b->theta - reach > b->low &&
@@ -113,7 +113,7 @@ PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
     put_pair(f->work, both(0.0));
     f->taken = 0.0;
     f->reluctance = b->torque - aligned(b, b->i);
-    b->frame_time = 0.0;
+    b->frame.time = 0.0;
     b->direction = standing ? 0.0 : (b->omega > 0.0) ? 1.0 : -1.0;
     b->accel =
         standing ? 0.0 : (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
@@ -136,7 +136,7 @@ PLANT_INLINE void settle_at_zero(bridge_t *b, segment_t *s, int k, double u)
     const lanes_t along = lanes_of(f->along[k]);
     const double lift = settle_leg(b, k, low_end(b, k, u), high_end(b, k, u), phase_of(s->di, k), f->per_l[k]);
     const lanes_t more = all((2.0 / 3.0) * lift) * along;
-    s->v += all(lift) * lanes_of(legs_at[1u << k]);
+    s->v += all(lift) * lanes_of(legs_at[BRIDGE_LEG(k)]);
     s->di += more;
     s->ddi += product(f->drift, more);
     if (b->floating >= 0) { /* its voltage has to change for its current to stay at zero */
@@ -150,7 +150,7 @@ PLANT_INLINE void settle_at_zero(bridge_t *b, segment_t *s, int k, double u)
 /* Without any current the flux is that of the magnet, where it looks by now. */
 static inline void follow_magnet(bridge_t *b)
 {
-    const double t = b->frame_time;
+    const double t = b->frame.time;
     const double x = b->pole_pairs * t * (b->omega + 0.5 * t * mean_accel(b));
     const double c = 1.0 - 0.5 * x * x;
     const double s = x * (1.0 - SIXTH * x * x);
@@ -189,7 +189,7 @@ PLANT_INLINE void begin_segment(bridge_t *b, segment_t *s, double u)
         return;
     }
     const lanes_t push_slope = lanes_of(f->push_slope);
-    s->di = product(f->inverse, s->v) + product(f->drift, s->i) + (lanes_of(f->push) + all(b->frame_time) * push_slope);
+    s->di = product(f->inverse, s->v) + product(f->drift, s->i) + (lanes_of(f->push) + all(b->frame.time) * push_slope);
     s->ddi = product(f->drift, s->di) + push_slope; /* i'' = K i' + e' */
     if (k >= 0) {
         settle_at_zero(b, s, k, u);
@@ -212,7 +212,7 @@ static inline double span(const bridge_t *b, double rest)
     if (rest <= f->longest_driven) {
         return rest;
     }
-    const bool idle = b->paths.upper == 0u || b->paths.upper == LEGS;
+    const bool idle = b->paths.upper == 0u || b->paths.upper == BRIDGE_LEGS;
     return idle ? shorter(rest, f->longest_idle) : f->longest_driven;
 }
 
@@ -248,8 +248,11 @@ static inline int first_clamp(const bridge_t *b, double u, double *t)
  * end; what is left of earlier times decays. */
 PLANT_INLINE void filter_lanes(bridge_t *b, const segment_t *s, const course_t *c, lanes_t slope)
 {
-    static const double through[8][BRIDGE_LANES] = {{0, 0, 0, 0}, {1, 0, 0, 0}, {0, 0, 1, 0}, {1, 0, 1, 0},
-                                                    {0, 0, 0, 1}, {1, 0, 0, 1}, {0, 0, 1, 1}, {1, 0, 1, 1}};
+    static const double through[BRIDGE_LEG_SETS][BRIDGE_LANES] PLANT_VECTORS = {
+        [LEG_A] = {1, 0, 0, 0},       [LEG_B] = {0, 0, 1, 0},         [LEG_A | LEG_B] = {1, 0, 1, 0},
+        [LEG_C] = {0, 0, 0, 1},       [LEG_A | LEG_C] = {1, 0, 0, 1}, [LEG_B | LEG_C] = {0, 0, 1, 1},
+        [BRIDGE_LEGS] = {1, 0, 1, 1},
+    };
     const lanes_t seen = lanes_of(through[b->paths.lower]);
     const lanes_t tau = all(b->tau);
     const lanes_t off = lanes_of(b->amplifier) - seen * (s->i - tau * s->di);
@@ -272,7 +275,7 @@ PLANT_INLINE void stride(bridge_t *b, const segment_t *s, const course_t *c, dou
     }
     filter_lanes(b, s, c, slope);
     if (b->floating >= 0) {
-        impulse += all(0.5 * f->hold_slope * t * t) * lanes_of(legs_at[1u << b->floating]);
+        impulse += all(0.5 * f->hold_slope * t * t) * lanes_of(legs_at[BRIDGE_LEG(b->floating)]);
     }
     const double taken = 1.5 * sum(pair_of(&b->a) * charge);
     f->taken += taken * u;
@@ -284,7 +287,7 @@ PLANT_INLINE void stride(bridge_t *b, const segment_t *s, const course_t *c, dou
     put(&f->moment, pair_of(&f->moment) + both(t) * (earlier + both(SIXTH * t) * (both(2.0) * before + after)));
     put(&b->psi, pair_of(&b->psi) + vector(impulse));
     b->volt_seconds_0 += impulse[LEGS_MEAN];
-    b->frame_time += t;
+    b->frame.time += t;
 }
 
 /* Signs and currents where the segment has ended: at zero in leg `zero` unless that is -1, and a leg that has floated begins
@@ -346,7 +349,7 @@ PLANT_WIDE PLANT_ONCE double bridge_frame_advance(bridge_t *b, double *rest, dou
         }
         put_lanes(f->i, end_segment(b, &c, zero, sign));
         b->begun = false;
-        if (b->frame_time > 0.99 * f->longest && !rests(b)) {
+        if (b->frame.time > 0.99 * f->longest && !rests(b)) {
             bridge_settle(b);
         }
     }
@@ -401,10 +404,10 @@ void bridge_settle(bridge_t *b)
     }
     b->framed = b->begun = false;
     b->moved = true;
-    if (b->frame_time <= 0.0) {
+    if (b->frame.time <= 0.0) {
         return;
     }
-    const double h = b->frame_time;
+    const double h = b->frame.time;
     const double k_psi = b->k_torque * b->psi_m;
     const plant_vector_t charge = b->frame.charge;
     b->charge.alpha += charge.alpha;
@@ -448,6 +451,6 @@ void bridge_settle(bridge_t *b)
         b->phase[zero] = 0.0;
         b->phase[(zero + 1) % 3] = -b->phase[(zero + 2) % 3];
     }
-    b->frame_time = 0.0;
+    b->frame.time = 0.0;
     bridge_count_turn(b);
 }

@@ -35,18 +35,19 @@ typedef struct {
     int phase, sign;
 } cut_t;
 
-#define LEGS 7u
+#define LEG_A BRIDGE_LEG(0)
+#define LEG_B BRIDGE_LEG(1)
+#define LEG_C BRIDGE_LEG(2)
 
 /* Clarke transform and mean of legs that are at 1 (bit set) or 0. */
-static const double legs_at[8][BRIDGE_LANES] = {
-    {0.0, 0.0, 0.0},
-    {2.0 * THIRD, 0.0, THIRD},
-    {-THIRD, 1.0 / PLANT_SQRT3, THIRD},
-    {THIRD, 1.0 / PLANT_SQRT3, 2.0 * THIRD},
-    {-THIRD, -1.0 / PLANT_SQRT3, THIRD},
-    {THIRD, -1.0 / PLANT_SQRT3, 2.0 * THIRD},
-    {-2.0 * THIRD, 0.0, 2.0 * THIRD},
-    {0.0, 0.0, 1.0},
+static const double legs_at[BRIDGE_LEG_SETS][BRIDGE_LANES] PLANT_VECTORS = {
+    [LEG_A] = {2.0 * THIRD, 0.0, THIRD},
+    [LEG_B] = {-THIRD, 1.0 / PLANT_SQRT3, THIRD},
+    [LEG_A | LEG_B] = {THIRD, 1.0 / PLANT_SQRT3, 2.0 * THIRD},
+    [LEG_C] = {-THIRD, -1.0 / PLANT_SQRT3, THIRD},
+    [LEG_A | LEG_C] = {THIRD, -1.0 / PLANT_SQRT3, 2.0 * THIRD},
+    [LEG_B | LEG_C] = {-2.0 * THIRD, 0.0, 2.0 * THIRD},
+    [BRIDGE_LEGS] = {0.0, 0.0, 1.0},
 };
 enum { LEGS_ALPHA, LEGS_BETA, LEGS_MEAN };
 
@@ -97,18 +98,11 @@ static inline plant_vector_t slope_of(const bridge_t *b, plant_vector_t dpsi)
 /* Of the current of a leg. */
 static inline int sign_of(const bridge_t *b, int k)
 {
-    return (int)(b->positive >> k & 1u) - (int)(b->negative >> k & 1u);
+    return (int)(b->positive >> BRIDGE_LANE(k) & 1u) - (int)(b->negative >> BRIDGE_LANE(k) & 1u);
 }
 
-/* Lower gates that are on, bit per leg. */
+/* Lower gates that are on. */
 static inline unsigned lower_of(const bridge_t *b) { return b->gates >> BRIDGE_LOWER; }
-
-/* Gates with others on leg k. */
-static inline unsigned gates_with(const bridge_t *b, int k, bridge_gates_t gates)
-{
-    static const uint16_t on[] = {[BRIDGE_OPEN] = 0u, [BRIDGE_HIGH] = 1u, [BRIDGE_LOW] = 1u << BRIDGE_LOWER};
-    return (b->gates & ~((1u | 1u << BRIDGE_LOWER) << k)) | (unsigned)on[gates] << k;
-}
 
 /* Legs that are at the positive rail. What is said of one without current makes no difference, here and below. */
 static inline unsigned from_upper(const bridge_t *b) { return (b->negative & ~lower_of(b)) | (b->positive & b->gates); }
@@ -138,12 +132,12 @@ static inline double path_voltage(const bridge_t *b, bridge_paths_t paths, doubl
 /* Ends of the interval of a leg that touches nothing. */
 static inline double low_end(const bridge_t *b, int k, double u)
 {
-    return ((b->gates >> k & 1u) != 0u ? u : 0.0) - b->reach[k];
+    return ((b->gates & BRIDGE_LEG(k)) != 0u ? u : 0.0) - b->reach[k];
 }
 
 static inline double high_end(const bridge_t *b, int k, double u)
 {
-    return ((lower_of(b) >> k & 1u) != 0u ? 0.0 : u) + b->reach[k];
+    return ((lower_of(b) & BRIDGE_LEG(k)) != 0u ? 0.0 : u) + b->reach[k];
 }
 
 /* The same for any leg. That of one beside two that touch is as seen from these, which are taken to be at -V. */
@@ -161,7 +155,7 @@ static inline double highest(const bridge_t *b, int k, double u)
 
 static inline void set_sign(bridge_t *b, int k, int sign)
 {
-    const unsigned leg = (1u << k) & ~b->joint;
+    const unsigned leg = BRIDGE_LEG(k) & ~b->joint;
     b->positive = (b->positive & ~leg) | ((sign > 0) ? leg : 0u);
     b->negative = (b->negative & ~leg) | ((sign < 0) ? leg : 0u);
 }
@@ -362,7 +356,10 @@ bool bridge_foresee(const bridge_t *bridge, double h, double i[BRIDGE_LANES], do
 #define NO_CURRENT 3
 static inline int leg_at_zero(const bridge_t *b)
 {
-    static const int8_t leg[8] = {NO_CURRENT, NO_CURRENT, NO_CURRENT, 2, NO_CURRENT, 1, 0, -1};
+    static const int8_t leg[BRIDGE_LEG_SETS] = {
+        NO_CURRENT, NO_CURRENT, NO_CURRENT, NO_CURRENT, NO_CURRENT, 2, NO_CURRENT,
+        NO_CURRENT, NO_CURRENT, 1,          NO_CURRENT, NO_CURRENT, 0, -1,
+    };
     return leg[b->positive | b->negative | b->joint];
 }
 
@@ -411,7 +408,7 @@ static inline void find_paths(bridge_t *b)
     b->b = (plant_vector_t){drops[LEGS_ALPHA], drops[LEGS_BETA]};
     b->level = b->u * upper[LEGS_MEAN] + drops[LEGS_MEAN];
     if (b->grounded >= 0 && sign_of(b, b->grounded) != 0) { /* it is there, and not one drop below */
-        const double *lift = legs_at[1u << b->grounded];
+        const double *lift = legs_at[BRIDGE_LEG(b->grounded)];
         b->b.alpha += b->v_drop * lift[LEGS_ALPHA];
         b->b.beta += b->v_drop * lift[LEGS_BETA];
         b->level += b->v_drop * lift[LEGS_MEAN];

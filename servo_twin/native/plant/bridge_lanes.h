@@ -77,29 +77,29 @@ PLANT_INLINE double phase_of(lanes_t x, int k)
 /* The same with nothing in phase k. */
 PLANT_INLINE lanes_t without(lanes_t x, int k)
 {
-    static const double keep[3][BRIDGE_LANES] = {{0.0, 1.0, 1.0, 1.0}, {1.0, 1.0, 0.0, 1.0}, {1.0, 1.0, 1.0, 0.0}};
+    static const double keep[3][BRIDGE_LANES] PLANT_VECTORS = {
+        {0.0, 1.0, 1.0, 1.0}, {1.0, 1.0, 0.0, 1.0}, {1.0, 1.0, 1.0, 0.0}};
     return x * lanes_of(keep[k]) + all(0.0); /* not -0 */
 }
 
-/* Phases of which the sign is set, or all bits. */
-PLANT_INLINE unsigned legs_where(sides_t x)
+/* Lanes of which the sign is set, or all bits: those of the phases are the bits of legs, and that of beta says nothing. */
+PLANT_INLINE unsigned lanes_where(sides_t x)
 {
 #ifdef __AVX__
     lanes_t signs;
     memcpy(&signs, &x, sizeof signs);
-    const unsigned set = (unsigned)__builtin_ia32_movmskpd256(signs);
-    return (set & 1u) | (set >> 1 & 6u);
+    return (unsigned)__builtin_ia32_movmskpd256(signs);
 #else
-    return (unsigned)((x[0] < 0 ? 1 : 0) | (x[2] < 0 ? 2 : 0) | (x[3] < 0 ? 4 : 0));
+    return (x[0] < 0 ? LEG_A : 0u) | (x[2] < 0 ? LEG_B : 0u) | (x[3] < 0 ? LEG_C : 0u);
 #endif
 }
 
-/* Phases below zero, a bit each. None is ever at -0: that takes terms that all are. */
+/* Lanes below zero. None is ever at -0: that takes terms that all are. */
 PLANT_INLINE unsigned below_zero(lanes_t x)
 {
     sides_t bits;
     memcpy(&bits, &x, sizeof bits);
-    return legs_where(bits);
+    return lanes_where(bits);
 }
 
 /* Phases that are not on their sides. */

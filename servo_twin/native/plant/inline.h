@@ -7,14 +7,16 @@
 #ifdef __GNUC__
 #define PLANT_INLINE static inline __attribute__((always_inline))
 #define PLANT_ONCE __attribute__((noinline))
+#define PLANT_VECTORS __attribute__((aligned(32))) /* a table of vectors, none of them in two lines of the cache */
 #else
 #define PLANT_INLINE static inline
 #define PLANT_ONCE
+#define PLANT_VECTORS
 #endif
 
 /* A function of four numbers at once: compiled for processors without registers for them it is there twice, and the
  * processor that it runs on decides. */
-#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__AVX__)
+#if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__AVX__) && !defined(__clang__)
 #define PLANT_WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define PLANT_WIDE

@@ -2,6 +2,10 @@
 
 #include "plant/decay.h"
 
+#define SERIES 0.125 /* time constants that the series for e^-x are good for */
+
+static void find_regular(supply_t *s) { s->regular = (s->braking || s->dip > 0.0) ? 0.0 : SERIES; }
+
 void supply_init(supply_t *supply, const plant_bus_t *config, double ambient)
 {
     *supply = (supply_t){
@@ -14,7 +18,14 @@ void supply_init(supply_t *supply, const plant_bus_t *config, double ambient)
         .per_rc = 1.0 / (config->r_source * config->capacitance),
         .u = config->u_source,
     };
+    find_regular(supply);
     thermal_init(&supply->brake, config->brake_capacity, config->brake_resistance, ambient);
+}
+
+void supply_switch(supply_t *supply, bool braking)
+{
+    supply->braking = braking;
+    find_regular(supply);
 }
 
 void supply_set(supply_t *supply, double volts)
@@ -29,12 +40,14 @@ void supply_dip(supply_t *supply, double volts, double seconds)
 {
     supply->u_source = volts;
     supply->dip = seconds;
+    find_regular(supply);
 }
 
 void supply_recover(supply_t *supply)
 {
     supply->u_source = supply->u_whole;
     supply->dip = 0.0;
+    find_regular(supply);
 }
 
 void supply_warm(supply_t *supply, double h)
@@ -51,7 +64,7 @@ static inline double settle(supply_t *s, double h, double i_load, bool fed, doub
     const double i = fed ? s->g_source * s->u_source - i_load : -i_load;
     const double x = h * g * s->inv_c;
     const double rise = h * (i - g * s->u) * s->inv_c; /* at the slope of the beginning */
-    if (x < 0.125) { /* (1 - e^-x) / x and (x - 1 + e^-x) / x^2 */
+    if (x < SERIES) { /* (1 - e^-x) / x and (x - 1 + e^-x) / x^2 */
         *u_h = h * (s->u + rise * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0)))));
         return s->u + rise * (1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0))));
     }

@@ -21,6 +21,7 @@ typedef struct {
     double c, inv_c;  /* [F], [1/F] */
     double per_rc;    /* [1/s] */
     bool braking;     /* the resistor is switched on */
+    double regular;   /* steps of fewer R C are quick to compute: no brake, no dip; 0: none [R C] */
     double u;         /* [V] */
     double e_source;  /* delivered by the source into the bus so far [J] */
     double e_brake;   /* burnt in the resistor so far [J] */
@@ -59,7 +60,7 @@ static inline double supply_take_step(supply_t *s, const supply_step_t *step, do
     const double h = step->h;
     const double rise = h * s->inv_c * (s->g_source * (s->u_source - s->u) - i_load);
     const double u = s->u + rise * step->end;
-    if (s->u < s->u_source && u < s->u_source && u > 0.0 && step->x < 0.125 && !s->braking && s->dip <= 0.0) {
+    if (s->u < s->u_source && u < s->u_source && u > 0.0 && step->x < s->regular) {
         const double u_h = h * (s->u + rise * step->mean);
         s->e_source += 0.5 * (s->u + u) * ((u - s->u) * s->c + i_load * h);
         s->u = u;
@@ -72,6 +73,9 @@ double supply_advance(supply_t *supply, double h, double i_load);
 
 /* Another source from now on. */
 void supply_set(supply_t *supply, double volts);
+
+/* The brake resistor is switched on, or off. */
+void supply_switch(supply_t *supply, bool braking);
 
 /* Another one for some time. */
 void supply_dip(supply_t *supply, double volts, double seconds);

@@ -115,7 +115,7 @@ static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
     if ((axis->encoder.upwards ? way : -way) > axis->course.range) {
         return;
     }
-    const double t = quadrature_time(&axis->encoder, &axis->course) - axis->bridge.frame_time;
+    const double t = quadrature_time(&axis->encoder, &axis->course) - axis->bridge.frame.time;
     if (t < EDGE_HORIZON) {
         axis->edge_clock = clock_after(plant, axis, (t > 0.0) ? t : 0.0);
     }
@@ -406,11 +406,10 @@ static void watch_cable(switching_t *plant, int i)
     }
 }
 
-static void watch_short(switching_t *plant, int i, int phase, switching_leg_t leg)
+/* What the switches of a leg do to each other, in all cases but a plain dead time. */
+static void switch_rarely(switching_t *plant, int i, int phase, switching_leg_t before, switching_leg_t leg)
 {
     switching_axis_t *axis = &plant->axis[i];
-    const switching_leg_t before = axis->leg[phase];
-    axis->leg[phase] = leg;
     if (before == SWITCHING_SHORT) {
         begin_short(plant, i, earlier(axis->short_clock, plant->now + axis->turn_off));
     } else if (before != SWITCHING_OPEN) {
@@ -422,13 +421,26 @@ static void watch_short(switching_t *plant, int i, int phase, switching_leg_t le
     } else if (leg != SWITCHING_OPEN && leg != axis->last_on[phase] && plant->now < axis->off_clock[phase]) {
         begin_short(plant, i, axis->off_clock[phase]);
     }
+}
+
+static inline void watch_short(switching_t *plant, int i, int phase, switching_leg_t leg)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    const switching_leg_t before = axis->leg[phase];
+    axis->leg[phase] = leg;
+    if (leg == SWITCHING_OPEN && before != SWITCHING_SHORT) { /* a dead time begins */
+        axis->off_clock[phase] = plant->now + axis->turn_off;
+        axis->last_on[phase] = before;
+    } else if (before != SWITCHING_OPEN || leg == SWITCHING_SHORT || plant->now < axis->off_clock[phase]) {
+        switch_rarely(plant, i, phase, before, leg);
+    }
     if (axis->bridge.shorted) {
         watch_cable(plant, i);
     }
 }
 
 /* The axis goes on with other gates. */
-static inline void switch_over(switching_t *plant, int i, int phase, bridge_gates_t gates)
+static inline void switch_over(switching_t *plant, int i, unsigned gates)
 {
     switching_axis_t *axis = &plant->axis[i];
     bridge_t *b = &axis->bridge;
@@ -440,7 +452,7 @@ static inline void switch_over(switching_t *plant, int i, int phase, bridge_gate
         bridge_begin_again(b); /* several legs switch at one clock */
         square = square_of(axis);
     }
-    bridge_gates(b, phase, gates);
+    b->gates = gates;
     bridge_begin(b, u);
     look_at(plant, axis, square);
     find_next_of_all(plant);
@@ -453,11 +465,12 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
     if (axis->leg[phase] == leg) {
         return;
     }
-    const bridge_gates_t gates = (leg == SWITCHING_SHORT) ? BRIDGE_OPEN : (bridge_gates_t)leg;
+    const bridge_gates_t pair = (leg == SWITCHING_SHORT) ? BRIDGE_OPEN : (bridge_gates_t)leg;
+    const unsigned gates = bridge_gates_with(b, phase, pair);
     if (bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now), plant->supply.u)) {
-        bridge_gates(b, phase, gates);
+        b->gates = gates;
     } else {
-        switch_over(plant, i, phase, gates);
+        switch_over(plant, i, gates);
     }
     watch_short(plant, i, phase, leg);
 }
@@ -469,8 +482,7 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
     switching_axis_t *axis = &plant->axis[i];
     double current;
     switching_look(plant);
-    if (bridge_is_stale(&axis->bridge, plant->supply.u) ||
-        !bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), &current)) {
+    if (!bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), plant->supply.u, &current)) {
         advance_axis(plant, i);
         switching_look_around(plant);
         current = axis->bridge.amplifier[BRIDGE_LANE(phase)];
@@ -611,7 +623,7 @@ void switching_brake(switching_t *plant, bool on)
 {
     switching_look_around(plant);
     advance_supply(plant);
-    plant->supply.braking = on;
+    supply_switch(&plant->supply, on);
 }
 
 void switching_cut(switching_t *plant, int i, int line, bool cut, bool level)

@@ -31,6 +31,7 @@
 
 #define SWITCHING_CLOCK_HZ BRIDGE_CLOCK_HZ
 #define SWITCHING_HORIZON 3200u /* longest step without a look around [clocks] */
+#define SWITCHING_LINE 64u /* a plant is quicker at a multiple of it [bytes] */
 #define SWITCHING_EVENTS 128u /* a power of two */
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
@@ -88,6 +89,7 @@ typedef struct {
     uint64_t mean_clock; /* beginning of the voltages' mean, and the integrals there */
     plant_vector_t mean_psi, mean_charge;
     double mean_volts_0;
+    double unused[6]; /* up to a whole line of the cache (bridge.h), where pointers have 64 bits */
 } switching_axis_t;
 
 typedef struct {
