@@ -126,6 +126,7 @@ static void follow_brake(board_t *board)
 {
     const bool on = chip_pin_level(&board->chip, brake_pin);
     if (on != board->plant.supply.braking) {
+        switching_advance(&board->plant, board->chip.now); /* the plant stands where the chip met it last */
         switching_brake(&board->plant, on);
     }
 }
