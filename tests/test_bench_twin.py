@@ -40,3 +40,15 @@ def test_growth_is_over_one_board_by_the_same_clock() -> None:
 
 def test_growth_on_a_busy_machine_says_so() -> None:
     assert "the boards had 1: 100%, 2: 40%" in twin.growth(boards(0.4))[1]
+
+
+@pytest.mark.parametrize(
+    ("comment", "name"),
+    [
+        (b"\0GCC: (Debian 12.2.0-14) 12.2.0\0", "gcc 12.2.0"),
+        (b"\0GCC: (Debian 12.2.0-14) 12.2.0\0Debian clang version 22.1.8 (1)\0", "clang 22.1.8"),
+        (b"\0", "a compiler that does not say"),
+    ],
+)
+def test_compiler_of_a_library(comment: bytes, name: str) -> None:
+    assert twin.compiler(b"\x7fELF" + comment) == name

@@ -13,6 +13,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import sys
 import threading
 import time
@@ -27,6 +28,8 @@ from servo_msgs_py.catalogue import AXES
 from servo_twin.board import Board
 from servo_twin.level import Level
 from servo_twin.simulation import enable
+
+from servo_twin import _registers
 
 OUT: Final = Path(__file__).resolve().parents[2] / "out" / "bench" / "twin.json"
 AIMS: Final[dict[str, float]] = {"registers": 20.0, "ideal": 150.0}
@@ -139,9 +142,15 @@ def _at_once(level: Level, boards: Sequence[Board]) -> Together:
     return Together(len(boards) * SIMULATED[level] / wall, min(sum(used) / (cores * wall), 1.0))
 
 
+def compiler(library: bytes) -> str:
+    """What has compiled a library, as compilers leave it there; clang's may hold parts of gcc, too."""
+    found = re.search(rb"(clang) version ([\d.]+)", library) or re.search(rb"(GCC): \([^)]*\) ([\d.]+)", library)
+    return " ".join(part.decode().lower() for part in found.groups()) if found else "a compiler that does not say"
+
+
 def measure(peer: bool, counted: bool) -> dict[str, Any]:
     """Everything, level by level."""
-    result: dict[str, Any] = {"cores": os.cpu_count()}
+    result: dict[str, Any] = {"cores": os.cpu_count(), "compiler": compiler(Path(_registers.__file__).read_bytes())}
     for level in get_args(Level):
         one = factors(level)
         many = {str(threads): asdict(together(level, threads)) for threads in THREADS}
@@ -200,7 +209,7 @@ def _peers(figures: dict[str, Any]) -> list[str]:
 
 def table(figures: dict[str, Any]) -> str:
     """For people."""
-    lines = [f"real-time factors, {figures['cores']} cores"]
+    lines = [f"real-time factors, {figures['cores']} cores, boards compiled by {figures['compiler']}"]
     for level in get_args(Level):
         entry = figures[level]
         one = ", ".join(f"{name} {value:.1f}" for name, value in entry["one board"].items())
