@@ -27,7 +27,7 @@ PORT = FIRMWARE / "port" / "mc56f84789"
 # code where each number waits for the one before. Nobody looks at errno or at the flags of floating point: no number
 # changes by that either.
 _FLOATS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
-# -O3 is more code and 5 % slower.
+# With gcc -O3 is more code and 5 % slower.
 OPTIONS = ("-std=c99", "-O2", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", "-flto=auto")
 
 # For the machine at hand, from the Makefile: its processor, the use of a profile.
