@@ -22,7 +22,7 @@ from rclpy.node import Node
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
 from servo_msgs_py.convert import diagnostic_array, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
-from servo_msgs_py.node_shell import run
+from servo_msgs_py.node_shell import run, setting_up
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
@@ -109,11 +109,8 @@ class ServoBridge(Node):
         **node_arguments: Any,
     ) -> None:
         super().__init__("servo_bridge", namespace="servo", **node_arguments)
-        try:
+        with setting_up(self):
             self._set_up(call_soon, link_factory)
-        except BaseException:
-            self.destroy_node()  # one that is only collected some day takes the log of the next of its name with it
-            raise
 
     def _set_up(self, call_soon: Callable[[Callable[[], None]], object], link_factory: LinkFactory) -> None:
         self.failure = ""  # nothing ends this node: it waits for a board that comes back

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import signal
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -20,7 +21,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
-__all__ = ["ParameterError", "Runnable", "Spec", "declare", "help_text", "run"]
+__all__ = ["ParameterError", "Runnable", "Spec", "declare", "help_text", "run", "setting_up"]
 
 _SPIN_TIMEOUT: Final = 0.1  # how long a stop may go unnoticed [s]
 
@@ -65,6 +66,20 @@ def declare(node: Node, parameters: Mapping[str, Spec]) -> dict[str, Any]:
         except ParameterException as error:
             raise ParameterError(f"parameter {name}: {error}; it is meant as: {spec.description}") from None
     return values
+
+
+@contextlib.contextmanager
+def setting_up(node: Node) -> Iterator[None]:
+    """Take a node apart that cannot be set up.
+
+    Left to the garbage collector it would take the log of the next one of its name in the process with it, whenever it
+    is collected: rcl knows the publisher of a log by the name of the node.
+    """
+    try:
+        yield
+    except BaseException:
+        node.destroy_node()
+        raise
 
 
 class Runnable(Protocol):

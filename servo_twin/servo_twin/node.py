@@ -27,7 +27,7 @@ from servo_msgs_py.convert import (
     snapshot_message,
     snapshot_table,
 )
-from servo_msgs_py.node_shell import ParameterError, Spec, declare, run
+from servo_msgs_py.node_shell import ParameterError, Spec, declare, run, setting_up
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -81,6 +81,10 @@ class ServoTwin(Node):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("servo_twin", namespace="twin", **node_arguments)
+        with setting_up(self):
+            self._set_up()
+
+    def _set_up(self) -> None:
         self.failure = ""
         self._log = Node.get_logger(self)
         self._values = declare(self, PARAMETERS)

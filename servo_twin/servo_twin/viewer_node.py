@@ -20,7 +20,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import from_stamp, snapshot_table
-from servo_msgs_py.node_shell import ParameterError, Spec, declare, run
+from servo_msgs_py.node_shell import ParameterError, Spec, declare, run, setting_up
 from std_msgs.msg import Bool, Float64MultiArray, String
 
 from servo_msgs_py import topics
@@ -63,6 +63,10 @@ class ServoViewer(Node):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("servo_viewer", **node_arguments)
+        with setting_up(self):
+            self._set_up()
+
+    def _set_up(self) -> None:
         self.failure = ""
         self._log = Node.get_logger(self)
         self._values = declare(self, PARAMETERS)
