@@ -32,7 +32,7 @@ ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64
 COMPILE = echo "compiling firmware and virtual board$(1)" && cd servo_twin && \
           $(if $(3),CC=$(3)) SERVO_TWIN_FLAGS='$(ARCH) $(2)' \
           ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
-PROFILE := $(abspath $(VENV))/profile
+PROFILE := $(VENV)/profile
 # What `fast` compiles with: gcc, or, unless CC says otherwise, a clang from 19 on that can link a profile, and makes 10 % more of
 # it than gcc 12. FAST_CLANG=19 for another one, FAST_CLANG= for gcc. Looked for once, and only when needed.
 CAN_PROFILE = command -v llvm-profdata-$(1) >/dev/null && \
@@ -43,11 +43,11 @@ endif
 FAST_CC = $(if $(FAST_CLANG),clang-$(FAST_CLANG))
 # Valgrind reads what such a clang says of the sources in an older format only.
 CLANG_FLAGS := -O3 -gdwarf-4 -fno-vectorize -fno-slp-vectorize -fuse-ld=lld -Wno-unused-command-line-argument
-RECORD = -fprofile-generate=$(PROFILE) $(if $(FAST_CC),$(CLANG_FLAGS),-fprofile-update=single)
-MERGE = llvm-profdata-$(FAST_CLANG) merge --output=$(VENV)/profile/all $(VENV)/profile/*.profraw
+RECORD = -fprofile-generate=$(abspath $(PROFILE)) $(if $(FAST_CC),$(CLANG_FLAGS),-fprofile-update=single)
+MERGE = llvm-profdata-$(FAST_CLANG) merge --output=$(PROFILE)/all $(PROFILE)/*.profraw
 # With gcc the use of a profile turns vectors on again, whatever the compiler has been told of them in general.
-GUIDED = $(if $(FAST_CC),-fprofile-use=$(PROFILE)/all $(CLANG_FLAGS),\
-           -fprofile-use=$(PROFILE) -fprofile-partial-training -Wno-missing-profile \
+GUIDED = $(if $(FAST_CC),-fprofile-use=$(abspath $(PROFILE))/all $(CLANG_FLAGS),\
+           -fprofile-use=$(abspath $(PROFILE)) -fprofile-partial-training -Wno-missing-profile \
            -fno-tree-loop-vectorize -fno-tree-slp-vectorize)
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
@@ -117,7 +117,7 @@ build: $(VENV)/.native ## compile the firmware and the virtual board (part of se
 fast: $(VENV)/.fast ## compile the virtual board anew, led by a profile of itself (with clang-19 or later, if there is one): faster until a source changes, the same bits
 
 $(VENV)/.fast: $(VENV)/.native
-	@rm -rf $(VENV)/profile $(VENV)/.native
+	@rm -rf $(PROFILE) $(VENV)/.native
 	@$(call COMPILE, for a profile$(if $(FAST_CC), with $(FAST_CC)),$(RECORD),$(FAST_CC))
 	@unset LLVM_PROFILE_FILE; for level in ideal registers; do \
 	  $(BIN)/servo-sim bench --level $$level --time 1 >/dev/null || exit; done

@@ -295,7 +295,7 @@ bool bridge_indifferent(bridge_t *b, int k, unsigned gates, double h, double u)
         [BRIDGE_LEGS] = {-1, -1, -1},
     };
     const unsigned leg = BRIDGE_LEG(k);
-    const bool opens = (gates & (leg | leg << BRIDGE_LOWER)) == 0u;
+    const bool opens = (gates & BRIDGE_BOTH(leg)) == 0u;
     if (!b->begun || b->shorted) {
         return false;
     }

@@ -65,6 +65,7 @@ typedef enum {
 #define BRIDGE_LEGS 13u
 #define BRIDGE_LEG_SETS (BRIDGE_LEGS + 1u)
 #define BRIDGE_LOWER 8 /* by so many bits the lower gates lie above the upper ones */
+#define BRIDGE_BOTH(leg) ((leg) | (leg) << BRIDGE_LOWER) /* gates of a leg */
 
 /* Decay of the amplifiers, e^(-n clocks / tau), as the product of two entries. */
 #define BRIDGE_DECAY 32
@@ -195,8 +196,8 @@ static inline double bridge_drain_slope(const bridge_t *bridge)
 /* All gates, as they are kept, with these on one leg. */
 static inline unsigned bridge_gates_with(const bridge_t *bridge, int phase, bridge_gates_t gates)
 {
-    const unsigned leg = ((unsigned)gates & 1u) | ((unsigned)gates >> 1) << BRIDGE_LOWER;
-    return (bridge->gates & ~((1u | 1u << BRIDGE_LOWER) << BRIDGE_LANE(phase))) | leg << BRIDGE_LANE(phase);
+    const unsigned pair = ((unsigned)gates & 1u) | ((unsigned)gates >> 1) << BRIDGE_LOWER;
+    return (bridge->gates & ~BRIDGE_BOTH(BRIDGE_LEG(phase))) | pair << BRIDGE_LANE(phase);
 }
 
 /* The bus has moved, so that the slopes are no longer those that the segment began with. */

@@ -141,7 +141,7 @@ PLANT_INLINE bool pass_zero(course_t *c, const bridge_t *b, int k, double t, dou
     const bridge_frame_t *f = &b->frame;
     const unsigned leg = BRIDGE_LEG(k);
     const bool falls = (c->positive & leg) != 0u;
-    const bool open = (b->gates & (leg | leg << BRIDGE_LOWER)) == 0u;
+    const bool open = (b->gates & BRIDGE_BOTH(leg)) == 0u;
     const double most = 2.0 * b->v_drop + (open ? u : 0.0); /* from one end of the leg's interval to the other */
     const double h = t - c->from;
     const double rest = c->end - t;

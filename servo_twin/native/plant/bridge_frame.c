@@ -113,7 +113,7 @@ PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
     put_pair(f->work, both(0.0));
     f->taken = 0.0;
     f->reluctance = b->torque - aligned(b, b->i);
-    b->frame.time = 0.0;
+    f->time = 0.0;
     b->direction = standing ? 0.0 : (b->omega > 0.0) ? 1.0 : -1.0;
     b->accel =
         standing ? 0.0 : (b->torque - b->load - b->direction * b->friction - b->viscous * b->omega) * b->inv_inertia;
@@ -189,7 +189,7 @@ PLANT_INLINE void begin_segment(bridge_t *b, segment_t *s, double u)
         return;
     }
     const lanes_t push_slope = lanes_of(f->push_slope);
-    s->di = product(f->inverse, s->v) + product(f->drift, s->i) + (lanes_of(f->push) + all(b->frame.time) * push_slope);
+    s->di = product(f->inverse, s->v) + product(f->drift, s->i) + (lanes_of(f->push) + all(f->time) * push_slope);
     s->ddi = product(f->drift, s->di) + push_slope; /* i'' = K i' + e' */
     if (k >= 0) {
         settle_at_zero(b, s, k, u);
@@ -287,7 +287,7 @@ PLANT_INLINE void stride(bridge_t *b, const segment_t *s, const course_t *c, dou
     put(&f->moment, pair_of(&f->moment) + both(t) * (earlier + both(SIXTH * t) * (both(2.0) * before + after)));
     put(&b->psi, pair_of(&b->psi) + vector(impulse));
     b->volt_seconds_0 += impulse[LEGS_MEAN];
-    b->frame.time += t;
+    f->time += t;
 }
 
 /* Signs and currents where the segment has ended: at zero in leg `zero` unless that is -1, and a leg that has floated begins
@@ -349,7 +349,7 @@ PLANT_WIDE PLANT_ONCE double bridge_frame_advance(bridge_t *b, double *rest, dou
         }
         put_lanes(f->i, end_segment(b, &c, zero, sign));
         b->begun = false;
-        if (b->frame.time > 0.99 * f->longest && !rests(b)) {
+        if (f->time > 0.99 * f->longest && !rests(b)) {
             bridge_settle(b);
         }
     }

@@ -15,7 +15,7 @@
 #endif
 
 /* A function of four numbers at once: compiled for processors without registers for them it is there twice, and the
- * processor that it runs on decides. */
+ * processor that it runs on decides. Clang does not inline what has such numbers for arguments into both. */
 #if defined(__x86_64__) && defined(__gnu_linux__) && !defined(__AVX__) && !defined(__clang__)
 #define PLANT_WIDE __attribute__((target_clones("avx2", "default")))
 #else

@@ -406,15 +406,12 @@ static void watch_cable(switching_t *plant, int i)
     }
 }
 
-/* What the switches of a leg do to each other, in all cases but a plain dead time. */
-static void switch_rarely(switching_t *plant, int i, int phase, switching_leg_t before, switching_leg_t leg)
+/* Both switches of a leg are on, were so, or one closes soon after another: a short, if it is. */
+static void watch_overlap(switching_t *plant, int i, int phase, switching_leg_t before, switching_leg_t leg)
 {
-    switching_axis_t *axis = &plant->axis[i];
+    const switching_axis_t *axis = &plant->axis[i];
     if (before == SWITCHING_SHORT) {
         begin_short(plant, i, earlier(axis->short_clock, plant->now + axis->turn_off));
-    } else if (before != SWITCHING_OPEN) {
-        axis->off_clock[phase] = plant->now + axis->turn_off;
-        axis->last_on[phase] = before;
     }
     if (leg == SWITCHING_SHORT) {
         begin_short(plant, i, NEVER);
@@ -428,11 +425,13 @@ static inline void watch_short(switching_t *plant, int i, int phase, switching_l
     switching_axis_t *axis = &plant->axis[i];
     const switching_leg_t before = axis->leg[phase];
     axis->leg[phase] = leg;
-    if (leg == SWITCHING_OPEN && before != SWITCHING_SHORT) { /* a dead time begins */
+    if (before == SWITCHING_HIGH || before == SWITCHING_LOW) {
         axis->off_clock[phase] = plant->now + axis->turn_off;
         axis->last_on[phase] = before;
-    } else if (before != SWITCHING_OPEN || leg == SWITCHING_SHORT || plant->now < axis->off_clock[phase]) {
-        switch_rarely(plant, i, phase, before, leg);
+    }
+    const bool soon = leg != SWITCHING_OPEN && plant->now < axis->off_clock[phase];
+    if (soon || before == SWITCHING_SHORT || leg == SWITCHING_SHORT) {
+        watch_overlap(plant, i, phase, before, leg);
     }
     if (axis->bridge.shorted) {
         watch_cable(plant, i);
