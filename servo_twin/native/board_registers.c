@@ -76,19 +76,45 @@ uint64_t world_next(void *world)
     return (plant->waiting > 0) ? plant->now : switching_next(&board->plant); /* an edge may have shorted the bus */
 }
 
-/* A line of an encoder at its pin, or at that of the other line. */
-static void encoder_line(board_t *board, int axis, int line, bool level)
+/* The pin of an encoder's line, or that of the other line. */
+static inline unsigned line_pin(const board_t *board, int axis, int line)
 {
-    chip_pin(&board->chip, encoder_pin[axis][board->swapped[axis] ? 1 - line : line], level);
+    return encoder_pin[axis][board->swapped[axis] ? 1 - line : line];
+}
+
+/* Edges that only count are kept back by the plant, which has less to do for each then. */
+void world_patience(void *world)
+{
+    board_t *board = (board_t *)world;
+    for (int axis = 0; axis < BOARD_AXES; axis++) {
+        const unsigned a = chip_patience(&board->chip, encoder_pin[axis][0]);
+        const unsigned b = chip_patience(&board->chip, encoder_pin[axis][1]);
+        const unsigned edges = (a < b) ? a : b;
+        if (edges != board->plant.axis[axis].patience) {
+            switching_keep_back(&board->plant, axis, edges);
+        }
+    }
+}
+
+void world_late(void *world)
+{
+    board_t *board = (board_t *)world;
+    switching_event_t event;
+    for (int axis = 0; axis < BOARD_AXES; axis++) {
+        while (switching_take_kept(&board->plant, axis, &event)) {
+            chip_pin_late(&board->chip, line_pin(board, axis, event.line), event.level, event.clock);
+        }
+    }
 }
 
 void world_events(void *world)
 {
     board_t *board = (board_t *)world;
     switching_event_t event;
+    world_late(world);
     while (switching_take(&board->plant, &event)) {
         if (event.kind == SWITCHING_ENCODER) {
-            encoder_line(board, event.axis, event.line, event.level);
+            chip_pin(&board->chip, line_pin(board, event.axis, event.line), event.level);
         } else {
             chip_pin(&board->chip, comparator_pin[event.axis], event.level);
             board->breaks += (event.level && !board->tripped[event.axis]) ? 1u : 0u;
@@ -368,8 +394,9 @@ void board_reverse_encoder(board_t *board, int axis)
 {
     board->swapped[axis] = !board->swapped[axis];
     for (int line = 0; line < 2; line++) {
-        encoder_line(board, axis, line, switching_line(&board->plant, axis, line));
+        chip_pin(&board->chip, line_pin(board, axis, line), switching_line(&board->plant, axis, line));
     }
+    world_patience(board); /* these changes have used some */
 }
 
 void board_obstruct_shaft(board_t *board, int axis, double below, double above)

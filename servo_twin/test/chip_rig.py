@@ -20,6 +20,7 @@ typedef struct {
     void (*advance)(uint64_t);
     uint64_t (*next)(void);
     void (*events)(void);
+    void (*late)(void);
     void (*gates)(unsigned, unsigned, unsigned);
     uint16_t (*convert)(unsigned);
     void (*boot)(void);
@@ -46,6 +47,8 @@ uint16_t chip_read(chip_t *chip, uint32_t address);
 void chip_write(chip_t *chip, uint32_t address, uint16_t value);
 void chip_interrupts(chip_t *chip, bool on);
 void chip_pin(chip_t *chip, unsigned pin, bool level);
+unsigned chip_patience(const chip_t *chip, unsigned pin);
+void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock);
 bool chip_pin_level(const chip_t *chip, unsigned pin);
 size_t chip_line_write(chip_t *chip, const uint8_t *data, size_t size);
 size_t chip_line_read(chip_t *chip, uint8_t *data, size_t room);
@@ -71,6 +74,8 @@ static const rig_world_t *rig(void *world) { return (const rig_world_t *)world; 
 void world_advance(void *world, uint64_t clock) { rig(world)->advance(clock); }
 uint64_t world_next(void *world) { return rig(world)->next(); }
 void world_events(void *world) { rig(world)->events(); }
+void world_patience(void *world) { (void)world; /* asks whenever it wants to know */ }
+void world_late(void *world) { rig(world)->late(); }
 void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels)
 {
     rig(world)->gates(module, submodule, levels);
@@ -252,6 +257,10 @@ class ChipRig:
         By vector: what the software does, a function that returns the clocks it takes.
     edges : list of (clock, pin, level)
         What the world will put on pins; sorted.
+    keeps_back : bool
+        As many of them as the chip has patience for come when it asks for them; all are of one timer module then.
+    kept_back : int
+        How many have.
     """
 
     def __init__(self, native: Native, *, baud: float = 115200.0, crossbar_clocks: int = 0, start: bool = True) -> None:
@@ -259,6 +268,8 @@ class ChipRig:
         self.codes: list[int | Callable[[int], int]] = [100 * k for k in range(16)]
         self.handlers: dict[int, Callable[[], int | None]] = {}
         self.edges: list[tuple[int, str, bool]] = []
+        self.keeps_back = False
+        self.kept_back = 0
         self.gates: list[tuple[int, int, int, int]] = []
         self.background: Callable[[], None] = lambda: None
         self.boots = 0
@@ -267,8 +278,9 @@ class ChipRig:
         world = self.ffi.new("rig_world_t *")
         calls = {
             "advance": ("void(uint64_t)", lambda _: None),
-            "next": ("uint64_t(void)", lambda: self.edges[0][0] if self.edges else NEVER),
+            "next": ("uint64_t(void)", self._next),
             "events": ("void(void)", self._events),
+            "late": ("void(void)", self._late),
             "gates": ("void(unsigned, unsigned, unsigned)", self._gates),
             "convert": ("uint16_t(unsigned)", self._convert),
             "boot": ("void(void)", self._boot),
@@ -288,7 +300,20 @@ class ChipRig:
 
     # ---- the world -------------------------------------------------------------------------------------------------
 
+    def _next(self) -> int:
+        first = 0
+        if self.keeps_back and self.edges:
+            first = min(self.lib.chip_patience(self.chip, pin(name)) for _, name, _ in self.edges[:2])
+        return self.edges[first][0] if first < len(self.edges) else NEVER
+
+    def _late(self) -> None:
+        while self.keeps_back and self.edges and self.edges[0][0] <= self.chip.now:
+            clock, name, level = self.edges.pop(0)
+            self.kept_back += clock < self.chip.now
+            self.lib.chip_pin_late(self.chip, pin(name), level, clock)
+
     def _events(self) -> None:
+        self._late()
         while self.edges and self.edges[0][0] <= self.chip.now:
             _, name, level = self.edges.pop(0)
             self.lib.chip_pin(self.chip, pin(name), level)

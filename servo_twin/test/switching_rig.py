@@ -26,6 +26,8 @@ void switching_edge(switching_t *plant, int axis, int phase, int leg);
 uint64_t switching_next(switching_t *plant);
 void switching_advance(switching_t *plant, uint64_t clock);
 bool switching_take(switching_t *plant, switching_event_t *event);
+void switching_keep_back(switching_t *plant, int axis, unsigned edges);
+bool switching_take_kept(switching_t *plant, int axis, switching_event_t *event);
 uint16_t switching_current_code(switching_t *plant, int axis, int phase);
 uint16_t switching_bus_code(switching_t *plant);
 bool switching_over_current(const switching_t *plant, int axis);
@@ -45,6 +47,7 @@ void switching_obstruct(switching_t *plant, int axis, double below, double above
 void switching_plug(switching_t *plant, int axis, bool plugged);
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level);
 typedef struct { int kind, axis, part; double value, seconds; } board_harm_t;
+typedef enum { BOARD_ENCODER_GLITCHES, BOARD_SLIPPED_ENCODER, ... } board_harm_kind_t;
 void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed);
 void switching_brake(switching_t *plant, bool on);
 """
@@ -78,6 +81,15 @@ class Switching:
                 self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
         while self.lib.switching_take(self.c, event):
             self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
+
+    def take_kept(self, axis: int, patience: int) -> int:
+        """Take the edges that have been kept back, and allow for others; returns how many there were."""
+        event = self.ffi.new("switching_event_t *")
+        before = len(self.events)
+        while self.lib.switching_take_kept(self.c, axis, event):
+            self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
+        self.lib.switching_keep_back(self.c, axis, patience)
+        return len(self.events) - before
 
     def edge(self, axis: int, phase: int, gates: int) -> None:
         self.lib.switching_edge(self.c, axis, phase, gates)

@@ -398,6 +398,46 @@ class TestEncoder:
         assert lines == {0}
         assert not switching.lib.switching_line(switching.c, 0, 1)
 
+    @pytest.mark.parametrize("patience", [3, 12, 100])
+    def test_edges_that_are_kept_back_have_the_same_clocks(self, switching_c: Native, patience: int) -> None:
+        """Of a shaft that turns back, with a line that is disturbed and later cut, and a disc that slips."""
+
+        def run(keeps: bool) -> tuple[list[tuple[int, int, int, int, bool]], int]:
+            chance = random.Random(5)
+            switching = Switching(switching_c, plain(encoder_jitter=0.05, encoder_hysteresis=0.1), 3)
+            switching.spin(0, 100.0)
+            switching.lib.switching_set_load(switching.c, 0, 0.05)
+            glitches = {
+                "kind": switching.lib.BOARD_ENCODER_GLITCHES,
+                "axis": 0,
+                "part": 1,
+                "value": 3000.0,
+                "seconds": 0.0,
+            }
+            slip = {"kind": switching.lib.BOARD_SLIPPED_ENCODER, "axis": 0, "part": 0, "value": 9.0, "seconds": 0.0}
+            kept = 0
+            for n in range(600):
+                if n in (100, 200):
+                    switching.lib.switching_harm(switching.c, switching.ffi.new("board_harm_t *", glitches), n == 200)
+                if n in (150, 250):
+                    switching.lib.switching_harm(switching.c, switching.ffi.new("board_harm_t *", slip), False)
+                if n in (400, 450):
+                    switching.lib.switching_cut(switching.c, 0, 1, n == 400, True)
+                switching.advance(switching.clock + chance.randrange(1, 8000))
+                if keeps:
+                    kept += switching.take_kept(0, patience)
+            switching.advance(switching.clock + 1)
+            kept += switching.take_kept(0, 0)
+            assert switching.truth(0).omega < 0.0
+            return sorted(switching.events), kept
+
+        prompt, none = run(False)
+        late, some = run(True)
+        assert late == prompt
+        assert len(prompt) > 600
+        assert none == 0
+        assert some > {3: -1, 12: 300, 100: 600}[patience]
+
     def test_same_seed_same_edges(self, switching_c: Native) -> None:
         runs = []
         for seed in (3, 3, 4):

@@ -42,6 +42,7 @@ void chip_no_value(chip_t *chip, uint32_t address, uint16_t value, const char *w
 
 void chip_reset(chip_t *chip, reset_cause_t cause)
 {
+    qtmr_catch_up(chip); /* the pins stay what they are */
     for (unsigned i = 0; i < CHIP_SOURCES_MOST; i++) {
         chip_set_turn(chip, i, CHIP_NEVER);
         chip_find_first(chip, i / CHIP_GROUP);
@@ -119,11 +120,7 @@ static inline void write_register(chip_t *chip, uint32_t address, uint16_t value
 }
 
 /* An access takes its time while the software boots. */
-static void take_time(chip_t *chip)
-{
-    run_until(chip, chip->now + chip->core.access_clocks);
-    qtmr_catch_up(chip);
-}
+static void take_time(chip_t *chip) { run_until(chip, chip->now + chip->core.access_clocks); }
 
 CHIP_APART static uint16_t read_booting(chip_t *chip, uint32_t address)
 {
@@ -295,6 +292,7 @@ void chip_init(chip_t *chip, const chip_config_t *config, void *world)
     chip->line.byte_clocks = 10.0 * (double)CHIP_BUS_HZ / config->baud;
     chip->line.in_clock = CHIP_NEVER;
     chip->touched = true;
+    chip->caught_up = CHIP_NEVER;
     if (setjmp(chip->escape) == 0) {
         chip_reset(chip, RESET_POWER_ON);
     }

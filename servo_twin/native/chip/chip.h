@@ -70,6 +70,7 @@ typedef struct chip {
     uint64_t outside;        /* clock of the world's next event */
     bool touched;            /* since then something has been done to the world */
     uint64_t world_clock;    /* the world stands here */
+    uint64_t caught_up;      /* no edge of a pin is kept back from before */
     void *world;                 /* of the functions of world.h */
     chip_config_t config;
     core_t core;
@@ -110,6 +111,13 @@ void chip_interrupts(chip_t *chip, bool on);
 
 /* A digital input changes at the present clock. */
 void chip_pin(chip_t *chip, unsigned pin, bool level);
+
+/* So many edges at a pin change nothing but counts. They may be kept back then, until world_late asks for them; those of
+ * all pins with the same timer module count together. */
+unsigned chip_patience(const chip_t *chip, unsigned pin);
+
+/* One of these, at the clock at which it was; in order for each module. */
+void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock);
 
 /* Registers from outside of chip_run, as with a debugger: the value, or 0; -1 after an error. */
 int32_t chip_peek(chip_t *chip, uint32_t address);

@@ -155,7 +155,6 @@ CHIP_APART static void run_background(chip_t *chip)
 void core_step(chip_t *chip)
 {
     const core_t *core = &chip->core;
-    qtmr_catch_up(chip);
     start_handlers(chip);
     if (core->background_due && core->depth == 0 && !core->booting) {
         run_background(chip);

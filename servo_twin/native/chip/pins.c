@@ -122,7 +122,7 @@ static void put(chip_t *chip, pin_function_t function, bool level)
     if (function >= FUNCTION_TIMER_A0 && function < FUNCTION_TXD0) {
         const unsigned i = (unsigned)(function - FUNCTION_TIMER_A0);
         if (!from_crossbar(chip, 8u + i)) {
-            qtmr_input(chip, i / 4u, i % 4u, level);
+            qtmr_input(chip, i / 4u, i % 4u, level, chip->now);
         }
     } else if (function >= FUNCTION_FAULT_A0 && function < FUNCTION_TIMER_A0) {
         const unsigned i = (unsigned)(function - FUNCTION_FAULT_A0);
@@ -138,17 +138,50 @@ static void put(chip_t *chip, pin_function_t function, bool level)
     }
 }
 
-void chip_pin(chip_t *chip, unsigned pin, bool level)
+static inline void set_level(chip_t *chip, unsigned pin, bool level)
 {
     uint16_t *in = &chip->pins.in[pin >> 4];
     const unsigned bit = 1u << (pin & 15u);
     *in = (uint16_t)(level ? (*in | bit) : (*in & ~bit));
+}
+
+void chip_pin(chip_t *chip, unsigned pin, bool level)
+{
+    set_level(chip, pin, level);
     put(chip, pins_function(chip, pin), level);
+}
+
+/* The input of a timer that a pin is, 4 module + channel; or NO_TIMER. */
+#define TIMER_INPUTS (QTMR_MODULES * QTMR_CHANNELS)
+#define NO_TIMER TIMER_INPUTS
+
+static inline unsigned timer_input(const chip_t *chip, unsigned pin)
+{
+    const unsigned i = (unsigned)pins_function(chip, pin) - FUNCTION_TIMER_A0;
+    return (i < TIMER_INPUTS && !from_crossbar(chip, 8u + i)) ? i : NO_TIMER;
+}
+
+unsigned chip_patience(const chip_t *chip, unsigned pin)
+{
+    const unsigned i = timer_input(chip, pin);
+    return (i != NO_TIMER) ? chip->timer[i / QTMR_CHANNELS].patience : 0u;
+}
+
+void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock)
+{
+    const unsigned i = timer_input(chip, pin);
+    if (i == NO_TIMER) {
+        chip_pin(chip, pin, level);
+        return;
+    }
+    set_level(chip, pin, level);
+    qtmr_input(chip, i / QTMR_CHANNELS, i % QTMR_CHANNELS, level, clock);
 }
 
 void pins_reroute(chip_t *chip)
 {
     uint8_t before[CHIP_PINS];
+    qtmr_catch_up(chip);
     for (unsigned pin = 0; pin < CHIP_PINS; pin++) {
         before[pin] = chip->pins.function[pin];
         chip->pins.function[pin] = (uint8_t)find(chip, pin);
@@ -179,6 +212,7 @@ void pins_reroute(chip_t *chip)
         }
     }
     pwm_pins_changed(chip);
+    world_patience(chip->world);
 }
 
 bool chip_pin_level(const chip_t *chip, unsigned pin)
@@ -230,6 +264,7 @@ uint16_t gpio_read(chip_t *chip, uint32_t address)
         return port->drive_mode;
     case RAWDATA: {
         unsigned levels = 0;
+        qtmr_catch_up(chip);
         for (unsigned bit = 0; bit < 16u; bit++) {
             levels |= (chip_pin_level(chip, (index << 4) | bit) ? 1u : 0u) << bit;
         }

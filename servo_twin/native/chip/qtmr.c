@@ -238,15 +238,18 @@ CHIP_APART static uint64_t next_heard(chip_t *chip, qtmr_t *timer)
     return next;
 }
 
+/* The first change behind the filters. */
+static inline uint64_t first_change(const qtmr_t *timer)
+{
+    const uint64_t *change = timer->change_clock;
+    return chip_sooner(chip_sooner(change[0], change[1]), chip_sooner(change[2], change[3]));
+}
+
 static inline void schedule(chip_t *chip, qtmr_t *timer)
 {
-    timer->unseen_clock = CHIP_NEVER;
+    timer->quiet_clock = CHIP_NEVER;
     const uint64_t heard = (timer->heard != 0) ? next_heard(chip, timer) : CHIP_NEVER; /* may change an input */
-    const uint64_t *change = timer->change_clock;
-    const uint64_t a = (change[1] < change[0]) ? change[1] : change[0];
-    const uint64_t b = (change[3] < change[2]) ? change[3] : change[2];
-    const uint64_t first = (b < a) ? b : a;
-    chip_schedule(chip, SOURCE_TIMER + timer->module, (first < heard) ? first : heard);
+    chip_schedule(chip, SOURCE_TIMER + timer->module, chip_sooner(first_change(timer), heard));
 }
 
 /* ---- inputs ---------------------------------------------------------------------------------------------------------- */
@@ -309,11 +312,62 @@ CHIP_APART static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
     FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(chip, timer, n, rises); }
 }
 
-/* The edge that only counts: nothing that could have changed this has been written since it was found. */
-static void pass_unseen(qtmr_t *timer)
+/* ---- patience ------------------------------------------------------------------------------------------------------------ */
+
+/* How many edges from now on would change a count, and nothing would follow from that: no compare, rollover, capture or
+ * output. */
+static unsigned find_patience(const chip_t *chip, const qtmr_t *timer)
 {
-    const unsigned input = timer->unseen_input;
-    timer->unseen_clock = timer->change_clock[input] = CHIP_NEVER;
+    if (timer->heard != 0 || chip->turn[SOURCE_TIMER + timer->module] < CHIP_NO_TURN) {
+        return 0;
+    }
+    unsigned counting = 0;
+    unsigned capturing = 0;
+    unsigned cleared = 0;
+    for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
+        counting |= timer->decodes[input] | timer->counts_edges[input];
+        capturing |= timer->captures[input];
+        cleared |= timer->cleared_by[input];
+    }
+    if ((capturing & ~timer->captured) != 0) {
+        return 0;
+    }
+    FOR_EACH(n, cleared)
+    {
+        if (timer->channel[n].oflag) {
+            return 0;
+        }
+    }
+    unsigned least = QTMR_PATIENCE + QTMR_CHANNELS + 1u; /* behind each filter one may be waiting */
+    FOR_EACH(n, counting)
+    {
+        const qtmr_channel_t *c = &timer->channel[n];
+        const uint16_t special[] = {c->comp1, c->comp2, 0, 0xFFFF};
+        for (unsigned i = 0; i < sizeof special / sizeof special[0]; i++) {
+            const uint16_t up = (uint16_t)(special[i] - c->cntr);
+            const uint16_t down = (uint16_t)(c->cntr - special[i]);
+            const uint16_t way = (up < down) ? up : down;
+            least = (way < least) ? way : least;
+        }
+    }
+    return (least > QTMR_CHANNELS + 1u) ? least - QTMR_CHANNELS - 1u : 0u;
+}
+
+/* After a change of what the next edges may do; all before the present clock have been handed over. */
+static void listen(chip_t *chip, qtmr_t *timer)
+{
+    const unsigned before = timer->patience;
+    timer->patience = find_patience(chip, timer);
+    if (timer->patience != before) {
+        chip->touched = true;
+        world_patience(chip->world);
+    }
+}
+
+/* The level behind a filter changes, and nothing follows but counts. */
+static void pass_quietly(qtmr_t *timer, unsigned input)
+{
+    timer->change_clock[input] = CHIP_NEVER;
     timer->in ^= 1u << input;
     const bool rises = ((timer->in >> input) & 1u) != 0;
     FOR_EACH(n, timer->decodes[input] & timer->enable)
@@ -330,84 +384,85 @@ static void pass_unseen(qtmr_t *timer)
     }
 }
 
+/* All such changes before `clock`, in their order. */
+static inline void let_through(qtmr_t *timer, uint64_t clock)
+{
+    while (timer->quiet_clock < clock) {
+        unsigned input = 0;
+        while (timer->change_clock[input] != timer->quiet_clock) {
+            input++;
+        }
+        pass_quietly(timer, input);
+        timer->quiet_clock = first_change(timer);
+    }
+}
+
 void qtmr_catch_up(chip_t *chip)
 {
-    for (unsigned m = 0; m < QTMR_MODULES; m++) {
-        if (chip->timer[m].unseen_clock <= chip->now) {
-            pass_unseen(&chip->timer[m]);
-        }
-    }
-}
-
-/* The next edge of an input changes a count, and nothing follows from that: no compare, rollover, capture or output. */
-static bool only_counts(const chip_t *chip, const qtmr_t *timer, unsigned input)
-{
-    if (timer->heard != 0 || chip->turn[SOURCE_TIMER + timer->module] < CHIP_NO_TURN ||
-        (timer->captures[input] & ~timer->captured) != 0) {
-        return false;
-    }
-    FOR_EACH(n, timer->cleared_by[input])
-    {
-        if (timer->channel[n].oflag) {
-            return false;
-        }
-    }
-    FOR_EACH(n, timer->decodes[input] | timer->counts_edges[input])
-    {
-        const qtmr_channel_t *c = &timer->channel[n];
-        const uint16_t count = c->cntr;
-        const bool reloads = (c->ctrl & CTRL_LENGTH) != 0 && (count == c->comp1 || count == c->comp2);
-        const bool wraps = (uint16_t)(count + 1u) <= 1u; /* or may do so */
-        if (reloads || count == (uint16_t)(c->comp1 - 1u) || count == (uint16_t)(c->comp2 + 1u) || wraps) {
-            return false;
-        }
-    }
-    return true;
-}
-
-void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level)
-{
-    qtmr_t *timer = &chip->timer[m];
-    const unsigned bit = 1u << input;
-    if (((timer->raw & bit) != 0) == level) {
+    if (chip->caught_up == chip->now) {
         return;
     }
-    if (timer->unseen_clock < chip->now) {
-        pass_unseen(timer);
+    chip->caught_up = chip->now;
+    chip_meet_world(chip);
+    world_late(chip->world);
+    for (unsigned m = 0; m < QTMR_MODULES; m++) {
+        qtmr_t *timer = &chip->timer[m];
+        let_through(timer, chip->now + 1u);
+        if (timer->patience - 1u < QTMR_PATIENCE / 2u - 1u) { /* more than none, but not much */
+            listen(chip, timer);
+        }
     }
-    timer->raw ^= bit;
-    const uint32_t delay = timer->delay[input];
-    const bool waits = timer->unseen_clock != CHIP_NEVER; /* for an edge that may not only count after this one */
-    if (((timer->in & bit) != 0) == level) {
+}
+
+/* ---- edges ----------------------------------------------------------------------------------------------------------------- */
+
+static void hear(chip_t *chip, qtmr_t *timer, unsigned input, bool level)
+{
+    let_through(timer, chip->now);
+    timer->raw ^= 1u << input;
+    if (((timer->in >> input) & 1u) == (level ? 1u : 0u)) {
         timer->change_clock[input] = CHIP_NEVER; /* shorter than the filter */
-    } else if (delay == 0) {
+    } else if (timer->delay[input] == 0) {
         edge(chip, timer, input);
-        if (!waits) {
-            return;
-        }
     } else {
-        timer->change_clock[input] = chip->now + delay;
-        if (!waits && only_counts(chip, timer, input)) {
-            timer->unseen_clock = timer->change_clock[input];
-            timer->unseen_input = input;
-            return;
-        }
+        timer->change_clock[input] = chip->now + timer->delay[input];
     }
     schedule(chip, timer);
+    listen(chip, timer);
+}
+
+void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level, uint64_t clock)
+{
+    qtmr_t *timer = &chip->timer[m];
+    if (((timer->raw >> input) & 1u) == (level ? 1u : 0u)) {
+        return;
+    }
+    if (timer->patience == 0) {
+        hear(chip, timer, input, level);
+        return;
+    }
+    timer->patience--;
+    let_through(timer, clock);
+    timer->raw ^= 1u << input;
+    if (((timer->in >> input) & 1u) == (level ? 1u : 0u)) {
+        timer->change_clock[input] = CHIP_NEVER;
+    } else if (timer->delay[input] == 0) {
+        pass_quietly(timer, input);
+    } else {
+        timer->change_clock[input] = clock + timer->delay[input];
+    }
+    timer->quiet_clock = first_change(timer);
 }
 
 void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
 {
     qtmr_t *timer = &chip->timer[m];
     if (timer->delay[input] == 0) {
-        if (timer->unseen_clock < chip->now) {
-            pass_unseen(timer);
-        }
+        qtmr_catch_up(chip);
         edge(chip, timer, input);
         edge(chip, timer, input);
-        if (timer->unseen_clock != CHIP_NEVER) {
-            schedule(chip, timer);
-        }
+        schedule(chip, timer);
+        listen(chip, timer);
     }
 }
 
@@ -415,7 +470,6 @@ void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
 void qtmr_event(chip_t *chip, unsigned m)
 {
     qtmr_t *timer = &chip->timer[m];
-    timer->unseen_clock = CHIP_NEVER;
     for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
         if (timer->change_clock[input] <= chip->now) {
             timer->change_clock[input] = CHIP_NEVER;
@@ -423,6 +477,7 @@ void qtmr_event(chip_t *chip, unsigned m)
         }
     }
     schedule(chip, timer);
+    listen(chip, timer);
 }
 
 /* ---- registers ------------------------------------------------------------------------------------------------------- */
@@ -484,8 +539,11 @@ static void derive(chip_t *chip, qtmr_t *timer)
 
 void qtmr_gates_changed(chip_t *chip)
 {
-    derive(chip, &chip->timer[0]);
-    derive(chip, &chip->timer[1]);
+    qtmr_catch_up(chip);
+    for (unsigned m = 0; m < QTMR_MODULES; m++) {
+        derive(chip, &chip->timer[m]);
+        listen(chip, &chip->timer[m]);
+    }
 }
 
 static void write_ctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint16_t value)
@@ -665,6 +723,7 @@ uint16_t qtmr_read(chip_t *chip, uint32_t address)
     const unsigned m = (address - BASE) / MODULE_SIZE;
     const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
     check_gate(chip, address, m, n);
+    qtmr_catch_up(chip);
     return read_channel(chip, address, &chip->timer[m], n, address & 0xFu);
 }
 
@@ -672,19 +731,23 @@ void qtmr_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     const unsigned m = (address - BASE) / MODULE_SIZE;
     const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
+    qtmr_t *timer = &chip->timer[m];
     check_gate(chip, address, m, n);
-    write_channel(chip, address, &chip->timer[m], n, address & 0xFu, value);
-    if (chip->timer[m].unseen_clock != CHIP_NEVER) {
-        schedule(chip, &chip->timer[m]); /* it may not only count any more */
+    qtmr_catch_up(chip);
+    write_channel(chip, address, timer, n, address & 0xFu, value);
+    listen(chip, timer);
+    if (timer->patience == 0 && timer->quiet_clock != CHIP_NEVER) {
+        schedule(chip, timer); /* what waits behind a filter may not only count any more */
     }
 }
 
 void qtmr_reset(chip_t *chip)
 {
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
-        chip->timer[m] = (qtmr_t){.module = m, .enable = 0xF, .unseen_clock = CHIP_NEVER};
+        chip->timer[m] = (qtmr_t){.module = m, .enable = 0xF, .quiet_clock = CHIP_NEVER};
         for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
             chip->timer[m].change_clock[i] = CHIP_NEVER;
         }
     }
+    world_patience(chip->world);
 }

@@ -20,6 +20,12 @@ uint64_t world_next(void *world);
 /* That clock has come: hand over what happened by chip_pin. */
 void world_events(void *world);
 
+/* What chip_patience says of a pin has changed. */
+void world_patience(void *world);
+
+/* Hand over by chip_pin_late what has been kept back up to the present clock. */
+void world_late(void *world);
+
 /* Levels of a pair of gate signals from now on: bit 0 the upper switch (PWM_A), bit 1 the lower one (PWM_B). */
 void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels);
 

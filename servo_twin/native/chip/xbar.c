@@ -81,7 +81,9 @@ CHIP_APART static void lead_to_timer(chip_t *chip, unsigned module, unsigned inp
         if (edge == XBAR_PULSE) {
             qtmr_pulse(chip, module, input);
         } else {
-            qtmr_input(chip, module, input, edge == XBAR_RISE);
+            qtmr_catch_up(chip);
+            qtmr_input(chip, module, input, edge == XBAR_RISE, chip->now);
+            world_patience(chip->world); /* it has used some */
         }
     }
 }

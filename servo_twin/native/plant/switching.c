@@ -8,6 +8,7 @@
 
 #define CLOCK (1.0 / SWITCHING_CLOCK_HZ) /* [s] */
 #define NEVER UINT64_MAX
+#define SPREAD 4u /* edges by which jitter, duty error and hysteresis may add to the way of the shaft */
 /* Edges are looked for as far ahead as a frame may last [s]. */
 #define EDGE_HORIZON (BRIDGE_FRAME + SWITCHING_HORIZON * CLOCK)
 #define THERMAL_STEP UINT64_C(100000) /* [clocks] */
@@ -78,11 +79,11 @@ bool switching_take(switching_t *plant, switching_event_t *event)
 
 static uint64_t earlier(uint64_t a, uint64_t b) { return (a < b) ? a : b; }
 
-/* Clock at or after a time counted from where the axis stands, and after the present one. */
-static inline uint64_t clock_after(const switching_t *plant, const switching_axis_t *axis, double time)
+/* Clock at or after a time counted from `clock`, and behind another one. */
+static inline uint64_t clock_after(uint64_t clock, double time, uint64_t last)
 {
-    const uint64_t clock = axis->clock + (uint64_t)(int64_t)(time * SWITCHING_CLOCK_HZ) + 1u;
-    return (clock > plant->now) ? clock : plant->now + 1u;
+    const uint64_t at = clock + (uint64_t)(int64_t)(time * SWITCHING_CLOCK_HZ) + 1u;
+    return (at > last) ? at : last + 1u;
 }
 
 /* Straight on, when does a current reach the comparator's threshold, from either side? */
@@ -100,10 +101,11 @@ static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axi
             soonest = t;
         }
     }
-    return (soonest < SWITCHING_HORIZON * CLOCK) ? clock_after(plant, axis, soonest) : NEVER;
+    return (soonest < SWITCHING_HORIZON * CLOCK) ? clock_after(axis->clock, soonest, plant->now) : NEVER;
 }
 
-static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
+/* The next edge of the encoder, behind `last`. */
+static inline void find_edge(switching_axis_t *axis, uint64_t last)
 {
     axis->edge_clock = NEVER;
     const double target = quadrature_target(&axis->encoder);
@@ -115,15 +117,23 @@ static inline void find_edge(const switching_t *plant, switching_axis_t *axis)
     if ((axis->encoder.upwards ? way : -way) > axis->course.range) {
         return;
     }
-    const double t = quadrature_time(&axis->encoder, &axis->course) - axis->bridge.frame.time;
+    const double t = quadrature_time(&axis->encoder, &axis->course) - axis->course_time;
     if (t < EDGE_HORIZON) {
-        axis->edge_clock = clock_after(plant, axis, (t > 0.0) ? t : 0.0);
+        axis->edge_clock = clock_after(axis->course_clock, (t > 0.0) ? t : 0.0, last);
     }
+}
+
+/* Whether the edges of a course may be kept back: all of them, or none. */
+static inline void find_patience(switching_axis_t *axis)
+{
+    const double edges = (axis->patience > SPREAD) ? (double)(axis->patience - SPREAD) : 0.0;
+    axis->keeps = axis->course.range < edges * axis->encoder.pitch;
 }
 
 static inline void find_next(switching_axis_t *axis)
 {
-    axis->next_clock = earlier(earlier(axis->edge_clock, axis->look_clock), axis->clock + SWITCHING_HORIZON);
+    const uint64_t edge_clock = axis->keeps ? NEVER : axis->edge_clock;
+    axis->next_clock = earlier(earlier(edge_clock, axis->look_clock), axis->clock + SWITCHING_HORIZON);
 }
 
 static inline void find_next_of_all(switching_t *plant)
@@ -152,16 +162,37 @@ static inline double square_of(const switching_axis_t *axis)
     return current.alpha * current.alpha + current.beta * current.beta;
 }
 
-/* What follows from the segment of an axis that has begun at the present clock, with this square of the current. */
-static inline void look_at(switching_t *plant, switching_axis_t *axis, double square)
+/* Edges that are kept back happen up to the present clock, while the shaft's course is still known. */
+static inline void pass_kept(switching_t *plant, int i)
 {
+    switching_axis_t *axis = &plant->axis[i];
+    while (axis->keeps && axis->edge_clock <= plant->now && axis->patience > 0u) {
+        const uint64_t clock = axis->edge_clock;
+        const quadrature_edge_t edge = quadrature_pass(&axis->encoder);
+        if (edge.seen) {
+            axis->kept_back[axis->kept++] =
+                (switching_event_t){clock, SWITCHING_ENCODER, (uint8_t)i, edge.line, edge.level};
+            axis->patience--;
+        }
+        find_edge(axis, clock);
+    }
+}
+
+/* What follows from the segment of an axis that has begun at the present clock, with this square of the current. */
+static inline void look_at(switching_t *plant, int i, double square)
+{
+    switching_axis_t *axis = &plant->axis[i];
     bridge_t *b = &axis->bridge;
     axis->i_bus = bridge_drain(b);
     axis->di_bus = bridge_drain_slope(b);
     if (b->moved) {
         b->moved = false;
+        pass_kept(plant, i);
         axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, EDGE_HORIZON);
-        find_edge(plant, axis);
+        axis->course_clock = axis->clock;
+        axis->course_time = b->frame.time;
+        find_patience(axis);
+        find_edge(axis, plant->now);
     }
     axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
     find_next(axis);
@@ -173,7 +204,7 @@ void switching_look_around(switching_t *plant)
     for (int i = 0; i < BOARD_AXES; i++) {
         if (!plant->axis[i].bridge.begun) {
             bridge_begin(&plant->axis[i].bridge, plant->supply.u);
-            look_at(plant, &plant->axis[i], square_of(&plant->axis[i]));
+            look_at(plant, i, square_of(&plant->axis[i]));
         }
     }
     find_next_of_all(plant);
@@ -275,22 +306,34 @@ static void warm_up(switching_t *plant)
     plant->thermal_clock += THERMAL_STEP;
 }
 
+/* A line of an encoder changes, and somebody may wait for it. */
+static void tell_line(switching_t *plant, int i, int line, bool level)
+{
+    tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, (uint8_t)line, level});
+    plant->axis[i].patience -= (plant->axis[i].patience > 0u) ? 1u : 0u;
+}
+
 static inline void pass_edge(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
     const quadrature_edge_t edge = quadrature_pass(&axis->encoder);
     if (edge.seen) {
-        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, edge.line, edge.level});
+        tell_line(plant, i, edge.line, edge.level);
     }
-    find_edge(plant, axis);
+    find_edge(axis, plant->now);
     find_next(axis);
 }
 
+/* The shaft has had no part in this. */
 static void set_line(switching_t *plant, int i, int line, bool before)
 {
-    const bool after = quadrature_level(&plant->axis[i].encoder, line);
+    switching_axis_t *axis = &plant->axis[i];
+    const bool after = quadrature_level(&axis->encoder, line);
     if (after != before) {
-        tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, (uint8_t)line, after});
+        tell_line(plant, i, line, after);
+        find_patience(axis);
+        find_next(axis);
+        plant->stale = true;
     }
 }
 
@@ -308,6 +351,7 @@ static uint64_t next_glitch(switching_t *plant, int i, int line)
 static void glitch(switching_t *plant, int i, int line)
 {
     switching_axis_t *axis = &plant->axis[i];
+    pass_kept(plant, i);
     const bool before = quadrature_level(&axis->encoder, line);
     bool *flipped = &axis->encoder.flipped[line];
     *flipped = !*flipped;
@@ -319,6 +363,7 @@ static void glitch(switching_t *plant, int i, int line)
 static void slip(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
+    pass_kept(plant, i);
     const bool upwards = axis->slip > 0;
     const int line = ((axis->encoder.position + upwards) & 1) == 0;
     const bool before = quadrature_level(&axis->encoder, line);
@@ -355,7 +400,7 @@ void switching_happen(switching_t *plant)
     for (int i = 0; i < BOARD_AXES; i++) {
         const switching_axis_t *axis = &plant->axis[i];
         if (axis->next_clock == plant->now) {
-            if (axis->edge_clock == plant->now) {
+            if (axis->edge_clock == plant->now && !axis->keeps) {
                 pass_edge(plant, i);
             } else {
                 advance_axis(plant, i);
@@ -368,6 +413,32 @@ void switching_happen(switching_t *plant)
     if (!plant->stale) {
         find_next_of_all(plant);
     }
+}
+
+/* ---- edges that nobody waits for --------------------------------------------------------------------------------------- */
+
+void switching_keep_back(switching_t *plant, int i, unsigned edges)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    const unsigned room = SWITCHING_KEPT - axis->kept;
+    axis->patience = (edges < room) ? edges : room;
+    find_patience(axis);
+    find_next(axis);
+    if (!plant->stale) {
+        find_next_of_all(plant);
+    }
+}
+
+bool switching_take_kept(switching_t *plant, int i, switching_event_t *event)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    pass_kept(plant, i);
+    if (axis->kept_first == axis->kept) {
+        axis->kept_first = axis->kept = 0;
+        return false;
+    }
+    *event = axis->kept_back[axis->kept_first++];
+    return true;
 }
 
 /* ---- gates -------------------------------------------------------------------------------------------------------- */
@@ -453,7 +524,7 @@ static inline void switch_over(switching_t *plant, int i, unsigned gates)
     }
     b->gates = gates;
     bridge_begin(b, u);
-    look_at(plant, axis, square);
+    look_at(plant, i, square);
     find_next_of_all(plant);
 }
 
@@ -628,6 +699,7 @@ void switching_brake(switching_t *plant, bool on)
 void switching_cut(switching_t *plant, int i, int line, bool cut, bool level)
 {
     quadrature_t *encoder = &plant->axis[i].encoder;
+    pass_kept(plant, i);
     const bool before = quadrature_level(encoder, line);
     encoder->cut[line] = cut;
     encoder->stuck[line] = level;

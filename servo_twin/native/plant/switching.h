@@ -13,6 +13,7 @@
  *     }
  *
  * Advancing past switching_next is allowed: the events wait, in order, with their own clocks (at most SWITCHING_EVENTS).
+ * Edges of an encoder that nobody waits for may be kept back from all this, until somebody asks for them.
  * What is read (shunts, bus, truth) is the state of the clock last advanced to.
  */
 #ifndef PLANT_SWITCHING_H
@@ -33,6 +34,7 @@
 #define SWITCHING_HORIZON 3200u /* longest step without a look around [clocks] */
 #define SWITCHING_LINE 64u /* a plant is quicker at a multiple of it [bytes] */
 #define SWITCHING_EVENTS 128u /* a power of two */
+#define SWITCHING_KEPT 128u /* edges of an encoder that are kept back at most */
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
 typedef enum {
@@ -66,7 +68,12 @@ typedef struct {
     double booked; /* charge that the bus has given meanwhile, at the extrapolated current [A s] */
     double u_h; /* integral of the bus voltage meanwhile [V s] */
     uint64_t edge_clock; /* when the encoder changes next, if nothing else does */
-    quadrature_course_t course; /* of the shaft since `clock` */
+    quadrature_course_t course; /* of the shaft .. */
+    uint64_t course_clock; /* .. which was so far into it at this clock [s] */
+    double course_time;
+    unsigned patience; /* so many edges may be kept back .. */
+    bool keeps; /* .. and all of this course will be */
+    uint8_t kept_first, kept;
     double i_bus, di_bus; /* current out of the bus where the bus stands, and its slope [A], [A/s] */
     uint64_t look_clock; /* when a current may pass the comparator's threshold */
     uint64_t next_clock; /* the earlier of the two, or the horizon */
@@ -89,7 +96,8 @@ typedef struct {
     uint64_t mean_clock; /* beginning of the voltages' mean, and the integrals there */
     plant_vector_t mean_psi, mean_charge;
     double mean_volts_0;
-    double unused[6]; /* up to a whole line of the cache (bridge.h), where pointers have 64 bits */
+    switching_event_t kept_back[SWITCHING_KEPT];
+    double unused[3]; /* up to a whole line of the cache (bridge.h), where pointers have 64 bits */
 } switching_axis_t;
 
 typedef struct {
@@ -146,6 +154,13 @@ static inline void switching_advance(switching_t *plant, uint64_t clock)
 
 /* Oldest event that has not been taken; false if there is none. */
 bool switching_take(switching_t *plant, switching_event_t *event);
+
+/* The next `edges` of an axis' encoder may be kept back. Those that are have to be taken before. */
+void switching_keep_back(switching_t *plant, int axis, unsigned edges);
+
+/* Oldest edge of an axis up to the present clock that has been kept back; false if there is none. It belongs before those
+ * of switching_take. */
+bool switching_take_kept(switching_t *plant, int axis, switching_event_t *event);
 
 /* ---- what the chip's pins see at the present clock ------------------------------------------------------------------ */
 
