@@ -1,3 +1,5 @@
+#include <string.h>
+
 #include "plant/bridge_kernel.h"
 #include "plant/decay.h"
 
@@ -227,32 +229,28 @@ double bridge_advance(bridge_t *b, double h, double u)
 
 /* ---- what others want to know ------------------------------------------------------------------------------------- */
 
-bool bridge_amplifier(const bridge_t *b, int k, double h, double u, double *shown)
+bool bridge_amplifiers(const bridge_t *b, double h, double u, double shown[BRIDGE_LANES])
 {
-    const double before = b->amplifier[BRIDGE_LANE(k)];
     if (h <= 0.0) {
-        *shown = before;
+        memcpy(shown, b->amplifier, sizeof b->amplifier);
         return true;
     }
     if (bridge_is_stale(b, u)) {
         return false;
     }
-    double current;
-    double slope, late; /* of it, now and then */
-    double i[BRIDGE_LANES];
-    double di[BRIDGE_LANES];
-    if (bridge_foresee(b, h, i, di)) {
-        current = i[BRIDGE_LANE(k)];
-        slope = b->frame.di[BRIDGE_LANE(k)];
-        late = di[BRIDGE_LANE(k)];
-    } else if (h <= NEAR) {
-        slope = late = dot(b->di, phase_axis[k]);
-        current = b->phase[k] + h * slope;
-    } else {
+    if (bridge_foresee(b, h, shown)) {
+        return true;
+    }
+    if (h > NEAR) {
         return false;
     }
-    const double seen = (b->paths.lower & BRIDGE_LEG(k)) != 0u ? 1.0 : 0.0;
-    *shown = seen * (current - b->tau * late) + (before - seen * (b->phase[k] - b->tau * slope)) * decay(b, h);
+    const double left = decay(b, h);
+    for (int k = 0; k < 3; k++) {
+        const double seen = (b->paths.lower & BRIDGE_LEG(k)) != 0u ? 1.0 : 0.0;
+        const double slope = dot(b->di, phase_axis[k]);
+        const double begin = seen * (b->phase[k] - b->tau * slope);
+        shown[BRIDGE_LANE(k)] = begin + seen * h * slope + (b->amplifier[BRIDGE_LANE(k)] - begin) * left;
+    }
     return true;
 }
 

@@ -193,11 +193,12 @@ static inline double bridge_drain_slope(const bridge_t *bridge)
     return 1.5 * (bridge->a.alpha * bridge->di.alpha + bridge->a.beta * bridge->di.beta);
 }
 
-/* All gates, as they are kept, with these on one leg. */
-static inline unsigned bridge_gates_with(const bridge_t *bridge, int phase, bridge_gates_t gates)
+/* All gates, as they are kept, with these on one leg; two that are on at once are taken for none. */
+static inline unsigned bridge_gates_with(const bridge_t *bridge, int phase, unsigned gates)
 {
-    const unsigned pair = ((unsigned)gates & 1u) | ((unsigned)gates >> 1) << BRIDGE_LOWER;
-    return (bridge->gates & ~BRIDGE_BOTH(BRIDGE_LEG(phase))) | pair << BRIDGE_LANE(phase);
+    static const uint16_t pair[] = {[BRIDGE_HIGH] = 1u, [BRIDGE_LOW] = 1u << BRIDGE_LOWER, [3] = 0};
+    const unsigned lane = (unsigned)BRIDGE_LANE(phase);
+    return (bridge->gates & ~(BRIDGE_BOTH(1u) << lane)) | (unsigned)pair[gates] << lane;
 }
 
 /* The bus has moved, so that the slopes are no longer those that the segment began with. */
@@ -206,8 +207,8 @@ static inline bool bridge_is_stale(const bridge_t *bridge, double u)
     return u > bridge->u + BRIDGE_MOVED || u < bridge->u - BRIDGE_MOVED;
 }
 
-/* What a phase's amplifier shows `h` seconds into the segment, the bus at `u` by now; false if something changes before. */
-bool bridge_amplifier(const bridge_t *bridge, int phase, double h, double u, double *shown);
+/* What the amplifiers show `h` seconds into the segment, the bus at `u` by now; false if something changes before. */
+bool bridge_amplifiers(const bridge_t *bridge, double h, double u, double shown[BRIDGE_LANES]);
 
 /* True if `gates`, others on one leg, would change nothing, now and in the `h` seconds since the segment began: a dead time
  * that the diode has bridged already, or is about to. The bus is at `u` by now. */

@@ -216,19 +216,6 @@ static inline double span(const bridge_t *b, double rest)
     return idle ? shorter(rest, f->longest_idle) : f->longest_driven;
 }
 
-PLANT_WIDE bool bridge_foresee(const bridge_t *b, double h, double i[BRIDGE_LANES], double di[BRIDGE_LANES])
-{
-    if (!b->framed || !b->begun || b->floating >= 0 || h > span(b, h)) {
-        return false;
-    }
-    const segment_t s = segment_of(b);
-    course_t c;
-    start_course(&c, b, &s, h);
-    put_lanes(i, c.last);
-    put_lanes(di, slope_at(&c, h));
-    return beyond_zero(c.last, b->positive, b->negative) == 0u;
-}
-
 /* The moment up to *t at which the floating leg's voltage leaves its interval, whose ends follow the bus; returns the sign
  * of the current that begins then. */
 static inline int first_clamp(const bridge_t *b, double u, double *t)
@@ -244,9 +231,9 @@ static inline int first_clamp(const bridge_t *b, double u, double *t)
     return (end < low) ? 1 : -1;
 }
 
-/* The amplifiers of all phases follow what goes through their shunts, as late as its slope says, the one that they see at the
- * end; what is left of earlier times decays. */
-PLANT_INLINE void filter_lanes(bridge_t *b, const segment_t *s, const course_t *c, lanes_t slope)
+/* The amplifiers of all phases, h seconds into the segment, follow what goes through their shunts, as late as its slope says,
+ * the one that they see by now; what is left of earlier times decays. */
+PLANT_INLINE lanes_t filtered(const bridge_t *b, const segment_t *s, double h, lanes_t i, lanes_t slope)
 {
     static const double through[BRIDGE_LEG_SETS][BRIDGE_LANES] PLANT_VECTORS = {
         [LEG_A] = {1, 0, 0, 0},       [LEG_B] = {0, 0, 1, 0},         [LEG_A | LEG_B] = {1, 0, 1, 0},
@@ -256,7 +243,19 @@ PLANT_INLINE void filter_lanes(bridge_t *b, const segment_t *s, const course_t *
     const lanes_t seen = lanes_of(through[b->paths.lower]);
     const lanes_t tau = all(b->tau);
     const lanes_t off = lanes_of(b->amplifier) - seen * (s->i - tau * s->di);
-    put_lanes(b->amplifier, seen * (c->last - tau * slope) + off * all(decay(b, c->end)));
+    return seen * (i - tau * slope) + off * all(decay(b, h));
+}
+
+PLANT_WIDE bool bridge_foresee(const bridge_t *b, double h, double shown[BRIDGE_LANES])
+{
+    if (!b->framed || !b->begun || b->floating >= 0 || h > span(b, h)) {
+        return false;
+    }
+    const segment_t s = segment_of(b);
+    course_t c;
+    start_course(&c, b, &s, h);
+    put_lanes(shown, filtered(b, &s, h, c.last, slope_at(&c, h)));
+    return beyond_zero(c.last, b->positive, b->negative) == 0u;
 }
 
 /* The segment, as it has gone. */
@@ -273,7 +272,7 @@ PLANT_INLINE void stride(bridge_t *b, const segment_t *s, const course_t *c, dou
     if (c->passes > 0) {
         account_passes(c, b, &charge, &impulse, &slope, &f->taken);
     }
-    filter_lanes(b, s, c, slope);
+    put_lanes(b->amplifier, filtered(b, s, t, c->last, slope));
     if (b->floating >= 0) {
         impulse += all(0.5 * f->hold_slope * t * t) * lanes_of(legs_at[BRIDGE_LEG(b->floating)]);
     }
@@ -386,12 +385,11 @@ double bridge_frame_advance(bridge_t *b, double *rest, double u)
     return 0.0;
 }
 
-bool bridge_foresee(const bridge_t *b, double h, double i[BRIDGE_LANES], double di[BRIDGE_LANES])
+bool bridge_foresee(const bridge_t *b, double h, double shown[BRIDGE_LANES])
 {
     (void)b;
     (void)h;
-    (void)i;
-    (void)di;
+    (void)shown;
     return false;
 }
 

@@ -349,8 +349,8 @@ void bridge_frame_begin(bridge_t *bridge, double u);
  * bus. */
 double bridge_frame_advance(bridge_t *bridge, double *rest, double u);
 
-/* The current `h` seconds into a segment of the frame, and its slope; false if something changes before. */
-bool bridge_foresee(const bridge_t *bridge, double h, double i[BRIDGE_LANES], double di[BRIDGE_LANES]);
+/* What the amplifiers show `h` seconds into a segment of the frame; false if something changes before. */
+bool bridge_foresee(const bridge_t *bridge, double h, double shown[BRIDGE_LANES]);
 
 /* bridge_legs.c: the only leg without current, -1 if there is none, NO_CURRENT if there are more. */
 #define NO_CURRENT 3

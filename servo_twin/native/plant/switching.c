@@ -43,6 +43,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
             axis->glitch_clock[line] = NEVER;
         }
         axis->slip_clock = NEVER;
+        axis->shown_clock = NEVER;
         axis->turn_off = (uint64_t)(c->turn_off * SWITCHING_CLOCK_HZ + 0.5);
         axis->i_break = c->i_break;
         axis->square_break = c->i_break * c->i_break;
@@ -162,6 +163,13 @@ static inline double square_of(const switching_axis_t *axis)
     return current.alpha * current.alpha + current.beta * current.beta;
 }
 
+/* What an axis draws from the bus in the segment that has begun. */
+static inline void draw(switching_t *plant, int i)
+{
+    plant->i_bus[i] = bridge_drain(&plant->axis[i].bridge);
+    plant->di_bus[i] = bridge_drain_slope(&plant->axis[i].bridge);
+}
+
 /* Edges that are kept back happen up to the present clock, while the shaft's course is still known. */
 static inline void pass_kept(switching_t *plant, int i)
 {
@@ -183,8 +191,7 @@ static inline void look_at(switching_t *plant, int i, double square)
 {
     switching_axis_t *axis = &plant->axis[i];
     bridge_t *b = &axis->bridge;
-    axis->i_bus = bridge_drain(b);
-    axis->di_bus = bridge_drain_slope(b);
+    draw(plant, i);
     if (b->moved) {
         b->moved = false;
         pass_kept(plant, i);
@@ -223,17 +230,16 @@ PLANT_INLINE void move_supply(switching_t *plant)
     const double h = seconds(from, plant->now);
     double load = 0.0;
     for (int i = 0; i < BOARD_AXES; i++) {
-        switching_axis_t *axis = &plant->axis[i];
-        const double rise = h * axis->di_bus;
-        const double current = axis->i_bus + 0.5 * rise;
-        axis->i_bus += rise;
-        axis->booked += current * h;
+        const double rise = h * plant->di_bus[i];
+        const double current = plant->i_bus[i] + 0.5 * rise;
+        plant->i_bus[i] += rise;
+        plant->booked[i] += current * h;
         load += current;
     }
     const supply_step_t step = supply_step_of(&plant->supply, h);
     const double u_h = supply_take_step(&plant->supply, &step, load);
     for (int i = 0; i < BOARD_AXES; i++) {
-        plant->axis[i].u_h += u_h;
+        plant->u_h[i] += u_h;
     }
     plant->supply_clock = plant->now;
 }
@@ -264,11 +270,12 @@ PLANT_INLINE double move_axis(switching_t *plant, int i, double *square)
     const double per_h = 1.0 / h; /* ready when the voltage is */
     move_supply(plant);
     const double u = plant->supply.u;
-    const double charge = bridge_advance(&axis->bridge, h, axis->u_h * per_h);
-    supply_take(&plant->supply, charge - axis->booked);
-    axis->booked = 0.0;
-    axis->u_h = 0.0;
+    const double charge = bridge_advance(&axis->bridge, h, plant->u_h[i] * per_h);
+    supply_take(&plant->supply, charge - plant->booked[i]);
+    plant->booked[i] = 0.0;
+    plant->u_h[i] = 0.0;
     axis->clock = plant->now;
+    axis->shown_clock = NEVER;
     *square = square_of(axis);
     if (axis->tripped || *square > axis->square_break) {
         compare(plant, i);
@@ -535,8 +542,7 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
     if (axis->leg[phase] == leg) {
         return;
     }
-    const bridge_gates_t pair = (leg == SWITCHING_SHORT) ? BRIDGE_OPEN : (bridge_gates_t)leg;
-    const unsigned gates = bridge_gates_with(b, phase, pair);
+    const unsigned gates = bridge_gates_with(b, phase, leg);
     if (bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now), plant->supply.u)) {
         b->gates = gates;
     } else {
@@ -547,17 +553,27 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
 
 /* ---- pins --------------------------------------------------------------------------------------------------------- */
 
+/* What the amplifiers show: both converters hold at one clock. */
+static void amplify(switching_t *plant, int i)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    switching_look(plant);
+    if (!bridge_amplifiers(&axis->bridge, seconds(axis->clock, plant->now), plant->supply.u, axis->shown)) {
+        advance_axis(plant, i);
+        switching_look_around(plant);
+        memcpy(axis->shown, axis->bridge.amplifier, sizeof axis->shown);
+    }
+    axis->shown_clock = plant->now;
+}
+
 uint16_t switching_current_code(switching_t *plant, int i, int phase)
 {
     switching_axis_t *axis = &plant->axis[i];
-    double current;
-    switching_look(plant);
-    if (!bridge_amplifier(&axis->bridge, phase, seconds(axis->clock, plant->now), plant->supply.u, &current)) {
-        advance_axis(plant, i);
-        switching_look_around(plant);
-        current = axis->bridge.amplifier[BRIDGE_LANE(phase)];
+    if (axis->shown_clock != plant->now) {
+        amplify(plant, i);
     }
-    const double shown = current + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
+    const double shown =
+        axis->shown[BRIDGE_LANE(phase)] + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
     return plant_harm_code(&axis->harm, phase, plant_code(2048.0 + shown * axis->codes_per_ampere));
 }
 

@@ -65,8 +65,6 @@ typedef struct {
     plant_random_t noise;
     plant_harm_t harm;
     uint64_t clock;
-    double booked; /* charge that the bus has given meanwhile, at the extrapolated current [A s] */
-    double u_h; /* integral of the bus voltage meanwhile [V s] */
     uint64_t edge_clock; /* when the encoder changes next, if nothing else does */
     quadrature_course_t course; /* of the shaft .. */
     uint64_t course_clock; /* .. which was so far into it at this clock [s] */
@@ -74,7 +72,8 @@ typedef struct {
     unsigned patience; /* so many edges may be kept back .. */
     bool keeps; /* .. and all of this course will be */
     uint8_t kept_first, kept;
-    double i_bus, di_bus; /* current out of the bus where the bus stands, and its slope [A], [A/s] */
+    uint64_t shown_clock; /* the amplifiers have been looked at, .. */
+    double shown[BRIDGE_LANES]; /* .. and show this [A] */
     uint64_t look_clock; /* when a current may pass the comparator's threshold */
     uint64_t next_clock; /* the earlier of the two, or the horizon */
     uint64_t off_clock[3]; /* when the switch of the leg that was on last no longer conducts, and which one it was */
@@ -97,7 +96,7 @@ typedef struct {
     plant_vector_t mean_psi, mean_charge;
     double mean_volts_0;
     switching_event_t kept_back[SWITCHING_KEPT];
-    double unused[3]; /* up to a whole line of the cache (bridge.h), where pointers have 64 bits */
+    double unused[2]; /* up to a whole line of the cache (bridge.h), where pointers have 64 bits */
 } switching_axis_t;
 
 typedef struct {
@@ -109,6 +108,9 @@ typedef struct {
     uint64_t next; /* clock of the next event, unless `stale` */
     bool stale;
     uint64_t supply_clock; /* the bus stands here */
+    /* Of each axis: current out of the bus there, and its slope; and since the axis was advanced the charge that the bus has
+     * given, at this current, and the integral of its voltage [A], [A/s], [A s], [V s]. */
+    double i_bus[BOARD_AXES], di_bus[BOARD_AXES], booked[BOARD_AXES], u_h[BOARD_AXES];
     uint64_t thermal_clock; /* next step of the temperatures */
     uint64_t rare_clock; /* that, or the end of a short */
     switching_event_t event[SWITCHING_EVENTS];
