@@ -91,7 +91,7 @@ typedef struct {
     double taken;                        /* out of the bus, less what passes through zero have saved [J] */
     double hold_slope;                   /* of the floating leg in the segment [V/s] */
     double longest;                      /* without its last segment [s] */
-    double longest_driven, longest_idle; /* segments, with a voltage across the motor and with none [s] */
+    double longest_segment[2];           /* with a voltage across the motor, and with none: never shorter [s] */
     double per_l[3];                     /* 1 over the part of `along` in that phase [H] */
     double reluctance;                   /* part of the torque at the beginning [N m] */
     double time;                         /* since its beginning [s]: angle, speed and flux stand there */
@@ -161,7 +161,7 @@ typedef struct {
     double friction, viscous;
     double longest;                      /* step that the series are good for [s] */
     double tau;                          /* of the current amplifiers [s] */
-    double decay_fine[BRIDGE_DECAY], decay_coarse[BRIDGE_DECAY];
+    double decay_fine[BRIDGE_DECAY], decay_coarse[BRIDGE_DECAY + 1]; /* the last one is 0 */
     /* sums since the beginning */
     double e_copper, e_switch;           /* [J] */
     double e_bus;                        /* taken out of the bus [J] */

@@ -12,7 +12,6 @@
 
 #define STRAIGHT 0.05 /* bend of a current on its way through zero, of its fall, that a series is good for */
 #define PASSES 4
-#define FADED 12.0 /* time constants of an amplifier after which nothing is left of a step */
 
 /* How a segment begins. */
 typedef struct {
@@ -211,9 +210,7 @@ PLANT_INLINE void account_passes(const course_t *c, const bridge_t *b, pair_t *c
         *charge += both(THIRD * volt_seconds_2) * vector(along);
         *impulse += all(volt_seconds) * lanes_of(legs_at[BRIDGE_LEG(pass->phase)]);
         *lost -= 0.5 * volt_seconds * last[BRIDGE_LANE(pass->phase)];
-        if (h < FADED * b->tau) {
-            *slope -= all((2.0 / 3.0) * pass->volts * decay(b, h)) * along;
-        }
+        *slope -= all((2.0 / 3.0) * pass->volts * decay(b, h)) * along;
     }
 }
 

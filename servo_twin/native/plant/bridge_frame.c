@@ -88,8 +88,8 @@ PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
     const bridge_matrix_t l = {l_mean + l_half, (b->l_d - b->l_q) * c * s, l_mean - l_half};
     bridge_frame_t *f = &b->frame;
     f->longest = longest;
-    f->longest_driven = longest_driven;
-    f->longest_idle = shorter(longest, IDLE_OF_TIME_CONSTANT * time_constant);
+    f->longest_segment[false] = longest_driven;
+    f->longest_segment[true] = shorter(longest, IDLE_OF_TIME_CONSTANT * time_constant);
     put_lanes(f->inverse[0], spread(m.aa, m.ab));
     put_lanes(f->inverse[1], spread(m.ab, m.bb));
     put_lanes(f->drift[0], spread(-b->r * m.aa + w * (m.aa * l.ab - m.ab * l.aa),
@@ -208,12 +208,8 @@ PLANT_WIDE PLANT_ONCE void bridge_frame_begin(bridge_t *b, double u)
 /* How much of `rest` is one segment. */
 static inline double span(const bridge_t *b, double rest)
 {
-    const bridge_frame_t *f = &b->frame;
-    if (rest <= f->longest_driven) {
-        return rest;
-    }
-    const bool idle = b->paths.upper == 0u || b->paths.upper == BRIDGE_LEGS;
-    return idle ? shorter(rest, f->longest_idle) : f->longest_driven;
+    const bool idle = (unsigned)(b->paths.upper == 0u) | (unsigned)(b->paths.upper == BRIDGE_LEGS);
+    return shorter(rest, b->frame.longest_segment[idle]);
 }
 
 /* The moment up to *t at which the floating leg's voltage leaves its interval, whose ends follow the bus; returns the sign

@@ -129,15 +129,15 @@ static inline double path_voltage(const bridge_t *b, bridge_paths_t paths, doubl
     return ((paths.upper != 0u) ? u : 0.0) + ((paths.raised != 0u) ? b->v_drop : -b->v_drop);
 }
 
-/* Ends of the interval of a leg that touches nothing. */
+/* Ends of the interval of a leg that touches nothing. A product, as no processor can guess which gate is on. */
 static inline double low_end(const bridge_t *b, int k, double u)
 {
-    return ((b->gates & BRIDGE_LEG(k)) != 0u ? u : 0.0) - b->reach[k];
+    return u * (double)(int)(b->gates >> BRIDGE_LANE(k) & 1u) - b->reach[k];
 }
 
 static inline double high_end(const bridge_t *b, int k, double u)
 {
-    return ((lower_of(b) & BRIDGE_LEG(k)) != 0u ? 0.0 : u) + b->reach[k];
+    return u * (double)(int)(~lower_of(b) >> BRIDGE_LANE(k) & 1u) + b->reach[k];
 }
 
 /* The same for any leg. That of one beside two that touch is as seen from these, which are taken to be at -V. */
@@ -419,8 +419,8 @@ static inline void find_paths(bridge_t *b)
 static inline double decay(const bridge_t *b, double h)
 {
     const unsigned n = (unsigned)(int)(h * BRIDGE_CLOCK_HZ + 0.5);
-    return (n < BRIDGE_DECAY * BRIDGE_DECAY) ? b->decay_coarse[n / BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY]
-                                             : 0.0;
+    const unsigned coarse = n / BRIDGE_DECAY;
+    return b->decay_coarse[(coarse < BRIDGE_DECAY) ? coarse : BRIDGE_DECAY] * b->decay_fine[n % BRIDGE_DECAY];
 }
 
 #endif

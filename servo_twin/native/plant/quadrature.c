@@ -22,7 +22,8 @@ static double spread(uint64_t bits)
 static inline double draw(quadrature_t *q, bool upwards)
 {
     const int64_t n = q->position + upwards;
-    const double shift = (rises(n) ? -q->early : q->early) + q->jitter * spread(plant_random_bits(&q->random));
+    static const double late[2] = {1.0, -1.0}; /* a table, as no processor can guess which */
+    const double shift = late[rises(n)] * q->early + q->jitter * spread(plant_random_bits(&q->random));
     return ((double)(n - q->slipped) + shift) * q->pitch + (upwards ? 0.5 : -0.5) * q->hysteresis;
 }
 

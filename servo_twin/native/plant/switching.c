@@ -129,12 +129,12 @@ static inline void find_patience(switching_axis_t *axis)
 {
     const double edges = (axis->patience > SPREAD) ? (double)(axis->patience - SPREAD) : 0.0;
     axis->keeps = axis->course.range < edges * axis->encoder.pitch;
+    axis->told_clock = axis->keeps ? NEVER : axis->edge_clock;
 }
 
 static inline void find_next(switching_axis_t *axis)
 {
-    const uint64_t edge_clock = axis->keeps ? NEVER : axis->edge_clock;
-    axis->next_clock = earlier(earlier(edge_clock, axis->look_clock), axis->clock + SWITCHING_HORIZON);
+    axis->next_clock = earlier(earlier(axis->told_clock, axis->look_clock), axis->clock + SWITCHING_HORIZON);
 }
 
 static inline void find_next_of_all(switching_t *plant)
@@ -198,8 +198,8 @@ static inline void look_at(switching_t *plant, int i, double square)
         axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, EDGE_HORIZON);
         axis->course_clock = axis->clock;
         axis->course_time = b->frame.time;
-        find_patience(axis);
         find_edge(axis, plant->now);
+        find_patience(axis);
     }
     axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
     find_next(axis);
@@ -328,6 +328,7 @@ static inline void pass_edge(switching_t *plant, int i)
         tell_line(plant, i, edge.line, edge.level);
     }
     find_edge(axis, plant->now);
+    axis->told_clock = axis->edge_clock;
     find_next(axis);
 }
 
@@ -407,7 +408,7 @@ void switching_happen(switching_t *plant)
     for (int i = 0; i < BOARD_AXES; i++) {
         const switching_axis_t *axis = &plant->axis[i];
         if (axis->next_clock == plant->now) {
-            if (axis->edge_clock == plant->now && !axis->keeps) {
+            if (axis->told_clock == plant->now) {
                 pass_edge(plant, i);
             } else {
                 advance_axis(plant, i);

@@ -65,7 +65,8 @@ typedef struct {
     plant_random_t noise;
     plant_harm_t harm;
     uint64_t clock;
-    uint64_t edge_clock; /* when the encoder changes next, if nothing else does */
+    uint64_t edge_clock; /* when the encoder changes next, if nothing else does .. */
+    uint64_t told_clock; /* .. and if it is an event */
     quadrature_course_t course; /* of the shaft .. */
     uint64_t course_clock; /* .. which was so far into it at this clock [s] */
     double course_time;
@@ -96,7 +97,6 @@ typedef struct {
     plant_vector_t mean_psi, mean_charge;
     double mean_volts_0;
     switching_event_t kept_back[SWITCHING_KEPT];
-    double unused[2]; /* up to a whole line of the cache (bridge.h), where pointers have 64 bits */
 } switching_axis_t;
 
 typedef struct {
@@ -157,7 +157,7 @@ static inline void switching_advance(switching_t *plant, uint64_t clock)
 /* Oldest event that has not been taken; false if there is none. */
 bool switching_take(switching_t *plant, switching_event_t *event);
 
-/* The next `edges` of an axis' encoder may be kept back. Those that are have to be taken before. */
+/* The next `edges` of an axis' encoder may be kept back. Those that have been are to be taken before. */
 void switching_keep_back(switching_t *plant, int axis, unsigned edges);
 
 /* Oldest edge of an axis up to the present clock that has been kept back; false if there is none. It belongs before those
@@ -174,7 +174,8 @@ uint16_t switching_current_code(switching_t *plant, int axis, int phase);
 uint16_t switching_bus_code(switching_t *plant);
 
 bool switching_over_current(const switching_t *plant, int axis); /* output of the comparator */
-bool switching_line(const switching_t *plant, int axis, int line); /* level of encoder line 0: A, 1: B */
+/* Level of encoder line 0: A, 1: B; what is still kept back is not in it. */
+bool switching_line(const switching_t *plant, int axis, int line);
 
 /* ---- truth ---------------------------------------------------------------------------------------------------------- */
 
