@@ -25,8 +25,8 @@ NATIVE := $(shell find firmware servo_twin/native -name '*.[ch]') servo_twin/set
           $(wildcard servo_twin/servo_twin/_build_native.py)
 METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
               pyproject.toml setup.py setup.cfg package.xml resource/* scripts/* config/* launch/*)))
-# For processors that know AVX2, like the one at hand: 7 % fewer instructions, the same bits (without FMA, which a compiler led
-# by a profile uses whatever it was told about contraction). ARCH= for any x86-64.
+# For processors that know AVX2, like the one at hand: 7 % fewer instructions, the same bits (hence without FMA). ARCH= for any
+# x86-64.
 ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64-v3 .supported' && \
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
 COMPILE = echo "compiling firmware and virtual board$(1)" && cd servo_twin && \
@@ -43,10 +43,12 @@ endif
 FAST_CC = $(if $(FAST_CLANG),clang-$(FAST_CLANG))
 # Valgrind reads what such a clang says of the sources in an older format only.
 CLANG_FLAGS := -O3 -gdwarf-4 -fno-vectorize -fno-slp-vectorize -fuse-ld=lld -Wno-unused-command-line-argument
-RECORD = -fprofile-generate=$(abspath $(PROFILE)) $(if $(FAST_CC),$(CLANG_FLAGS),-fprofile-update=single)
+# With FMA the chains of a segment are shorter: 3 to 5 % faster, and other last bits.
+FUSED = $(if $(findstring -mno-fma,$(ARCH)),-mfma -ffp-contract=fast)
+RECORD = $(FUSED) -fprofile-generate=$(abspath $(PROFILE)) $(if $(FAST_CC),$(CLANG_FLAGS),-fprofile-update=single)
 MERGE = llvm-profdata-$(FAST_CLANG) merge --output=$(PROFILE)/all $(PROFILE)/*.profraw
 # With gcc the use of a profile turns vectors on again, whatever the compiler has been told of them in general.
-GUIDED = $(if $(FAST_CC),-fprofile-use=$(abspath $(PROFILE))/all $(CLANG_FLAGS),\
+GUIDED = $(FUSED) $(if $(FAST_CC),-fprofile-use=$(abspath $(PROFILE))/all $(CLANG_FLAGS),\
            -fprofile-use=$(abspath $(PROFILE)) -fprofile-partial-training -Wno-missing-profile \
            -fno-tree-loop-vectorize -fno-tree-slp-vectorize)
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
@@ -114,7 +116,7 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-fast: $(VENV)/.fast ## compile the virtual board anew, led by a profile of itself (with clang-19 or later, if there is one): faster until a source changes, the same bits
+fast: $(VENV)/.fast ## compile the virtual board anew, led by a profile of itself (with clang-19 or later, if there is one): faster until a source changes, the same but for the last bits
 
 $(VENV)/.fast: $(VENV)/.native
 	@rm -rf $(PROFILE) $(VENV)/.native
