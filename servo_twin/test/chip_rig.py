@@ -308,6 +308,8 @@ class ChipRig:
 
     def _late(self) -> None:
         while self.keeps_back and self.edges and self.edges[0][0] <= self.chip.now:
+            if self.lib.chip_patience(self.chip, pin(self.edges[0][1])) == 0:
+                break  # an event
             clock, name, level = self.edges.pop(0)
             self.kept_back += clock < self.chip.now
             self.lib.chip_pin_late(self.chip, pin(name), level, clock)

@@ -411,6 +411,53 @@ class TestPatience:
             kept_back += some
         assert kept_back > 500  # of 8000
 
+    @staticmethod
+    def at(rig: ChipRig, clocks: int, values: dict[str, int]) -> None:
+        """Write them later, in a handler, so that nothing before has looked at the timers."""
+
+        def handler() -> None:
+            rig.write_all(values)
+            rig.write("TMRB1_SCTRL", 0)
+            rig.write("TMRB1_CTRL", 0)
+
+        rig.handlers[23] = handler
+        rig.write("INTC_IPR1", 1 << 12)
+        rig.write_all({"TMRB1_COMP1": clocks - 1, "TMRB1_SCTRL": 0x4000, "TMRB1_CTRL": 0x3020})
+        rig.interrupts()
+
+    @pytest.mark.parametrize(
+        "change", [{"SIM_IPS0": 3 << 8}, {"SIM_GPSCL": 1 << 4 | 1 << 6 | 1 << 8}, {"GPIOC_PER": 0}, {"TMRA0_ENBL": 0}]
+    )
+    def test_inputs_that_are_led_elsewhere_have_counted_until_then(
+        self, registers_c: Native, change: dict[str, int]
+    ) -> None:
+        counts = []
+        for keeps_back in (False, True):
+            rig = ChipRig(registers_c)
+            rig.write_all(LINES | timer("A") | {f"TMRA{n}_SCTRL": 0 for n in (0, 1, 3)} | {"TMRA0_CNTR": 100})
+            rig.keeps_back = keeps_back
+            self.at(rig, 5000, change)
+            rig.edges = [(rig.now + 300 * n, ("C3", "C4")[n % 2], n % 4 in (0, 1)) for n in range(1, 14)]
+            rig.step(6000)
+            assert rig.kept_back == (13 if keeps_back else 0)
+            counts.append(rig.read("TMRA0_CNTR"))
+        assert counts[0] == counts[1] != 100
+
+    def test_an_input_that_is_waited_for_after_all(self, registers_c: Native) -> None:
+        """C4 goes from a counter to the crossbar, and from there to a channel that captures."""
+        captures = []
+        for keeps_back in (False, True):
+            rig = ChipRig(registers_c)
+            rig.write_all(LINES | timer("A") | {f"TMRA{n}_SCTRL": 0 for n in (0, 1, 3)} | {"TMRA0_CNTR": 1000})
+            rig.write_all({"SIM_IPS0": 1 << 12, "XBARA_SEL17": 8, "TMRB2_CTRL": 0x3E00, "TMRB2_SCTRL": 0x00C0})
+            rig.keeps_back = keeps_back
+            self.at(rig, 5000, {"SIM_GPSCL": 1 << 4 | 2 << 8})
+            rig.clear()
+            rig.edges = [(rig.now + 7000, "C4", True)]
+            rig.step(20_000)
+            captures.append(rig.clocks("capture"))
+        assert captures[0] == captures[1] != []
+
     def test_what_an_edge_must_not_be_late_for(self, rig: ChipRig, encoder: Encoder) -> None:
         def patience() -> int:
             return int(rig.lib.chip_patience(rig.chip, pin("C3")))

@@ -421,9 +421,11 @@ class TestEncoder:
                     switching.lib.switching_harm(switching.c, switching.ffi.new("board_harm_t *", glitches), n == 200)
                 if n in (150, 250):
                     switching.lib.switching_harm(switching.c, switching.ffi.new("board_harm_t *", slip), False)
+                switching.advance(switching.clock + chance.randrange(1, 8000))
+                if 50 <= n < 60:
+                    switching.lib.switching_obstruct(switching.c, 0, (n % 2) * 5.0, 5.0)
                 if n in (400, 450):
                     switching.lib.switching_cut(switching.c, 0, 1, n == 400, True)
-                switching.advance(switching.clock + chance.randrange(1, 8000))
                 if keeps:
                     kept += switching.take_kept(0, patience)
             switching.advance(switching.clock + 1)

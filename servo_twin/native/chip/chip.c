@@ -203,7 +203,7 @@ static inline bool step(chip_t *chip, uint64_t until)
 {
     const uint64_t turn = chip_next_turn(chip);
     const uint64_t clock = CHIP_TURN_CLOCK(turn);
-    const uint64_t outside = chip_outside(chip);
+    const uint64_t outside = world_next(chip->world);
     if (clock < outside) {
         if (clock > until) {
             return stand_still(chip, until);
@@ -215,7 +215,6 @@ static inline bool step(chip_t *chip, uint64_t until)
         }
         chip_pass_time(chip, outside);
         chip_meet_world(chip);
-        chip->touched = true;
         world_events(chip->world);
         if (outside < clock) {
             return true;
@@ -251,7 +250,6 @@ bool chip_run(chip_t *chip, uint64_t until)
     if (setjmp(chip->escape) == ESCAPE_FAILURE) {
         return false;
     }
-    chip->touched = true;
     if (chip->must_boot) {
         boot(chip);
     }
@@ -259,7 +257,6 @@ bool chip_run(chip_t *chip, uint64_t until)
     run_until(chip, until);
     qtmr_catch_up(chip);
     chip_meet_world(chip);
-    chip->touched = true; /* who called may do things to it */
     return true;
 }
 
@@ -291,8 +288,6 @@ void chip_init(chip_t *chip, const chip_config_t *config, void *world)
     chip->world = world;
     chip->line.byte_clocks = 10.0 * (double)CHIP_BUS_HZ / config->baud;
     chip->line.in_clock = CHIP_NEVER;
-    chip->touched = true;
-    chip->caught_up = CHIP_NEVER;
     if (setjmp(chip->escape) == 0) {
         chip_reset(chip, RESET_POWER_ON);
     }

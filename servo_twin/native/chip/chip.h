@@ -67,8 +67,6 @@ typedef struct chip {
     uint64_t turn[CHIP_SOURCES_MOST]; /* of the next event of each source */
     uint64_t first[CHIP_GROUPS];      /* the first of each group */
     uint64_t quiet_turn;              /* and of all behind the PWMs, which have few events */
-    uint64_t outside;        /* clock of the world's next event */
-    bool touched;            /* since then something has been done to the world */
     uint64_t world_clock;    /* the world stands here */
     uint64_t caught_up;      /* no edge of a pin is kept back from before */
     void *world;                 /* of the functions of world.h */

@@ -103,16 +103,6 @@ static inline void chip_pass_time(chip_t *chip, uint64_t clock)
     chip->core.polls = 0;
 }
 
-/* Clock of the world's next event. */
-static inline uint64_t chip_outside(chip_t *chip)
-{
-    if (chip->touched) {
-        chip->touched = false;
-        chip->outside = world_next(chip->world);
-    }
-    return chip->outside;
-}
-
 /* Bring the world along to the present clock, before something acts on it or looks at it. */
 static inline void chip_meet_world(chip_t *chip)
 {

@@ -78,7 +78,6 @@ static inline void pwm_show(chip_t *chip, pwm_submodule_t *s)
         s->levels = levels;
         chip_note(chip, TRACE_GATES, s->id, levels);
         chip_meet_world(chip);
-        chip->touched = true;
         world_gates(chip->world, s->module, s->number, levels);
     }
 }

@@ -353,13 +353,12 @@ static unsigned find_patience(const chip_t *chip, const qtmr_t *timer)
     return (least > QTMR_CHANNELS + 1u) ? least - QTMR_CHANNELS - 1u : 0u;
 }
 
-/* After a change of what the next edges may do; all before the present clock have been handed over. */
+/* After a change of what the next edges may do. All that have been kept back so far have to be handed over first. */
 static void listen(chip_t *chip, qtmr_t *timer)
 {
     const unsigned before = timer->patience;
     timer->patience = find_patience(chip, timer);
     if (timer->patience != before) {
-        chip->touched = true;
         world_patience(chip->world);
     }
 }
@@ -470,6 +469,7 @@ void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
 void qtmr_event(chip_t *chip, unsigned m)
 {
     qtmr_t *timer = &chip->timer[m];
+    qtmr_catch_up(chip);
     for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
         if (timer->change_clock[input] <= chip->now) {
             timer->change_clock[input] = CHIP_NEVER;

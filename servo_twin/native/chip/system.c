@@ -288,6 +288,7 @@ void sim_write(chip_t *chip, uint32_t address, uint16_t value)
         sim->prot = value;
         break;
     case IPS0:
+        qtmr_catch_up(chip); /* by the way that inputs had so far */
         sim->ips0 = value;
         pins_reroute(chip);
         break;

@@ -13,8 +13,7 @@
 /* Come along to `clock` (never back). */
 void world_advance(void *world, uint64_t clock);
 
-/* Clock of the next event of the world's own, CHIP_NEVER if there is none; called again after everything that the chip
- * does to it. */
+/* Clock of the next event of the world's own, CHIP_NEVER if there is none; asked for before each event of the chip. */
 uint64_t world_next(void *world);
 
 /* That clock has come: hand over what happened by chip_pin. */

@@ -428,8 +428,10 @@ void switching_happen(switching_t *plant)
 void switching_keep_back(switching_t *plant, int i, unsigned edges)
 {
     switching_axis_t *axis = &plant->axis[i];
+    pass_kept(plant, i);
     const unsigned room = SWITCHING_KEPT - axis->kept;
-    axis->patience = (edges < room) ? edges : room;
+    const unsigned most = (edges < room) ? edges : room;
+    axis->patience = (most > plant->waiting) ? most - plant->waiting : 0u; /* some of those may be edges, too */
     find_patience(axis);
     find_next(axis);
     if (!plant->stale) {
@@ -673,6 +675,7 @@ static bridge_t *touch(switching_t *plant, int i)
 {
     switching_look_around(plant);
     bridge_t *bridge = &plant->axis[i].bridge;
+    pass_kept(plant, i);
     advance_axis(plant, i);
     bridge_settle(bridge);
     bridge->begun = false;

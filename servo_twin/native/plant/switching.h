@@ -68,8 +68,8 @@ typedef struct {
     uint64_t edge_clock; /* when the encoder changes next, if nothing else does .. */
     uint64_t told_clock; /* .. and if it is an event */
     quadrature_course_t course; /* of the shaft .. */
-    uint64_t course_clock; /* .. which was so far into it at this clock [s] */
-    double course_time;
+    uint64_t course_clock; /* .. at this clock .. */
+    double course_time; /* .. as far into it [s] */
     unsigned patience; /* so many edges may be kept back .. */
     bool keeps; /* .. and all of this course will be */
     uint8_t kept_first, kept;
