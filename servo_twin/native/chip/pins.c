@@ -117,13 +117,21 @@ static bool level_of(const chip_t *chip, unsigned pin) { return ((chip->pins.in[
 /* Input of a timer or of the fault logic comes from its pin, unless SIM_IPS0 gives it to the crossbar. */
 static bool from_crossbar(const chip_t *chip, unsigned bit) { return ((chip->sim.ips0 >> bit) & 1u) != 0; }
 
+/* The input of a timer that a function is, 4 module + channel; or NO_TIMER. */
+#define TIMER_INPUTS (QTMR_MODULES * QTMR_CHANNELS)
+#define NO_TIMER TIMER_INPUTS
+
+static inline unsigned timer_input(const chip_t *chip, pin_function_t function)
+{
+    const unsigned i = (unsigned)function - FUNCTION_TIMER_A0;
+    return (i < TIMER_INPUTS && !from_crossbar(chip, 8u + i)) ? i : NO_TIMER;
+}
+
 static void put(chip_t *chip, pin_function_t function, bool level)
 {
-    if (function >= FUNCTION_TIMER_A0 && function < FUNCTION_TXD0) {
-        const unsigned i = (unsigned)(function - FUNCTION_TIMER_A0);
-        if (!from_crossbar(chip, 8u + i)) {
-            qtmr_input(chip, i / 4u, i % 4u, level, chip->now);
-        }
+    const unsigned timer = timer_input(chip, function);
+    if (timer != NO_TIMER) {
+        qtmr_input(chip, timer / QTMR_CHANNELS, timer % QTMR_CHANNELS, level, chip->now);
     } else if (function >= FUNCTION_FAULT_A0 && function < FUNCTION_TIMER_A0) {
         const unsigned i = (unsigned)(function - FUNCTION_FAULT_A0);
         if ((i & 7u) < PWM_FAULTS && !from_crossbar(chip, (i / 8u) * 4u + (i & 7u))) {
@@ -151,25 +159,15 @@ void chip_pin(chip_t *chip, unsigned pin, bool level)
     put(chip, pins_function(chip, pin), level);
 }
 
-/* The input of a timer that a pin is, 4 module + channel; or NO_TIMER. */
-#define TIMER_INPUTS (QTMR_MODULES * QTMR_CHANNELS)
-#define NO_TIMER TIMER_INPUTS
-
-static inline unsigned timer_input(const chip_t *chip, unsigned pin)
-{
-    const unsigned i = (unsigned)pins_function(chip, pin) - FUNCTION_TIMER_A0;
-    return (i < TIMER_INPUTS && !from_crossbar(chip, 8u + i)) ? i : NO_TIMER;
-}
-
 unsigned chip_patience(const chip_t *chip, unsigned pin)
 {
-    const unsigned i = timer_input(chip, pin);
+    const unsigned i = timer_input(chip, pins_function(chip, pin));
     return (i != NO_TIMER) ? chip->timer[i / QTMR_CHANNELS].patience : 0u;
 }
 
 void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock)
 {
-    const unsigned i = timer_input(chip, pin);
+    const unsigned i = timer_input(chip, pins_function(chip, pin));
     if (i == NO_TIMER) {
         chip_pin(chip, pin, level);
         return;

@@ -407,7 +407,7 @@ void qtmr_catch_up(chip_t *chip)
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
         qtmr_t *timer = &chip->timer[m];
         let_through(timer, chip->now + 1u);
-        if (timer->patience - 1u < QTMR_PATIENCE / 2u - 1u) { /* more than none, but not much */
+        if (timer->patience > 0 && timer->patience < QTMR_PATIENCE / 2u) { /* before there is none left */
             listen(chip, timer);
         }
     }
@@ -415,19 +415,20 @@ void qtmr_catch_up(chip_t *chip)
 
 /* ---- edges ----------------------------------------------------------------------------------------------------------------- */
 
-static void hear(chip_t *chip, qtmr_t *timer, unsigned input, bool level)
+/* Another level comes to a filter. True if it goes straight through. */
+static inline bool enter_filter(qtmr_t *timer, unsigned input, bool level, uint64_t clock)
 {
-    let_through(timer, chip->now);
+    let_through(timer, clock);
     timer->raw ^= 1u << input;
     if (((timer->in >> input) & 1u) == (level ? 1u : 0u)) {
         timer->change_clock[input] = CHIP_NEVER; /* shorter than the filter */
-    } else if (timer->delay[input] == 0) {
-        edge(chip, timer, input);
-    } else {
-        timer->change_clock[input] = chip->now + timer->delay[input];
+        return false;
     }
-    schedule(chip, timer);
-    listen(chip, timer);
+    if (timer->delay[input] == 0) {
+        return true;
+    }
+    timer->change_clock[input] = clock + timer->delay[input];
+    return false;
 }
 
 void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level, uint64_t clock)
@@ -436,21 +437,19 @@ void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level, uint64_t c
     if (((timer->raw >> input) & 1u) == (level ? 1u : 0u)) {
         return;
     }
-    if (timer->patience == 0) {
-        hear(chip, timer, input, level);
+    if (timer->patience > 0) {
+        timer->patience--;
+        if (enter_filter(timer, input, level, clock)) {
+            pass_quietly(timer, input);
+        }
+        timer->quiet_clock = first_change(timer);
         return;
     }
-    timer->patience--;
-    let_through(timer, clock);
-    timer->raw ^= 1u << input;
-    if (((timer->in >> input) & 1u) == (level ? 1u : 0u)) {
-        timer->change_clock[input] = CHIP_NEVER;
-    } else if (timer->delay[input] == 0) {
-        pass_quietly(timer, input);
-    } else {
-        timer->change_clock[input] = clock + timer->delay[input];
+    if (enter_filter(timer, input, level, chip->now)) {
+        edge(chip, timer, input);
     }
-    timer->quiet_clock = first_change(timer);
+    schedule(chip, timer);
+    listen(chip, timer);
 }
 
 void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
