@@ -173,7 +173,7 @@ void chip_interrupts(chip_t *chip, bool on)
 static inline void serve(chip_t *chip, unsigned source)
 {
     if (source < SOURCE_FAULT) {
-        pwm_event(chip, (source - SOURCE_PWM) / PWM_SUBMODULES);
+        pwm_event(chip, source - SOURCE_PWM);
     } else if (source == SOURCE_FAULT) {
         pwm_fault_event(chip);
     } else if (source < SOURCE_ADC) {
@@ -204,22 +204,19 @@ static inline bool step(chip_t *chip, uint64_t until)
     const uint64_t turn = chip_next_turn(chip);
     const uint64_t clock = CHIP_TURN_CLOCK(turn);
     const uint64_t outside = world_next(chip->world);
-    if (clock < outside) {
-        if (clock > until) {
-            return stand_still(chip, until);
-        }
-        chip_pass_time(chip, clock);
-    } else {
+    if (outside <= clock) { /* the world first: it may change what is due */
         if (outside > until) {
             return stand_still(chip, until);
         }
         chip_pass_time(chip, outside);
         chip_meet_world(chip);
         world_events(chip->world);
-        if (outside < clock) {
-            return true;
-        }
+        return true;
     }
+    if (clock > until) {
+        return stand_still(chip, until);
+    }
+    chip_pass_time(chip, clock);
     serve(chip, CHIP_TURN_SOURCE(turn));
     return true;
 }

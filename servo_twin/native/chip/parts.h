@@ -82,11 +82,24 @@ static inline void chip_find_first(chip_t *chip, unsigned group)
     chip->first[group] = chip_sooner(chip_sooner(turn[0], turn[1]), chip_sooner(turn[2], turn[3]));
 }
 
+/* A turn, and the first of its group with it. It is not read again for that, which would take longer than all the rest. */
+static inline void chip_move_turn(chip_t *chip, unsigned source, uint64_t clock)
+{
+    static const uint64_t itself[CHIP_GROUP][CHIP_GROUP] = {
+        {UINT64_MAX, 0, 0, 0}, {0, UINT64_MAX, 0, 0}, {0, 0, UINT64_MAX, 0}, {0, 0, 0, UINT64_MAX}};
+    const unsigned group = source / CHIP_GROUP;
+    const uint64_t *mask = itself[source % CHIP_GROUP];
+    const uint64_t *turn = &chip->turn[CHIP_GROUP * group];
+    const uint64_t others = chip_sooner(chip_sooner(turn[0] | mask[0], turn[1] | mask[1]),
+                                        chip_sooner(turn[2] | mask[2], turn[3] | mask[3]));
+    chip_set_turn(chip, source, clock);
+    chip->first[group] = chip_sooner(CHIP_TURN(clock, source), others);
+}
+
 /* When the next event of a source behind the PWMs is. */
 static inline void chip_schedule(chip_t *chip, unsigned source, uint64_t clock)
 {
-    chip_set_turn(chip, source, clock);
-    chip_find_first(chip, source / CHIP_GROUP);
+    chip_move_turn(chip, source, clock);
     chip->quiet_turn = chip_sooner(chip->first[PWM_MODULES], chip->first[PWM_MODULES + 1]);
 }
 
@@ -148,7 +161,7 @@ void system_reset(chip_t *chip, reset_cause_t cause);
 
 /* ---- events at the present clock -------------------------------------------------------------------------------------- */
 
-void pwm_event(chip_t *chip, unsigned module);
+void pwm_event(chip_t *chip, unsigned n);
 void pwm_fault_event(chip_t *chip);
 CHIP_APART void adc_event(chip_t *chip, unsigned converter);
 void qtmr_event(chip_t *chip, unsigned module);

@@ -158,16 +158,15 @@ static inline void find_next(pwm_submodule_t *s, uint64_t now)
     }
 }
 
-static inline void find_due(chip_t *chip, const pwm_submodule_t *s)
+static inline uint64_t due(const pwm_submodule_t *s)
 {
-    chip_set_turn(chip, s->id, chip_sooner(s->sync_clock, chip_sooner(s->dead_clock, s->next_clock)));
+    return chip_sooner(s->sync_clock, chip_sooner(s->dead_clock, s->next_clock));
 }
 
 void pwm_schedule(chip_t *chip, pwm_submodule_t *s)
 {
     find_next(s, chip->now);
-    find_due(chip, s);
-    chip_find_first(chip, s->module);
+    chip_move_turn(chip, s->id, due(s));
 }
 
 static void run(chip_t *chip, pwm_submodule_t *s);
@@ -255,7 +254,7 @@ static void reload(chip_t *chip, pwm_submodule_t *s, bool at_end)
         }
         if (other != s) {
             find_next(other, chip->now);
-            find_due(chip, other);
+            chip_set_turn(chip, other->id, due(other));
         }
     }
 }
@@ -292,7 +291,7 @@ static inline void follow_sync(chip_t *chip, pwm_submodule_t *s)
         pwm_force_out(chip, s);
     }
     find_next(s, chip->now);
-    find_due(chip, s);
+    chip_set_turn(chip, s->id, due(s));
     if (chip_is_due(chip, s->id)) {
         run(chip, s);
     }
@@ -413,7 +412,7 @@ static void run(chip_t *chip, pwm_submodule_t *s)
         pwm_end_dead_time(s);
         pwm_show(chip, s);
     }
-    find_due(chip, s);
+    chip_set_turn(chip, s->id, due(s));
 }
 
 /* Most events are an edge of PWM23 that switches a pair or the end of a dead time, and nothing else. */
@@ -428,7 +427,7 @@ static inline bool only_switches(const pwm_submodule_t *s, uint64_t now)
 }
 
 /* Such an event. When the next one is, is found before the world is told: a processor works ahead that far. */
-static inline void switch_pair(chip_t *chip, unsigned m, pwm_submodule_t *s)
+static inline void switch_pair(chip_t *chip, pwm_submodule_t *s)
 {
     if (s->next_clock > chip->now) {
         pwm_end_dead_time(s);
@@ -439,22 +438,23 @@ static inline void switch_pair(chip_t *chip, unsigned m, pwm_submodule_t *s)
         s->generated = (s->generated & 2u) | (~event & 1u); /* VAL2 on, VAL3 off */
         pwm_drive_pair(chip, s, (((s->generated & s->followed) ^ s->given) & 1u) != 0);
     }
-    find_due(chip, s);
-    chip_find_first(chip, m);
+    chip_move_turn(chip, s->id, due(s));
     pwm_show(chip, s);
 }
 
-/* All events of a module in the present clock. */
-void pwm_event(chip_t *chip, unsigned m)
+/* All events of a module in the present clock, beginning with submodule n of all modules'. */
+void pwm_event(chip_t *chip, unsigned n)
 {
+    const unsigned m = n / PWM_SUBMODULES;
     do {
-        pwm_submodule_t *s = chip->submodule[CHIP_TURN_SOURCE(chip->first[m])];
+        pwm_submodule_t *s = chip->submodule[n];
         if (only_switches(s, chip->now)) {
-            switch_pair(chip, m, s);
+            switch_pair(chip, s);
         } else {
             run(chip, s);
             chip_find_first(chip, m);
         }
+        n = CHIP_TURN_SOURCE(chip->first[m]);
     } while (CHIP_TURN_CLOCK(chip->first[m]) <= chip->now);
 }
 
