@@ -66,14 +66,16 @@ static bool powered(const chip_t *chip, unsigned c)
 CHIP_APART static void settle(chip_t *chip)
 {
     adc_t *adc = &chip->adc;
+    unsigned come = 0;
     for (unsigned left = adc->waits; left != 0; left &= left - 1u) {
         const unsigned n = chip_lowest_bit(left);
         if (adc->ready[n] <= chip->now) {
             adc->result[n] = adc->waiting[n];
-            adc->rdy = (uint16_t)(adc->rdy | (1u << n));
-            adc->waits &= ~(1u << n);
+            come |= 1u << n;
         }
     }
+    adc->rdy = (uint16_t)(adc->rdy | come);
+    adc->waits &= ~come;
 }
 
 CHIP_APART static void request(chip_t *chip)
