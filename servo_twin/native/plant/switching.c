@@ -228,13 +228,11 @@ PLANT_INLINE void move_supply(switching_t *plant)
         return;
     }
     const double h = seconds(from, plant->now);
-    double load = 0.0;
+    const double load = (plant->i_bus[0] + plant->i_bus[1]) + h * (0.5 * (plant->di_bus[0] + plant->di_bus[1]));
     for (int i = 0; i < BOARD_AXES; i++) {
         const double rise = h * plant->di_bus[i];
-        const double current = plant->i_bus[i] + 0.5 * rise;
+        plant->booked[i] += h * (plant->i_bus[i] + 0.5 * rise);
         plant->i_bus[i] += rise;
-        plant->booked[i] += current * h;
-        load += current;
     }
     const supply_step_t step = supply_step_of(&plant->supply, h);
     const double u_h = supply_take_step(&plant->supply, &step, load);
