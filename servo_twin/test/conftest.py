@@ -53,7 +53,19 @@ def chip_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
 
 
 def build_switching(folder: Path, name: str, *defines: str) -> Native:
-    preamble = '#include "plant/plant.h"\n#include "plant/switching.h"\n#include "plant/bridge_kernel.h"'
+    preamble = """
+#include "plant/plant.h"
+#include "plant/switching.h"
+#include "plant/bridge_course.h"
+
+static unsigned straight_roots(const double f0[4], const double f1[4], const double d0[4], double h, double root[4])
+{
+    lanes_t roots;
+    const unsigned good = chord_roots(lanes_of(f0), lanes_of(f1), lanes_of(d0), h, &roots);
+    put_lanes(root, roots);
+    return good;
+}
+"""
     return build(folder, name, PLANT_CDEF + SWITCHING_CDEF, preamble, [NATIVE], [], defines)
 
 

@@ -11,7 +11,8 @@ from switching_reference import Edge
 
 SWITCHING_CDEF = """
 typedef struct {
-    double i[4], di[4], ddi[4], v[4], inverse[2][4], drift[2][4], push[4], push_slope[4], along[3][4]; ...;
+    double i[4], di[4], ddi[4], v[4], inverse[2][4], drift[2][4], push[4], push_slope[4];
+    double along[3][4], bend[3][4], hold[4]; ...;
 } bridge_frame_t;
 typedef struct {
     bridge_frame_t frame; double amplifier[4], drops[14][4]; plant_vector_t psi, a, i, di;
@@ -21,6 +22,7 @@ typedef struct { bridge_t bridge; ...; } switching_axis_t;
 typedef struct { switching_axis_t axis[2]; supply_t supply; ...; } switching_t;
 typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;
 double root_of(double f0, double d0, double f1, double h);
+unsigned straight_roots(const double f0[4], const double f1[4], const double d0[4], double h, double root[4]);
 void switching_init(switching_t *plant, const board_config_t *config);
 void switching_edge(switching_t *plant, int axis, int phase, int leg);
 uint64_t switching_next(switching_t *plant);

@@ -70,6 +70,22 @@ class TestEnergy:
         stored = 0.5 * plant.bus.capacitance * (switching.bus.u_dc**2 - plant.bus.u_source**2)
         assert switching.bus.e_source == pytest.approx(drawn + stored, rel=3e-4)
 
+    def test_currents_through_zero_heat_as_much_as_step_by_step(self, switching_c: Native, stepping_c: Native) -> None:
+        """Turning without a load: several zeros of currents in each period."""
+        heat = []
+        for native in (switching_c, stepping_c):
+            switching = Switching(
+                native, PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=2.0)
+            )
+            for axis in range(2):
+                switching.spin(axis, 100.0 - 200.0 * axis)
+            edges = cycles([0], (0.55, 0.5, 0.45), 0, 50) + cycles([1], (0.45, 0.5, 0.55), 0, 50)
+            switching.run(sorted(edges, key=lambda edge: edge[0]), 50 * PERIOD)
+            heat.append(
+                [getattr(switching.truth(axis), name) for axis in range(2) for name in ("e_switch", "e_copper")]
+            )
+        assert heat[0] == pytest.approx(heat[1], rel=5e-4)
+
     def test_the_source_takes_nothing_back(self, switching_c: Native) -> None:
         switching = Switching(switching_c, plain())
         for axis in range(2):
@@ -293,6 +309,24 @@ class TestRoot:
         t = switching_c.lib.root_of(f0, d0, f1, h)
         assert 0.0 < t <= h
         assert f0 + d0 * t + bend * t**2 == pytest.approx(0.0, abs=1e-12)
+
+    @pytest.mark.parametrize("way", [1.0, -1.0])
+    def test_a_series_finds_those_of_currents_that_hardly_bend(self, switching_c: Native, way: float) -> None:
+        """Of all phases at once, as far as it says so; what bends more it leaves to others."""
+        lanes, legs, h = (0, 2, 3), 0b1101, 1e-5
+        rnd = random.Random(7)
+        for _ in range(2000):
+            f0, f1, d0 = ([0.0] * 4 for _ in range(3))
+            for lane in lanes:
+                f0[lane], f1[lane] = way * 10 ** rnd.uniform(-6, 1), -way * 10 ** rnd.uniform(-6, 1)
+                d0[lane] = (f1[lane] - f0[lane]) / h * (1.0 + rnd.uniform(-0.049, 0.049))
+            root = switching_c.ffi.new("double [4]")
+            assert switching_c.lib.straight_roots(f0, f1, d0, h, root) & legs == legs
+            for lane in lanes:
+                exact = switching_c.lib.root_of(way * f0[lane], way * d0[lane], way * f1[lane], h)
+                assert root[lane] == pytest.approx(exact, abs=1e-5 * h)
+        d0[lanes[1]] *= 1.2
+        assert switching_c.lib.straight_roots(f0, f1, d0, h, root) & legs == legs & ~(1 << lanes[1])
 
     @pytest.mark.parametrize("f1", [-6.4783e-23, -6.5729e-23, -7e-23, -1e-12])
     def test_stays_within_the_step_when_it_begins_below_by_rounding(self, switching_c: Native, f1: float) -> None:
@@ -588,5 +622,5 @@ def test_vectors_lie_in_one_line_of_the_cache_each(switching_c: Native) -> None:
     assert ffi.offsetof("switching_axis_t", "bridge") == ffi.offsetof("bridge_t", "frame") == 0
     for name, size in vectors:
         assert ffi.offsetof("bridge_t", name) % size == 0, name
-    for name in ("i", "di", "ddi", "v", "inverse", "drift", "push", "push_slope", "along"):
+    for name in ("i", "di", "ddi", "v", "inverse", "drift", "push", "push_slope", "along", "bend", "hold"):
         assert ffi.offsetof("bridge_frame_t", name) % 32 == 0, name

@@ -84,7 +84,9 @@ typedef struct {
     double inverse[2][BRIDGE_LANES];     /* by columns: i' with v [1/H] */
     double drift[2][BRIDGE_LANES];       /* by columns: i' with i [1/s] */
     double push[BRIDGE_LANES], push_slope[BRIDGE_LANES]; /* i' without either, and how it changes [A/s], [A/s^2] */
-    double along[3][BRIDGE_LANES];       /* i' with a voltage along a phase's axis [1/H] .. */
+    double along[3][BRIDGE_LANES];       /* i' with a volt at a leg [1/H] .. */
+    double bend[3][BRIDGE_LANES];        /* .. and i'' [1/(H s)] */
+    double hold[BRIDGE_LANES];           /* volts at a leg per slope of its current that undo it; beta: any [H] */
     /* sums */
     plant_vector_t charge, moment;       /* since its beginning, and the integral of that [A s], [A s^2] */
     double squares[2], work[2];          /* integrals of 3/2 i^2 [A^2 s] and of v i [V A s], alpha and beta */
@@ -92,7 +94,6 @@ typedef struct {
     double hold_slope;                   /* of the floating leg in the segment [V/s] */
     double longest;                      /* without its last segment [s] */
     double longest_segment[2];           /* with a voltage across the motor, and with none: never shorter [s] */
-    double per_l[3];                     /* 1 over the part of `along` in that phase [H] */
     double reluctance;                   /* part of the torque at the beginning [N m] */
     double time;                         /* since its beginning [s]: angle, speed and flux stand there */
 } bridge_frame_t;
@@ -107,7 +108,7 @@ typedef struct {
 /* What a frame reads as vectors comes first: if the bridge begins a line of the cache, none of that lies across two. */
 typedef struct {
     bridge_frame_t frame;                /* while nothing unusual happens (bridge_frame.c) */
-    double accel, jerk;                  /* [rad/s^2], [rad/s^3] */
+    double accel;                        /* [rad/s^2] */
     double amplifier[BRIDGE_LANES];      /* output of the current amplifiers [A] */
     double drops[BRIDGE_LEG_SETS][BRIDGE_LANES]; /* by the legs with a current out of the motor, as `v` of a frame */
     /* state */
@@ -128,6 +129,7 @@ typedef struct {
     bridge_paths_t paths;                /* through the legs */
     double level;                        /* mean of the legs above the negative rail [V] */
     double dtorque;                      /* [N m/s] */
+    double jerk;                         /* [rad/s^3] */
     double direction;                    /* of motion, 1 or -1; 0: stands */
     double k_most, push_most;            /* of i'' = K i' + e' (bridge_frame.c), at most [1/s], [A/s^2] */
     bool moved;                          /* angle and speed are others than before: set here, cleared by who looks */

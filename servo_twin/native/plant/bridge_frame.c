@@ -104,9 +104,11 @@ PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
     put_lanes(f->push_slope, spread(push_slope.alpha, push_slope.beta));
     for (int k = 0; k < 3; k++) {
         const plant_vector_t along = times(m, phase_axis[k]);
-        put_lanes(f->along[k], spread(along.alpha, along.beta));
-        f->per_l[k] = 1.0 / dot(phase_axis[k], along);
+        put_lanes(f->along[k], spread(2.0 * THIRD * along.alpha, 2.0 * THIRD * along.beta));
+        put_lanes(f->bend[k], product(f->drift, lanes_of(f->along[k])));
     }
+    put_lanes(f->hold, all(-1.0) / (lanes_t){f->along[0][BRIDGE_LANE(0)], 1.0, f->along[1][BRIDGE_LANE(1)],
+                                             f->along[2][BRIDGE_LANE(2)]});
     put_lanes(f->i, (lanes_t){b->i.alpha, b->i.beta, b->phase[1], b->phase[2]});
     f->charge = f->moment = (plant_vector_t){0.0, 0.0};
     put_pair(f->squares, both(0.0));
@@ -134,14 +136,14 @@ PLANT_INLINE void settle_at_zero(bridge_t *b, segment_t *s, int k, double u)
 {
     bridge_frame_t *f = &b->frame;
     const lanes_t along = lanes_of(f->along[k]);
-    const double lift = settle_leg(b, k, low_end(b, k, u), high_end(b, k, u), phase_of(s->di, k), f->per_l[k]);
-    const lanes_t more = all((2.0 / 3.0) * lift) * along;
+    const double needed = phase_of(lanes_of(f->hold) * s->di, k);
+    const double lift = settle_leg(b, k, low_end(b, k, u), high_end(b, k, u), needed);
     s->v += all(lift) * lanes_of(legs_at[BRIDGE_LEG(k)]);
-    s->di += more;
-    s->ddi += product(f->drift, more);
+    s->di += all(lift) * along;
+    s->ddi += all(lift) * lanes_of(f->bend[k]);
     if (b->floating >= 0) { /* its voltage has to change for its current to stay at zero */
-        f->hold_slope = -1.5 * phase_of(s->ddi, k) * f->per_l[k];
-        s->ddi += all((2.0 / 3.0) * f->hold_slope) * along;
+        f->hold_slope = phase_of(lanes_of(f->hold) * s->ddi, k);
+        s->ddi += all(f->hold_slope) * along;
     } else {
         find_way(b);
     }
@@ -189,8 +191,8 @@ PLANT_INLINE void begin_segment(bridge_t *b, segment_t *s, double u)
         return;
     }
     const lanes_t push_slope = lanes_of(f->push_slope);
-    s->di = product(f->inverse, s->v) + product(f->drift, s->i) + (lanes_of(f->push) + all(f->time) * push_slope);
-    s->ddi = product(f->drift, s->di) + push_slope; /* i'' = K i' + e' */
+    s->di = product_and(f->drift, s->i, product_and(f->inverse, s->v, lanes_of(f->push) + all(f->time) * push_slope));
+    s->ddi = product_and(f->drift, s->di, push_slope); /* i'' = K i' + e' */
     if (k >= 0) {
         settle_at_zero(b, s, k, u);
     }
@@ -255,7 +257,8 @@ PLANT_WIDE bool bridge_foresee(const bridge_t *b, double h, double shown[BRIDGE_
 }
 
 /* The segment, as it has gone. */
-PLANT_INLINE void stride(bridge_t *b, const segment_t *s, const course_t *c, double u, double *drawn)
+PLANT_INLINE void stride(bridge_t *b, const segment_t *s, const course_t *c, const pass_t *pass, double u,
+                         double *drawn)
 {
     bridge_frame_t *f = &b->frame;
     const double t = c->end;
@@ -266,7 +269,7 @@ PLANT_INLINE void stride(bridge_t *b, const segment_t *s, const course_t *c, dou
     lanes_t impulse = all(t) * v;
     lanes_t slope = slope_at(c, t);
     if (c->passes > 0) {
-        account_passes(c, b, &charge, &impulse, &slope, &f->taken);
+        account_passes(c, pass, b, &charge, &impulse, &slope, &f->taken);
     }
     put_lanes(b->amplifier, filtered(b, s, t, c->last, slope));
     if (b->floating >= 0) {
@@ -329,8 +332,9 @@ PLANT_WIDE PLANT_ONCE double bridge_frame_advance(bridge_t *b, double *rest, dou
         }
         const segment_t s = segment_of(b);
         course_t c;
+        pass_t pass[PASSES];
         start_course(&c, b, &s, span(b, *rest));
-        const int zero = follow_course(&c, b, u);
+        const int zero = follow_course(&c, pass, b, u);
         const int sign = (b->floating >= 0) ? first_clamp(b, u, &c.end) : 0;
         if (zero >= 0 || sign != 0) {
             c.last = course_at(&c, c.end);
@@ -339,7 +343,7 @@ PLANT_WIDE PLANT_ONCE double bridge_frame_advance(bridge_t *b, double *rest, dou
             break;
         }
         if (c.end > INSTANT) {
-            stride(b, &s, &c, u, &drawn);
+            stride(b, &s, &c, pass, u, &drawn);
             *rest -= c.end;
         }
         put_lanes(f->i, end_segment(b, &c, zero, sign));

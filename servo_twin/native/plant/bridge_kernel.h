@@ -363,12 +363,11 @@ static inline int leg_at_zero(const bridge_t *b)
     return leg[b->positive | b->negative | b->joint];
 }
 
-/* Leg k, at -V so far and its current with it at this slope, goes to the voltage inside its interval that keeps the current
- * at zero, or as near to it as it can; `per_l` is what a volt along its axis makes of the slope, inverted. Returns how far
- * it has gone up [V]. */
-static inline double settle_leg(bridge_t *b, int k, double low, double high, double slope, double per_l)
+/* Leg k, at -V so far, goes to the voltage inside its interval that keeps its current at zero, `needed` higher, or as near to
+ * it as it can. Returns how far it has gone up [V]. */
+static inline double settle_leg(bridge_t *b, int k, double low, double high, double needed)
 {
-    const double hold = -1.5 * slope * per_l - b->v_drop;
+    const double hold = needed - b->v_drop;
     b->hold = hold;
     double voltage = hold;
     b->floating = -1;

@@ -67,19 +67,41 @@ PLANT_INLINE lanes_t product(const double column[2][BRIDGE_LANES], lanes_t x)
     return lanes_of(column[0]) * all(x[0]) + lanes_of(column[1]) * all(x[1]);
 }
 
+/* The same, added to what is there before the vector is. */
+PLANT_INLINE lanes_t product_and(const double column[2][BRIDGE_LANES], lanes_t x, lanes_t more)
+{
+    return (more + lanes_of(column[0]) * all(x[0])) + lanes_of(column[1]) * all(x[1]);
+}
+
 PLANT_INLINE double phase_of(lanes_t x, int k)
 {
+#ifdef __AVX2__ /* sooner there than by way of the memory */
+    typedef int32_t halves_t __attribute__((vector_size(32)));
+    static const int32_t lane[3][8] PLANT_VECTORS = {
+        {0, 1, 0, 1, 0, 1, 0, 1}, {4, 5, 4, 5, 4, 5, 4, 5}, {6, 7, 6, 7, 6, 7, 6, 7}};
+    halves_t halves, from;
+    memcpy(&halves, &x, sizeof halves);
+    memcpy(&from, lane[k], sizeof from);
+    halves = __builtin_ia32_permvarsi256(halves, from);
+    memcpy(&x, &halves, sizeof x);
+    return x[0];
+#else
     double lane[BRIDGE_LANES];
     put_lanes(lane, x);
     return lane[BRIDGE_LANE(k)];
+#endif
 }
 
-/* The same with nothing in phase k. */
+/* The same with nothing in phase k, not even a sign. */
 PLANT_INLINE lanes_t without(lanes_t x, int k)
 {
-    static const double keep[3][BRIDGE_LANES] PLANT_VECTORS = {
-        {0.0, 1.0, 1.0, 1.0}, {1.0, 1.0, 0.0, 1.0}, {1.0, 1.0, 1.0, 0.0}};
-    return x * lanes_of(keep[k]) + all(0.0); /* not -0 */
+    static const int64_t keep[3][BRIDGE_LANES] PLANT_VECTORS = {{0, -1, -1, -1}, {-1, -1, 0, -1}, {-1, -1, -1, 0}};
+    sides_t bits, kept;
+    memcpy(&bits, &x, sizeof bits);
+    memcpy(&kept, keep[k], sizeof kept);
+    bits &= kept;
+    memcpy(&x, &bits, sizeof x);
+    return x;
 }
 
 /* Lanes of which the sign is set, or all bits: those of the phases are the bits of legs, and that of beta says nothing. */

@@ -84,8 +84,8 @@ void bridge_begin_anew(bridge_t *b, double u)
         b->di = slope_of(b, dpsi);
         if (k >= 0) {
             const plant_vector_t per_n = times(b->inverse, phase_axis[k]);
-            const double lift = settle_leg(b, k, lowest(b, k, u), highest(b, k, u), dot(phase_axis[k], b->di),
-                                           1.0 / dot(phase_axis[k], per_n));
+            const double needed = -1.5 * dot(phase_axis[k], b->di) / dot(phase_axis[k], per_n);
+            const double lift = settle_leg(b, k, lowest(b, k, u), highest(b, k, u), needed);
             const double more = (2.0 / 3.0) * lift;
             const plant_vector_t along = {more * phase_axis[k].alpha, more * phase_axis[k].beta};
             b->di.alpha += more * per_n.alpha;

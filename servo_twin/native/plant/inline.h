@@ -3,14 +3,16 @@
 #define PLANT_INLINE_H
 
 /* A function that a compiler would call twice rather than copy, and one that it would copy where once is enough: what runs in a
- * PWM period is twice as much code as a processor keeps at hand. */
+ * PWM period is twice as much code as a processor keeps at hand. And one that hardly ever runs. */
 #ifdef __GNUC__
 #define PLANT_INLINE static inline __attribute__((always_inline))
 #define PLANT_ONCE __attribute__((noinline))
+#define PLANT_RARE __attribute__((noinline, cold))
 #define PLANT_VECTORS __attribute__((aligned(32))) /* a table of vectors, none of them in two lines of the cache */
 #else
 #define PLANT_INLINE static inline
 #define PLANT_ONCE
+#define PLANT_RARE
 #define PLANT_VECTORS
 #endif
 

@@ -34,7 +34,8 @@
 #define SWITCHING_HORIZON 3200u /* longest step without a look around [clocks] */
 #define SWITCHING_LINE 64u /* a plant is quicker at a multiple of it [bytes] */
 #define SWITCHING_EVENTS 128u /* a power of two */
-#define SWITCHING_KEPT 128u /* edges of an encoder that are kept back at most */
+/* Edges of an encoder that are kept back at most: with so many an axis fills lines of the cache. */
+#define SWITCHING_KEPT 130u
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
 typedef enum {
@@ -83,9 +84,9 @@ typedef struct {
     uint64_t short_clock; /* end of a short through a leg */
     bool tripped; /* output of the comparator */
     bool feeds; /* a short in the motor's cable is between both rails */
+    int32_t slip; /* edges still to come of a disc that slips */
     uint64_t glitch_clock[QUADRATURE_LINES]; /* beginning or end of the next disturbance on a line */
-    uint64_t slip_clock; /* next edge of a disc that slips .. */
-    int32_t slip; /* .. and how many there are to come */
+    uint64_t slip_clock; /* the next of them */
     uint64_t turn_off; /* a switch still conducts so long after its gate has gone off [clocks] */
     double i_break; /* threshold [A] */
     /* Of a current vector below which no phase is beyond the threshold, or can get there within the horizon [A^2]. */
