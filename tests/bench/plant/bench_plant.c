@@ -224,7 +224,7 @@ int main(int argc, char **argv)
     const unsigned groups = ((argc > 1) ? (unsigned)atoi(argv[1]) : 16000u) / GROUP;
     const board_config_t config = {
         .axis = {motor(), motor()},
-        .bus = {24.0, 0.1, 4.7e-3, 36.3, 0.02, 0.0},
+        .bus = {.u_source = 24.0, .r_source = 0.1, .capacitance = 4.7e-3, .u_full_scale = 36.3, .u_noise = 0.02},
         .pwm_frequency = 16000.0,
         .ambient = 25.0,
         .seed = 1,
