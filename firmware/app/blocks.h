@@ -2,7 +2,7 @@
 #ifndef SERVO_APP_BLOCKS_H
 #define SERVO_APP_BLOCKS_H
 
-#include "drive/faults.h"
+#include "diagnosis/fault_latch.h"
 #include "hal/hal.h"
 #include "math/frac.h"
 
@@ -31,10 +31,12 @@ typedef struct {
     uint16_t applied_count;
     frac16_t u_dc;
     int16_t monitor[HAL_MONITORS];
+    uint16_t late_loops;        /* since reset, modulo 65536 */
+    uint16_t receiver_overruns; /* the same */
     axis_snapshot_t axis[HAL_AXES];
 } snapshot_t;
 
-/* Written by the host at any time; latched at the start of a slow tick. */
+/* Written by the host at any time; latched right before a slow tick. */
 typedef struct {
     int32_t position[HAL_AXES];
     frac32_t speed[HAL_AXES];
@@ -60,10 +62,12 @@ typedef struct {
     fault_set_t faults_enabled[HAL_AXES];
     uint16_t monitor[HAL_MONITORS];     /* monitor_t */
     uint16_t host_timeout; /* slow ticks */
+    uint16_t command_timeout; /* slow ticks; 0: set-points do not expire */
     uint16_t brake;        /* 1: there is a resistor */
+    uint16_t unused; /* the size is the same on every machine */
 } parameter_block_t;
 
-/* What the observer sees; 0 where it does not run. From the same slow tick as the snapshot. */
+/* What the observer sees; 0 where it does not run. The angle is that of the snapshot, the rest at most a slow tick older. */
 typedef struct {
     frac32_t speed;
     frac16_t theta_e; /* at the sampling instant, as the snapshot's */

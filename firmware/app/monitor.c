@@ -1,15 +1,13 @@
 #include "app/monitor.h"
 
-#include "app/servo.h"
-
 #define MIDDLE UINT16_C(0x8000)
 #define PER_AXIS (MONITOR_AXIS2_I_D - MONITOR_AXIS1_I_D) /* the quantities of both axes come in the same order */
 
-bool monitor_wanted(const parameter_block_t *parameter)
+bool monitor_wanted(const board_settings_t *settings)
 {
     bool wanted = false;
     for (uint16_t i = 0; i < HAL_MONITORS; i++) {
-        wanted = wanted || parameter->monitor[i] != MONITOR_NONE;
+        wanted = wanted || settings->monitor[i] != MONITOR_NONE;
     }
     return wanted;
 }
@@ -34,25 +32,25 @@ static int16_t quantity_of(const axis_t *axis, uint16_t which)
     }
 }
 
-static int16_t value_of(const servo_t *servo, uint16_t which)
+static int16_t value_of(const axis_t *axes, uint16_t which)
 {
     if (which == MONITOR_U_DC) {
-        return servo->axis[0].u_dc;
+        return axes[0].u_dc;
     }
     if (which >= MONITOR_AXIS1_I_D && which < MONITOR_AXIS2_I_D) {
-        return quantity_of(&servo->axis[0], which);
+        return quantity_of(&axes[0], which);
     }
     if (which >= MONITOR_AXIS2_I_D && which < MONITOR_AXIS2_I_D + PER_AXIS) {
-        return quantity_of(&servo->axis[1], (uint16_t)(which - PER_AXIS));
+        return quantity_of(&axes[1], (uint16_t)(which - PER_AXIS));
     }
     return 0;
 }
 
-void monitor_step(servo_t *servo)
+void monitor_step(const board_settings_t *settings, const axis_t *axes, hal_t *hal, int16_t *shown)
 {
     for (uint16_t i = 0; i < HAL_MONITORS; i++) {
-        const int16_t value = value_of(servo, servo->parameter.monitor[i]);
-        servo->monitor[i] = value;
-        hal_monitor(servo->hal, i, (uint16_t)((uint16_t)value + MIDDLE));
+        const int16_t value = value_of(axes, settings->monitor[i]);
+        shown[i] = value;
+        hal_monitor(hal, i, (uint16_t)((uint16_t)value + MIDDLE));
     }
 }

@@ -2,14 +2,12 @@
 #ifndef SERVO_APP_MONITOR_H
 #define SERVO_APP_MONITOR_H
 
-#include "app/blocks.h"
-
-struct servo;
+#include "app/latch.h"
 
 /* Does an output show something? */
-bool monitor_wanted(const parameter_block_t *parameter);
+bool monitor_wanted(const board_settings_t *settings);
 
-/* Put out what is selected: full scale of the quantity is the range of the output, zero its middle. */
-void monitor_step(struct servo *servo);
+/* Put out what is selected, and note it in `shown`: full scale of the quantity is the range of the output, zero its middle. */
+void monitor_step(const board_settings_t *settings, const axis_t *axes, hal_t *hal, int16_t *shown);
 
 #endif

@@ -2,7 +2,9 @@
 
 #include <stddef.h>
 
+#include "app/ranges.h"
 #include "app/variables.h"
+#include "drive/estimate.h"
 #include "drive/motion.h"
 
 #define MOTOR_1 0
@@ -19,22 +21,38 @@ static void hold(void *context, bool on)
 /* The same through the server's pointer: a call that no compiler can inline keeps what it protects between the two. */
 static void server_hold(servo_t *servo, bool on) { servo->freemaster.app.hold(servo, on); }
 
+static bool accepts(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
+{
+    const servo_t *servo = (const servo_t *)context;
+    const ranges_memory_t memory = {
+        .memory = (const uint8_t *)servo,
+        .positions = (uint16_t)offsetof(servo_t, command.position),
+        .snapshot = &servo->snapshot,
+    };
+    return ranges_accept(&memory, offset, data, mask, size);
+}
+
 static void written(void *context, uint16_t offset, uint16_t size)
 {
     servo_t *servo = (servo_t *)context;
     const uint16_t begin = (uint16_t)offsetof(servo_t, command);
     if (offset >= begin && (uint32_t)offset + size <= begin + sizeof servo->command) {
+        servo->host_commands++;
         latch_mark(&servo->marks, (uint16_t)(offset - begin), size);
+    } else {
+        servo->marks.parameters = true; /* nothing else can be written */
     }
 }
 
 static void write_to_all(servo_t *servo, uint16_t *field, uint16_t value)
 {
+    server_hold(servo, true);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         field[i] = value;
     }
     const uint16_t offset = (uint16_t)((uint8_t *)field - (uint8_t *)&servo->command);
     latch_mark(&servo->marks, offset, (uint16_t)(HAL_AXES * sizeof field[0]));
+    server_hold(servo, false);
 }
 
 static uint8_t put_u32(uint8_t *to, uint32_t value)
@@ -54,14 +72,15 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
     *result_size = 0;
     switch (code) {
     case COMMAND_QUICK_STOP:
-        server_hold(servo, true);
+        servo->host_commands++;
         write_to_all(servo, servo->command.quick_stop, 1);
-        server_hold(servo, false);
         return 0;
     case COMMAND_CLEAR_FAULTS:
-        server_hold(servo, true);
+        servo->host_commands++;
         write_to_all(servo, servo->command.clear_faults, 1);
-        server_hold(servo, false);
+        return 0;
+    case COMMAND_KEEP_ALIVE:
+        servo->host_commands++;
         return 0;
     case COMMAND_IDENTIFY:
         server_hold(servo, true);
@@ -76,10 +95,10 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
 
 /* ---- start ---------------------------------------------------------------------------------------------------------- */
 
-static void raise_on_all(servo_t *servo, fault_set_t faults)
+static void raise_on_all(servo_t *servo, finding_t finding)
 {
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        axis_raise(&servo->axis[i], faults);
+        axis_raise(&servo->axis[i], FOUND(finding));
     }
 }
 
@@ -91,6 +110,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->estimate = (estimate_block_t){0};
     servo->command = (command_block_t){0};
     servo->parameter.host_timeout = servo_config.host_timeout;
+    servo->parameter.command_timeout = servo_config.command_timeout;
     servo->parameter.brake = servo_config.brake.fitted ? 1U : 0U;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = &servo_config.axis[i];
@@ -113,10 +133,9 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.monitor[i] = MONITOR_NONE;
         servo->monitor[i] = 0;
     }
+    latch_board(&servo->parameter, &servo->settings);
     brake_init(&servo->brake);
     servo->tick = 0;
-    servo->slow_tick = false;
-    servo->watch_tick = false;
     servo->m2_awaited = false;
     servo->lateness = 0;
     servo->late_loops = hal_late_loops(hal);
@@ -125,12 +144,14 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->applied_count = 0;
     servo->held = false;
     latch_reset(&servo->marks);
-    servo->host_requests = 0;
+    servo->marks.parameters = true;
+    servo->host_commands = 0;
+    servo->host_commands_seen = 0;
     servo->host_silence = 0;
     servo->host_seen = false;
 
     if (hal_reset_by_watchdog(hal)) {
-        raise_on_all(servo, FAULT_WATCHDOG);
+        raise_on_all(servo, FINDING_WATCHDOG_RESET);
     }
 
     const freemaster_app_t app = {
@@ -143,6 +164,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         .version = "servo FreeMASTER 4",
         .build = "reproducible",
         .hold = hold,
+        .accepts = accepts,
         .written = written,
         .command = app_command,
     };
@@ -155,36 +177,32 @@ static void latch_commands(servo_t *servo)
 {
     if (servo->held) {
         latch_skip(servo->axis);
-    } else if (latch_apply(&servo->marks, &servo->command, &servo->parameter, servo->axis)) {
-        servo->applied_tick = servo->tick;
+        return;
+    }
+    if (servo->marks.parameters) {
+        latch_board(&servo->parameter, &servo->settings);
+    }
+    if (latch_apply(&servo->marks, &servo->command, &servo->parameter, servo->axis)) {
+        servo->applied_tick = servo->tick + 1U; /* the slow tick before whose M1 this is */
         servo->applied_count++;
     }
 }
 
-/* The written time-out, within its limits. */
-static uint16_t host_timeout(const servo_t *servo)
-{
-    const uint16_t written = servo->parameter.host_timeout;
-    if (written < (uint16_t)PARAM_HOST_TIMEOUT_MIN) {
-        return (uint16_t)PARAM_HOST_TIMEOUT_MIN;
-    }
-    return (written > (uint16_t)PARAM_HOST_TIMEOUT_MAX) ? (uint16_t)PARAM_HOST_TIMEOUT_MAX : written;
-}
-
-/* A host that has spoken and falls silent stops both axes; a board that never had one is not supervised. */
+/* A host that has commanded and falls silent stops both axes. Reading does not count: a client that only looks must not
+ * keep alive what another one has set in motion. A board that was never commanded is not supervised. */
 static void supervise_host(servo_t *servo)
 {
-    const uint16_t requests = (uint16_t)servo->freemaster.statistics.requests;
-    if (requests != servo->host_requests) {
-        servo->host_requests = requests;
+    const uint16_t commands = servo->host_commands;
+    if (commands != servo->host_commands_seen) {
+        servo->host_commands_seen = commands;
         servo->host_silence = 0;
         servo->host_seen = true;
     } else if (servo->host_silence < UINT16_MAX) {
         servo->host_silence++;
     }
-    if (servo->host_seen && servo->host_silence >= host_timeout(servo)) {
+    if (servo->host_seen && servo->host_silence >= servo->settings.host_timeout) {
         for (uint16_t i = 0; i < HAL_AXES; i++) {
-            axis_stop_with(&servo->axis[i], FAULT_HOST_SILENT);
+            axis_stop_with(&servo->axis[i], FOUND(FINDING_HOST_SILENT));
         }
     }
 }
@@ -194,14 +212,14 @@ static void watch_bus(servo_t *servo)
 {
     brake_t *brake = &servo->brake;
     const bool was_on = brake->on;
-    brake_step(brake, &servo_config.brake, servo->parameter.brake == 1U, servo->axis[MOTOR_1].u_dc);
+    brake_step(brake, &servo_config.brake, servo->settings.brake_fitted, servo->axis[MOTOR_1].u_dc);
     if (brake->on != was_on) {
         hal_brake(servo->hal, brake->on);
     }
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         axis_t *axis = &servo->axis[i];
-        axis->u_dc_most = brake->able ? servo_config.brake.most_able : axis->config->u_dc_most;
-        axis->bearable = brake->bearable;
+        axis->diagnosis.bus.u_dc_max = brake->able ? servo_config.brake.u_dc_max_able : axis->config->u_dc_max;
+        axis->regen_derating = brake->regen_derating;
         axis->bus_limits = (brake->on || brake->spent) ? LIMIT_BRAKE : 0U;
     }
 }
@@ -220,8 +238,8 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->theta_e = axis->feedback.theta_e;
     view->state = (uint16_t)axis->sm.state;
     view->substate = (uint16_t)axis->substate;
-    view->faults = axis->faults;
-    view->first_fault = axis->first_fault;
+    view->faults = axis->latch.captured;
+    view->first_fault = axis->latch.first;
     view->limits = axis->active_limits;
 }
 
@@ -235,7 +253,7 @@ static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
     view->speed = estimate->speed;
     view->theta_e = pll_upper(estimate->pll.angle - (uint32_t)estimate->pll.step);
     view->emf = estimate->size;
-    view->reliable = estimate_reliable(axis) ? 1U : 0U;
+    view->reliable = estimate->reliable ? 1U : 0U;
 }
 
 static void publish_snapshot(servo_t *servo)
@@ -251,16 +269,19 @@ static void publish_snapshot(servo_t *servo)
     for (uint16_t i = 0; i < HAL_MONITORS; i++) {
         snapshot->monitor[i] = servo->monitoring ? servo->monitor[i] : 0;
     }
+    snapshot->late_loops = servo->late_loops;
+    snapshot->receiver_overruns = hal_receiver_overruns(servo->hal);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         publish_axis(&servo->axis[i], &snapshot->axis[i]);
         publish_estimate(&servo->axis[i], &servo->estimate.axis[i]);
+        servo->record[i].pending = servo->axis[i].latch.pending;
     }
 }
 
 /* ---- the loops themselves --------------------------------------------------------------------------------------------- */
 
 /* One loop that is late, or left out, is made up for by the next one; a port starts its sequence anew after a lost
- * trigger. More than two within 64 ms are a fault. */
+ * trigger. More than two within 32 ms are a fault. */
 #define LATE UINT16_C(64)
 #define LATENESS_MOST UINT16_C(128)
 
@@ -272,7 +293,7 @@ static void come_late(servo_t *servo, uint16_t loops)
         return;
     }
     servo->lateness = 0;
-    raise_on_all(servo, FAULT_LATE_LOOP);
+    raise_on_all(servo, FINDING_LOOPS_LATE);
 }
 
 /* One slow tick. */
@@ -289,53 +310,90 @@ static void supervise_loops(servo_t *servo)
 
 /* ---- the timing diagram (DRM F34) --------------------------------------------------------------------------------------- */
 
+/* The fast loop comes first in each interrupt. Everything else runs behind it, in slots of the eight PWM periods of a slow
+ * tick: one slot is short enough that the next fast loop begins with its data. All of it is one interrupt level: a slot
+ * sees what the fast loops have left, and no part of it changes under the other's hands. */
+#define SLOT_SLOW 0U      /* slow loops; then the snapshot */
+#define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
+#define SLOT_CHECK (SLOT_ESTIMATE + 1U)
+#define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
+#define SLOT_SUPERVISE (SERVO_SLOW_PERIODS - 2U)
+#define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the slow tick that follows */
+
+static void run_axis_slot(axis_t *axis, uint16_t period)
+{
+    switch (period) {
+    case SLOT_SLOW:
+        axis_slow(axis);
+        break;
+    case SLOT_ESTIMATE:
+        axis_estimate(axis);
+        break;
+    case SLOT_CHECK:
+        axis_check(axis);
+        break;
+    case SLOT_WATCH:
+        axis_watch_currents(axis);
+        break;
+    case SLOT_WATCH + 1U:
+        axis_watch_encoder(axis);
+        break;
+    default:
+        break;
+    }
+}
+
+/* Behind M2, when both axes have had their slots. */
+static void run_board_slot(servo_t *servo, uint16_t period)
+{
+    switch (period) {
+    case SLOT_SLOW:
+        publish_snapshot(servo);
+        break;
+    case SLOT_SUPERVISE:
+        supervise_host(servo);
+        supervise_loops(servo);
+        watch_bus(servo);
+        hal_watchdog_service(servo->hal); /* reached only while both M1 and M2 run */
+        break;
+    case SLOT_LATCH:
+        latch_commands(servo);
+        servo->monitoring = monitor_wanted(&servo->settings);
+        break;
+    default:
+        break;
+    }
+}
+
+static uint16_t period_of(const servo_t *servo) { return (uint16_t)(servo->tick % SERVO_SLOW_PERIODS); }
+
 /* t0 the ADC has taken the currents of motor 1 and the offsets of motor 2; t1: */
 void servo_m1_isr(servo_t *servo)
 {
     servo->tick++;
+    axis_fast(&servo->axis[MOTOR_1]);
+    hal_duties_done(servo->hal, MOTOR_1);
     if (servo->m2_awaited) {
         come_late(servo, 1); /* M2 has been left out */
     }
     servo->m2_awaited = true;
-    const uint16_t period = (uint16_t)(servo->tick % SERVO_SLOW_PERIODS);
-    servo->slow_tick = period == 0U;
-    servo->watch_tick = period == SERVO_WATCH_PERIOD;
-    if (servo->watch_tick) {
-        axis_watch(&servo->axis[MOTOR_2]);
-    }
-    if (servo->slow_tick) {
-        latch_commands(servo);
-        supervise_host(servo);
-        supervise_loops(servo);
-        watch_bus(servo);
-        axis_slow(&servo->axis[MOTOR_2]);
-    }
-    axis_fast(&servo->axis[MOTOR_1]);
+    run_axis_slot(&servo->axis[MOTOR_2], period_of(servo));
 }
 
 /* t2 the ADC has taken the currents of motor 2 and the offsets of motor 1; t3: */
 void servo_m2_isr(servo_t *servo)
 {
-    if (!servo->m2_awaited) {
-        come_late(servo, 1); /* M1 has been left out */
-    }
-    servo->m2_awaited = false;
-    if (servo->watch_tick) {
-        axis_watch(&servo->axis[MOTOR_1]);
-        servo->watch_tick = false;
-    }
-    if (servo->slow_tick) {
-        axis_slow(&servo->axis[MOTOR_1]);
-    }
     axis_fast(&servo->axis[MOTOR_2]);
+    hal_duties_done(servo->hal, MOTOR_2);
     if (servo->monitoring) {
-        monitor_step(servo);
+        monitor_step(&servo->settings, servo->axis, servo->hal, servo->monitor);
     }
-    if (servo->slow_tick) {
-        servo->monitoring = monitor_wanted(&servo->parameter);
-        publish_snapshot(servo);
-        hal_watchdog_service(servo->hal);
-        servo->slow_tick = false; /* until M1 says so again: without M1 the watchdog starves */
+    if (servo->m2_awaited) {
+        servo->m2_awaited = false;
+        run_axis_slot(&servo->axis[MOTOR_1], period_of(servo));
+        run_board_slot(servo, period_of(servo));
+    } else {
+        come_late(servo, 1); /* M1 has been left out */
     }
 }
 
@@ -352,5 +410,8 @@ uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t siz
 
 uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size)
 {
-    return freemaster_write(&servo->freemaster, address, data, NULL, size);
+    const uint16_t commands = servo->host_commands;
+    const uint8_t status = freemaster_write(&servo->freemaster, address, data, NULL, size);
+    servo->host_commands = commands;
+    return status;
 }

@@ -16,9 +16,6 @@
 /* PWM periods per slow loop: 0.5 ms (DRM 2.3.2). */
 #define SERVO_SLOW_PERIODS AXIS_SLOW_PERIODS
 
-/* The period of a slow tick in which the axes are watched: one period does not hold the controllers as well. */
-#define SERVO_WATCH_PERIOD (SERVO_SLOW_PERIODS / 2)
-
 typedef struct servo {
     uint32_t catalogue_hash;
     snapshot_t snapshot;
@@ -30,10 +27,9 @@ typedef struct servo {
 
     hal_t *hal;
     axis_t axis[HAL_AXES];
+    board_settings_t settings;
     brake_t brake;
     uint32_t tick; /* PWM periods since reset */
-    bool slow_tick;
-    bool watch_tick;
     bool m2_awaited;     /* M1 has run, M2 has not */
     uint16_t lateness;   /* of the loops, forgotten with time */
     uint16_t late_loops; /* hal_late_loops() of the last slow tick */
@@ -43,9 +39,10 @@ typedef struct servo {
     uint16_t applied_count;
     volatile bool held; /* the server is copying: neither latch commands nor publish a snapshot */
     latch_marks_t marks;
-    uint16_t host_requests; /* valid frames seen by the last supervision */
-    uint16_t host_silence;  /* slow ticks since then */
-    bool host_seen;         /* there has been a host at all */
+    volatile uint16_t host_commands; /* and keep-alives that came over the line; only the background writes it */
+    uint16_t host_commands_seen;     /* by the last supervision */
+    uint16_t host_silence;           /* slow ticks since then */
+    bool host_seen;                  /* the line has carried a command at all */
     freemaster_t freemaster;
 } servo_t;
 
@@ -60,7 +57,8 @@ void servo_break_isr(servo_t *servo, uint16_t axis);
 /* Below all interrupts, again and again. */
 void servo_background(servo_t *servo);
 
-/* The host's view without a serial line: as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. */
+/* The host's view without a serial line: as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. Such a write
+ * is no sign of life of a host: HOST_SILENT watches the line. */
 uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
 

@@ -1,9 +1,20 @@
-/* variables.h - the table of variables that the world outside may see (generated: variables_gen.c). */
+/* variables.h - the tables of variables that the world outside may see and write (generated: variables_gen.c). */
 #ifndef SERVO_APP_VARIABLES_H
 #define SERVO_APP_VARIABLES_H
 
 #include "comm/tsa.h"
 
+/* What may be written: the raw range of every element of a variable of servo_t, signed or not. */
+typedef struct {
+    uint16_t offset; /* in servo_t [bytes] */
+    uint16_t size; /* of an element [bytes]: 2 or 4 */
+    uint16_t count;
+    int32_t min;
+    int32_t max;
+} variable_range_t;
+
 extern const tsa_table_t servo_variables;
+extern const variable_range_t servo_ranges[];
+extern const uint16_t servo_ranges_count;
 
 #endif

@@ -7,6 +7,7 @@
 
 #include "app/servo.h"
 
+#define OFFSET(path) ((uint16_t)offsetof(servo_t, path))
 #define AT(path) ((uint32_t)(TSA_VARIABLES_BASE + offsetof(servo_t, path)))
 #define SIZE(path) ((uint16_t)sizeof(((servo_t *)0)->path))
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
@@ -17,72 +18,75 @@ CHECK(1, SIZE(snapshot.tick) == 4);
 CHECK(2, SIZE(snapshot.applied_tick) == 4);
 CHECK(3, SIZE(snapshot.applied_count) == 2);
 CHECK(4, SIZE(snapshot.u_dc) == 2);
-CHECK(5, SIZE(command.position) == 8);
-CHECK(6, SIZE(command.speed) == 8);
-CHECK(7, SIZE(command.i_q) == 4);
-CHECK(8, SIZE(command.mode) == 4);
-CHECK(9, SIZE(command.enable) == 4);
-CHECK(10, SIZE(command.quick_stop) == 4);
-CHECK(11, SIZE(command.clear_faults) == 4);
-CHECK(12, SIZE(parameter.speed_limit) == 8);
-CHECK(13, SIZE(parameter.acceleration_limit) == 8);
-CHECK(14, SIZE(parameter.i_q_limit) == 4);
-CHECK(15, SIZE(parameter.features) == 4);
-CHECK(16, SIZE(parameter.position_min) == 8);
-CHECK(17, SIZE(parameter.position_max) == 8);
-CHECK(18, SIZE(parameter.following_error) == 8);
-CHECK(19, SIZE(parameter.over_speed) == 8);
-CHECK(20, SIZE(parameter.feedback) == 4);
-CHECK(21, SIZE(parameter.on_disable) == 4);
-CHECK(22, SIZE(parameter.on_quick_stop) == 4);
-CHECK(23, SIZE(parameter.faults_enabled) == 8);
-CHECK(24, SIZE(parameter.monitor) == 4);
-CHECK(25, SIZE(parameter.host_timeout) == 2);
-CHECK(26, SIZE(parameter.brake) == 2);
-CHECK(27, SIZE(snapshot.axis[0].position) == 4);
-CHECK(28, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(29, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(30, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(31, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(32, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(33, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(34, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(35, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(36, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(37, SIZE(snapshot.axis[0].state) == 2);
-CHECK(38, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(39, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(40, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(41, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(42, SIZE(snapshot.monitor[0]) == 2);
-CHECK(43, SIZE(estimate.axis[0].speed) == 4);
-CHECK(44, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(45, SIZE(estimate.axis[0].emf) == 2);
-CHECK(46, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(47, SIZE(record[0].pending) == 4);
-CHECK(48, SIZE(belief.torque_constant[0]) == 2);
-CHECK(49, SIZE(snapshot.axis[1].position) == 4);
-CHECK(50, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(51, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(52, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(53, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(54, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(55, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(56, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(57, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(58, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(59, SIZE(snapshot.axis[1].state) == 2);
-CHECK(60, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(61, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(62, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(63, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(64, SIZE(snapshot.monitor[1]) == 2);
-CHECK(65, SIZE(estimate.axis[1].speed) == 4);
-CHECK(66, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(67, SIZE(estimate.axis[1].emf) == 2);
-CHECK(68, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(69, SIZE(record[1].pending) == 4);
-CHECK(70, SIZE(belief.torque_constant[1]) == 2);
+CHECK(5, SIZE(snapshot.late_loops) == 2);
+CHECK(6, SIZE(snapshot.receiver_overruns) == 2);
+CHECK(7, SIZE(command.position) == 8);
+CHECK(8, SIZE(command.speed) == 8);
+CHECK(9, SIZE(command.i_q) == 4);
+CHECK(10, SIZE(command.mode) == 4);
+CHECK(11, SIZE(command.enable) == 4);
+CHECK(12, SIZE(command.quick_stop) == 4);
+CHECK(13, SIZE(command.clear_faults) == 4);
+CHECK(14, SIZE(parameter.speed_limit) == 8);
+CHECK(15, SIZE(parameter.acceleration_limit) == 8);
+CHECK(16, SIZE(parameter.i_q_limit) == 4);
+CHECK(17, SIZE(parameter.features) == 4);
+CHECK(18, SIZE(parameter.position_min) == 8);
+CHECK(19, SIZE(parameter.position_max) == 8);
+CHECK(20, SIZE(parameter.following_error) == 8);
+CHECK(21, SIZE(parameter.over_speed) == 8);
+CHECK(22, SIZE(parameter.feedback) == 4);
+CHECK(23, SIZE(parameter.on_disable) == 4);
+CHECK(24, SIZE(parameter.on_quick_stop) == 4);
+CHECK(25, SIZE(parameter.faults_enabled) == 8);
+CHECK(26, SIZE(parameter.monitor) == 4);
+CHECK(27, SIZE(parameter.host_timeout) == 2);
+CHECK(28, SIZE(parameter.command_timeout) == 2);
+CHECK(29, SIZE(parameter.brake) == 2);
+CHECK(30, SIZE(snapshot.axis[0].position) == 4);
+CHECK(31, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(32, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(33, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(34, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(35, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(36, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(37, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(38, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(39, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(40, SIZE(snapshot.axis[0].state) == 2);
+CHECK(41, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(42, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(43, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(44, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(45, SIZE(snapshot.monitor[0]) == 2);
+CHECK(46, SIZE(estimate.axis[0].speed) == 4);
+CHECK(47, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(48, SIZE(estimate.axis[0].emf) == 2);
+CHECK(49, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(50, SIZE(record[0].pending) == 4);
+CHECK(51, SIZE(belief.torque_constant[0]) == 2);
+CHECK(52, SIZE(snapshot.axis[1].position) == 4);
+CHECK(53, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(54, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(55, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(56, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(57, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(58, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(59, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(60, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(61, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(62, SIZE(snapshot.axis[1].state) == 2);
+CHECK(63, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(64, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(65, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(66, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(67, SIZE(snapshot.monitor[1]) == 2);
+CHECK(68, SIZE(estimate.axis[1].speed) == 4);
+CHECK(69, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(70, SIZE(estimate.axis[1].emf) == 2);
+CHECK(71, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(72, SIZE(record[1].pending) == 4);
+CHECK(73, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -138,6 +142,8 @@ static const char strings[] =
     "\xE1\0"
     "u_dc\0"
     "\xF5\0"
+    "late_loops\0"
+    "receiver_overruns\0"
     "cmd.position\0"
     "\xF2\0"
     "cmd.speed\0"
@@ -161,6 +167,7 @@ static const char strings[] =
     "param.faults_enabled\0"
     "param.monitor\0"
     "param.host_timeout\0"
+    "param.command_timeout\0"
     "param.brake\0"
     "axis1.position\0"
     "axis1.position_ref\0"
@@ -257,76 +264,107 @@ static const tsa_entry_t entries[] = {
     {416, 398, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
     {429, 443, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
     {445, 450, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {452, 465, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {467, 477, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {479, 450, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {487, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {496, 443, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {507, 443, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {522, 443, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {539, 477, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {557, 477, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {582, 450, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {598, 443, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {613, 465, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {632, 465, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {651, 465, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {673, 477, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {690, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {705, 165, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {722, 165, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {742, 398, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {763, 203, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {777, 443, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {796, 443, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {808, 465, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {823, 465, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {842, 477, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {854, 477, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {870, 450, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {880, 450, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {890, 450, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {904, 450, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {914, 450, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {924, 450, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {938, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {950, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {965, 398, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {978, 443, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {996, 443, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1009, 450, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1023, 477, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1044, 450, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1067, 450, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1086, 443, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1110, 398, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1124, 409, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1143, 450, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1165, 465, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1180, 465, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1199, 477, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1211, 477, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1227, 450, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1237, 450, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1247, 450, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1261, 450, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1271, 450, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1281, 450, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1295, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1307, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1322, 398, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1335, 443, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1353, 443, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1366, 450, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {1380, 477, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1401, 450, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1424, 450, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1443, 443, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1467, 398, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1481, 409, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {1500, 450, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {452, 443, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {463, 443, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {481, 494, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {496, 506, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {508, 450, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {516, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {525, 443, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {536, 443, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {551, 443, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {568, 506, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {586, 506, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {611, 450, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {627, 443, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {642, 494, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {661, 494, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {680, 494, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {702, 506, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {719, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {734, 165, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {751, 165, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {771, 398, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {792, 203, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {806, 443, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {825, 443, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {847, 443, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {859, 494, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {874, 494, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {893, 506, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {905, 506, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {921, 450, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {931, 450, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {941, 450, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {955, 450, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {965, 450, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {975, 450, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {989, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1001, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1016, 398, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1029, 443, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1047, 443, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1060, 450, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1074, 506, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1095, 450, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1118, 450, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1137, 443, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1161, 398, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1175, 409, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1194, 450, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1216, 494, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1231, 494, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1250, 506, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1262, 506, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1278, 450, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1288, 450, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1298, 450, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1312, 450, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1322, 450, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1332, 450, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1346, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1358, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1373, 398, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1386, 443, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1404, 443, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1417, 450, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {1431, 506, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1452, 450, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1475, 450, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1494, 443, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1518, 398, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1532, 409, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {1551, 450, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {
     entries, (uint16_t)(sizeof entries / sizeof entries[0]), (const uint8_t *)strings, (uint16_t)(sizeof strings - 1)
 };
+
+const variable_range_t servo_ranges[] = {
+    {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */
+    {OFFSET(command.speed), 4, 2, INT32_C(-1718483103), INT32_C(1718483103)}, /* cmd.speed */
+    {OFFSET(command.i_q), 2, 2, INT32_C(-15888), INT32_C(15888)}, /* cmd.i_q */
+    {OFFSET(command.mode), 2, 2, INT32_C(0), INT32_C(2)}, /* cmd.mode */
+    {OFFSET(command.enable), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.enable */
+    {OFFSET(command.quick_stop), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.quick_stop */
+    {OFFSET(command.clear_faults), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.clear_faults */
+    {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */
+    {OFFSET(parameter.acceleration_limit), 4, 2, INT32_C(2051), INT32_C(102534791)}, /* param.acceleration_limit */
+    {OFFSET(parameter.i_q_limit), 2, 2, INT32_C(397), INT32_C(15888)}, /* param.i_q_limit */
+    {OFFSET(parameter.features), 2, 2, INT32_C(0), INT32_C(4095)}, /* param.features */
+    {OFFSET(parameter.position_min), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* param.position_min */
+    {OFFSET(parameter.position_max), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* param.position_max */
+    {OFFSET(parameter.following_error), 4, 2, INT32_C(6), INT32_C(636620)}, /* param.following_error */
+    {OFFSET(parameter.over_speed), 4, 2, INT32_C(4101392), INT32_C(2050695827)}, /* param.over_speed */
+    {OFFSET(parameter.feedback), 2, 2, INT32_C(0), INT32_C(1)}, /* param.feedback */
+    {OFFSET(parameter.on_disable), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_disable */
+    {OFFSET(parameter.on_quick_stop), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_quick_stop */
+    {OFFSET(parameter.faults_enabled), 4, 2, INT32_C(0), INT32_C(2097151)}, /* param.faults_enabled */
+    {OFFSET(parameter.monitor), 2, 2, INT32_C(0), INT32_C(15)}, /* param.monitor */
+    {OFFSET(parameter.host_timeout), 2, 1, INT32_C(100), INT32_C(60000)}, /* param.host_timeout */
+    {OFFSET(parameter.command_timeout), 2, 1, INT32_C(0), INT32_C(60000)}, /* param.command_timeout */
+    {OFFSET(parameter.brake), 2, 1, INT32_C(0), INT32_C(1)}, /* param.brake */
+};
+
+const uint16_t servo_ranges_count = (uint16_t)(sizeof servo_ranges / sizeof servo_ranges[0]);

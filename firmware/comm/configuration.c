@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "comm/frame.h"
 #include "comm/status.h"
 
 #define KEY_SIZE 3u

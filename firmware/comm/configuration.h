@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-#include "comm/freemaster.h"
+#include "comm/freemaster_app.h"
 #include "comm/payload.h"
 
 uint8_t configuration_get(const freemaster_app_t *app, payload_reader_t *request, payload_writer_t *reply);

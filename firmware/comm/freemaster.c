@@ -33,7 +33,7 @@ static void copy_out(freemaster_t *server, const tsa_place_t *place, uint8_t *da
 
 /* Write and report the smallest range that contains all written bytes: a mask that selects one element of an array
  * must not make the others count as freshly written. */
-static void copy_in(freemaster_t *server, const tsa_place_t *place, const uint8_t *data, const uint8_t *mask)
+static uint8_t copy_in(freemaster_t *server, const tsa_place_t *place, const uint8_t *data, const uint8_t *mask)
 {
     uint8_t *memory = server->space.memory + (size_t)place->offset;
     uint16_t first = 0;
@@ -47,15 +47,22 @@ static void copy_in(freemaster_t *server, const tsa_place_t *place, const uint8_
         }
     }
     if (first == end) {
-        return;
+        return FM_OK;
     }
-    server->app.hold(server->app.context, true);
-    for (uint16_t i = first; i < end; i++) {
-        const unsigned select = mask != NULL ? mask[i] : 0xFFu;
-        memory[i] = (uint8_t)((memory[i] & ~select) | (data[i] & select));
+    const freemaster_app_t *app = &server->app;
+    const uint16_t offset = (uint16_t)(place->offset + first);
+    const uint16_t size = (uint16_t)(end - first);
+    app->hold(app->context, true);
+    const bool accepted = app->accepts(app->context, offset, data + first, mask != NULL ? mask + first : NULL, size);
+    if (accepted) {
+        for (uint16_t i = first; i < end; i++) {
+            const unsigned select = mask != NULL ? mask[i] : 0xFFu;
+            memory[i] = (uint8_t)((memory[i] & ~select) | (data[i] & select));
+        }
+        app->written(app->context, offset, size);
     }
-    server->app.written(server->app.context, (uint16_t)(place->offset + first), (uint16_t)(end - first));
-    server->app.hold(server->app.context, false);
+    app->hold(app->context, false);
+    return accepted ? FM_OK : FM_OUT_OF_RANGE;
 }
 
 uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size)
@@ -75,8 +82,7 @@ uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *
     if (!tsa_writable(&server->space, address, size, &place)) {
         return FM_DENIED;
     }
-    copy_in(server, &place, data, mask);
-    return FM_OK;
+    return copy_in(server, &place, data, mask);
 }
 
 /* ---- commands -------------------------------------------------------------------------------------------------- */
@@ -134,8 +140,7 @@ static uint8_t write_memory(freemaster_t *server, payload_reader_t *request, pay
     if (request->missing) {
         return FM_BAD_SIZE;
     }
-    copy_in(server, &place, data, mask);
-    return FM_OK;
+    return copy_in(server, &place, data, mask);
 }
 
 static uint8_t check_scope(payload_reader_t *request)

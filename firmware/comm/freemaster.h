@@ -11,27 +11,10 @@
 
 #include "comm/app_command.h"
 #include "comm/frame.h"
+#include "comm/freemaster_app.h"
 #include "comm/scope.h"
 #include "comm/tsa.h"
 #include "hal/hal.h"
-
-/* What the application lends to the server; all pointers are needed and stay valid as long as the server. */
-typedef struct {
-    void *context; /* handed back with every call */
-    uint8_t *memory;
-    uint32_t memory_size; /* at most 65536: offsets of writes have 16 bits */
-    const tsa_table_t *tsa;
-    const char *name, *description, *version, *build;
-
-    /* Freeze the snapshot and the command latch while bytes are copied. Never nested. */
-    void (*hold)(void *context, bool on);
-
-    /* After each accepted write, still inside hold: the smallest range that contains all bytes written (the bytes that
-     * a mask leaves alone at either end do not count, and nothing is reported when none was written). */
-    void (*written)(void *context, uint16_t offset, uint16_t size);
-
-    app_command_run_t command;
-} freemaster_app_t;
 
 /* Counters since start; they wrap. */
 typedef struct {

@@ -20,6 +20,7 @@
 #define FM_NOT_CONFIGURED UINT8_C(0x88)
 #define FM_DENIED UINT8_C(0x89)           /* not in the variable table; unknown configuration key */
 #define FM_BAD_INSTANCE UINT8_C(0x94)     /* no such scope */
+#define FM_OUT_OF_RANGE UINT8_C(0x97) /* the application refuses the value: it is outside the range of its variable */
 
 static inline bool fm_is_error(uint8_t status) { return (status & 0x80u) != 0; }
 

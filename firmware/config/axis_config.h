@@ -11,11 +11,12 @@
 #include "control/friction.h"
 #include "control/observer.h"
 #include "control/pll.h"
+#include "diagnosis/heat_monitor.h"
+#include "diagnosis/observation.h"
+#include "diagnosis/shaft_monitor.h"
 #include "drive/brake.h"
-#include "drive/heat_watch.h"
-#include "drive/phase_watch.h"
-#include "drive/startup.h"
-#include "drive/stop.h"
+#include "drive/startup_data.h"
+#include "drive/stop_data.h"
 #include "hal/hal.h"
 #include "sensing/emf_check.h"
 #include "sensing/encoder.h"
@@ -55,27 +56,22 @@ typedef struct {
     int32_t position_limit; /* default of both writable soft limits, counts */
     int32_t following_error; /* default of the writable bound, counts */
     frac32_t over_speed; /* default of the writable bound */
-    uint16_t following_ticks_most;
-    uint16_t over_speed_ticks_most;
 
     frac16_t u_dc_nominal; /* assumed while the ripple compensation is off */
-    frac16_t u_dc_most; /* over-voltage */
-    frac16_t u_dc_least; /* under-voltage */
+    frac16_t u_dc_max; /* over-voltage */
+    frac16_t u_dc_min; /* under-voltage */
     uint16_t offset_tolerance; /* ADC codes that an amplifier offset may lie off mid-scale */
-    frac16_t offset_duty_least; /* shortest high side during which an offset sample is true */
+    frac16_t offset_duty_min; /* shortest high side during which an offset sample is true */
 
-    phase_watch_config_t phases;
-    heat_watch_config_t heat;
+    winding_config_t winding;
+    heat_monitor_config_t heat;
+    shaft_monitor_config_t shaft;
 
     uint16_t settle_ticks; /* slow ticks in INIT until the bus filter has settled */
-    frac32_t stop_acceleration; /* least ramp of a stop, whatever the host's limit: speed per slow tick */
-    frac32_t runaway_margin; /* speed beyond the limit, or gained against the current, that is not tolerated */
-    uint16_t runaway_ticks_most;
-    uint16_t stall_ticks_most; /* slow ticks at full current without movement */
-    uint16_t rest_ticks_most; /* slow ticks that an enabled axis waits for its shaft to rest */
-    uint16_t search_ticks_most; /* slow ticks that the rotor search may take */
+    uint16_t rest_ticks_max; /* slow ticks that an enabled axis waits for its shaft to rest */
+    uint16_t search_ticks_max; /* slow ticks that the rotor search may take */
     frac32_t stop_speed; /* below it a stop is over: hold, or coast */
-    uint16_t stop_ticks_most; /* slow ticks after the ramp's end until the outputs go off at any speed */
+    uint16_t stop_ticks_max; /* slow ticks after the ramp's end until the outputs go off at any speed */
 
     stop_config_t stop;
     frac32_t regeneration_speed; /* up to it the full current burns in the winding all that braking returns */
@@ -86,7 +82,8 @@ typedef struct {
 typedef struct {
     axis_config_t axis[HAL_AXES];
     brake_config_t brake;
-    uint16_t host_timeout; /* default of the writable time-out, slow ticks */
+    uint16_t host_timeout; /* defaults of the writable time-outs, slow ticks */
+    uint16_t command_timeout;
 } servo_config_t;
 
 extern const servo_config_t servo_config;

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x55B1CB21)
+#define CATALOGUE_HASH UINT32_C(0x73FB70E3)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -66,7 +66,7 @@ typedef enum {
 #define FAULT_CURRENT_OFFSET UINT32_C(0x00000008) /* current amplifier offset far from mid-scale during calibration */
 #define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* full current does not move the shaft while the rotor is searched, or not far enough */
 #define FAULT_ENCODER UINT32_C(0x00000020) /* encoder count and emulated index disagree */
-#define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no valid frame from the host within the time-out */
+#define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no command and no keep-alive from the host within param.host_timeout */
 #define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement, and a current vector that turns to both sides moves nothing that is free */
 #define FAULT_RUNAWAY UINT32_C(0x00000100) /* the shaft gains speed against the full current or beyond its limit */
 #define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns and the encoder does not count */
@@ -87,7 +87,7 @@ typedef enum {
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */
 #define LIMIT_SPEED UINT16_C(0x0004) /* speed set-point at its limit */
-#define LIMIT_SETPOINT UINT16_C(0x0008) /* a set-point was clipped to its limits */
+#define LIMIT_EXPIRED UINT16_C(0x0008) /* the velocity or torque set-point was not written again within param.command_timeout: the axis has stopped */
 #define LIMIT_POSITION UINT16_C(0x0010) /* a soft limit of the position holds the shaft back */
 #define LIMIT_REGENERATION UINT16_C(0x0020) /* braking current held back by the voltage of the DC bus */
 #define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
@@ -109,40 +109,11 @@ typedef enum {
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
 #define COMMAND_IDENTIFY 3
+#define COMMAND_KEEP_ALIVE 4
 
-#define CMD_POSITION_MIN INT32_C(-954929659)
-#define CMD_POSITION_MAX INT32_C(954929659)
-#define CMD_SPEED_MIN INT32_C(-1718483103)
-#define CMD_SPEED_MAX INT32_C(1718483103)
-#define CMD_I_Q_MIN INT32_C(-15888)
-#define CMD_I_Q_MAX INT32_C(15888)
-#define CMD_ENABLE_MIN INT32_C(0)
-#define CMD_ENABLE_MAX INT32_C(1)
-#define CMD_QUICK_STOP_MIN INT32_C(0)
-#define CMD_QUICK_STOP_MAX INT32_C(1)
-#define CMD_CLEAR_FAULTS_MIN INT32_C(0)
-#define CMD_CLEAR_FAULTS_MAX INT32_C(1)
-#define PARAM_SPEED_LIMIT_MIN INT32_C(410139)
-#define PARAM_SPEED_LIMIT_MAX INT32_C(1718483103)
-#define PARAM_ACCELERATION_LIMIT_MIN INT32_C(2051)
-#define PARAM_ACCELERATION_LIMIT_MAX INT32_C(102534791)
-#define PARAM_I_Q_LIMIT_MIN INT32_C(397)
-#define PARAM_I_Q_LIMIT_MAX INT32_C(15888)
-#define PARAM_FEATURES_MIN INT32_C(0)
+#define POSITION_REACH 1073741824
+
 #define PARAM_FEATURES_MAX INT32_C(4095)
-#define PARAM_POSITION_MIN_MIN INT32_C(-954929659)
-#define PARAM_POSITION_MIN_MAX INT32_C(954929659)
-#define PARAM_POSITION_MAX_MIN INT32_C(-954929659)
-#define PARAM_POSITION_MAX_MAX INT32_C(954929659)
-#define PARAM_FOLLOWING_ERROR_MIN INT32_C(6)
-#define PARAM_FOLLOWING_ERROR_MAX INT32_C(636620)
-#define PARAM_OVER_SPEED_MIN INT32_C(4101392)
-#define PARAM_OVER_SPEED_MAX INT32_C(2050695827)
-#define PARAM_FAULTS_ENABLED_MIN INT32_C(0)
 #define PARAM_FAULTS_ENABLED_MAX INT32_C(2097151)
-#define PARAM_HOST_TIMEOUT_MIN INT32_C(100)
-#define PARAM_HOST_TIMEOUT_MAX INT32_C(60000)
-#define PARAM_BRAKE_MIN INT32_C(0)
-#define PARAM_BRAKE_MAX INT32_C(1)
 
 #endif

@@ -13,9 +13,14 @@ void current_loop_reset(current_loop_t *loop)
     loop->turn_versine = 0;
 }
 
-void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, frac16_t u_limit)
+void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, frac16_t u_d, frac16_t u_limit)
 {
-    const frac16_t d = f16_from_f32(pi_limit(&loop->d, sum_d, f32_from_f16(u_limit)));
+    frac16_t d = u_d;
+    if (d > u_limit || d < -u_limit) {
+        d = f16_from_f32(pi_limit(&loop->d, sum_d, f32_from_f16(u_limit)));
+    } else {
+        loop->d.excess = 0; /* almost always: the long voltage is that against the back-EMF */
+    }
     const frac16_t limit_q = f16_sqrt(f32_mul16(u_limit, u_limit) - f32_mul16(d, d));
     const frac16_t q = f16_from_f32(pi_limit(&loop->q, sum_q, f32_from_f16(limit_q)));
     loop->voltage.d = d;

@@ -20,6 +20,8 @@ typedef struct {
 typedef struct {
     dq_t current; /* measured */
     dq_t voltage; /* what was asked of the inverter */
+    ab_t stator_current; /* the same in the stator frame */
+    ab_t stator_voltage;
     bool limited; /* the voltage has been at its limit since somebody cleared this */
     bool dead_time_off; /* leave the duties as the SVM made them */
     pi_state_t d;
@@ -29,13 +31,6 @@ typedef struct {
     int32_t turn_sin; /* of the angle that the rotor turns in one period, 15 fraction bits */
     int32_t turn_versine; /* 1 - cosine of it */
 } current_loop_t;
-
-/* What one period leaves for an observer. */
-typedef struct {
-    svm_t svm;
-    ab_t current; /* measured */
-    ab_t voltage; /* what the duties stand for */
-} current_loop_out_t;
 
 /* At rest, without current and voltage. */
 void current_loop_reset(current_loop_t *loop);
@@ -47,8 +42,8 @@ void current_loop_turn(current_loop_t *loop, const current_loop_config_t *config
 /* Go on from here, in another frame: `current` flows, and `voltage` is what the next period is to have. */
 void current_loop_take_over(current_loop_t *loop, const current_loop_config_t *config, dq_t current, dq_t voltage);
 
-/* Limit the voltage to a circle; the d axis, which keeps the flux, goes first. */
-void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, frac16_t u_limit);
+/* Limit the voltage to a circle; the d axis, which keeps the flux, goes first. `u_d` is what `sum_d` rounds to. */
+void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, frac16_t u_d, frac16_t u_limit);
 
 /* A quarter of the full scale (9 V): below it the inverter is off for under-voltage anyway, and the division of the
  * ripple compensation stays in range. */
@@ -81,13 +76,14 @@ static inline sin_cos_t current_loop_ahead(const current_loop_t *loop, sin_cos_t
 
 /* One PWM period: from the phase currents to duties. `theta_e` is the angle at the sampling instant, `u_dc` the voltage of
  * the bus in this period. */
-static inline current_loop_out_t current_loop_run(current_loop_t *loop, const current_loop_config_t *config,
-                                                  abc_t current, dq_t reference, frac16_t theta_e, frac16_t u_dc)
+static inline svm_t current_loop_step(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
+                                      dq_t reference, frac16_t theta_e, frac16_t u_dc)
 {
     const int32_t bus = (u_dc < U_DC_LEAST) ? U_DC_LEAST : u_dc;
     const sin_cos_t at = sin_cos(theta_e);
     const ab_t measured = clarke(current);
     const dq_t i = park(measured, at);
+    loop->stator_current = measured;
     loop->current.d = i.d;
     loop->current.q = i.q;
 
@@ -108,10 +104,11 @@ static inline current_loop_out_t current_loop_run(current_loop_t *loop, const cu
         loop->voltage.d = (frac16_t)u_d;
         loop->voltage.q = (frac16_t)u_q;
     } else {
-        current_loop_limit(loop, sum_d, sum_q, (frac16_t)u_limit);
+        current_loop_limit(loop, sum_d, sum_q, (frac16_t)u_d, (frac16_t)u_limit);
     }
 
     const ab_t stator = park_inverse(loop->voltage, current_loop_ahead(loop, at));
+    loop->stator_voltage = stator;
     const int32_t reciprocal = (INT32_C(1) << 29) / bus;
     const ab_t modulation = {current_loop_over_bus(stator.alpha, reciprocal),
                              current_loop_over_bus(stator.beta, reciprocal)};
@@ -119,13 +116,7 @@ static inline current_loop_out_t current_loop_run(current_loop_t *loop, const cu
     if (!loop->dead_time_off) {
         result.duty = dead_time_compensate(&config->dead_time, result.duty, current, reciprocal);
     }
-    return (current_loop_out_t){result, measured, stator};
-}
-
-static inline svm_t current_loop_step(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
-                                      dq_t reference, frac16_t theta_e, frac16_t u_dc)
-{
-    return current_loop_run(loop, config, current, reference, theta_e, u_dc).svm;
+    return result;
 }
 
 #endif

@@ -1,10 +1,60 @@
 #include "control/path.h"
 
 #include "math/divide.h"
+#include "math/root.h"
+
+#define SPEED_MAX INT64_C(3000000000) /* the square of which fits */
 
 static path_position_t scaled(path_position_t x, uint16_t omega_n_ts)
 {
     return asr64(x * omega_n_ts + INT64_C(0x8000), 16);
+}
+
+static path_position_t lower(path_position_t a, path_position_t b) { return (a < b) ? a : b; }
+
+static path_position_t within(path_position_t x, path_position_t most)
+{
+    return (x > most) ? most : ((x < -most) ? -most : x);
+}
+
+path_position_t braking_speed(path_position_t distance, path_position_t acceleration, path_position_t most)
+{
+    if (distance <= acceleration) {
+        return lower(distance, most); /* one step, and then rest */
+    }
+    /* The speed v is followed by v - a, v - 2 a, ... With v = sqrt(2 a d) - a / 2 the root falls by a in every tick, and
+     * the first step that is not longer than a fits between the speed before it and rest. */
+    const uint32_t twice = (uint32_t)(acceleration * 2);
+    const uint32_t half = (uint32_t)(acceleration + 1) >> 1;
+    const uint64_t far = (uint64_t)twice * (uint32_t)((uint64_t)distance >> 32);
+    if (far >= UINT64_C(1) << 31) {
+        return most; /* beyond the root's range, which is above all speeds */
+    }
+    const uint64_t square = (far << 32) + (uint64_t)twice * (uint32_t)((uint64_t)distance & UINT32_C(0xFFFFFFFF));
+    const uint32_t enough = (uint32_t)most + half;
+    if (square >= (uint64_t)enough * enough) {
+        return most; /* almost always, and without a root */
+    }
+    return (path_position_t)(u64_sqrt(square) - half);
+}
+
+/* Of a speed that was measured, and may be beyond every limit. */
+static path_position_t safe_speed(path_position_t distance, path_position_t acceleration, path_position_t speed)
+{
+    return braking_speed(distance, acceleration, lower(speed, SPEED_MAX));
+}
+
+/* Next speed of a ramp that has `distance` >= 0 to go. */
+static path_position_t next_speed(path_position_t speed, path_position_t distance, path_position_t step_limit,
+                                  path_position_t acceleration)
+{
+    const path_position_t fastest = speed + acceleration;
+    if (fastest <= 0) {
+        return fastest; /* the other way */
+    }
+    const path_position_t allowed = braking_speed(distance, acceleration, lower(fastest, step_limit));
+    const path_position_t slowest = speed - acceleration;
+    return (allowed > slowest) ? allowed : slowest;
 }
 
 void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t omega_n_ts)
@@ -13,31 +63,92 @@ void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t o
     path->output = path_counts(position);
     path->filter = i64_over_u16(step * 65536, omega_n_ts);
     path->ramp = path->output + 2 * path->filter - step;
+    path->speed = step;
 }
 
-void path_retune(path_t *path, int32_t target, uint16_t from_omega_n_ts, uint16_t to_omega_n_ts)
+void path_brake(path_t *path, int32_t target, path_position_t acceleration, uint16_t omega_n_ts)
 {
-    const path_position_t lead = i64_over_u16((path->ramp - path->output) * from_omega_n_ts, to_omega_n_ts);
-    const path_position_t ramp = path->output + lead;
-    /* Only a ramp that is on its way to the target can be drawn past it; one that is yet to turn round keeps its lead. */
-    const path_position_t before = path_beyond(path->ramp, target);
-    const path_position_t beyond = path_beyond(ramp, target);
-    const bool passes = (lead > 0) ? (before <= 0 && beyond > 0) : (before >= 0 && beyond < 0);
-    path->filter = i64_over_u16(path->filter * from_omega_n_ts, to_omega_n_ts);
-    path->ramp = passes ? ramp - beyond : ramp;
+    const int32_t way = (path->speed < 0) ? -1 : 1;
+    const path_position_t speed = way * path->speed;
+    const path_position_t room = -way * path_beyond(path->ramp, target);
+    if (speed == 0 || safe_speed(room, acceleration, speed) >= speed - acceleration) {
+        return;
+    }
+    /* In steady deceleration the ramp is 2 a / omega_n slower than the output, and ahead of it by a / omega_n^2 less. */
+    const path_position_t slower = lower(acceleration, scaled(speed, omega_n_ts) >> 1);
+    const path_position_t over_omega = i64_over_u16(slower * 65536, omega_n_ts);
+    path->speed = way * (speed - lower(speed, slower + 2 * over_omega));
+    path->ramp = path->output + 2 * path->filter - way * i64_over_u16(over_omega * 65536, omega_n_ts) - path->speed;
 }
 
-void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts)
+/* Neither past `target` nor too fast to stop there, if that was so at the speed and the distance `before`. */
+static void stop_at(path_t *path, int32_t target, path_position_t acceleration, path_t before)
+{
+    const int32_t way = (path->ramp < path->output) ? -1 : 1;
+    const path_position_t speed = way * before.speed;
+    const path_position_t distance = speed - way * path_beyond(before.ramp, target);
+    /* A ramp that is yet to turn round keeps its lead. */
+    if (distance < speed || (speed > 0 && safe_speed(distance, acceleration, speed) < speed - acceleration)) {
+        return;
+    }
+    const path_position_t beyond = path_beyond(path->ramp, target);
+    if (way * beyond > 0) {
+        path->ramp -= beyond;
+        path->speed = 0;
+    } else if (way * path->speed > 0) {
+        path->speed = way * safe_speed(-way * beyond, acceleration, way * path->speed);
+    }
+}
+
+void path_retune(path_t *path, int32_t target, path_position_t acceleration, uint16_t from_omega_n_ts,
+                 uint16_t to_omega_n_ts)
+{
+    const path_t before = *path;
+    const path_position_t step = scaled(path->filter, from_omega_n_ts);
+    /* The output's acceleration in the next tick is (omega_n Ts)^2 of this. */
+    const path_position_t excess = path->ramp + path->speed - path->output - 2 * path->filter;
+    const path_position_t most = i64_over_u16(i64_over_u16(acceleration << 32, to_omega_n_ts), to_omega_n_ts);
+    const path_position_t pull = within(i64_over_u16(excess * from_omega_n_ts, to_omega_n_ts), most);
+    const path_position_t next = scaled(scaled(pull, to_omega_n_ts), to_omega_n_ts);
+    /* By what the ramp's speed exceeds that of the output the acceleration grows afterwards. */
+    const path_position_t even = step + next + i64_over_u16(next * 65536, to_omega_n_ts);
+    const path_position_t reach = i64_over_u16(acceleration * 65536, to_omega_n_ts);
+
+    path->filter = i64_over_u16(path->filter * from_omega_n_ts, to_omega_n_ts);
+    path->speed = even + within(path->speed - even, reach);
+    path->ramp = path->output + 2 * path->filter + pull - path->speed;
+    stop_at(path, target, acceleration, before);
+}
+
+void path_step(path_t *path, int32_t target, path_position_t step_limit, path_position_t acceleration,
+               uint16_t omega_n_ts)
 {
     const path_position_t distance = -path_beyond(path->ramp, target);
-    if (distance > step_limit) {
-        path->ramp += step_limit;
-    } else if (distance < -step_limit) {
-        path->ramp -= step_limit;
-    } else {
-        path->ramp += distance;
+    if (distance != 0 || path->speed != 0) {
+        path->speed = (distance < 0) ? -next_speed(-path->speed, -distance, step_limit, acceleration)
+                                     : next_speed(path->speed, distance, step_limit, acceleration);
+        path->ramp += path->speed;
     }
     /* E40 */
     path->filter += scaled(path->ramp - 2 * path->filter - path->output, omega_n_ts);
     path->output += scaled(path->filter, omega_n_ts);
+}
+
+int32_t path_stop(const path_t *path, path_position_t acceleration)
+{
+    const path_position_t up = path_counts(1) - 1;
+    if (path->speed == 0) {
+        return path_whole(path->ramp + (up >> 1));
+    }
+    const path_position_t speed = lower((path->speed < 0) ? -path->speed : path->speed, SPEED_MAX);
+    /* (v - a / 2)^2 / (2 a), with a divisor of 16 bits, rounded down: the result is never too near. */
+    const path_position_t root = speed - (acceleration >> 1);
+    uint32_t divisor = (uint32_t)acceleration * 2U;
+    uint16_t shift = 0;
+    while (divisor > UINT16_MAX) {
+        divisor >>= 1;
+        shift++;
+    }
+    const path_position_t way = asr64(i64_over_u16(root * root, (uint16_t)divisor), shift);
+    return (path->speed < 0) ? path_whole(path->ramp - way) : path_whole(path->ramp + way + up);
 }

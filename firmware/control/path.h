@@ -1,4 +1,9 @@
-/* path.h - shaping of position set-points: speed-limited ramp, then the second-order filter (DRM 2.6, E38..E40). */
+/* path.h - shaping of position set-points: a ramp of limited speed and acceleration, then the second-order filter (DRM 2.6,
+ * E38..E40).
+ *
+ * The impulse response of the filter is nowhere negative and has the area 1: speed and acceleration of the output stay
+ * within the limits of the ramp, whatever the targets are.
+ */
 #ifndef SERVO_CONTROL_PATH_H
 #define SERVO_CONTROL_PATH_H
 
@@ -10,7 +15,8 @@
 typedef int64_t path_position_t;
 
 typedef struct {
-    path_position_t ramp;   /* x(k) */
+    path_position_t ramp; /* x(k) */
+    path_position_t speed; /* x(k) - x(k-1) */
     path_position_t filter; /* m(k) */
     path_position_t output; /* y(k) */
 } path_t;
@@ -19,12 +25,24 @@ typedef struct {
  * omega_n Ts in Q0.16, not zero. */
 void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t omega_n_ts);
 
-/* Go on with another omega_n at the same position and speed; the lead of the ramp grows or shrinks with the filter's lag,
- * but not past `target`. */
-void path_retune(path_t *path, int32_t target, uint16_t from_omega_n_ts, uint16_t to_omega_n_ts);
+/* After path_reset: as if the path had already been braking, if it could not stop at `target` from steady motion. */
+void path_brake(path_t *path, int32_t target, path_position_t acceleration, uint16_t omega_n_ts);
 
-/* One slow tick towards `target` [counts], the ramp moving at most `step_limit` (24 fraction bits). */
-void path_step(path_t *path, int32_t target, path_position_t step_limit, uint16_t omega_n_ts);
+/* Go on with another omega_n at the same position and speed; the lead of the ramp grows or shrinks with the filter's lag,
+ * but the ramp stays where it can stop at `target`, and the output's acceleration within `acceleration`. */
+void path_retune(path_t *path, int32_t target, path_position_t acceleration, uint16_t from_omega_n_ts,
+                 uint16_t to_omega_n_ts);
+
+/* One slow tick towards `target` [counts]. The speed of the ramp changes by at most `acceleration`, and comes down to
+ * `step_limit` where it is above (both with 24 fraction bits, up to 16 and 160 counts). */
+void path_step(path_t *path, int32_t target, path_position_t step_limit, path_position_t acceleration,
+               uint16_t omega_n_ts);
+
+/* Where the ramp can stop [counts], rounded up as seen on its way. */
+int32_t path_stop(const path_t *path, path_position_t acceleration);
+
+/* The highest speed up to `most` from which `distance` suffices to stop, the step at that speed included. */
+path_position_t braking_speed(path_position_t distance, path_position_t acceleration, path_position_t most);
 
 /* Counts as a position. */
 static inline path_position_t path_counts(int32_t counts)
@@ -56,7 +74,7 @@ static inline int32_t path_position(const path_t *path)
 /* True when the output is within half a count of `target` and no longer on its way. */
 static inline bool path_at_rest(const path_t *path, int32_t target)
 {
-    return path_position(path) == target && path_beyond(path->ramp, target) == 0;
+    return path_position(path) == target && path->speed == 0 && path_beyond(path->ramp, target) == 0;
 }
 
 #endif

@@ -1,6 +1,7 @@
 #include "drive/angle_check.h"
 
-#include "drive/axis.h"
+#include "drive/axis_faults.h"
+#include "drive/estimate.h"
 
 /* Without its compensation the dead time would look like an angle. */
 #define NEEDED (FEATURE_ANGLE_CHECK | FEATURE_DEAD_TIME)
@@ -28,9 +29,9 @@ static void guide_pll(axis_t *axis, int32_t step)
 static frac16_t floor_of(const axis_t *axis)
 {
     const dq_t i = axis->current_loop.current;
-    const bool certain = length_about(i.d, i.q) > 2 * (int32_t)axis->config->phases.silent;
+    const bool certain = length_about(i.d, i.q) > 2 * (int32_t)axis->config->winding.silent;
     return certain ? axis->config->emf_check.floor
-                   : f16_add(axis->config->emf_check.floor, axis->config->phases.emf_floor);
+                   : f16_add(axis->config->emf_check.floor, axis->config->winding.emf_floor);
 }
 
 void angle_check_step(axis_t *axis)
@@ -54,11 +55,19 @@ void angle_check_step(axis_t *axis)
     const frac16_t middle = pll_upper(encoder_angle(axis) + (uint32_t)asr32(step, 1));
     const dq_t emf = park(estimate->emf, sin_cos(middle));
     const frac16_t expected = estimate_emf_at(axis, axis->feedback.speed);
-    const bool deviates =
-        emf_check_deviates(&axis->config->emf_check, floor_of(axis), emf_check_deviation(emf, expected), expected,
-                           axis->current_loop.current.q);
-    if (emf_check_lasts(&estimate->check, deviates, axis->config->emf_check.ticks_check)) {
-        axis_raise(axis, FAULT_ANGLE_MISMATCH);
-    }
+    estimate->mismatch = emf_check_deviates(&axis->config->emf_check, floor_of(axis),
+                                            emf_check_deviation(emf, expected), expected, axis->current_loop.current.q);
     guide_pll(axis, step);
+}
+
+void angle_check_judge(axis_t *axis)
+{
+    estimate_t *estimate = &axis->estimate;
+    if (!estimate->runs) {
+        return;
+    }
+    estimate_judge(axis);
+    if (emf_check_lasts(&estimate->check, estimate->mismatch, axis->config->emf_check.ticks_check)) {
+        axis_raise(axis, FOUND(FINDING_OBSERVED_ELSEWHERE));
+    }
 }

@@ -7,12 +7,15 @@
 #ifndef SERVO_DRIVE_ANGLE_CHECK_H
 #define SERVO_DRIVE_ANGLE_CHECK_H
 
-struct axis;
+#include "drive/axis_data.h"
 
 /* SPIN begins. */
-void angle_check_start(struct axis *axis);
+void angle_check_start(axis_t *axis);
 
-/* One slow tick in SPIN, after the controllers: raises FAULT_ANGLE_MISMATCH. */
-void angle_check_step(struct axis *axis);
+/* One slow tick in SPIN, after the controllers: what the observer sees. */
+void angle_check_step(axis_t *axis);
+
+/* Some time after that: raises FINDING_OBSERVED_ELSEWHERE. */
+void angle_check_judge(axis_t *axis);
 
 #endif

@@ -3,7 +3,7 @@
 #define RESTED (FRAC32_MAX / 2) /* a spent resistor is used again when it has cooled so far */
 #define LEAD_TICKS 4
 
-void brake_init(brake_t *brake) { *brake = (brake_t){.bearable = FRAC16_MAX}; }
+void brake_init(brake_t *brake) { *brake = (brake_t){.regen_derating = FRAC16_MAX}; }
 
 /* Energy in, u^2 / R while it is on; a steady power out. */
 static void heat_up(brake_t *brake, const brake_config_t *config, frac16_t u_dc)
@@ -27,7 +27,7 @@ static frac16_t ahead(const brake_t *brake, frac16_t u_dc)
 }
 
 /* All below `start`, nothing from `full` on, a straight line between. */
-static frac16_t bearable_at(const brake_config_t *config, frac16_t u_dc)
+static frac16_t derating_at(const brake_config_t *config, frac16_t u_dc)
 {
     if (u_dc <= config->start) {
         return FRAC16_MAX;
@@ -44,6 +44,6 @@ void brake_step(brake_t *brake, const brake_config_t *config, bool fitted, frac1
     brake->able = fitted && !brake->spent;
     const bool wanted = brake->on ? u_dc > config->off : u_dc >= config->on;
     brake->on = wanted && brake->able;
-    brake->bearable = bearable_at(config, ahead(brake, u_dc));
+    brake->regen_derating = derating_at(config, ahead(brake, u_dc));
     brake->u_dc = u_dc;
 }

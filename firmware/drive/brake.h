@@ -1,10 +1,10 @@
-/* brake.h - the DC bus while motors brake: the brake resistor, and how much braking current the bus bears (ST slide "Brake
+/* brake.h - the DC bus while motors brake: the brake resistor, and how much braking current the bus takes (ST slide "Brake
  * resistor"). One per board, because both axes share the bus.
  *
  * The supply takes nothing back. In the order of rising voltage:
  *   off .. on     hysteresis of the resistor's switch
  *   start .. full the current that opposes the motion is folded back, at `full` to nothing
- *   over-voltage  fault; not while a resistor is fitted and able, see most_able
+ *   over-voltage  fault; not while a resistor is fitted and able, see u_dc_max_able
  */
 #ifndef SERVO_DRIVE_BRAKE_H
 #define SERVO_DRIVE_BRAKE_H
@@ -17,9 +17,9 @@ typedef struct {
     gain_t heating; /* u^2 -> part of the energy budget that the resistor burns in a slow tick */
     frac32_t cooling; /* part of the budget that leaves it in a slow tick */
     frac16_t start, full; /* bus voltages between which braking current is folded back */
-    /* Over-voltage while the resistor is able: what the converter can just tell from its full scale. Nobody could see
+    /* Over-voltage while the resistor is able: what the converter can just tell from its full scale. It is not visible
      * how far beyond that the bus is, and the capacitors' rating is not far away. */
-    frac16_t most_able;
+    frac16_t u_dc_max_able;
 } brake_config_t;
 
 typedef struct {
@@ -28,7 +28,7 @@ typedef struct {
     bool spent; /* the budget is used up: off until half of it has cooled away */
     frac32_t heat; /* used part of the budget */
     frac16_t u_dc; /* bus voltage of the last tick */
-    frac16_t bearable; /* part of the braking current that the bus bears now */
+    frac16_t regen_derating; /* part of the braking current that the bus takes now */
 } brake_t;
 
 /* Resistor off and cold. */

@@ -1,11 +1,8 @@
-/* current_drive.h - one PWM period of an axis: currents in, duties out.
- *
- * Each of the two lies in a file of its own, alone with its copy of the current loop: compilers then make one piece of it.
- */
+/* current_drive.h - one PWM period of an axis: currents in, duties out. */
 #ifndef SERVO_DRIVE_CURRENT_DRIVE_H
 #define SERVO_DRIVE_CURRENT_DRIVE_H
 
-#include "drive/axis.h"
+#include "drive/axis_data.h"
 
 /* Current control with the d axis at `theta_e`. */
 void drive_current(axis_t *axis, frac16_t theta_e);

@@ -60,11 +60,11 @@ static void track(uint32_t *offset, uint16_t code, bool true_sample)
     }
 }
 
-void current_sense_track(current_sense_t *sense, adc_pair_t codes, frac16_t duty_least)
+void current_sense_track(current_sense_t *sense, adc_pair_t codes, frac16_t duty_min)
 {
-    const bool a = sense->duty.a >= duty_least;
-    const bool b = sense->duty.b >= duty_least;
-    const bool c = sense->duty.c >= duty_least;
+    const bool a = sense->duty.a >= duty_min;
+    const bool b = sense->duty.b >= duty_min;
+    const bool c = sense->duty.c >= duty_min;
     switch (sense->pair) {
     case PHASE_PAIR_AB:
         track(&sense->offset[0], codes.first, a);

@@ -65,7 +65,7 @@ bool current_sense_calibrate(current_sense_t *sense, adc_pair_t codes);
 bool current_sense_offsets_plausible(const current_sense_t *sense, uint16_t tolerance);
 
 /* Follow slow drift from a sample at the high-side centre. The sample is true only when the high side of its phase
- * conducted long enough, so phases below `duty_least` are left alone. */
-void current_sense_track(current_sense_t *sense, adc_pair_t codes, frac16_t duty_least);
+ * conducted long enough, so phases below `duty_min` are left alone. */
+void current_sense_track(current_sense_t *sense, adc_pair_t codes, frac16_t duty_min);
 
 #endif

@@ -2,48 +2,32 @@
 #ifndef SERVO_DRIVE_ESTIMATE_H
 #define SERVO_DRIVE_ESTIMATE_H
 
-#include "control/pll.h"
-#include "sensing/emf_check.h"
-#include "sensing/speed_reliability.h"
-
-struct axis;
-
-typedef struct {
-    observer_t observer;
-    pll_t pll;
-    speed_reliability_t reliability;
-    emf_check_t check;
-    ab_t emf;         /* in the last slow tick, stator frame */
-    frac16_t size;    /* its length */
-    dq_t deviation;   /* what of it neither angle nor speed explains */
-    frac32_t speed;   /* mechanical */
-    uint32_t angle;   /* of the last slow tick, 2^32 is a turn */
-    int32_t turned;   /* angle between the last two */
-    bool astern;      /* the shaft turned backwards when the closed loop began */
-    uint16_t standing; /* slow ticks in which it hardly turned that way */
-    bool deviates;    /* the back-EMF, over some time, fits neither angle nor speed */
-    bool locked;      /* the PLL follows the back-EMF; otherwise it goes on as it was set */
-    bool runs;
-} estimate_t;
+#include "drive/axis_data.h"
 
 /* From rest, with the rotor believed at `angle`, turning by `step` per period. */
-void estimate_start(struct axis *axis, uint32_t angle, int32_t step);
-void estimate_stop(struct axis *axis);
+void estimate_start(axis_t *axis, uint32_t angle, int32_t step);
+void estimate_stop(axis_t *axis);
 
 /* The PLL goes on from an angle known from elsewhere. */
-void estimate_set(struct axis *axis, uint32_t angle, int32_t step);
+void estimate_set(axis_t *axis, uint32_t angle, int32_t step);
 
-/* One slow tick. */
-void estimate_step(struct axis *axis);
+/* Once per slow tick, at equal distances: how far the angle has gone since the last call. */
+void estimate_turn(axis_t *axis);
+
+/* Once per slow tick: what the back-EMF says of it. The observer is yet to be told how fast the rotor turns. */
+void estimate_step(axis_t *axis);
+
+/* Once per slow tick, some time after that: is the estimate reliable? */
+void estimate_judge(axis_t *axis);
+
+/* What was found so far says nothing of what comes. */
+void estimate_forget(axis_t *axis);
 
 /* Back-EMF, as in the last slow tick, that belongs to a speed. */
-frac16_t estimate_emf_at(const struct axis *axis, frac32_t speed);
+frac16_t estimate_emf_at(const axis_t *axis, frac32_t speed);
 
 /* Slow ticks in a row in which the shaft has been too slow to be observed, or has turned the other way, which it cannot
  * without standing in between: a model of it would go on for ever, with one that swings where it is held, too. */
-uint16_t estimate_standing(struct axis *axis);
-
-/* Angle and speed can be believed. */
-bool estimate_reliable(const struct axis *axis);
+uint16_t estimate_standing(axis_t *axis);
 
 #endif

@@ -1,6 +1,6 @@
 #include "drive/feedback.h"
 
-#include "drive/axis.h"
+#include "drive/axis_data.h"
 #include "drive/path_units.h"
 
 static void encoder_source_reset(axis_t *axis)
@@ -48,6 +48,13 @@ static frac32_t speed_feedback(axis_t *axis)
     return speed_observer_step(&encoder->observer, config, position, axis->current_ref.q);
 }
 
+/* The observer starts from the speed of M/T, and does not need it from then on. */
+static bool stretches(const axis_t *axis)
+{
+    const bool observes = axis->encoder.observes && (axis->features & FEATURE_SPEED_OBSERVER) != 0U;
+    return (axis->features & FEATURE_ENHANCED_MT) != 0U && !observes;
+}
+
 static bool encoder_source_slow(axis_t *axis)
 {
     /* Read first, then arm: clearing the flags would throw away an edge whose interrupt is still pending. */
@@ -60,9 +67,7 @@ static bool encoder_source_slow(axis_t *axis)
         axis->encoder.skip_edge = false;
     }
     const uint32_t age = hal_edge_age(axis->hal, axis->index);
-    /* The plain M/T method knows of an edge that does not come only when its timer has run out. */
-    const bool counts = (axis->features & FEATURE_ENHANCED_MT) != 0U || age >= HAL_EDGE_AGE_OVERFLOW;
-    mt_speed_slow(&axis->encoder.speed, counts ? age : 0U);
+    mt_speed_slow(&axis->encoder.speed, age, stretches(axis));
     hal_capture_arm(axis->hal, axis->index);
 
     /* Count first, then index: every wrap that the count shows then has its pulse. */

@@ -1,10 +1,11 @@
 /* feedback_observer.c - angle and speed of an axis without an encoder. */
-#include "drive/axis.h"
+#include "drive/estimate.h"
+#include "drive/feedback.h"
 
 static void observer_source_reset(axis_t *axis)
 {
     estimate_stop(axis);
-    axis->observed_position = (observer_feedback_t){axis->feedback.position, 0};
+    axis->observed_position = (observer_feedback_t){.counts = axis->feedback.position};
     axis->feedback.speed = 0;
     axis->feedback.mean_speed = 0;
     axis->feedback.still = true;
@@ -34,13 +35,15 @@ static bool observer_source_slow(axis_t *axis)
         feedback->mean_speed = 0;
         return true;
     }
-    estimate_step(axis);
-    const int32_t moved = counts_of(axis, axis->estimate.turned);
-    const uint32_t rest = (uint32_t)axis->observed_position.rest + ((uint32_t)moved & UINT32_C(0xFFFF));
-    axis->observed_position.rest = (uint16_t)(rest & UINT32_C(0xFFFF));
-    axis->observed_position.counts =
-        i32_add_wrap(axis->observed_position.counts, asr32(moved, 16) + (int32_t)(rest >> 16));
-    feedback->position = axis->observed_position.counts;
+    const pll_t *pll = &axis->estimate.pll;
+    observer_feedback_t *observed = &axis->observed_position;
+    axis->estimate.speed = pll_speed_of(&axis->config->pll, pll->integral);
+    const int32_t moved = counts_of(axis, (int32_t)(pll->angle - observed->angle));
+    const uint32_t rest = (uint32_t)observed->rest + ((uint32_t)moved & UINT32_C(0xFFFF));
+    observed->angle = pll->angle;
+    observed->rest = (uint16_t)(rest & UINT32_C(0xFFFF));
+    observed->counts = i32_add_wrap(observed->counts, asr32(moved, 16) + (int32_t)(rest >> 16));
+    feedback->position = observed->counts;
     feedback->speed = axis->estimate.speed;
     feedback->mean_speed = sat32(asr64((int64_t)moved * axis->config->speed_per_path_step, 16));
     return true;

@@ -2,7 +2,7 @@
 #ifndef SERVO_DRIVE_MOTION_H
 #define SERVO_DRIVE_MOTION_H
 
-#include "drive/axis.h"
+#include "drive/axis_data.h"
 
 /* SPIN begins: hold where the shaft is; what was commanded before does not count. */
 void motion_start(axis_t *axis);
@@ -18,9 +18,6 @@ frac32_t motion_wanted_speed(const axis_t *axis);
 
 /* Sensorless, in SPIN: the shaft is told to turn more slowly than the observer sees, or does. */
 bool motion_too_slow(const axis_t *axis);
-
-/* The limits of this tick, which the host may have changed. */
-void motion_limit(axis_t *axis, axis_limits_t limits);
 
 /* One slow tick: take fresh commands, shape, run the controllers, set `axis->current_ref`. */
 void motion_step(axis_t *axis);

@@ -1,21 +1,30 @@
-/* run_states.c - the sub-states of RUN, each with a fast and a slow function, and their transitions (DRM 4.5, F37). */
+/* run_states.c - the sub-states of RUN, each with a fast, a slow, an estimating and a checking function, and their
+ * transitions (DRM 4.5, F37). */
+#include "drive/run_states.h"
+
+#include "diagnosis/fault_isolate.h"
 #include "drive/angle_check.h"
-#include "drive/axis_states.h"
+#include "drive/axis_faults.h"
 #include "drive/current_drive.h"
+#include "drive/estimate.h"
+#include "drive/limits.h"
 #include "drive/motion.h"
+#include "drive/outputs.h"
+#include "drive/startup.h"
+#include "drive/stop.h"
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
 
 static void track_offsets(axis_t *axis)
 {
-    current_sense_track(&axis->sense, hal_adc_offsets(axis->hal, axis->index), axis->config->offset_duty_least);
+    current_sense_track(&axis->sense, hal_adc_offsets(axis->hal, axis->index), axis->config->offset_duty_min);
 }
 
 /* Currents in the rotor frame while nothing is controlled. */
 static void measure(axis_t *axis)
 {
     const abc_t current = current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
-    axis->current_loop.current = park(clarke(current), sin_cos(axis->feedback.theta_e));
+    axis->current_loop.current = park(clarke(current), sin_cos_of(axis->feedback.theta_e));
 }
 
 /* Dead time is compensated if that is among `features`; the observer of a sensorless axis cannot do without. */
@@ -34,7 +43,7 @@ static void enter(axis_t *axis, substate_t substate)
 static void wait_for_rest(axis_t *axis)
 {
     axis->ticks++;
-    if (axis->ticks > axis->config->rest_ticks_most) {
+    if (axis->ticks > axis->config->rest_ticks_max) {
         axis->ticks = 0;
         axis->requested = false;
     }
@@ -55,7 +64,7 @@ static void ready_align(axis_t *axis)
 {
     choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search looks at voltages */
     rotor_search_start(&axis->search, axis->feedback.position);
-    axis->proof.runs = false;
+    axis->diagnosis.stall.runs = false;
     enter(axis, SUBSTATE_ALIGN);
 }
 
@@ -63,12 +72,22 @@ static void align_spin(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
     axis->source->align(axis, rotor_search_angle(&axis->search));
-    encoder_watch_start(&axis->encoder_watch, axis->feedback.position);
-    axis->angle_watch = (angle_watch_t){0};
+    encoder_monitor_start(&axis->diagnosis.encoder, axis->feedback.position);
+    angle_monitor_start(&axis->diagnosis.angle);
+    axis->test_current = (dq_t){0, 0};
     motion_start(axis);
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);
     enter(axis, SUBSTATE_SPIN);
+}
+
+/* What the stall test looks at. */
+static void observe_stall(axis_t *axis)
+{
+    observation_t *o = &axis->observation;
+    o->theta_e = axis->feedback.theta_e;
+    o->position = axis->feedback.position;
+    o->current_ref = axis->current_ref;
 }
 
 /* Before a shaft is called stalled: where is the rotor? */
@@ -77,7 +96,10 @@ static void spin_align(axis_t *axis)
     estimate_stop(axis);
     axis->fast = LOOP_FAST;
     choose_dead_time(axis, FEATURE_DEAD_TIME);
-    stall_proof_start(axis);
+    observe_stall(axis);
+    stall_test_start(&axis->diagnosis.stall, &axis->config->rotor_search, &axis->observation);
+    axis->current_ref.d = 0;
+    current_loop_turn(&axis->current_loop, &axis->config->current_loop, 0);
     enter(axis, SUBSTATE_ALIGN);
 }
 
@@ -113,8 +135,8 @@ static void ready_startup(axis_t *axis)
 static void startup_spin(axis_t *axis)
 {
     startup_hand_over(axis);
-    axis->estimate.astern = axis->estimate.speed < 0;
-    axis->leaving = false;
+    axis->estimate.started_reverse = axis->estimate.speed < 0;
+    axis->fading_out = false;
     axis->fast = LOOP_OBSERVED;
     enter(axis, SUBSTATE_SPIN);
 }
@@ -139,9 +161,11 @@ static void calib_slow(axis_t *axis)
     if (current_sense_offsets_plausible(&axis->sense, axis->config->offset_tolerance)) {
         to_ready(axis);
     } else {
-        axis_raise(axis, FAULT_CURRENT_OFFSET);
+        axis_raise(axis, FOUND(FINDING_OFFSET_FAR));
     }
 }
+
+static void idle(axis_t *axis) { (void)axis; }
 
 /* ---- READY: 50 % on every phase, outputs on (electrically a winding short; the seed wants it) ---------------------- */
 
@@ -149,7 +173,6 @@ static void ready_fast(axis_t *axis) { measure(axis); }
 
 static void ready_slow(axis_t *axis)
 {
-    track_offsets(axis);
     if (!axis->requested) {
         return;
     }
@@ -164,8 +187,10 @@ static void ready_slow(axis_t *axis)
 
 static void align_fast(axis_t *axis)
 {
-    if (axis->proof.runs) {
-        stall_proof_fast(axis);
+    stall_test_t *test = &axis->diagnosis.stall;
+    if (test->runs) {
+        drive_current(axis, test->vector);
+        stall_test_add(test, &axis->config->rotor_search, axis->current_loop.voltage.d);
     } else if (rotor_search_drives(&axis->search)) {
         drive_current(axis, rotor_search_angle(&axis->search));
         rotor_search_watch(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
@@ -174,41 +199,55 @@ static void align_fast(axis_t *axis)
 }
 
 /* A shaft that does not move, or is not pulled at all. */
-static fault_set_t search_failure(const axis_t *axis)
+static finding_t search_failure(const axis_t *axis)
 {
-    const int32_t silent = axis->config->phases.silent;
+    const int32_t silent = axis->config->winding.silent;
     const bool asked = axis->current_ref.d > 2 * silent;
-    return (asked && f16_abs(axis->current_loop.current.d) < silent) ? FAULT_PHASE_LOST : FAULT_ROTOR_SEARCH;
+    return (asked && f16_abs(axis->current_loop.current.d) < silent) ? FINDING_SEARCH_SILENT : FINDING_SEARCH_HELD;
 }
 
-/* A search that cannot go on ends, whether anybody wants to know its particular reason or not. */
-static void end_search(axis_t *axis, fault_set_t reason)
+/* One slow tick of a full current that has not moved the shaft: the vector turns. */
+static void test_stall(axis_t *axis)
 {
-    axis_raise(axis, axis_fault_or(axis, reason, FAULT_ROTOR_SEARCH));
+    evidence_t evidence = {0};
+    observe_stall(axis);
+    stall_test_step(&axis->diagnosis.stall, &axis->config->rotor_search, &axis->observation, &evidence);
+    axis_raise(axis, evidence.confirmed);
+}
+
+/* What the end of a search means; FINDINGS while it goes on. */
+static finding_t search_end(const axis_t *axis, finding_t failure)
+{
+    switch (axis->search.phase) {
+    case ROTOR_SEARCH_BLIND:
+        return FINDING_SEARCH_UNSEEN;
+    case ROTOR_SEARCH_STARVED:
+        return FINDING_SEARCH_STARVED;
+    case ROTOR_SEARCH_REVERSED:
+        return FINDING_SEARCH_REVERSED;
+    case ROTOR_SEARCH_HELD:
+        return failure;
+    default:
+        return (axis->ticks > axis->config->search_ticks_max) ? failure : FINDINGS;
+    }
 }
 
 static void align_slow(axis_t *axis)
 {
-    track_offsets(axis);
-    if (axis->proof.runs && axis->requested) {
-        stall_proof_slow(axis);
+    if (axis->diagnosis.stall.runs && axis->requested) {
+        test_stall(axis);
         return;
     }
     const bool driven = rotor_search_drives(&axis->search);
-    const fault_set_t failure = search_failure(axis);
+    const finding_t failure = search_failure(axis);
     rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
+    const finding_t end = search_end(axis, failure);
     if (!axis->requested) {
         to_ready(axis);
-    } else if (axis->search.phase == ROTOR_SEARCH_BLIND) {
-        end_search(axis, FAULT_ENCODER_LOST);
-    } else if (axis->search.phase == ROTOR_SEARCH_STARVED) {
-        end_search(axis, phase_watch_or(axis, FAULT_PHASE_LOST));
-    } else if (axis->search.phase == ROTOR_SEARCH_REVERSED) {
-        end_search(axis, phase_watch_rather(axis, FAULT_ENCODER_REVERSED));
-    } else if (axis->search.phase == ROTOR_SEARCH_HELD || axis->ticks > axis->config->search_ticks_most) {
-        end_search(axis, failure);
+    } else if (end != FINDINGS) {
+        axis_raise(axis, FOUND(end));
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
         align_spin(axis);
     } else if (driven && !rotor_search_drives(&axis->search)) {
@@ -225,35 +264,46 @@ static void spin_observed_fast(axis_t *axis) { drive_observed(axis, axis->feedba
 /* Sensorless: the speed has come down to where the observer ends. The current goes first, then the outputs. */
 static void leave_slowly(axis_t *axis)
 {
-    axis->leaving = axis->leaving || motion_too_slow(axis);
-    if (axis->leaving) {
+    axis->fading_out = axis->fading_out || motion_too_slow(axis);
+    if (axis->fading_out) {
         const frac32_t q = f32_from_f16(axis->current_q_left);
         axis->current_ref.q = f16_from_f32(q - f32_clip(q, axis->config->startup.fade_step));
     }
     axis->current_q_left = axis->current_ref.q;
 }
 
-static void spin_sensorless(axis_t *axis)
+/* Sensorless: the PLL, and then whether it still follows the rotor. */
+static void follow_rotor(axis_t *axis)
 {
     estimate_t *estimate = &axis->estimate;
-    axis->current_ref.d = f16_add(axis->current_ref.d, startup_fade(axis));
-    leave_slowly(axis);
-    if (axis->leaving) {
+    estimate_turn(axis);
+    estimate_step(axis);
+    observer_turn(&estimate->observer, estimate->pll.integral);
+    if (axis->fading_out) {
         return;
     }
     estimate->pll.backwards = estimate->pll.integral < 0;
     pll_push(&estimate->pll, &axis->config->pll, axis->current_loop.current.q, estimate->deviation, estimate->turned);
+}
+
+static void judge_observer(axis_t *axis)
+{
+    estimate_t *estimate = &axis->estimate;
+    estimate_judge(axis);
+    if (axis->fading_out) {
+        return;
+    }
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
     const bool stands = estimate_standing(axis) > axis->config->emf_check.ticks_stand;
     if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost || stands) {
-        axis_raise(axis, phase_watch_rather(axis, FAULT_SPEED_FEEDBACK));
+        axis_raise(axis, FOUND(FINDING_OBSERVER_LOST));
     }
 }
 
 /* The observer sees the rotor no more, or the drive is not wanted any more. */
 static void bring_to_rest(axis_t *axis)
 {
-    if (axis->leaving) {
+    if (axis->fading_out) {
         if (axis->current_ref.q == 0) {
             to_freewheel(axis);
         }
@@ -267,38 +317,94 @@ static void bring_to_rest(axis_t *axis)
     }
 }
 
+/* No current vector is larger than what the motor is made for, or than what a host has allowed beyond that; i_q gives way
+ * to an i_d that is asked for besides. */
+static void bound_current(axis_t *axis)
+{
+    const frac16_t own = axis->config->i_q_limit;
+    const frac16_t limit = (axis->limits.i_q > own) ? axis->limits.i_q : own;
+    frac16_t room = limit;
+    if (axis->current_ref.d != 0) {
+        const frac16_t d = f16_limit(axis->current_ref.d, limit);
+        axis->current_ref.d = d;
+        room = f16_sqrt(f32_mul16(limit, limit) - f32_mul16(d, d));
+    }
+    axis->current_ref.q = f16_limit(axis->current_ref.q, room);
+}
+
+static finding_set_t watch_shaft(axis_t *axis)
+{
+    const bool saturated = axis->motion.saturated;
+    const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
+    shaft_observation_t seen = {
+        .features = axis->features,
+        .speed = axis->feedback.speed,
+        .speed_limit = axis->limits.speed,
+        .braked = saturated && !axis->motion.held_back && opposed,
+        .stands = saturated && axis->feedback.still,
+    };
+    if ((seen.features & (FEATURE_FOLLOWING_ERROR | FEATURE_OVER_SPEED)) != 0U) {
+        seen.following_error = motion_following_error(axis);
+        seen.following_error_max = axis->following_error;
+        seen.over_speed_max = axis->over_speed;
+    }
+    return shaft_monitor_step(&axis->diagnosis.shaft, &axis->config->shaft, &seen);
+}
+
+/* A shaft that stands, runs away or leaves its set-point. It is tested before it is called stalled. */
+static void judge_shaft(axis_t *axis, finding_set_t findings)
+{
+    const finding_set_t wanted = fault_wanted(findings, axis->latch.enabled);
+    if (wanted == FOUND(FINDING_SHAFT_HELD) && axis->requested && !axis->sensorless) {
+        spin_align(axis);
+    } else {
+        axis_raise(axis, wanted);
+    }
+}
+
 static void spin_slow(axis_t *axis)
+{
+    motion_step(axis);
+    if (axis->test_current.d != 0 || axis->test_current.q != 0) {
+        axis->current_ref.d = f16_add(axis->current_ref.d, axis->test_current.d);
+        axis->current_ref.q = f16_add(axis->current_ref.q, axis->test_current.q);
+    }
+    if (axis->sensorless) {
+        axis->current_ref.d = f16_add(axis->current_ref.d, startup_fade(axis));
+        leave_slowly(axis);
+    }
+    bound_current(axis);
+    if (axis->current_loop.limited) {
+        axis_report(axis, LIMIT_VOLTAGE);
+        axis->current_loop.limited = false;
+    }
+    if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
+        bring_to_rest(axis);
+    }
+}
+
+static void spin_estimate(axis_t *axis)
 {
     track_offsets(axis);
     choose_dead_time(axis, axis->features);
     current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
-    motion_step(axis);
-    if (encoder_watch_is_asking(&axis->encoder_watch)) {
-        const dq_t asked = encoder_watch_asks(axis);
-        axis->current_ref.d = f16_add(axis->current_ref.d, asked.d);
-        axis->current_ref.q = f16_add(axis->current_ref.q, asked.q);
-    }
     if (axis->sensorless) {
-        spin_sensorless(axis);
+        follow_rotor(axis);
     } else if (axis->estimate.runs || (axis->features & FEATURE_ANGLE_CHECK) != 0U) {
         angle_check_step(axis);
     }
-    if (axis->current_loop.limited) {
-        axis->active_limits = (uint16_t)(axis->active_limits | LIMIT_VOLTAGE);
-        axis->current_loop.limited = false;
+}
+
+static void spin_check(axis_t *axis)
+{
+    if (axis->sensorless) {
+        judge_observer(axis);
+    } else {
+        angle_check_judge(axis);
     }
-    fault_set_t faults = supervision_step(axis) & axis->faults_enabled;
-    if (faults == FAULT_STALLED && axis->requested && !axis->sensorless) {
-        spin_align(axis);
-        return;
-    }
-    if (faults == FAULT_RUNAWAY) {
-        const fault_set_t rather = phase_watch_rather(axis, angle_watch_rather(axis, faults));
-        faults = axis_fault_or(axis, rather, faults); /* whatever it is called, it has to stop */
-    }
-    axis_raise(axis, faults);
-    if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
-        bring_to_rest(axis);
+    const finding_set_t findings = watch_shaft(axis);
+    if (findings != 0U) {
+        judge_shaft(axis, findings);
     }
 }
 
@@ -306,17 +412,29 @@ static void spin_slow(axis_t *axis)
 
 static void startup_slow_state(axis_t *axis)
 {
-    track_offsets(axis);
     if (!axis->requested || motion_wanted_speed(axis) == 0) {
         to_freewheel(axis);
-        return;
     }
-    switch (startup_slow(axis)) {
+}
+
+static void startup_estimate(axis_t *axis)
+{
+    track_offsets(axis);
+    estimate_turn(axis);
+    estimate_step(axis);
+    observer_turn(&axis->estimate.observer, axis->estimate.pll.integral);
+    startup_step(axis);
+}
+
+static void startup_check(axis_t *axis)
+{
+    estimate_judge(axis);
+    switch (startup_judge(axis)) {
     case STARTUP_DONE:
         startup_spin(axis);
         break;
     case STARTUP_FAILED:
-        axis_raise(axis, startup_failure(axis));
+        axis_raise(axis, FOUND(startup_failure(axis)));
         break;
     default:
         break;
@@ -335,7 +453,6 @@ static void freewheel_fast(axis_t *axis)
 
 static void freewheel_slow(axis_t *axis)
 {
-    track_offsets(axis);
     if (axis->shorted) {
         if (stop_short_over(axis)) {
             axis_zero_voltage(axis, false);
@@ -355,13 +472,13 @@ static void freewheel_slow(axis_t *axis)
 
 /* ---- the table ------------------------------------------------------------------------------------------------------ */
 
-static const axis_function_t run_table[6][3] = {
-    [SUBSTATE_CALIB] = {calib_fast, calib_slow, calib_fast},
-    [SUBSTATE_READY] = {ready_fast, ready_slow, ready_fast},
-    [SUBSTATE_ALIGN] = {align_fast, align_slow, align_fast},
-    [SUBSTATE_SPIN] = {spin_fast, spin_slow, spin_observed_fast},
-    [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast},
-    [SUBSTATE_STARTUP] = {startup_fast, startup_slow_state, startup_fast},
+static const axis_function_t run_table[6][5] = {
+    [SUBSTATE_CALIB] = {calib_fast, calib_slow, calib_fast, idle, idle},
+    [SUBSTATE_READY] = {ready_fast, ready_slow, ready_fast, track_offsets, idle},
+    [SUBSTATE_ALIGN] = {align_fast, align_slow, align_fast, track_offsets, idle},
+    [SUBSTATE_SPIN] = {spin_fast, spin_slow, spin_observed_fast, spin_estimate, spin_check},
+    [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast, track_offsets, idle},
+    [SUBSTATE_STARTUP] = {startup_fast, startup_slow_state, startup_fast, startup_estimate, startup_check},
 };
 
 void run_state_step(axis_t *axis) { run_table[axis->substate][axis->loop](axis); }
@@ -372,7 +489,7 @@ void run_state_enter(axis_t *axis)
     current_sense_reset(&axis->sense);
     axis->calibrated = false;
     axis->fast = LOOP_FAST;
-    axis->leaving = false;
+    axis->fading_out = false;
     estimate_stop(axis);
     drive_choose_pair(axis, axis->sense.pair);
     enter(axis, SUBSTATE_CALIB);

@@ -1,11 +1,12 @@
 #include "drive/startup.h"
 
 #include "drive/current_drive.h"
+#include "drive/estimate.h"
 #include "drive/motion.h"
 
 #define QUARTER_TURN INT16_C(16384)
 #define SETTLE_TICKS 6 /* slow ticks until the observer knows the back-EMF of a turning shaft */
-#define LOCK_TICKS 24  /* slow ticks that the PLL needs at the least speed */
+#define LOCK_TICKS 24  /* slow ticks that the PLL needs at the minimum speed */
 #define PROVE_TICKS 72 /* slow ticks: until the current flows, and 64 speeds after it */
 #define RATIO_BITS 14
 
@@ -81,8 +82,7 @@ static void begin_track(axis_t *axis)
     const int32_t step = (int32_t)turn * (INT32_C(65536) / AXIS_SLOW_PERIODS);
     enter(startup, STARTUP_TRACK);
     axis->estimate.locked = true;
-    speed_reliability_reset(&axis->estimate.reliability);
-    emf_check_reset(&axis->estimate.check);
+    estimate_forget(axis);
     estimate_set(axis, ((uint32_t)(uint16_t)rotor << 16) + (uint32_t)asr32(step, 1), step);
 }
 
@@ -108,7 +108,7 @@ static bool seen(const axis_t *axis)
 
 static dq_t rotate(dq_t x, uint32_t angle)
 {
-    const ab_t turned_x = park_inverse(x, sin_cos(pll_upper(angle)));
+    const ab_t turned_x = park_inverse(x, sin_cos_of(pll_upper(angle)));
     return (dq_t){turned_x.alpha, turned_x.beta};
 }
 
@@ -140,7 +140,7 @@ static void track(axis_t *axis)
     }
 }
 
-static startup_result_t prove(axis_t *axis)
+static void prove(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     const frac32_t kept = f32_from_f16(axis->config->startup.first_current) / 2; /* as without load later on */
@@ -148,10 +148,14 @@ static startup_result_t prove(axis_t *axis)
     axis->current_ref = (dq_t){f16_from_f32(startup->fade), 0};
     axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
     current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
-    if (startup->ticks < PROVE_TICKS) {
+}
+
+static startup_result_t judge_prove(axis_t *axis)
+{
+    if (axis->startup.ticks < PROVE_TICKS) {
         return STARTUP_RUNS;
     }
-    if (seen(axis) && estimate_reliable(axis)) {
+    if (seen(axis) && axis->estimate.reliable) {
         return STARTUP_DONE;
     }
     begin_ramp(axis);
@@ -165,7 +169,7 @@ static frac16_t damping_current(const axis_t *axis, frac32_t speed)
 {
     const startup_t *startup = &axis->startup;
     const frac16_t angle = pll_upper(startup->angle - (uint32_t)asr32(startup->step, 1));
-    const dq_t emf = park(axis->estimate.emf, sin_cos(angle));
+    const dq_t emf = park(axis->estimate.emf, sin_cos_of(angle));
     const int32_t swing = (int32_t)emf.q - estimate_emf_at(axis, speed);
     const frac32_t current = f32_gain(f32_from_f16(sat16(-swing)), axis->config->startup.damping);
     return f16_limit(asr32(current, 16), axis->config->startup.damping_limit);
@@ -180,8 +184,7 @@ static void lock(axis_t *axis, int32_t before)
     } else if (axis->estimate.size >= least_emf(axis) && startup->speed >= axis->config->startup.minimum_speed) {
         axis->estimate.locked = true;
         pll_adapt(&axis->estimate.pll, &axis->config->pll, axis->estimate.size);
-        speed_reliability_reset(&axis->estimate.reliability);
-        emf_check_reset(&axis->estimate.check);
+        estimate_forget(axis);
     } else {
         estimate_set(axis, startup->angle, startup->step);
     }
@@ -210,11 +213,11 @@ static bool converged(const axis_t *axis)
     const frac32_t forced = axis->startup.speed;
     const frac32_t mean = turned(speed_reliability_mean(&axis->estimate.reliability), axis->startup.backwards);
     const int64_t ratio = (int64_t)mean * (INT32_C(1) << RATIO_BITS);
-    return seen(axis) && estimate_reliable(axis) && ratio >= (int64_t)forced * config->mean_least &&
-           ratio <= (int64_t)forced * config->mean_most;
+    return seen(axis) && axis->estimate.reliable && ratio >= (int64_t)forced * config->mean_min &&
+           ratio <= (int64_t)forced * config->mean_max;
 }
 
-static startup_result_t test(axis_t *axis)
+static startup_result_t judge_ramp(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     startup->passed = converged(axis) ? (uint16_t)(startup->passed + 1U) : 0U;
@@ -224,29 +227,45 @@ static startup_result_t test(axis_t *axis)
     return (startup->ticks >= axis->config->startup.duration_ticks) ? STARTUP_FAILED : STARTUP_RUNS;
 }
 
-startup_result_t startup_slow(axis_t *axis)
+void startup_step(axis_t *axis)
 {
     axis->startup.ticks++;
     switch (axis->startup.phase) {
     case STARTUP_CATCH:
         seek(axis);
-        return STARTUP_RUNS;
+        break;
     case STARTUP_TRACK:
         track(axis);
-        return STARTUP_RUNS;
+        break;
     case STARTUP_PROVE:
-        return prove(axis);
+        prove(axis);
+        break;
     default:
         ramp(axis);
-        return test(axis);
+        break;
     }
 }
 
-fault_set_t startup_failure(const axis_t *axis)
+startup_result_t startup_judge(axis_t *axis)
+{
+    const startup_t *startup = &axis->startup;
+    if (startup->ticks == 0U) {
+        return STARTUP_RUNS; /* the phase has just begun */
+    }
+    switch (startup->phase) {
+    case STARTUP_PROVE:
+        return judge_prove(axis);
+    case STARTUP_RAMP:
+        return judge_ramp(axis);
+    default:
+        return STARTUP_RUNS;
+    }
+}
+
+finding_t startup_failure(const axis_t *axis)
 {
     const bool starved = axis->current_loop.current.d < axis->config->startup.first_current / 4;
-    /* the latter cannot be switched off */
-    return starved ? axis_fault_or(axis, FAULT_PHASE_LOST, FAULT_START_UP) : FAULT_START_UP;
+    return starved ? FINDING_START_UP_SILENT : FINDING_START_UP_SLOW;
 }
 
 /* ---- the hand-over -------------------------------------------------------------------------------------------------- */

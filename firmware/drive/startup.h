@@ -10,47 +10,7 @@
 #ifndef SERVO_DRIVE_STARTUP_H
 #define SERVO_DRIVE_STARTUP_H
 
-#include "control/transforms.h"
-#include "drive/faults.h"
-
-struct axis;
-
-typedef struct {
-    frac16_t first_current; /* FIRST_I_STARTUP */
-    frac16_t final_current; /* FINAL_I_STARTUP */
-    frac32_t current_step; /* per slow tick: (final - first) / I_START_UP_DURATION; may be negative */
-    frac32_t final_speed; /* FINAL_START_UP_SPEED */
-    frac32_t speed_step; /* per slow tick: final speed / FREQ_START_UP_DURATION */
-    uint16_t duration_ticks; /* START_UP_DURATION, slow ticks */
-    uint16_t tests; /* NB_CONSECUTIVE_TESTS */
-    frac32_t minimum_speed; /* MINIMUM_SPEED_RPM */
-    uint16_t mean_least; /* mean observed speed over the forced one, 14 fraction bits: the slide's 0.8 .. */
-    uint16_t mean_most; /* .. and the tolerance of its upper bound, which the mean would only just meet */
-    gain_t damping; /* current across the vector per back-EMF across it, of full scales */
-    frac16_t damping_limit;
-    uint16_t catch_ticks; /* slow ticks in which the back-EMF of a turning shaft shows */
-    frac32_t fade_step; /* current per slow tick: what is left of the vector after the hand-over */
-} startup_config_t;
-
-typedef enum {
-    STARTUP_CATCH, /* no current: does the shaft turn? */
-    STARTUP_TRACK, /* it seems so, and the PLL locks */
-    STARTUP_PROVE, /* a current along the rotor: does the back-EMF stay? */
-    STARTUP_RAMP,
-} startup_phase_t;
-
-typedef struct {
-    startup_phase_t phase;
-    uint16_t ticks; /* slow ticks in this phase */
-    uint16_t passed; /* tests of the criterion in a row */
-    bool backwards;
-    uint32_t angle; /* of the vector at the next sample, 2^32 is a turn */
-    int32_t step; /* per PWM period */
-    frac32_t speed; /* mechanical, of the vector; without sign */
-    frac32_t current; /* length of the vector */
-    ab_t emf; /* back-EMF of the last slow tick */
-    frac32_t fade; /* i_d while the rotor is proved, and what is left of it after the hand-over */
-} startup_t;
+#include "drive/axis_data.h"
 
 typedef enum {
     STARTUP_RUNS,
@@ -59,21 +19,24 @@ typedef enum {
 } startup_result_t;
 
 /* Begin in the direction of a set-point. */
-void startup_begin(struct axis *axis, bool backwards);
+void startup_begin(axis_t *axis, bool backwards);
 
 /* One PWM period: the current loop in its frame, and the observer. */
-void startup_fast(struct axis *axis);
+void startup_fast(axis_t *axis);
 
-/* One slow tick. */
-startup_result_t startup_slow(struct axis *axis);
+/* One slow tick, after estimate_step. */
+void startup_step(axis_t *axis);
+
+/* After estimate_judge of the same tick: is the observer to be believed? */
+startup_result_t startup_judge(axis_t *axis);
 
 /* A start-up that has failed: because no current flows, or for another reason. */
-fault_set_t startup_failure(const struct axis *axis);
+finding_t startup_failure(const axis_t *axis);
 
 /* The rotor is taken over from the vector: currents and voltages stay what they are. */
-void startup_hand_over(struct axis *axis);
+void startup_hand_over(axis_t *axis);
 
 /* What is left of the vector along the rotor, one slow tick later. */
-frac16_t startup_fade(struct axis *axis);
+frac16_t startup_fade(axis_t *axis);
 
 #endif

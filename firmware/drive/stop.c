@@ -1,6 +1,5 @@
 #include "drive/stop.h"
 
-#include "drive/axis.h"
 #include "drive/motion.h"
 
 void stop_begin(axis_t *axis, stop_category_t category)
@@ -33,7 +32,7 @@ static bool out_of_time(axis_t *axis)
 {
     stop_t *stop = &axis->stop;
     stop->ticks = (stop->ticks < UINT16_MAX) ? (uint16_t)(stop->ticks + 1U) : UINT16_MAX;
-    return stop->ticks > axis->config->stop.ticks_most;
+    return stop->ticks > axis->config->stop.ticks_max;
 }
 
 static bool held_long_enough(axis_t *axis)
@@ -64,6 +63,6 @@ bool stop_short_overloaded(const axis_t *axis)
 {
     const int32_t d = axis->current_loop.current.d;
     const int32_t q = axis->current_loop.current.q;
-    const int32_t most = axis->config->stop.short_current;
-    return (uint32_t)(d * d) + (uint32_t)(q * q) > (uint32_t)(most * most);
+    const int32_t max = axis->config->stop.short_current;
+    return (uint32_t)(d * d) + (uint32_t)(q * q) > (uint32_t)(max * max);
 }

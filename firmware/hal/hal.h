@@ -110,8 +110,14 @@ bool hal_serial_get(hal_t *hal, uint8_t *byte);
 /* Hand one byte to the transmitter; false when it is still busy. */
 bool hal_serial_put(hal_t *hal, uint8_t byte);
 
-/* Loops since reset that came so late that the carrier had passed the load of their duties, modulo 65536. */
+/* The fast loop of `axis` is through. A loop whose duties come after the instant at which they should be loaded is late. */
+void hal_duties_done(hal_t *hal, uint16_t axis);
+
+/* Late loops since reset, and those that were left out, modulo 65536. */
 uint16_t hal_late_loops(hal_t *hal);
+
+/* Received bytes lost since reset, modulo 65536. */
+uint16_t hal_receiver_overruns(hal_t *hal);
 
 /* True when it was the watchdog that has reset the board. */
 bool hal_reset_by_watchdog(hal_t *hal);

@@ -1,16 +1,13 @@
 #include "math/divide.h"
 
-/* Digit by digit of 16 bits, as on paper. */
+/* On paper, with a first digit of 32 bits and two of 16: what is left of each, and the next one, have 32 together. */
 int64_t i64_over_u16(int64_t x, uint16_t divisor)
 {
     const uint64_t magnitude = (uint64_t)((x < 0) ? -x : x);
-    uint64_t quotient = 0;
-    uint32_t rest = 0;
-    for (uint16_t shift = 64; shift != 0U;) {
-        shift = (uint16_t)(shift - 16U);
-        rest = rest << 16 | (uint32_t)((magnitude >> shift) & UINT32_C(0xFFFF));
-        quotient = quotient << 16 | rest / divisor;
-        rest %= divisor;
-    }
+    const uint32_t high = (uint32_t)(magnitude >> 32);
+    const uint32_t low = (uint32_t)(magnitude & UINT32_C(0xFFFFFFFF));
+    const uint32_t middle = high % divisor << 16 | low >> 16;
+    const uint32_t last = middle % divisor << 16 | (low & UINT32_C(0xFFFF));
+    const uint64_t quotient = (uint64_t)(high / divisor) << 32 | (middle / divisor << 16 | last / divisor);
     return (x < 0) ? -(int64_t)quotient : (int64_t)quotient;
 }

@@ -1,4 +1,4 @@
-/* divide.h - 64 bits by 16, without the kilobyte of library and the hundreds of instructions of a general division. */
+/* divide.h - 64 bits by 16, with three divisions of 32 bits instead of the kilobyte of library of a general one. */
 #ifndef SERVO_MATH_DIVIDE_H
 #define SERVO_MATH_DIVIDE_H
 

@@ -103,6 +103,14 @@ static inline frac32_t f32_gain(frac32_t x, gain_t gain)
 }
 
 /* The same for fractions of 15 bits, which may be a little beyond 1; rounded down. */
-static inline int32_t i32_gain(int32_t x, gain_t gain) { return asr32(f32_gain(x * INT32_C(32768), gain), 15); }
+static inline int32_t i32_gain(int32_t x, gain_t gain)
+{
+    const int32_t product =
+        (int32_t)asr64((int64_t)x * gain + INT32_C(256), GAIN_BITS); /* rounded 15 bits farther down */
+    if (product > INT32_C(0xFFFF)) {
+        return INT32_C(0xFFFF);
+    }
+    return (product < -INT32_C(0x10000)) ? -INT32_C(0x10000) : product;
+}
 
 #endif

@@ -78,3 +78,5 @@ frac16_t f16_angle(frac16_t x, frac16_t y)
     }
     return (frac16_t)(uint16_t)((y < 0) ? -angle : angle);
 }
+
+sin_cos_t sin_cos_of(frac16_t angle) { return sin_cos(angle); }

@@ -46,6 +46,9 @@ static inline sin_cos_t sin_cos(frac16_t angle)
     return result;
 }
 
+/* The same as a call, where code counts for more than time. */
+sin_cos_t sin_cos_of(frac16_t angle);
+
 /* Angle of the vector (x, y), 2^16 is a turn; at most 0.25 degrees off. */
 frac16_t f16_angle(frac16_t x, frac16_t y);
 

@@ -57,7 +57,7 @@ void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encode
     mt->speed = mt->edge_speed;
 }
 
-void mt_speed_slow(mt_speed_t *mt, uint32_t age)
+void mt_speed_slow(mt_speed_t *mt, uint32_t age, bool enhanced)
 {
     if (mt->fresh) {
         mt->fresh = false; /* measured within this loop: nothing is stagnant */
@@ -69,7 +69,7 @@ void mt_speed_slow(mt_speed_t *mt, uint32_t age)
         mt->primed = false;
         mt->edge_speed = 0;
         mt->speed = 0;
-    } else if (age > mt->interval) {
+    } else if (enhanced && age > mt->interval) {
         /* F19: had the shaft kept its speed, an edge would have come after M2. */
         mt->speed = stretched(mt->edge_speed, mt->interval, age);
     }

@@ -1,4 +1,4 @@
-/* mt_speed.h - speed by the enhanced M/T method (DRM 2.4.4..2.4.6, E33, F17..F19). */
+/* mt_speed.h - speed by the M/T method, plain or enhanced (DRM 2.4.4..2.4.6, E33, F17..F19). */
 #ifndef SERVO_SENSING_MT_SPEED_H
 #define SERVO_SENSING_MT_SPEED_H
 
@@ -25,7 +25,8 @@ void mt_speed_reset(mt_speed_t *mt);
 void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encoder_config_t *encoder,
                    edge_capture_t capture);
 
-/* Slow loop, before the next edge is armed; `age` is the time since the last latched edge (hal_edge_age). */
-void mt_speed_slow(mt_speed_t *mt, uint32_t age);
+/* Slow loop, before the next edge is armed; `age` is the time since the last latched edge (hal_edge_age). The enhanced
+ * method stretches the interval to it (F19); the plain one keeps its speed until the timer has run out (F18). */
+void mt_speed_slow(mt_speed_t *mt, uint32_t age, bool enhanced);
 
 #endif

@@ -7,6 +7,8 @@
 #include "control/current_loop.h"
 #include "control/path.h"
 #include "control/pll.h"
+#include "diagnosis/heat_monitor.h"
+#include "diagnosis/shaft_monitor.h"
 #include "drive/current_sense.h"
 #include "sensing/emf_check.h"
 #include "sensing/encoder.h"

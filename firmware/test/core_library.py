@@ -16,7 +16,7 @@ from hypothesis import settings
 settings.register_profile("core", derandomize=True, deadline=None, database=None)
 settings.load_profile("core")
 
-ROOMS = ("math", "control", "sensing", "drive", "app", "comm", "config")
+ROOMS = ("math", "control", "sensing", "diagnosis", "drive", "app", "comm", "config")
 
 
 def _files(pattern: str) -> tuple[str, ...]:

@@ -165,7 +165,9 @@ static void shaping(void)
         const uint16_t omega = (uint16_t)(random32() | 1U);
         const int32_t position = (int32_t)random32();
         path_reset(&path, position, (int64_t)(int32_t)random32() * 8, omega);
-        path_retune(&path, i32_add_wrap(position, random16()), omega, (uint16_t)(random32() | 1U));
+        path_retune(&path, i32_add_wrap(position, random16()), (int64_t)(random32() >> 4), omega,
+                    (uint16_t)(random32() | 1U));
+        add(path_stop(&path, (int64_t)(random32() >> 4) + 1));
         add((int32_t)asr64(path.ramp, 16));
         add((int32_t)asr64(path.filter, 16));
         add(path_at_rest(&path, position) ? 1 : 0);
@@ -195,7 +197,8 @@ static void control(void)
         add(out.duty.b);
         add(out.duty.c);
         add((int32_t)out.sector);
-        path_step(&path, (i < 150U) ? INT32_C(900000000) : INT32_C(-1000), INT64_C(3000000000), 1957);
+        path_step(&path, (i < 150U) ? INT32_C(900000000) : INT32_C(-1000), INT64_C(2000000000), INT64_C(10000000),
+                  1957);
         add((int32_t)asr64(path.output, 8));
         add(path_position(&path));
     }
@@ -258,7 +261,7 @@ static void speed(void)
             mt_speed_edge(&mt, &servo_config.axis[0].mt_speed, &servo_config.axis[0].encoder, capture);
             add(mt.speed);
         }
-        mt_speed_slow(&mt, random32() >> 15);
+        mt_speed_slow(&mt, random32() >> 15, true);
         add(mt.speed);
     }
     report("speed");

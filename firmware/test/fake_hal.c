@@ -166,7 +166,11 @@ void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
+void hal_duties_done(hal_t *hal, uint16_t axis) { hal->duties_done[axis]++; }
+
 uint16_t hal_late_loops(hal_t *hal) { return hal->late_loops; }
+
+uint16_t hal_receiver_overruns(hal_t *hal) { return hal->receiver_overruns; }
 
 bool hal_reset_by_watchdog(hal_t *hal) { return hal->reset_by_watchdog; }
 

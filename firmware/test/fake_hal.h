@@ -58,6 +58,8 @@ struct hal {
     bool brake;
     bool reset_by_watchdog;
     uint16_t late_loops;
+    uint16_t receiver_overruns;
+    uint16_t duties_done[HAL_AXES];
     uint32_t watchdog;
     uint8_t serial_in[FAKE_SERIAL];
     uint16_t serial_in_size;

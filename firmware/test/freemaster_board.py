@@ -21,6 +21,7 @@ void harness_poll(harness_t *harness);
 uint16_t harness_take(harness_t *harness, uint8_t data[{LINE}]);
 uint8_t harness_read(harness_t *harness, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data, const uint8_t *mask, uint16_t size);
+void harness_set_refusing(harness_t *harness, bool refusing);
 void harness_memory(const harness_t *harness, uint8_t *data);
 void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
 uint16_t harness_events(harness_t *harness, uint16_t triples[{3 * EVENTS}]);
@@ -87,6 +88,10 @@ class Board:
         """freemaster_write: status."""
         mask_or_null = self._ffi.NULL if mask is None else mask
         return int(self._lib.harness_write(self._harness, address, data, mask_or_null, len(data)))
+
+    def set_refusing(self, refusing: bool) -> None:
+        """Let the application refuse every write."""
+        self._lib.harness_set_refusing(self._harness, refusing)
 
     def memory(self) -> bytes:
         """The application's memory."""

@@ -17,6 +17,8 @@ struct harness {
     freemaster_t server;
     uint8_t *memory; /* exactly the size told to the server, so that a sanitizer sees every byte too far */
     bool held;
+    bool refusing;
+    uint16_t accepted_offset, accepted_size;
     uint16_t violations;
     uint16_t events;
     uint16_t event[3 * HARNESS_EVENTS];
@@ -73,10 +75,27 @@ static void hold(void *context, bool on)
     note(harness, on ? EVENT_HOLD : EVENT_RELEASE, 0, 0);
 }
 
+/* Touches every byte that it is given, so that a sanitizer sees one too many. */
+static bool accepts(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
+{
+    harness_t *harness = context;
+    uint8_t selected = 0;
+    for (uint16_t i = 0; i < size; i++) {
+        const uint8_t select = mask != NULL ? mask[i] : 0xFFu;
+        selected = (uint8_t)(selected | select | (data[i] & select));
+    }
+    if (!harness->held || selected == 0 || offset >= fixture_memory_size || size > fixture_memory_size - offset) {
+        harness->violations++;
+    }
+    harness->accepted_offset = offset;
+    harness->accepted_size = size;
+    return !harness->refusing;
+}
+
 static void written(void *context, uint16_t offset, uint16_t size)
 {
     harness_t *harness = context;
-    if (!harness->held || size == 0 || offset >= fixture_memory_size || size > fixture_memory_size - offset) {
+    if (!harness->held || harness->refusing || offset != harness->accepted_offset || size != harness->accepted_size) {
         harness->violations++;
     }
     note(harness, EVENT_WRITTEN, offset, size);
@@ -117,10 +136,20 @@ harness_t *harness_new(void)
     scramble(harness);
     harness->hal.put_room = HARNESS_LINE;
 
-    const freemaster_app_t app = {harness,        harness->memory, fixture_memory_size,
-                                  &fixture_table, "servo",         "two axes in memory, nothing turns",
-                                  "4.0",          "2026-01-01",    hold,
-                                  written,        command};
+    const freemaster_app_t app = {
+        .context = harness,
+        .memory = harness->memory,
+        .memory_size = fixture_memory_size,
+        .tsa = &fixture_table,
+        .name = "servo",
+        .description = "two axes in memory, nothing turns",
+        .version = "4.0",
+        .build = "2026-01-01",
+        .hold = hold,
+        .accepts = accepts,
+        .written = written,
+        .command = command,
+    };
     memset(&harness->server, 0xEE, sizeof harness->server); /* init must not rely on cleared memory */
     freemaster_init(&harness->server, &app);
     return harness;
@@ -135,6 +164,8 @@ void harness_free(harness_t *harness)
 }
 
 void harness_set_put_room(harness_t *harness, uint16_t bytes) { harness->hal.put_room = bytes; }
+
+void harness_set_refusing(harness_t *harness, bool refusing) { harness->refusing = refusing; }
 
 void harness_feed(harness_t *harness, const uint8_t *data, uint16_t size)
 {

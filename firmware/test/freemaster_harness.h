@@ -38,6 +38,7 @@ uint8_t harness_read(harness_t *harness, uint32_t address, uint8_t *data, uint16
 uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data, const uint8_t *mask, uint16_t size);
 
 /* The application's side. */
+void harness_set_refusing(harness_t *harness, bool refusing); /* every write from now on */
 void harness_memory(const harness_t *harness, uint8_t *data);
 void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
 uint16_t harness_events(harness_t *harness, uint16_t *triples); /* code, offset, size; emptied by the call */

@@ -60,6 +60,7 @@ class EdgeCapture:
 
     speed: float  # counts per second, signed, not 0
     start: float = 0.0  # position at time 0 [counts]
+    stamp: int = 0  # TMRx1 at time 0
 
     def __post_init__(self) -> None:
         self._sign = 1 if self.speed > 0 else -1
@@ -78,7 +79,7 @@ class EdgeCapture:
         while self._time_of(self._next) <= now:
             self._next += self._sign
         wrapped = int(math.fmod(count, COUNTS))  # towards zero, as TMRx0 counts from rest
-        return wrapped & 0xFFFF, math.floor(self._last * TIMER_CLOCK) & 0xFFFF
+        return wrapped & 0xFFFF, (math.floor(self._last * TIMER_CLOCK) + self.stamp) & 0xFFFF
 
     def age(self, now: float) -> int:
         """TMRx3; saturated as hal_edge_age is."""

@@ -22,7 +22,7 @@ OVER_TEMPERATURE, START_UP, SPEED_FEEDBACK, ANGLE_MISMATCH, PHASE_LOST, CURRENT_
     1 << bit for bit in range(13, 21)
 )
 ALL_FAULTS: Final = (1 << 21) - 1
-LIMIT_CURRENT, LIMIT_VOLTAGE, LIMIT_SPEED, LIMIT_SETPOINT, LIMIT_POSITION = (1 << bit for bit in range(5))
+LIMIT_CURRENT, LIMIT_VOLTAGE, LIMIT_SPEED, LIMIT_EXPIRED, LIMIT_POSITION = (1 << bit for bit in range(5))
 LIMIT_SENSORLESS = 1 << 7
 SEED_FEATURES: Final = 0b1111
 """Those of the reference design, which are on after reset."""
@@ -89,6 +89,7 @@ class Bench:
         self.kept: list[Any] = []  # what the firmware has been given pointers to
         core.lib.fake_hal_init(self.hal)
         core.lib.servo_init(self.servo, self.hal)
+        self.servo.parameter.command_timeout = 0  # set-points stand until the next one
         for axis in range(2):
             # No current flows on this board, whatever the voltage: a lost phase, if anybody looked.
             self.servo.parameter.faults_enabled[axis] = ALL_FAULTS & ~PHASE_LOST
@@ -96,7 +97,8 @@ class Bench:
     # ---- time ----------------------------------------------------------------------------------------------------
 
     def slow(self, ticks: int = 1) -> None:
-        """Slow ticks; every one ends just after its snapshot."""
+        """Slow ticks; every one ends just after its snapshot. Parameters that a test has put into memory are taken."""
+        self.servo.marks.parameters = True
         for _ in range(ticks):
             self.ticks += 1
             for i in range(2):
@@ -210,9 +212,17 @@ class Bench:
         words[axis] |= features
         self.write_raw("param.features", words)
 
-    def frame_arrives(self) -> None:
-        """A valid request of a host: read the catalogue hash (0x21 READMEM)."""
-        body = bytes([0x21, 3, 0x80, 0x20, 4])
+    def keep_alive(self) -> None:
+        """The host says that it is there: application command KEEP_ALIVE (0x30 SENDAPPCMD, 0x31 GETAPPCMDSTS)."""
+        for body in (bytes([0x30, 1, self.catalogue.bits["command"]["KEEP_ALIVE"]]), bytes([0x31, 0])):
+            self._frame_arrives(body)
+            self.core.lib.servo_background(self.servo)
+
+    def read_arrives(self) -> None:
+        """A client reads the catalogue hash (0x21 READMEM)."""
+        self._frame_arrives(bytes([0x21, 3, 0x80, 0x20, 4]))
+
+    def _frame_arrives(self, body: bytes) -> None:
         crc = 0
         for byte in body:
             crc = self.core.lib.crc8_add(crc, byte)

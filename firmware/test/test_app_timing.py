@@ -20,32 +20,43 @@ def parts(calls: list[tuple[str, int, int]]) -> list[tuple[str, int]]:
     return [(names[name], axis) for name, axis, _ in calls if name in names]
 
 
-def test_m1_runs_the_slow_loop_of_motor_2_then_the_fast_loop_of_motor_1(bench: Bench, core: Core) -> None:
+def test_m1_runs_the_fast_loop_of_motor_1_then_the_slow_loop_of_motor_2(bench: Bench, core: Core) -> None:
     bench.to_spin(M1, M2)
     core.lib.probe_run(bench.servo, 7)
     bench.log()
     core.lib.servo_m1_isr(bench.servo)
-    assert parts(bench.calls()) == [("slow", M2), ("offsets", M2), ("fast", M1)]
+    assert parts(bench.calls()) == [("fast", M1), ("slow", M2)]
 
 
-def test_m2_runs_the_slow_loop_of_motor_1_then_the_fast_loop_of_motor_2(bench: Bench, core: Core) -> None:
+def test_m2_runs_the_fast_loop_of_motor_2_then_the_slow_loop_of_motor_1(bench: Bench, core: Core) -> None:
     bench.to_spin(M1, M2)
     core.lib.probe_run(bench.servo, 7)
     core.lib.servo_m1_isr(bench.servo)
     bench.log()
     core.lib.servo_m2_isr(bench.servo)
-    assert parts(bench.calls()) == [("slow", M1), ("offsets", M1), ("fast", M2), ("watchdog", 0xFFFF)]
+    assert parts(bench.calls()) == [("fast", M2), ("slow", M1)]
 
 
-def test_six_of_eight_periods_are_fast_only(bench: Bench, core: Core) -> None:
-    """Half a slow tick after the slow loops, the axes are watched: each in the other one's interrupt."""
+def test_other_slots_run_behind_the_fast_loops_too(bench: Bench, core: Core) -> None:
+    """A quarter of a slow tick after the slow loops the axes are estimated, after half of it they are watched.
+
+    Each in the other one's interrupt, where its offsets have just been sampled.
+    """
     bench.to_spin(M1, M2)
     for period in range(1, 8):
         bench.log()
         core.lib.servo_m1_isr(bench.servo)
         core.lib.servo_m2_isr(bench.servo)
-        watched = [[("offsets", M2)], [("offsets", M1)]] if period == 4 else [[], []]
-        assert parts(bench.calls()) == [*watched[0], ("fast", M1), *watched[1], ("fast", M2)]
+        looked = [[("offsets", M2)], [("offsets", M1)]] if period in (2, 4) else [[], []]
+        served = [("watchdog", 0xFFFF)] if period == 6 else []
+        assert parts(bench.calls()) == [("fast", M1), *looked[0], ("fast", M2), *looked[1], *served]
+
+
+def test_a_fast_loop_says_when_its_duties_are_written(bench: Bench, core: Core) -> None:
+    bench.to_spin(M1, M2)
+    before = list(bench.hal.duties_done)
+    core.lib.probe_run(bench.servo, 5)
+    assert [now - then for now, then in zip(bench.hal.duties_done, before, strict=True)] == [5, 5]
 
 
 def test_captured_edge_is_read_before_the_next_is_armed(bench: Bench, core: Core) -> None:

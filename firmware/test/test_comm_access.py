@@ -163,6 +163,21 @@ def test_a_mask_of_zeros_writes_nothing(servo: Board) -> None:
     assert servo.events() == []
 
 
+@pytest.mark.parametrize("mask", [None, b"\x00\xff" + b"\x00" * 6])
+def test_what_the_application_does_not_take_changes_nothing(servo: Board, mask: bytes | None) -> None:
+    before = servo.memory()
+    servo.set_refusing(True)
+    assert servo.ask(WRITE, write(0x58, b"\x11" * 8, mask)) == Answer(0x97)
+    assert servo.write(SERVO.variables + 0x58, b"\x11" * 8, mask) == 0x97
+    assert servo.memory() == before
+    assert servo.events() == [("hold", 0, 0), ("release", 0, 0)] * 2
+    assert servo.ask(WRITE, write(0x58, b"\x11" * 8, bytes(8))) == Answer(0), "nothing to be asked for"
+    assert servo.ask(WRITE, write(0x2A, b"\x11")) == DENIED, "the table comes first"
+    assert servo.events() == []
+    servo.set_refusing(False)
+    assert servo.ask(WRITE, write(0x58, b"\x11" * 8, mask)) == Answer(0)
+
+
 def test_other_flags_of_a_write_are_ignored(servo: Board) -> None:
     assert servo.ask(WRITE, b"\xfe" + write(0x20, b"\x01\x02")[1:]) == Answer(0)
     assert servo.memory()[0x20:0x22] == b"\x01\x02"

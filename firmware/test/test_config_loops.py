@@ -157,7 +157,7 @@ def test_edge_delay_is_that_of_the_firmware(core: Core, speed: float) -> None:
             capture = ((2 * (first + 1)) % 4000, int(last * TIMER_CLOCK) & 0xFFFF)
             core.lib.mt_speed_edge(mt, address(config.mt_speed), address(config.encoder), capture)
         age = 0x10000 if last < 0.0 else int(now * TIMER_CLOCK) - int(last * TIMER_CLOCK)
-        core.lib.mt_speed_slow(mt, age)
+        core.lib.mt_speed_slow(mt, age, True)
         speeds[k] = mt.speed / 2**31 * 5000.0 * math.pi / 30.0
     whole = slice(ticks.size - round(50 / frequency / TICK), None)
     kernel = np.exp(-1j * omega * ticks[whole])

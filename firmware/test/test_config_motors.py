@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from tuning.braking import brake_constants
 from tuning.command import main
 from tuning.configuration import Configuration
-from tuning.constants import host_timeout
+from tuning.constants import time_outs
 from tuning.conversion import AxisConstants, Category, FaultSet, PiRaw, Switches
 from tuning.errors import ConfigError
 from tuning.linear import spectral_radius
@@ -56,6 +56,7 @@ def with_motor(motor: Mapping[str, float], axis: str = "axis1") -> dict[str, Any
     changes[f"{axis}__motor__rotor_inertia"] = 0.3 * motor["motor__inertia"]
     changes[f"{axis}__friction__coulomb"] = 0.05 * push
     changes[f"{axis}__limits__over_speed"] = 1.2 * motor["limits__speed"]
+    changes[f"{axis}__rotor_search__current"] = motor["limits__current"]
     return table(**changes)
 
 
@@ -125,7 +126,8 @@ def test_constants_of_any_motor_fit_their_types(core: Core, motor: dict[str, flo
     for place, it in zip(config.axis, axes, strict=True):
         fill(place, it.constants)
     fill(config.brake, brake_constants(configuration))
-    config.host_timeout = host_timeout(configuration.board)
+    for name, ticks in time_outs(configuration.board).items():
+        setattr(config, name, ticks)
     it = axes[0]
     assert max(spectral_radius(it.current_loop(which).closed.a) for which in "dq") < 1.0
     assert spectral_radius(it.shaft().speed_alone) < 1.0
@@ -229,7 +231,7 @@ def test_absurd_numbers_never_break_it(core: Core, exponents: dict[str, float]) 
     config = core.ffi.new("servo_config_t *")
     for target, it in zip(config.axis, axes, strict=True):
         fill(target, it.constants)
-    assert c_source([it.constants for it in axes], brake_constants(configuration), host_timeout(configuration.board))
+    assert c_source([it.constants for it in axes], brake_constants(configuration), time_outs(configuration.board))
 
 
 def test_the_folder_of_the_tool_is_not_compiled() -> None:

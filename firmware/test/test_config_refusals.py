@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from tuning.braking import brake_constants
-from tuning.constants import host_timeout
+from tuning.constants import time_outs
 from tuning.errors import ConfigError
 from tuning.reading import parse
 from tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
@@ -21,7 +21,7 @@ def compute(**changes: object) -> str:
     """The C text, as far as the configuration lets it come."""
     whole = configuration(**changes)
     axes = [tuned(axis, whole).constants for axis in whole.axes]
-    return c_source(axes, brake_constants(whole), host_timeout(whole.board))
+    return c_source(axes, brake_constants(whole), time_outs(whole.board))
 
 
 def test_the_committed_configuration_is_accepted() -> None:
@@ -162,7 +162,19 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     # limits beyond the contract and its full scales
     ("current over the full scale", {"axis1__limits__current": 9.0}, "axis1.limits.current = 9", "0.1 .. 4 A"),
     ("current over the contract", {"axis1__limits__current": 4.5}, "axis1.limits.current = 4.5", "param.i_q_limit"),
-    ("search current", {"axis1__rotor_search__current": 4.5}, "axis1.rotor_search.current = 4.5", "4 A"),
+    ("search current", {"axis1__rotor_search__current": 4.5}, "axis1.rotor_search.current = 4.5", "write 4 A or less"),
+    (
+        "search current of another motor",
+        {"axis1__limits__current": 1.0},
+        "axis1.rotor_search.current (in [defaults.rotor_search]) = 4",
+        "more than the motor may carry, 1 A (limits.current); write 1 A or less",
+    ),
+    (
+        "start-up current",
+        {"axis1__start_up__current_final": 0.9},
+        "axis1.start_up.swing_current (in [defaults.start_up]) = 0.5",
+        "4.02 A, more than limits.current",
+    ),
     ("speed over the full scale", {"axis1__limits__speed": 600.0}, "axis1.limits.speed = 600", "0.1 .. 419 rad/s"),
     ("acceleration", {"axis1__limits__acceleration": 6e4}, "axis1.limits.acceleration = 60000", "50000"),
     ("position", {"axis1__limits__position": 2e6}, "axis1.limits.position = 2e+06", "param.position_max"),
@@ -296,6 +308,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("long time", {"axis1__timing__stall_most": 40.0}, "axis1.timing.stall_most = 40", "0.0005 .. 32.767"),
     ("no time", {"axis1__timing__settle": 1e-4}, "axis1.timing.settle = 0.0001", "vanish"),
     ("host time-out", {"board__host_timeout": 60.0}, "board.host_timeout = 60", "0.05 .. 30 s"),
+    ("command time-out", {"board__command_timeout": 60.0}, "board.command_timeout = 60", "0 .. 30 s"),
     # the bus, its resistor, ways to stop
     ("early folding", {"board__regeneration__start_voltage": 23.0}, "board.regeneration.start_voltage = 23", "24"),
     ("folding upside down", {"board__regeneration__full_voltage": 28.0}, "board.regeneration.full_voltage = 28", "29"),
@@ -307,7 +320,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("small resistor", FITTED | {"board__brake__energy": 0.9}, "board.brake.energy = 0.9", "0.986 J"),
     ("mighty resistor", FITTED | {"board__brake__power": 200.0}, "board.brake.power = 200", "167 W"),
     ("blind short", {"axis1__stop__short_current": 9.0}, "axis1.stop.short_current = 9", "8.25 A"),
-    ("hasty stop", {"axis1__stop__time_most": 0.5}, "axis1.stop.time_most = 0.5", "0.814 s"),
+    ("hasty stop", {"axis1__stop__time_most": 0.5}, "axis1.stop.time_most = 0.5", "0.579 s"),
     # loops that sampling makes unstable
     (
         "unstable current loop",

@@ -95,7 +95,7 @@ def test_start_up(constants: dict[str, Any]) -> None:
     assert constants["startup.speed_step"] / 2.0**31 * W_FS == pytest.approx(78.5 / ramp * 0.5e-3, rel=1e-5)
     assert constants["startup.duration_ticks"] * 0.5e-3 == pytest.approx(ramp + 1.25, abs=0.5e-3)
     assert constants["startup.minimum_speed"] / 2.0**31 * W_FS == pytest.approx(12.56, rel=1e-6)
-    assert constants["startup.mean_least"] / 2.0**14 == pytest.approx(0.8, abs=1e-4)
+    assert constants["startup.mean_min"] / 2.0**14 == pytest.approx(0.8, abs=1e-4)
     damping = 2.0 * 0.7 * swing * inertia / (P * k_t * PSI)
     assert constants["startup.damping"] / 2.0**24 * I_FS / U_FS == pytest.approx(damping, rel=1e-6)
 
@@ -234,7 +234,7 @@ def test_a_winding_whose_warmth_hides_the_back_emf_is_found() -> None:
     assert len(found) == 1
     assert "axis1.motor.r_s = 2.2" in found[0]
     assert "below 71.4 rad/s" in found[0]
-    cured = axis(axis1__motor__r_s=2.2, axis1__limits__current=3.0)
+    cured = axis(axis1__motor__r_s=2.2, axis1__limits__current=3.0, axis1__rotor_search__current=3.0)
     assert not any("hides the back-EMF" in finding for finding in findings(cured, assess(cured)))
 
 

@@ -72,7 +72,7 @@ def test_broken_toml_and_missing_file(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_an_axis_may_override_the_defaults(tmp_path: Path) -> None:
-    config = written(tmp_path, r"\Z", "\n[axis2.limits]\ncurrent = 2.0\n")
+    config = written(tmp_path, r"\Z", "\n[axis2.limits]\ncurrent = 2.0\n[axis2.rotor_search]\ncurrent = 2.0\n")
     assert generate(config) == 0
     limits = re.findall(r"\.i_q_limit = (\d+),", config.with_suffix(".c").read_text(encoding="utf-8"))
     assert [int(x) for x in limits] == [round(4.0 / 8.25 * 2**15), round(2.0 / 8.25 * 2**15)]
@@ -213,8 +213,8 @@ def test_gains_follow_from_bandwidth_and_motor(axes: Any) -> None:
 
 def test_limits_and_sensing(axes: Any) -> None:
     axis = axes[0]
-    assert axis.u_dc_most / Q15 * 36.3 == pytest.approx(33.0, abs=1e-3)
-    assert axis.u_dc_least / Q15 * 36.3 == pytest.approx(16.0, abs=1e-3)
+    assert axis.u_dc_max / Q15 * 36.3 == pytest.approx(33.0, abs=1e-3)
+    assert axis.u_dc_min / Q15 * 36.3 == pytest.approx(16.0, abs=1e-3)
     assert axis.i_q_limit / Q15 * I_FS == pytest.approx(4.0, abs=1e-3)
     assert axis.speed_limit / Q31 * W_FS == pytest.approx(314.0, rel=1e-8)
     assert (axis.encoder.counts, axis.encoder.pole_pairs) == (4000, 2)

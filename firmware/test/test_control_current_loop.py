@@ -261,7 +261,10 @@ class Model:
         d, q = (clip16(nearest(sum_, 2**40)) for sum_ in sums)
         limited = d * d + q * q > limit * limit
         if limited:
-            d = self._limited(0, sums[0], limit)
+            if abs(d) <= limit:
+                self.excess[0] = 0
+            else:
+                d = self._limited(0, sums[0], limit)
             q = self._limited(1, sums[1], math.isqrt(limit**2 - d**2))
         else:
             self.excess = [0, 0]

@@ -35,7 +35,9 @@ def test_state_machine_tests_pass_with_sanitizers() -> None:
     ).stdout.strip()
     folder = Path(__file__).parent
     tests = sorted(
-        str(path) for room in ("control", "sensing", "drive", "app") for path in folder.glob(f"test_{room}_*.py")
+        str(path)
+        for room in ("control", "sensing", "diagnosis", "drive", "app")
+        for path in folder.glob(f"test_{room}_*.py")
     )
     tests.remove(str(folder / "test_sensing_rotor_search.py"))  # spends its time in the shaft model
     environment = {

@@ -103,7 +103,7 @@ def test_a_cool_resistor_stays_cool(core: Core) -> None:
 def test_braking_current_is_folded_back(core: Core, u_dc: float, part: float) -> None:
     resistor = Resistor(core, fitted=False)
     resistor.step(u_dc, 2)
-    assert resistor.brake.bearable / 2**15 == pytest.approx(part, abs=1e-3)
+    assert resistor.brake.regen_derating / 2**15 == pytest.approx(part, abs=1e-3)
 
 
 def test_a_rising_bus_folds_back_earlier_and_a_falling_one_not_later(core: Core) -> None:
@@ -111,9 +111,9 @@ def test_a_rising_bus_folds_back_earlier_and_a_falling_one_not_later(core: Core)
     resistor = Resistor(core, fitted=False)
     resistor.step(28.0, 2)
     resistor.step(28.5)
-    assert resistor.brake.bearable / 2**15 == pytest.approx(0.5, abs=2e-3)  # as at 30.5 V
+    assert resistor.brake.regen_derating / 2**15 == pytest.approx(0.5, abs=2e-3)  # as at 30.5 V
     resistor.step(28.0)
-    assert resistor.brake.bearable == 2**15 - 1
+    assert resistor.brake.regen_derating == 2**15 - 1
 
 
 @settings(deadline=None, derandomize=True, max_examples=50)
@@ -125,4 +125,4 @@ def test_never_on_below_or_spent_and_never_out_of_range(core: Core, course: list
         brake = resistor.brake
         assert not (brake.on and (brake.spent or u_dc < 26.9))
         assert brake.heat >= 0
-        assert 0 <= brake.bearable <= 2**15 - 1
+        assert 0 <= brake.regen_derating <= 2**15 - 1

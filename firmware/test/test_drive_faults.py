@@ -307,7 +307,7 @@ def test_voltage_limits(bench: Bench, volts: float, state: int) -> None:
 def test_captured_fault_always_reaches_the_state_machine(bench: Bench) -> None:
     """Even if the flag that announces it were lost to an interrupt."""
     bench.to_spin(0)
-    bench.axis(0).faults = OVER_CURRENT
+    bench.axis(0).latch.captured = OVER_CURRENT
     bench.slow()
     assert bench.view(0).state == FAULT
 
@@ -322,17 +322,17 @@ def test_board_without_a_host_is_not_supervised(bench: Bench) -> None:
 
 
 def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
-    bench.frame_arrives()
+    bench.keep_alive()
     bench.set_parameter("host_timeout", 0.1)
     bench.to_stop()
     for axis in range(2):
         bench.write(axis, enable=1)
     for _ in range(30):
-        bench.frame_arrives()
+        bench.keep_alive()
         bench.slow(30)
     assert [s[:2] for s in bench.states()] == [(RUN, SPIN)] * 2
     bench.let_turn(0, 50.0)
-    bench.frame_arrives()
+    bench.keep_alive()
     bench.slow(190)
     assert bench.view(0).substate == SPIN, "not before the time-out"
     bench.slow(13)
@@ -346,30 +346,30 @@ def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
 
 
 def test_returning_host_must_clear_and_enable(bench: Bench) -> None:
-    bench.frame_arrives()
+    bench.keep_alive()
     bench.to_spin(0)
     bench.slow(1500)
     assert bench.view(0).faults == HOST_SILENT
-    bench.frame_arrives()
+    bench.keep_alive()
     bench.slow(100)
     assert bench.view(0).state == FAULT
     bench.clear(0)
     bench.slow(100)
     assert bench.view(0).state == STOP
-    bench.frame_arrives()
+    bench.keep_alive()
     bench.write(0, enable=1)
     for _ in range(40):
-        bench.frame_arrives()
+        bench.keep_alive()
         bench.slow(30)
     assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
 
 
 def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -> None:
-    bench.frame_arrives()
+    bench.keep_alive()
     bench.to_spin(0)
     bench.let_turn(0, 100.0)
     bench.until(lambda: not bench.axis(0).requested, 1100)
-    bench.frame_arrives()
+    bench.keep_alive()
     bench.write(0, enable=1)
     bench.slow(10)
     assert not bench.axis(0).requested
@@ -377,21 +377,26 @@ def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -
     bench.until(lambda: bench.view(0).state == FAULT, 1200)
 
 
-def test_time_out_of_zero_is_clipped(bench: Bench) -> None:
-    bench.frame_arrives()
-    bench.slow()
-    bench.write_raw("param.host_timeout", [0])
+def test_client_that_only_reads_is_no_host(bench: Bench) -> None:
+    """It goes on reading after the commander has gone."""
+    bench.keep_alive()
+    bench.set_parameter("host_timeout", 0.1)
     bench.to_stop()
-    bench.frame_arrives()
+    bench.keep_alive()
     bench.write(0, enable=1)
-    bench.slow(60)
-    assert bench.view(0).state == RUN
-    bench.until(lambda: bench.view(0).faults == HOST_SILENT, 200)
+    bench.slow(100)
+    for _ in range(10):
+        assert bench.view(0).faults == 0
+        bench.read_arrives()
+        bench.slow(10)
+    bench.read_arrives()
+    bench.slow(5)
+    assert bench.view(0).faults == HOST_SILENT
 
 
 def test_silence_of_set_points_is_no_silence_of_the_host(bench: Bench) -> None:
     bench.to_spin(0)
     for _ in range(100):
-        bench.frame_arrives()
+        bench.keep_alive()
         bench.slow(30)
     assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)

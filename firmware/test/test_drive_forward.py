@@ -93,6 +93,8 @@ def currents(core: Core, features: int, ticks: int, **commands: int) -> tuple[Be
     bench.to_spin(0)
     bench.slow(2)
     bench.switch_on(0, features)
+    if "position" in commands:
+        bench.set_parameter("acceleration_limit", 50_000.0)  # the filter of the path is the slower one
     bench.slow()
     bench.write(0, **commands)
     return bench, [bench.view(0).i_q_ref / amps(1.0) for _ in range(ticks) if bench.follow(1)]

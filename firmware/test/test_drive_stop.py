@@ -155,13 +155,6 @@ def test_a_stop_that_does_not_come_to_rest_ends_all_the_same(turning: Bench) -> 
     assert ticks == pytest.approx(10_000, abs=3)
 
 
-def test_a_category_that_there_is_none_of_changes_nothing(turning: Bench) -> None:
-    turning.write_raw("param.on_disable", [4, 65535])
-    turning.write(0, enable=0)
-    turning.slow(3)
-    assert place(turning) == (RUN, SPIN), "the ramp is what the configuration has"
-
-
 def test_switched_on_again_while_the_windings_are_shorted(turning: Bench) -> None:
     withdraw(turning, SHORT)
     turning.write(0, enable=1)
@@ -174,8 +167,11 @@ def test_switched_on_again_while_the_windings_are_shorted(turning: Bench) -> Non
 # ---- faults ---------------------------------------------------------------------------------------------------------
 
 
-def fail(bench: Bench, fault: int = FAULT_FOLLOWING_ERROR) -> None:
-    bench.core.lib.axis_raise(bench.core.ffi.addressof(bench.axis(0)), fault)
+def fail(bench: Bench, *findings: str) -> None:
+    """Findings, OFF_PATH if nothing else is said: that is a following error."""
+    lib = bench.core.lib
+    found = sum(1 << int(getattr(lib, f"FINDING_{name}")) for name in findings or ("OFF_PATH",))
+    lib.axis_raise(bench.core.ffi.addressof(bench.axis(0)), found)
     bench.slow()
 
 
@@ -222,7 +218,7 @@ def test_a_worse_fault_does_not_wait(turning: Bench) -> None:
 
 def test_two_faults_at_once_take_the_harsher_way(turning: Bench) -> None:
     configure(turning, ramp=FAULT_FOLLOWING_ERROR)
-    fail(turning, FAULT_FOLLOWING_ERROR | OVER_VOLTAGE)
+    fail(turning, "OFF_PATH", "OVER_VOLTAGE")
     assert turning.view(0).state == FAULT
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import pytest
 from core_library import Core
 from servo_bench import (
     CALIB,
+    COUNT,
     FAULT,
     FAULT_FOLLOWING_ERROR,
     FAULT_OVER_SPEED,
     FOLLOWING_ERROR,
     FREEWHEEL,
     OVER_SPEED,
+    PERIODS,
     POSITION,
     READY,
     RUN,
@@ -21,6 +26,7 @@ from servo_bench import (
     SPIN,
     STALLED,
     STOP,
+    TICK,
     TORQUE,
     Bench,
     amps,
@@ -145,17 +151,31 @@ def test_lower_speed_limit_brakes_and_is_no_runaway(bench: Bench, mode: int) -> 
 
 
 @pytest.mark.parametrize("stop", [{"quick_stop": 1}, {"enable": 0}])
-def test_gentle_ramps_do_not_make_stops_slow(bench: Bench, stop: dict[str, int]) -> None:
-    """A host that wants 1 rad/s2 for its starts still gets a stop within a stated time (1000 rad/s2)."""
+def test_stops_obey_the_acceleration_limit(bench: Bench, stop: dict[str, int]) -> None:
+    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.follow(300)
+    bench.set_parameter("acceleration_limit", 100.0)
+    bench.write(0, **stop)
+    bench.follow(1)
+    references = []
+    for _ in range(1000):
+        bench.follow(1)
+        references.append(rad_s(bench.view(0).speed_ref))
+    steps = [a - b for a, b in itertools.pairwise(references)]
+    assert max(steps) == pytest.approx(100.0 * 0.5e-3, rel=1e-3)
+    assert references[0] - references[-1] == pytest.approx(50.0, abs=0.5)
+
+
+def test_stop_of_a_withdrawn_drive_ends_in_time_however_gentle_it_is(bench: Bench) -> None:
+    """At 1 rad/s2 it would take minutes: after stop.time_most, 5 s, the outputs go off."""
     bench.write(0, mode=SPEED, speed=speed(200.0))
     bench.follow(300)
     bench.set_parameter("acceleration_limit", 1.0)
-    bench.write(0, **stop)
-    bench.follow(1)
-    before = rad_s(bench.view(0).speed_ref)
-    assert before > 190.0
-    bench.follow(int(before / 1000.0 / 0.5e-3) + 10)
-    assert abs(rad_s(bench.view(0).speed_ref)) < 1.0
+    bench.write(0, enable=0)
+    bench.follow(9990)
+    assert bench.hal.axis[0].outputs_on
+    bench.follow(20)
+    assert not bench.hal.axis[0].outputs_on
 
 
 def test_steep_ramps_hold_for_stops(bench: Bench) -> None:
@@ -282,6 +302,21 @@ def test_enhanced_m_t_can_be_switched_off(core: Core) -> None:
         assert bench.view(0).speed == 0
     assert stopped[0] < 10.0
     assert stopped[1] == pytest.approx(60.0, rel=0.1)
+
+
+@pytest.mark.parametrize("off", [0, ENHANCED_MT])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_edge_just_after_the_timer_wrapped_is_no_fast_one(core: Core, off: int, sign: int) -> None:
+    """An edge every 168 slow ticks, 65625 of the timer: their difference in 16 bits is 89, which is 14 rad/s."""
+    bench = Bench(core)
+    bench.to_spin(0)
+    switch_off(bench, off)
+    bench.let_turn(0, sign * COUNT / (168 * TICK))
+    speeds = set()
+    for _ in range(4 * 168):
+        bench.slow()
+        speeds.add(bench.view(0).speed)
+    assert speeds == {0}
 
 
 def test_bus_compensation_can_be_switched_off(core: Core) -> None:
@@ -421,3 +456,24 @@ def test_single_wrong_sample_is_no_over_speed(bench: Bench) -> None:
         bench.slow(2)
         bench.turn(0, 150.0)
     assert bench.view(0).state == RUN
+
+
+# ---- currents that the drive asks for by itself ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("i_q", [4.0, -4.0, 3.9, 0.0])
+@pytest.mark.parametrize("along_q", [True, False])
+def test_a_current_that_tests_the_encoder_stays_within_the_limit_of_the_motor(
+    bench: Bench, i_q: float, along_q: bool
+) -> None:
+    """On top of the set-point: 0.64 A of either sign, or across it."""
+    bench.let_turn(0, 0.0)
+    bench.write(0, mode=TORQUE, i_q=amps(i_q))
+    bench.slow(2)
+    axis = bench.axis(0)
+    monitor, before = axis.diagnosis.encoder, axis.current_ref.q
+    monitor.testing, monitor.along_q, monitor.back = 1, along_q, along_q and before > 0
+    bench.core.lib.probe_run(bench.servo, PERIODS)
+    asked = axis.current_ref.q - before if along_q else axis.current_ref.d
+    assert abs(asked) == pytest.approx(amps(0.64), abs=4)
+    assert math.hypot(axis.current_ref.d, axis.current_ref.q) <= amps(4.0) + 1

@@ -55,6 +55,8 @@ def test_memory() -> None:
         end = origin + length
     assert end == 0x20000
     assert regions()["x_ram"] == ("RW", 0, 0x4000)
+    assert regions()["x_image"] == ("RX", 0, 0x4000)
+    assert regions()["ram_code"] == ("RX", 0x60000, 0x4000)
     assert regions()["p_vectors"][2] == 2 * len(table())
     assert regions()["p_flash_config"][1:] == (0x200, 8)
 
@@ -62,7 +64,7 @@ def test_memory() -> None:
 def test_flash_configuration_leaves_the_chip_open() -> None:
     """Security byte 7E in the low half of word 206h; every protection byte FF."""
     text = (PORT / "mc56f84789.cmd").read_text(encoding="ascii")
-    words = [int(value, 16) for value in re.findall(r"WRITEH\((\w+)\);", text)]
+    words = [int(value, 16) for value in re.findall(r"WRITEH\((\w+)\);", text.split("> .p_flash_config")[0])]
     assert words == [0xFFFF] * 6 + [0x3F7E, 0xFFFF]
 
 

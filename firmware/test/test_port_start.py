@@ -112,7 +112,7 @@ def test_interrupt_levels(board: FakeBoard) -> None:
         for v in range(18, 110)
         if board[0xE300 + (v - 9) // 8] >> 2 * ((v - 9) % 8) & 3
     }
-    assert codes == {77: 3, 63: 3, 85: 2, 30: 2, 87: 2, 28: 1, 24: 1, 52: 1}
+    assert codes == {77: 3, 63: 3, 85: 2, 30: 2, 87: 2, 28: 1, 24: 1, 52: 3}
     assert board[0xE302] >> 10 & 3 == 2  # where the manual has ADC_CC0
     assert board[0xE309] >> 8 & 3 == 2  # and PWMA_CMP1
 
@@ -121,7 +121,7 @@ def test_clock_serial_watchdog(board: FakeBoard) -> None:
     assert (board[0xE2B0], board[0xE2B1]) == (0x0085, 0x2031)
     assert board[0xE2B4] & 0x97FF == 0x0155  # trimmed, internal oscillator on, crystal
     assert board[0xE2B5] & 0x7C00 == 0x2800
-    assert [board[0xE080 + n] for n in range(3)] == [0x01B2, 0x002C, 0x0020]
+    assert [board[0xE080 + n] for n in range(3)] == [0x01B2, 0x002C, 0x00A0]
     assert (board[0xE321], board[0xE320]) == (0x0186, 0x0303)
 
 

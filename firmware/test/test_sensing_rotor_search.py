@@ -525,6 +525,22 @@ def test_bounds_follow_the_shaft(core: Core) -> None:
     assert s.reach == 16384
 
 
+@pytest.mark.parametrize("moving", [1, 2, 5])
+def test_brake_lasts_four_times_as_long_as_the_shaft_has_moved(core: Core, moving: int) -> None:
+    """From the first count on; a shaft that goes on all the while is let go then."""
+    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+    s = core.ffi.new("rotor_search_t *")
+    core.lib.rotor_search_start(s, 0)
+    for position in [0] * 100 + [-1] * (moving - 1) + [-3]:
+        core.lib.rotor_search_step(s, config, position)
+    assert (s.phase, s.moving) == (BRAKE, moving)
+    ticks = 0
+    while s.phase == BRAKE:
+        ticks += 1
+        core.lib.rotor_search_step(s, config, -3 - ticks)
+    assert ticks == 4 * moving
+
+
 def wrapped(angle: int) -> int:
     """An angle, 2^16 a turn, within half a turn."""
     return (angle + 32768) % 65536 - 32768

@@ -1,7 +1,8 @@
-"""Speed by the enhanced M/T method (DRM 2.4.4..2.4.6)."""
+"""Speed by the M/T method, plain and enhanced (DRM 2.4.4..2.4.6)."""
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from typing import Any
 
@@ -21,7 +22,8 @@ RPM_PER_RATIO = Fraction(781250 * 60, COUNTS)  # one count per timer tick
 class Speed:
     """The C module; speeds in rpm."""
 
-    def __init__(self, core: Core) -> None:
+    def __init__(self, core: Core, enhanced: bool = True) -> None:
+        self._enhanced = enhanced
         self._core, self._config = core, core.lib.probe_config().axis[0]
         self.mt_config: Any = core.ffi.new("mt_speed_config_t *", self._config.mt_speed)
         self.c: Any = core.ffi.new("mt_speed_t *")
@@ -36,7 +38,7 @@ class Speed:
         return self.rpm
 
     def slow(self, age: int) -> float:
-        self._core.lib.mt_speed_slow(self.c, age)
+        self._core.lib.mt_speed_slow(self.c, age, self._enhanced)
         return self.rpm
 
     @property
@@ -107,6 +109,18 @@ def test_f19_over_the_whole_range(core: Core, edge_speed: int, interval: int, ag
         assert speed.c.primed
     else:
         assert speed.c.speed == before
+
+
+@given(edge_speed=I32, interval=edges(1, 65535), age=edges(0, AGE_OVERFLOW + 1), before=I32)
+def test_the_plain_method_keeps_its_speed_until_the_timer_overflows(
+    core: Core, edge_speed: int, interval: int, age: int, before: int
+) -> None:
+    """F18; but it knows the age of its edge, as the next one has to be told from one after a wrap."""
+    speed = Speed(core, enhanced=False)
+    speed.c.edge_speed, speed.c.interval, speed.c.speed, speed.c.primed = edge_speed, interval, before, True
+    speed.slow(age)
+    overflow = age >= AGE_OVERFLOW
+    assert (speed.c.waited, speed.c.primed, speed.c.speed) == (age, not overflow, 0 if overflow else before)
 
 
 @given(waited=edges(0, 65535), interval=edges(0, 65535), primed=st.booleans(), old=I32)
@@ -250,6 +264,46 @@ def test_creeping_never_spikes(core: Core, rpm: float) -> None:
     speeds = Speed(core).run(shaft, 4000)
     assert max(speeds) <= rpm * 1.01
     assert min(speeds) >= 0.0
+
+
+TICKS_PER_SLOW = SLOW * TIMER_CLOCK
+APART = sorted(
+    {
+        *(2.0 * TICKS_PER_SLOW * 10.0 ** (decade / 10.0) for decade in range(-12, 28)),  # 3800 rpm down to 0.06 rpm
+        *(TICKS_PER_SLOW * share for share in (0.49, 0.5, 0.99, 1.0, 1.01)),
+        *(65536.0 + ticks for ticks in (-500.0, -2.0, -0.7, 0.3, 1.0, 64.3, 114.6, 200.0, 390.0, 782.0, 65600.0)),
+    }
+)
+"""Timer ticks between two B edges."""
+
+
+@pytest.mark.parametrize("apart", APART)
+@pytest.mark.parametrize("enhanced", [False, True])
+def test_no_speed_is_above_the_true_one_by_more_than_a_tick_of_the_interval(
+    core: Core, apart: float, enhanced: bool
+) -> None:
+    """E33 gives c K / M2 for c counts in a true interval of T ticks, and the true speed is c K / T.
+
+    Both time stamps are cut off to whole ticks, so M2 > T - 1: the result is less than (M2 + 1) / M2 of the true
+    speed. The division rounds towards zero and F19 only takes away, so this holds for both methods. From below it is
+    (M2 - 1) / M2, and one tick more for F19, once two edges have come within the 65536 ticks of the timer. Otherwise
+    it is 0.
+    """
+    true = float(2.0 * RPM_PER_RATIO / Fraction(apart))
+    to_settle = math.ceil(3.0 * apart / TICKS_PER_SLOW) + 3
+    for phase in range(8):
+        for sign in (1, -1):
+            start, stamp = sign * 2.0 * phase / 8.0 + 0.01, 8191 * phase
+            shaft = EdgeCapture(sign * 2.0 / apart * TIMER_CLOCK, start, stamp)
+            speed = Speed(core, enhanced)
+            for k in range(1, to_settle + math.ceil(2.0 * apart / TICKS_PER_SLOW) + 40):
+                rpm = sign * speed.run(shaft, 1, first=k)[0]
+                m2 = max(speed.c.interval, 1)
+                assert 0.0 <= rpm <= true * (m2 + 1) / m2, (phase, sign, k)
+                if apart >= 65537.0:
+                    assert rpm == 0.0
+                elif apart < 65535.0 and k > to_settle:
+                    assert rpm >= true * (m2 - 1 - enhanced) / m2 - 1e-5, (phase, sign, k)
 
 
 def test_reversal(core: Core) -> None:

@@ -157,6 +157,11 @@ class Variable:
         """Whether only whole numbers mean something: enumerations, flags, switches, counts."""
         return self.lsb == 1.0 and not self.raw_type.fractional
 
+    @property
+    def raw_range(self) -> tuple[int, int]:
+        """Raw numbers of the limits; the board refuses what lies outside."""
+        return self.to_raw(self.minimum), self.to_raw(self.maximum)
+
     def decode_raw(self, data: bytes) -> list[int]:
         """Integers, one per element, from the bytes read from the board.
 
@@ -167,6 +172,10 @@ class Variable:
         """
         if self.type != "block" and len(data) != self.size:
             raise ValueError(f"{self.name}: {len(data)} bytes read, {self.size} expected")
+        return self.elements(data)
+
+    def elements(self, data: bytes) -> list[int]:
+        """Integers from the bytes of some neighbouring elements."""
         step, signed = self.element_size, self.raw_type.signed
         return [int.from_bytes(data[k : k + step], "little", signed=signed) for k in range(0, len(data), step)]
 
@@ -202,9 +211,14 @@ class Variable:
         if self.whole and not float(value).is_integer():
             raise ValueError(f"{self.name}: {value:g} is not a whole number")
         if not self.minimum <= value <= self.maximum:
-            unit = f" {self.unit}" if self.unit else ""
-            raise ValueError(f"{self.name}: {value:g} is outside {self.minimum:g} .. {self.maximum:g}{unit}")
+            raise ValueError(self.outside_text(value))
         return to_raw(value, self.lsb, self.raw_type.low, self.raw_type.high)
+
+    def outside_text(self, value: float, element: int | None = None) -> str:
+        """What to say of a value, or of one for one element, that is outside the limits."""
+        name = self.name if element is None or self.count == 1 else f"{self.name}[{element}]"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{name}: {value:g} is outside {self.minimum:g} .. {self.maximum:g}{unit}"
 
     def decode(self, data: bytes) -> Value:
         """SI value (list for arrays, bytes for blocks) from the bytes read from the board."""

@@ -1,7 +1,8 @@
 """Write what follows from the contract: ``python -m servo_msgs_py.codegen``.
 
-Three files come out, all committed: the C constants (`contract_header`), the table that the FreeMASTER server answers
-from (`variable_table`) and the list for people (`variable_list`). ``--check`` only compares and exits with 1 when a
+Four files come out, all committed: the C constants (`contract_header`), the table that the FreeMASTER server answers
+from (`variable_table`), and for people the list of variables (`variable_list`) and of faults (`fault_list`, with the
+priority table of the firmware). ``--check`` only compares and exits with 1 when a
 file is out of date.
 """
 
@@ -12,7 +13,8 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from servo_msgs_py.catalogue import Catalogue, Variable
+from servo_msgs_py.catalogue import Catalogue, CatalogueError, Variable
+from servo_msgs_py.fault_rules import FaultRules, fault_list
 
 __all__ = ["contract_header", "main", "outputs", "variable_list", "variable_table"]
 
@@ -21,14 +23,14 @@ _TSA_ENUM, _TSA_CONST = "\\xED:ENUM", "\\xED:CONST"
 
 
 def _int_constant(value: int) -> str:
-    """C literal of a 32-bit number that means the same where `int` has 16 bits."""
-    if value < -0x7FFF_FFFF:
-        return "INT32_MIN"
-    return f"UINT32_C({value})" if value > 0x7FFF_FFFF else f"INT32_C({value})"
+    """C literal of an `int32_t` that means the same where `int` has 16 bits."""
+    if not -0x8000_0000 <= value <= 0x7FFF_FFFF:
+        raise CatalogueError(f"{value} does not fit int32_t")
+    return "INT32_MIN" if value == -0x8000_0000 else f"INT32_C({value})"
 
 
 def contract_header(catalogue: Catalogue) -> str:
-    """Enumerations, flag masks, the table's hash and the raw limits of everything that can be written."""
+    """Enumerations, flag masks, the table's hash and the flag words with every bit that can be written."""
     lines = [_BANNER, "#ifndef SERVO_CONTRACT_GEN_H\n#define SERVO_CONTRACT_GEN_H\n\n#include <stdint.h>\n"]
     lines.append(f"#define CATALOGUE_HASH UINT32_C(0x{catalogue.hash:08X})\n")
     for name, entries in catalogue.enums.items():
@@ -47,13 +49,13 @@ def contract_header(catalogue: Catalogue) -> str:
             lines.append(f"#define {prefix}S_ALWAYS {kind}(0x{always:0{digits}X}) /* nobody can switch them off */\n")
     for name, entries in catalogue.bits.items():
         lines.append("".join(f"#define {name.upper()}_{key} {value}\n" for key, value in entries.items()))
-    limits = []
-    for v in catalogue.variables.values():
-        if v.writable and v.type != "enum":
-            stem = v.name.replace(".", "_").upper()
-            limits.append(f"#define {stem}_MIN {_int_constant(v.to_raw(v.minimum))}\n")
-            limits.append(f"#define {stem}_MAX {_int_constant(v.to_raw(v.maximum))}\n")
-    lines.append("".join(limits))
+    lines.append(
+        "".join(
+            f"#define {v.name.replace('.', '_').upper()}_MAX {_int_constant(v.raw_range[1])}\n"
+            for v in catalogue.variables.values()
+            if v.writable and v.flags
+        )
+    )
     lines.append("#endif\n")
     return "\n".join(lines)
 
@@ -82,8 +84,27 @@ def _type_text(variable: Variable) -> tuple[str, int]:
     return f"\\x{variable.raw_type.tsa:02X}", 1
 
 
+def _range_row(variable: Variable, catalogue: Catalogue) -> str:
+    """Row of the table of ranges; one range has to hold exactly what may be written, and fit ``int32_t``."""
+    low, high = variable.raw_range
+    if variable.enum is not None and set(catalogue.enums[variable.enum].values()) != set(range(low, high + 1)):
+        raise CatalogueError(f"{variable.name}: the values of {variable.enum} are not those from {low} to {high}")
+    if variable.flags is not None and (low != 0 or high & (high + 1)):
+        raise CatalogueError(f"{variable.name}: {low} .. {high} are not all words of some bits")
+    try:
+        limits = f"{_int_constant(low)}, {_int_constant(high)}"
+    except CatalogueError as error:
+        raise CatalogueError(f"{variable.name}: limit {error}") from None
+    return (
+        f"    {{OFFSET({variable.path}), {variable.element_size}, {variable.count}, {limits}}}, /* {variable.name} */"
+    )
+
+
 def variable_table(catalogue: Catalogue) -> str:
-    """The TSA table: enumerations with their constants, then every variable with its place in ``servo_t``."""
+    """The TSA table: enumerations with their constants, then every variable with its place in ``servo_t``.
+
+    Behind it stands the table of ranges of the writable ones.
+    """
     strings = _Strings()
     rows: list[str] = []
 
@@ -98,6 +119,7 @@ def variable_table(catalogue: Catalogue) -> str:
     for v in catalogue.variables.values():
         kind = "TSA_KIND_RW" if v.writable else "TSA_KIND_RO"
         row(v.name, _type_text(v), f"AT({v.path})", f"SIZE({v.path})", kind)
+    ranges = "\n".join(_range_row(v, catalogue) for v in catalogue.variables.values() if v.writable)
     checks = "\n".join(
         f"CHECK({number}, SIZE({v.path}) == {v.size});"
         for number, v in enumerate(v for v in catalogue.variables.values() if v.size)
@@ -110,6 +132,7 @@ def variable_table(catalogue: Catalogue) -> str:
 
 #include "app/servo.h"
 
+#define OFFSET(path) ((uint16_t)offsetof(servo_t, path))
 #define AT(path) ((uint32_t)(TSA_VARIABLES_BASE + offsetof(servo_t, path)))
 #define SIZE(path) ((uint16_t)sizeof(((servo_t *)0)->path))
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
@@ -127,6 +150,12 @@ static const tsa_entry_t entries[] = {{
 const tsa_table_t servo_variables = {{
     entries, (uint16_t)(sizeof entries / sizeof entries[0]), (const uint8_t *)strings, (uint16_t)(sizeof strings - 1)
 }};
+
+const variable_range_t servo_ranges[] = {{
+{ranges}
+}};
+
+const uint16_t servo_ranges_count = (uint16_t)(sizeof servo_ranges / sizeof servo_ranges[0]);
 """
 
 
@@ -156,9 +185,11 @@ def variable_list(catalogue: Catalogue) -> str:
 
 def outputs(firmware: Path, catalogue: Catalogue) -> dict[Path, str]:
     """Generated files and what has to stand in them."""
+    rules = FaultRules.parse((firmware / "diagnosis" / "fault_isolate.c").read_text(encoding="utf-8"))
     return {
         firmware / "config" / "contract_gen.h": contract_header(catalogue),
         firmware / "app" / "variables_gen.c": variable_table(catalogue),
+        firmware / "doc" / "faults.md": fault_list(catalogue, rules),
         firmware.parent / "servo_msgs_py" / "VARIABLES.md": variable_list(catalogue),
     }
 

@@ -22,7 +22,7 @@ _RINGS: Final = {"i_d": "current", "i_q": "current", "theta_e": "angle", "u_dc":
 """Rings of the record in the order of ``fault_record_t``, each of `_SAMPLES` int16, and their scales."""
 _TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
 _WATCH_PERIOD: Final = SLOW_PERIODS // 2
-"""PWM period after a slow tick in which the firmware takes its samples (``firmware/app/servo.h``)."""
+"""PWM period after a slow tick in which the firmware takes its samples (``firmware/app/servo.c``)."""
 
 COLUMNS: Final = ("time", "i_a", "i_b", "i_d", "i_q", "theta_e", "u_dc", "speed")
 """Columns of `FaultRecord.table`: time before the fault [s], phase currents and currents in the frame of the rotor [A],
@@ -76,7 +76,7 @@ class FaultRecord:
         flags = {flag.bit + 1: flag for flag in catalogue.flags["faults"]}
         label = catalogue.label("state_t", state)
         place = f"RUN/{catalogue.label('substate_t', substate)}" if label == "RUN" else label
-        return cls(axis, flags.get(code), tick, place, _table(tick, following, size, rings))
+        return cls(axis, flags.get(code), tick, place, _table(tick, axis, following, size, rings))
 
     @property
     def seconds(self) -> float:
@@ -110,12 +110,16 @@ class FaultRecord:
         }
 
 
-def _table(tick: int, following: int, size: int, rings: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+def _table(
+    tick: int, axis: int, following: int, size: int, rings: Mapping[str, NDArray[np.float64]]
+) -> NDArray[np.float64]:
     size = min(size, _SAMPLES)
     order = (following - size + np.arange(size)) % _SAMPLES
     samples = {name: ring[order] for name, ring in rings.items()}
-    # The last sample is of the fault's own period; no other is taken there if it is the period of the samples.
-    since_watch = ((tick - _WATCH_PERIOD) % SLOW_PERIODS or SLOW_PERIODS) * PERIOD_NS * 1e-9
+    # The last sample is of the fault's own period. In the period of the samples axis 1 is sampled behind its fast loop,
+    # so that there is no other one, and axis 2 half a period before.
+    periods = (tick - _WATCH_PERIOD) % SLOW_PERIODS or (SLOW_PERIODS if axis == 0 else 0.5)
+    since_watch = periods * PERIOD_NS * 1e-9
     time = -since_watch - _TICK * np.arange(size - 2, -2, -1.0)
     time[-1:] = 0.0
     d, q, theta = samples["i_d"], samples["i_q"], samples["theta_e"]

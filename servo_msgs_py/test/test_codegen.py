@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.catalogue import Catalogue, CatalogueError
+from servo_msgs_py.fault_rules import FaultRules, fault_list
 
 from servo_msgs_py import codegen
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CATALOGUE = Catalogue.load()
+ISOLATE = FIRMWARE / "diagnosis" / "fault_isolate.c"
 
 
 @pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
@@ -23,11 +25,12 @@ def test_committed_files_are_up_to_date() -> None:
 
 
 def test_generation_writes_then_agrees_then_sees_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for folder in ("firmware/config", "firmware/app", "servo_msgs_py"):
+    for folder in ("firmware/config", "firmware/app", "firmware/doc", "firmware/diagnosis", "servo_msgs_py"):
         (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "firmware" / "diagnosis" / "fault_isolate.c").write_text(ISOLATE.read_text("utf-8"), encoding="utf-8")
     arguments = ["--firmware", str(tmp_path / "firmware")]
     assert codegen.main([*arguments, "--check"]) == 1
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["fault_isolate.c"]
     assert codegen.main(arguments) == 0
     assert codegen.main([*arguments, "--check"]) == 0
     header = tmp_path / "firmware" / "config" / "contract_gen.h"
@@ -35,6 +38,44 @@ def test_generation_writes_then_agrees_then_sees_a_change(tmp_path: Path, capsys
     capsys.readouterr()
     assert codegen.main([*arguments, "--check"]) == 1
     assert re.findall(r"(\S+) is out of date", capsys.readouterr().err) == [str(header)]
+
+
+@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
+def test_list_of_faults_follows_the_priority_table_of_the_firmware() -> None:
+    source = ISOLATE.read_text(encoding="utf-8")
+    rules = FaultRules.parse(source)
+    text = fault_list(CATALOGUE, rules)
+    assert len(rules.rules) == source.count("    [FINDING_")
+    assert {rule.fault for rule in rules.rules} == {fault.name for fault in CATALOGUE.flags["faults"]}
+    other = source.replace("{FAULT_STALLED, 0, 0}", "{FAULT_STALLED, SENSOR, 0}").replace(
+        "CURRENT_SENSE, 2048", "CURRENT_SENSE, 1600"
+    )
+    changed = fault_list(CATALOGUE, FaultRules.parse(other))
+    lines = [line for line in changed.splitlines() if line not in text.splitlines()]
+    assert [("`CURRENT_SENSE`" in line, "`STALLED`" in line, "| 100 ms |" in line) for line in lines] == [
+        (True, True, False),
+        (True, False, True),
+    ]
+
+
+@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
+@pytest.mark.parametrize(
+    ("row", "instead", "message"),
+    [
+        (
+            "[FINDING_HOT] = {FAULT_OVER_TEMPERATURE, 0, 0},",
+            "[FINDING_HOT] = {FAULT_OVER_TEMPERATURE},",
+            "cannot be read",
+        ),
+        ("{FAULT_OVER_TEMPERATURE, 0, 0}", "{FAULT_STALLED, 0, 0}", "OVER_TEMPERATURE"),
+        ("} causes[] = {", "} reasons[] = {", "no table causes"),
+    ],
+)
+def test_a_table_of_faults_that_cannot_be_told_is_refused(row: str, instead: str, message: str) -> None:
+    source = ISOLATE.read_text(encoding="utf-8")
+    assert row in source
+    with pytest.raises(CatalogueError, match=message):
+        fault_list(CATALOGUE, FaultRules.parse(source.replace(row, instead)))
 
 
 def test_list_for_people_names_every_variable_with_its_unit() -> None:
@@ -52,33 +93,46 @@ def test_a_missing_folder_is_a_clear_error(tmp_path: Path, capsys: pytest.Captur
     assert "no firmware folder" in capsys.readouterr().err
 
 
-def test_header_has_hash_enums_flags_and_limits() -> None:
+def test_header_has_hash_enums_and_flags() -> None:
     header = codegen.contract_header(CATALOGUE)
     assert f"#define CATALOGUE_HASH UINT32_C(0x{CATALOGUE.hash:08X})" in header
     assert "    STATE_RUN = 3,\n} state_t;" in header
     assert "#define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002)" in header
     assert "#define LIMIT_VOLTAGE UINT16_C(0x0002)" in header
-    position = CATALOGUE["cmd.position"]
-    assert f"#define CMD_POSITION_MAX INT32_C({position.to_raw(position.maximum)})" in header
+    assert "#define PARAM_FEATURES_MAX INT32_C(4095)" in header
 
 
-def test_header_is_c99_and_its_numbers_are_those_of_the_table(tmp_path: Path) -> None:
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler")
-    (tmp_path / "contract_gen.h").write_text(codegen.contract_header(CATALOGUE), encoding="utf-8")
-    names = [v.name for v in CATALOGUE.variables.values() if v.writable and v.type != "enum"]
-    stems = [name.replace(".", "_").upper() for name in names]
-    prints = "".join(f'    printf("%ld %ld\\n", (long){s}_MIN, (long){s}_MAX);\n' for s in stems)
-    source = f'#include "contract_gen.h"\n#include <stdio.h>\nint main(void)\n{{\n{prints}    return 0;\n}}\n'
-    (tmp_path / "limits.c").write_text(source, encoding="utf-8")
-    program = tmp_path / "limits"
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
-    subprocess.run([compiler, *flags, "-o", str(program), "limits.c"], cwd=tmp_path, check=True)
-    lines = subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout.splitlines()
-    for name, line in zip(names, lines, strict=True):
-        variable = CATALOGUE[name]
-        assert line == f"{variable.to_raw(variable.minimum)} {variable.to_raw(variable.maximum)}", name
+def _with(name: str, **changes: Any) -> Catalogue:
+    """The catalogue with one variable changed."""
+    return replace(CATALOGUE, variables={**CATALOGUE.variables, name: replace(CATALOGUE[name], **changes)})
+
+
+def test_table_has_the_range_of_every_writable_variable() -> None:
+    rows = codegen.variable_table(CATALOGUE).split("servo_ranges[] = {\n")[1].split("};")[0].splitlines()
+    found = [re.sub(r"U?INT32_C\((.*?)\)", r"\1", row).replace("INT32_MIN", str(-(2**31))) for row in rows]
+    assert found == [
+        f"    {{OFFSET({v.path}), {v.element_size}, {v.count}, {low}, {high}}}, /* {v.name} */"
+        for v in CATALOGUE.variables.values()
+        if v.writable
+        for low, high in [v.raw_range]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "text"),
+    [
+        (
+            "param.faults_enabled",
+            {"maximum": 2.0**32 - 1},
+            "param.faults_enabled: limit 4294967295 does not fit int32_t",
+        ),
+        ("param.features", {"maximum": 4000.0}, "param.features: 0 .. 4000 are not all words of some bits"),
+        ("cmd.mode", {"maximum": 1.0}, "cmd.mode: the values of control_mode_t are not those from 0 to 1"),
+    ],
+)
+def test_what_one_range_cannot_say_is_refused(name: str, changes: dict[str, object], text: str) -> None:
+    with pytest.raises(CatalogueError, match=re.escape(text)):
+        codegen.variable_table(_with(name, **changes))
 
 
 def test_table_names_every_variable_once_and_strings_are_shared() -> None:
@@ -97,7 +151,7 @@ def test_string_offsets_point_at_the_strings() -> None:
     blob = b"".join(
         line.strip()[1:-1].encode().decode("unicode_escape").encode("latin-1") for line in block.splitlines()
     )
-    for line in table.splitlines():
+    for line in table.split("servo_ranges[]")[0].splitlines():
         if line.startswith("    {") and "/* " in line:
             name = line.split("/* ")[1].removesuffix(" */")
             offsets = [int(x) for x in line.strip(" {").split(",")[:2]]

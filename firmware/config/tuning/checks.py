@@ -51,10 +51,11 @@ def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
     if board("dead_time") >= 0.5 * board.period:
         reason = f"nothing is left of a period of {board.period:g} s"
         raise board.refused("dead_time", reason, "write seconds, some 1e-6")
-    timeout = catalogue["param.host_timeout"]
-    if not timeout.minimum <= board("host_timeout") <= timeout.maximum:
-        reason = f"outside the contract's {timeout.minimum:g} .. {timeout.maximum:g} s (param.host_timeout)"
-        raise board.refused("host_timeout", reason, "stay within it")
+    for key in ("host_timeout", "command_timeout"):
+        timeout = catalogue[f"param.{key}"]
+        if not timeout.minimum <= board(key) <= timeout.maximum:
+            reason = f"outside the contract's {timeout.minimum:g} .. {timeout.maximum:g} s (param.{key})"
+            raise board.refused(key, reason, "stay within it")
 
 
 def _contract(axis: Axis, catalogue: Catalogue) -> None:
@@ -66,10 +67,6 @@ def _contract(axis: Axis, catalogue: Catalogue) -> None:
         if not variable.minimum <= value <= variable.maximum:
             span = f"{variable.minimum:g} .. {variable.maximum:g} {variable.unit}"
             raise axis.refused(f"limits.{key}", f"outside the contract's {span} (param.{name})", "stay within it")
-    most = catalogue["param.i_q_limit"].maximum
-    if axis("rotor_search.current") > most:
-        reason = f"more than the {most:g} A that the contract lets the drive use (param.i_q_limit)"
-        raise axis.refused("rotor_search.current", reason, "stay below it")
 
 
 def _axis(axis: Axis) -> None:
@@ -122,7 +119,11 @@ def _order(axis: Axis, board: Board) -> None:
 
 
 def _search(axis: Axis) -> None:
-    """The search has to be able to see what it looks for, and to end in time."""
+    """The search has to be able to see what it looks for, to end in time, and to spare the motor."""
+    most = axis("limits.current")
+    if axis("rotor_search.current") > most:
+        reason = f"more than the motor may carry, {most:g} A (limits.current)"
+        raise axis.refused("rotor_search.current", reason, f"write {most:g} A or less")
     count = 360.0 * axis("motor.pole_pairs") / axis.counts
     if not count <= axis("rotor_search.interval") < 60.0:
         reason = f"a count is {count:.3g} degrees, and 60 would leave the torque to chance"
@@ -183,7 +184,7 @@ def _stops(axis: Axis, scales: Scales) -> None:
     if axis("stop.short_current") > scales.i:
         reason = f"the shunts end at {scales.i:g} A and could not tell"
         raise axis.refused("stop.short_current", reason, "stay within it")
-    ramp = axis("limits.speed") / axis("timing.stop_acceleration") + axis("timing.stop_most")
+    ramp = axis("limits.speed") / axis("limits.acceleration") + axis("timing.stop_most")
     if axis("stop.time_most") < ramp:
-        reason = f"the gentlest ramp from the speed limit and timing.stop_most take {ramp:.3g} s"
+        reason = f"a ramp from the speed limit at limits.acceleration and timing.stop_most take {ramp:.3g} s"
         raise axis.refused("stop.time_most", reason, "write more than that")

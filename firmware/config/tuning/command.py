@@ -14,7 +14,7 @@ from servo_msgs_py.codegen import update
 
 from tuning.braking import brake_constants
 from tuning.configuration import Configuration
-from tuning.constants import host_timeout
+from tuning.constants import time_outs
 from tuning.errors import ConfigError
 from tuning.picture import PictureError, draw
 from tuning.reading import load
@@ -72,7 +72,7 @@ def _generate(args: argparse.Namespace, configuration: Configuration) -> int:
     source = c_source(
         [report.tuned.constants for report in reports],
         brake_constants(configuration),
-        host_timeout(configuration.board),
+        time_outs(configuration.board),
     )
     stale = update([(args.output, source)], check=args.check)
     return 1 if args.check and stale else 0

@@ -11,7 +11,7 @@ from tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
 from tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
 from tuning.gains import Gains
 
-__all__ = ["OBSERVER", "PATH_OMEGA", "axis_constants", "host_timeout"]
+__all__ = ["OBSERVER", "PATH_OMEGA", "axis_constants", "time_outs"]
 
 ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
 COUNTS: Final = Format("int32_t counts", 0, 1, 2**30)
@@ -211,28 +211,27 @@ def _limits(to: Converter) -> dict[str, Field]:
         "following_error": to.at(COUNTS, "limits.following_error", per_rad),
         "over_speed": to.at(FRAC32, "limits.over_speed", 1.0 / s.speed),
         "u_dc_nominal": volts("nominal_voltage"),
-        "u_dc_most": volts("over_voltage"),
-        "u_dc_least": volts("under_voltage"),
+        "u_dc_max": volts("over_voltage"),
+        "u_dc_min": volts("under_voltage"),
     }
 
 
 def _supervision(to: Converter) -> dict[str, Field]:
-    board, s = to.board, to.s
+    s = to.s
     times = {
-        "following_ticks_most": "timing.following_most",
-        "over_speed_ticks_most": "timing.over_speed_most",
+        "shaft.following_ticks_max": "timing.following_most",
+        "shaft.over_speed_ticks_max": "timing.over_speed_most",
         "settle_ticks": "timing.settle",
-        "runaway_ticks_most": "timing.runaway_most",
-        "rest_ticks_most": "timing.rest_most",
-        "stall_ticks_most": "timing.stall_most",
-        "search_ticks_most": "rotor_search.time_most",
-        "stop_ticks_most": "timing.stop_most",
+        "shaft.runaway_ticks_max": "timing.runaway_most",
+        "rest_ticks_max": "timing.rest_most",
+        "shaft.stall_ticks_max": "timing.stall_most",
+        "search_ticks_max": "rotor_search.time_most",
+        "stop_ticks_max": "timing.stop_most",
     }
     return {
         "offset_tolerance": to.at(UINT16, "sensing.offset_tolerance", 1.0),
-        "offset_duty_least": to.at(FRAC16, "sensing.offset_duty", 1.0),
-        "stop_acceleration": to.at(FRAC32, "timing.stop_acceleration", board.tick / s.speed),
-        "runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
+        "offset_duty_min": to.at(FRAC16, "sensing.offset_duty", 1.0),
+        "shaft.runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
         "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
         **{field: to.ticks(path) for field, path in times.items()},
     }
@@ -248,18 +247,20 @@ def _watches(to: Converter) -> dict[str, Field]:
     hot, cool = board.temperature.codes()
     inductance = max(axis("motor.l_d"), axis("motor.l_q")) * s.i / s.u_s / board.tick
     return {
-        "phases.silent": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
-        "phases.least": to.of(FRAC16, "least current of a direction", sign, "raise sensing.sign_current"),
-        "phases.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
-        "phases.inductance": to.of(GAIN, "voltage of a change of current", inductance, "correct motor.l_q"),
-        "phases.turn_per_voltage": to.of(INT32_Q16, "turn per back-EMF", turn, "correct motor.psi_m"),
-        "phases.emf_floor": to.of(FRAC16, "unexplained voltage", floor, "lower board.switch_drop"),
+        "winding.silent": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
+        "winding.direction_min": to.of(FRAC16, "least current of a direction", sign, "raise sensing.sign_current"),
+        "winding.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
+        "winding.inductance": to.of(GAIN, "voltage of a change of current", inductance, "correct motor.l_q"),
+        "winding.turn_per_voltage": to.of(INT32_Q16, "turn per back-EMF", turn, "correct motor.psi_m"),
+        "winding.emf_floor": to.of(FRAC16, "unexplained voltage", floor, "lower board.switch_drop"),
         "heat.hot": hot,
         "heat.cool": cool,
     }
 
 
-def host_timeout(board: Board) -> int:
-    """Default of the writable time-out [slow ticks]."""
-    timeout = board("host_timeout")
-    return UINT16.raw("board.host_timeout", timeout / board.tick, "write seconds", timeout)
+def time_outs(board: Board) -> dict[str, int]:
+    """Defaults of the writable time-outs [slow ticks]."""
+    return {
+        name: UINT16.raw(f"board.{name}", board(name) / board.tick, "write seconds", board(name))
+        for name in ("host_timeout", "command_timeout")
+    }

@@ -101,6 +101,7 @@ BOARD: Final[Mapping[str, Entry]] = {
     "over_voltage": Entry("V", "bus voltage that is a fault"),
     "under_voltage": Entry("V", "bus voltage that is a fault"),
     "host_timeout": Entry("s", "silence of the host that is a fault"),
+    "command_timeout": Entry("s", "age at which a velocity or torque set-point expires; 0: never", zero=True),
     "dead_time": Entry("s", "both switches of a leg are open at every edge", zero=True),
     "switch_drop": Entry("V", "switch or diode", zero=True),
     "voltage_use": Entry("", "part of the linear range of the modulation that is used", most=1.0),
@@ -141,7 +142,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "smooth": Entry("rad/s", "speed within which the sign of the Coulomb friction changes"),
     },
     "limits": {
-        "current": Entry("A", "largest i_q, peak"),
+        "current": Entry("A", "largest current that the motor is driven with, peak"),
         "speed": Entry("rad/s", "largest speed set-point"),
         "acceleration": Entry("rad/s^2", "ramp of speed set-points and of stops"),
         "position": Entry("rad", "soft limits to both sides"),
@@ -222,7 +223,6 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
     },
     "timing": {
         "settle": Entry("s", "in INIT"),
-        "stop_acceleration": Entry("rad/s^2", "least ramp of a stop"),
         "runaway_margin": Entry("rad/s", "beyond the speed limit, or gained against the full current"),
         "runaway_most": Entry("s", "of that until it is a fault"),
         "rest_most": Entry("s", "that an enabled axis waits for its shaft to rest"),

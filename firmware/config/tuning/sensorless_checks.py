@@ -131,7 +131,14 @@ def _reliability(axis: Axis) -> None:
 
 
 def _ramps(axis: Axis, it: StartUp) -> None:
-    """The rotor has to be able to follow the vector."""
+    """The motor has to be able to carry the current, and the rotor to follow it."""
+    along = max(axis(f"start_up.current_{key}") for key in ("first", "final"))
+    across = axis("start_up.current_final") * axis("start_up.swing_current")
+    if math.hypot(along, across) > 1.0:
+        total = math.hypot(along, across) * axis("limits.current")
+        reason = f"with the current along the vector {total:.3g} A, more than limits.current"
+        remedy = "lower it, or start_up.current_first and current_final"
+        raise axis.refused("start_up.swing_current", reason, remedy)
     entry = "start_up.speed_time" if axis.given("start_up.speed_time") else "start_up.swings"
     friction = axis("friction.coulomb") + axis("friction.viscous") * it.speed_final
     least = axis.torque_constant * min(it.current_first, it.current_final)

@@ -190,8 +190,8 @@ def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
         "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", it.time_most / board.tick, ramp),
         "startup.tests": to.at(UINT16, "start_up.consecutive_tests", 1.0),
         "startup.minimum_speed": to.of(FRAC32, "start_up.minimum_speed", it.minimum_speed / s.speed, "raise it"),
-        "startup.mean_least": to.at(UINT16_Q14, "start_up.mean_least", 1.0),
-        "startup.mean_most": to.at(UINT16_Q14, "start_up.mean_most", 1.0),
+        "startup.mean_min": to.at(UINT16_Q14, "start_up.mean_least", 1.0),
+        "startup.mean_max": to.at(UINT16_Q14, "start_up.mean_most", 1.0),
         "startup.damping": to.of(GAIN, "damping of the swing", it.damping * s.u_s / s.i, gentler),
         "startup.damping_limit": to.of(FRAC16, "start_up.swing_current", across, "write a part of the final current"),
         "startup.catch_ticks": to.ticks("start_up.catch_time"),
@@ -216,7 +216,7 @@ FIELDS: Final = (
         for key in ("floor", "floor_spin", "resistance", "part", "ticks_spin", "ticks_stand", "ticks_check")
     ),
     *(f"startup.{key}" for key in ("first_current", "final_current", "current_step", "final_speed", "speed_step")),
-    *(f"startup.{key}" for key in ("duration_ticks", "tests", "minimum_speed", "mean_least", "mean_most")),
+    *(f"startup.{key}" for key in ("duration_ticks", "tests", "minimum_speed", "mean_min", "mean_max")),
     *(f"startup.{key}" for key in ("damping", "damping_limit", "catch_ticks", "fade_step")),
 )
 """What is 0 without an observer."""

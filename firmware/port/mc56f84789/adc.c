@@ -4,8 +4,9 @@
 #define M1 0U
 #define M2 1U
 
-#define FIRST_HALF ADC_SAMPLES_MASK(0U, ADC_PAIRS)
-#define SECOND_HALF ADC_SAMPLES_MASK(ADC_PAIRS, ADC_PAIRS)
+/* What each loop reads: the currents, and the bus, which is converted last. */
+#define FIRST_HALF (ADC_SAMPLES_MASK(PAIR_M1_CURRENTS, 1U) | BIT(PAIR_BUS_1))
+#define SECOND_HALF (ADC_SAMPLES_MASK(PAIR_M2_CURRENTS, 1U) | BIT(PAIR_BUS_2))
 #define BOTH_HALVES (FIRST_HALF | SECOND_HALF)
 
 /* ---- channel lists ---------------------------------------------------------------------------------------------- */
@@ -122,9 +123,7 @@ bool adc_take_first(hal_t *hal)
         return false;
     }
     hal->axis[M1].currents = phases(hal, M1, PAIR_M1_CURRENTS);
-    hal->axis[M2].offsets = phases(hal, M2, PAIR_M2_OFFSETS);
     hal->bus = code(hal, PAIR_BUS_1);
-    hal->axis[M1].sink = code(hal, 8U + PAIR_BUS_1);
     return true;
 }
 
@@ -134,16 +133,21 @@ bool adc_take_second(hal_t *hal)
         return false;
     }
     hal->axis[M2].currents = phases(hal, M2, PAIR_M2_CURRENTS);
-    hal->axis[M1].offsets = phases(hal, M1, PAIR_M1_OFFSETS);
     hal->bus = code(hal, PAIR_BUS_2);
-    hal->axis[M2].sink = code(hal, 8U + PAIR_BUS_2);
     return true;
 }
 
 adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis) { return hal->axis[axis].currents; }
 
-adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis) { return hal->axis[axis].offsets; }
+/* They stand until the same half of the next period. */
+adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis)
+{
+    return phases(hal, axis, (axis == M1) ? PAIR_M1_OFFSETS : PAIR_M2_OFFSETS);
+}
 
 uint16_t hal_adc_bus(hal_t *hal) { return hal->bus; }
 
-uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return hal->axis[axis].sink; }
+uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
+{
+    return code(hal, 8U + ((axis == M1) ? PAIR_BUS_1 : PAIR_BUS_2));
+}

@@ -11,7 +11,7 @@ void cop_start(hal_t *hal)
 
 uint16_t hal_late_loops(hal_t *hal) { return hal->late; }
 
-bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
+bool hal_reset_by_watchdog(hal_t *hal) { return hal->watchdog_reset; }
 
 void hal_watchdog_service(hal_t *hal)
 {

@@ -3,7 +3,7 @@
 #define PORT_DRIVERS_H
 
 #include "port/mc56f84789/access.h"
-#include "port/mc56f84789/port.h"
+#include "port/mc56f84789/hal_data.h"
 #include "port/mc56f84789/registers.h"
 #include "port/mc56f84789/settings.h"
 

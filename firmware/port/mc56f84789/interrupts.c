@@ -1,5 +1,6 @@
 /* interrupts.c - levels of the interrupts, and the handler of each. */
 #include "port/mc56f84789/drivers.h"
+#include "port/mc56f84789/port.h"
 #include "port/mc56f84789/vectors.h"
 
 typedef struct {

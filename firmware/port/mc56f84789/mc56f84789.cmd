@@ -1,7 +1,14 @@
-# mc56f84789.cmd - linker command file of CodeWarrior for the MC56F84789: program in flash, data in RAM.
+# mc56f84789.cmd - linker command file of CodeWarrior for the MC56F84789: program in flash, fast loops and data in RAM.
 #
-# All addresses and lengths are words. Code and data memory are separate spaces (P and X); the RAM is also seen from P at
-# 60000h, where code may run that must not wait for the flash.
+# All addresses and lengths are words. Code and data memory are separate spaces (P and X). The RAM is seen from both, at
+# X:0 and at P:60000h; code that must not wait for the flash runs there:
+#
+#   X:0      variables with values, constants      copied out of the flash at reset
+#            fast_code.text, run-time library      the same; FAST in the makefile says which files these are
+#            bss
+#            stack, grows upwards to the end
+#
+# Where the laid-out parts are too long for the RAM, or the stack has less than __stack_size, the linker says so.
 
 MEMORY
 {
@@ -10,11 +17,14 @@ MEMORY
     .p_flash_config (RX) : ORIGIN = 0x00200, LENGTH = 0x00008   # never let code land here
     .p_flash        (RX) : ORIGIN = 0x00208, LENGTH = 0x1FDF8
     .x_ram          (RW) : ORIGIN = 0x00000, LENGTH = 0x04000
+    .x_image        (RX) : ORIGIN = 0x00000, LENGTH = 0x04000   # the same RAM; X: what is in it is loaded into the flash
+    .ram_code       (RX) : ORIGIN = 0x60000, LENGTH = 0x04000   # the same RAM, seen from P
     .x_flex_ram     (RW) : ORIGIN = 0x1E000, LENGTH = 0x00400
     .x_peripherals  (RW) : ORIGIN = 0x0C000, LENGTH = 0x04000
 }
 
 KEEP_SECTION { interrupt_vectors.text }
+KEEP_SECTION { fast_code.text }
 
 SECTIONS
 {
@@ -39,17 +49,17 @@ SECTIONS
     .program :
     {
         * (.text)
-        * (rtlib.text)
         * (fp_engine.text)
         * (user.text)
         . = ALIGN(2);
-        __data_rom = .;
+        __image = .;
     } > .p_flash
 
     # Initialised data and constants lie behind the program and are copied at reset.
-    .data_in_flash : AT(__data_rom)
+    .data_in_flash : AT(__image)
     {
         __data_ram = .;
+        WRITEH(0x0BAD);                     # no variable has the address 0
         * (.const.data.char)
         * (.const.data)
         * (fp_state.data)
@@ -57,12 +67,24 @@ SECTIONS
         * (.data.char)
         * (.data)
         . = ALIGN(2);
-        __data_end = .;
-    } > .x_ram
+        __data_words = . - __data_ram;
+        __fast_image = __image + __data_words;
+    } > .x_image
+
+    # Code behind the data in RAM. Its image begins with a gap as long as the data: that much flash is lost.
+    .fast_code : AT(__fast_image)
+    {
+        . = . + __data_words;
+        __fast_begin = .;
+        * (fast_code.text)
+        * (rtlib.text)                      # products and quotients of 64 bits
+        . = ALIGN(2);
+        __fast_words = . - __fast_begin;
+    } > .ram_code
 
     .bss :
     {
-        . = ALIGN(2);
+        . = __data_ram + __data_words + __fast_words;
         __bss_begin = .;
         * (rtlib.bss.lo)
         * (rtlib.bss)
@@ -71,14 +93,19 @@ SECTIONS
         . = ALIGN(2);
         __bss_end = .;
 
-        # The stack grows upwards, to the end of the RAM; SP starts odd.
+        # SP starts odd. `make chip-budget` and a test compare what is kept with what background and handlers need.
+        __stack_size = 0x0400;
         __stack = . + 1;
+        . = . + __stack_size;
     } > .x_ram
 
     # What startup.c knows of it; C names get the prefix F.
-    F_data_rom_addr = __data_rom;
+    F_data_rom_addr = __image;
     F_data_ram_addr = __data_ram;
-    F_data_words    = __data_end - __data_ram;
+    F_data_words    = __data_words;
+    F_fast_rom_addr = __fast_image + __data_words;
+    F_fast_ram_addr = __data_ram + __data_words;
+    F_fast_words    = __fast_words;
     F_bss_addr      = __bss_begin;
     F_bss_words     = __bss_end - __bss_begin;
     F_stack_addr    = __stack;

@@ -70,10 +70,10 @@ static void note_gap(hal_t *hal)
     hal->running = true;
 }
 
-/* New duties are loaded where the counter of their module passes zero. */
-static void note_late(hal_t *hal, uint16_t module)
+/* New duties are loaded where the counter of their module passes zero: where it was when they were released. */
+void hal_duties_done(hal_t *hal, uint16_t axis)
 {
-    if ((REG_READ(hal, module + PWM_SM(1U) + PWM_CNT) & BIT(15)) == 0U) {
+    if (hal->axis[axis].behind) {
         hal->late++;
     }
 }
@@ -84,8 +84,8 @@ void port_m1(hal_t *hal)
     REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_STS, PWM_STS_CMPF(M1_VAL));
     note_gap(hal);
     if (adc_take_first(hal)) {
+        hal->axis[0].behind = false;
         servo_m1_isr(hal->servo);
-        note_late(hal, PWMA_BASE);
     } else {
         sequence_lost(hal);
     }
@@ -97,8 +97,8 @@ void port_m2(hal_t *hal)
     scope(hal, PIN_SCOPE_M2);
     if (adc_take_second(hal)) {
         hal->losses = (uint16_t)(hal->losses - ((hal->losses > 0U) ? 1U : 0U));
+        hal->axis[1].behind = false;
         servo_m2_isr(hal->servo);
-        note_late(hal, PWMB_BASE);
         REG_WRITE(hal, ADC_STAT, ADC_STAT_EOSI0);
     } else {
         sequence_lost(hal);
@@ -120,14 +120,13 @@ static void state_init(hal_t *hal, servo_t *servo)
         axis->tmr = tmr[i];
         axis->pair = PHASE_PAIR_AB;
         axis->currents = middle;
-        axis->offsets = middle;
         axis->others = 0;
-        axis->sink = 0;
+        axis->behind = false;
         axis->armed = false;
         axis->arms = 0;
     }
     hal->bus = 0;
-    hal->bitten = (REG_READ(hal, SIM_RSTAT) & (SIM_RSTAT_COP_LOR | SIM_RSTAT_COP_CPU)) != 0U;
+    hal->watchdog_reset = (REG_READ(hal, SIM_RSTAT) & (SIM_RSTAT_COP_LOR | SIM_RSTAT_COP_CPU)) != 0U;
     hal->losses = 0;
     hal->restarts = 0;
     hal->late = 0;

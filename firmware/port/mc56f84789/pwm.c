@@ -88,26 +88,30 @@ static int16_t half_pulse(int16_t duty)
 /* Without a pulse the low side stays on. The shortest one would open it for the dead time, and a current out of the motor
  * would go into the bus meanwhile: windings that are shorted have to be so all the time. VAL3 still ends a pulse that is
  * under way when the values are loaded. */
-static void write_pulse(hal_t *hal, uint16_t module, uint16_t sm, int16_t half)
+static void write_pulse(hal_t *hal, uint16_t submodule, int16_t half)
 {
-    const bool none = half < HALF_PULSE_LEAST_CLOCKS;
-    write_sm(hal, module, sm, PWM_VAL2, none ? SET_PWM_NEVER : WORD(-half));
-    write_sm(hal, module, sm, PWM_VAL3, none ? WORD(HALF_PULSE_LEAST_CLOCKS) : WORD(half));
+    if (half < HALF_PULSE_LEAST_CLOCKS) {
+        REG_WRITE(hal, submodule + PWM_VAL2, SET_PWM_NEVER);
+        REG_WRITE(hal, submodule + PWM_VAL3, WORD(HALF_PULSE_LEAST_CLOCKS));
+    } else {
+        REG_WRITE(hal, submodule + PWM_VAL2, WORD(-half));
+        REG_WRITE(hal, submodule + PWM_VAL3, WORD(half));
+    }
 }
 
 void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c)
 {
     const uint16_t module = hal->axis[axis].pwm;
-    const int16_t half[PWM_SM_USED] = {half_pulse(duty_a), half_pulse(duty_b), half_pulse(duty_c)};
     const uint16_t mctrl = REG_READ(hal, module + PWM_MCTRL);
     const uint16_t run = mctrl & PWM_MCTRL_RUN_MASK;
     if ((mctrl & PWM_MCTRL_LDOK_MASK) != 0U) { /* not loaded yet, and locked until it is: take it back */
         REG_WRITE(hal, module + PWM_MCTRL, run | PWM_MCTRL_CLDOK(PWM_ALL));
     }
-    for (uint16_t sm = 0; sm < PWM_SM_USED; sm++) {
-        write_pulse(hal, module, sm, half[sm]);
-    }
+    write_pulse(hal, module + PWM_SM(0U), half_pulse(duty_a));
+    write_pulse(hal, module + PWM_SM(1U), half_pulse(duty_b));
+    write_pulse(hal, module + PWM_SM(2U), half_pulse(duty_c));
     REG_WRITE(hal, module + PWM_MCTRL, run | PWM_MCTRL_LDOK(PWM_ALL));
+    hal->axis[axis].behind = (REG_READ(hal, module + PWM_SM(1U) + PWM_CNT) & BIT(15)) == 0U;
 }
 
 /* OUTEN acts at once, MASK would wait for a FORCE. */

@@ -29,11 +29,13 @@ void serial_init(hal_t *hal)
     hal->overruns = 0;
 }
 
+static bool waiting(hal_t *hal) { return (REG_READ(hal, REG(QSCI_CTRL2)) & QSCI_CTRL2_RFCNT_MASK) != 0U; }
+
 /* RDRF goes with reading STAT and then the data; errors go with reading and then writing STAT. */
 void port_receive(hal_t *hal)
 {
     const uint16_t stat = REG_READ(hal, REG(QSCI_STAT));
-    while ((REG_READ(hal, REG(QSCI_CTRL2)) & QSCI_CTRL2_RFCNT_MASK) != 0U) {
+    while (waiting(hal)) {
         const uint16_t data = REG_READ(hal, REG(QSCI_DATA));
         const uint16_t in = hal->ring_in;
         if ((uint16_t)(in - hal->ring_out) < PORT_RING) {
@@ -51,11 +53,24 @@ void port_receive(hal_t *hal)
     }
 }
 
+/* The end of a request may be too short for an interrupt. */
+static void fetch(hal_t *hal)
+{
+    REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1 & (uint16_t)~QSCI_CTRL1_RFIE);
+    port_receive(hal);
+    REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1);
+}
+
+uint16_t hal_receiver_overruns(hal_t *hal) { return hal->overruns; }
+
 bool hal_serial_get(hal_t *hal, uint8_t *byte)
 {
     const uint16_t out = hal->ring_out;
     if (out == hal->ring_in) {
-        return false;
+        if (!waiting(hal)) {
+            return false;
+        }
+        fetch(hal);
     }
     *byte = hal->ring[out & RING_MASK];
     hal->ring_out = (uint16_t)(out + 1U);

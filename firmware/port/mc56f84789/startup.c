@@ -18,10 +18,28 @@ int main(void)
 }
 
 #ifdef __MWERKS__
-extern uint16_t _stack_addr[], _data_words[], _data_rom_addr[], _data_ram_addr[], _bss_words[], _bss_addr[];
+extern uint16_t _stack_addr[], _bss_words[], _bss_addr[];
+extern uint16_t _data_words[], _data_rom_addr[], _data_ram_addr[];
+extern uint16_t _fast_words[], _fast_rom_addr[], _fast_ram_addr[];
 
 /* clang-format off */
-/* Interrupts off, mode of the core as C wants it, stack, data out of flash, bss; the symbols are the linker's. */
+/* R2 words from P:(R3) to X:(R0). */
+static asm void copy_words(void)
+{
+    tsta.l  R2
+    beq     copied
+copy_word:
+    move.w  P:(R3)+, X0
+    nop
+    move.w  X0, X:(R0)+
+    dectsta R2
+    bne     copy_word
+copied:
+    rts
+}
+
+/* Interrupts off, mode of the core as C wants it, stack, data and fast code out of flash, bss; the symbols are the
+ * linker's. */
 asm void startup_entry(void)
 {
     bfset   #0x0300, SR         /* levels 0 to 2 masked */
@@ -40,17 +58,13 @@ asm void startup_entry(void)
     tfra    R0, SP
 
     move.l  #>>_data_words, R2
-    tsta.l  R2
-    beq     data_done
     move.l  #>>_data_rom_addr, R3
     move.l  #>>_data_ram_addr, R0
-copy_word:
-    move.w  P:(R3)+, X0
-    nop
-    move.w  X0, X:(R0)+
-    dectsta R2
-    bne     copy_word
-data_done:
+    jsr     copy_words
+    move.l  #>>_fast_words, R2
+    move.l  #>>_fast_rom_addr, R3
+    move.l  #>>_fast_ram_addr, R0
+    jsr     copy_words
 
     move.l  #>>_bss_words, R2
     tsta.l  R2

@@ -1,17 +1,16 @@
-/* encoder_watch.h - an encoder that says less than the shaft does.
+/* encoder_monitor.h - an encoder whose count lags the shaft.
  *
  * One dead line leaves a count that goes one back and forth with the edges of the other one, faster than a shaft at rest
  * can; two leave a count that stands while the voltage shows that the motor turns.
  */
-#ifndef SERVO_DRIVE_ENCODER_WATCH_H
-#define SERVO_DRIVE_ENCODER_WATCH_H
+#ifndef SERVO_DIAGNOSIS_ENCODER_MONITOR_H
+#define SERVO_DIAGNOSIS_ENCODER_MONITOR_H
 
-#include "control/transforms.h"
-#include "drive/faults.h"
+#include "diagnosis/evidence.h"
+#include "diagnosis/observation.h"
 
-/* Slow ticks without movement after which the shaft is slower than any back-EMF that counts here. */
-#define ENCODER_CALM_TICKS 4
-#define ENCODER_DOUBT_TICKS 20 /* at rest after a sudden stop, before a current is sent through the windings */
+/* Slow ticks at rest after a sudden stop, before a current is sent through the windings. */
+#define ENCODER_CONFIRM_TICKS 20U
 
 typedef struct {
     int32_t anchor;   /* position that the count has not left by more than two */
@@ -29,9 +28,10 @@ typedef struct {
     dq_t rest;        /* voltage that the current does not need, of late */
     uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
     uint16_t idle;    /* those of them without current */
-    uint16_t in_vain; /* slow ticks of much of it */
-    uint8_t asking;   /* slow ticks for which a current has been asked to see whether any flows .. */
+    uint16_t windup;  /* slow ticks of so much of it that no current follows */
+    uint8_t testing;  /* slow ticks for which a current has been asked to see whether any flows .. */
     bool along_q;     /* .. in this direction .. */
+    bool back;        /* .. or against it: i_q* may be at its limit .. */
     frac16_t before;  /* .. in which this has flowed before */
     uint16_t probing; /* slow ticks for which one has been sent to see whether the voltage stays .. */
     frac16_t held;    /* .. with an i_q* that does .. */
@@ -40,37 +40,21 @@ typedef struct {
     uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
     bool turned;      /* .. and it has pointed elsewhere */
     bool rigid;       /* it has not for longer than that */
-} encoder_watch_t;
-
-struct axis;
+} encoder_monitor_t;
 
 /* The shaft rests at `position`. */
-void encoder_watch_start(encoder_watch_t *watch, int32_t position);
+void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position);
 
-/* One slow tick, after the source; in every state that has an encoder. */
-fault_set_t encoder_watch_count(struct axis *axis);
-
-/* One slow tick of current control with the encoder's angle. */
-fault_set_t encoder_watch_voltage(struct axis *axis);
-
-static inline bool encoder_watch_is_asking(const encoder_watch_t *watch)
-{
-    return watch->asking != 0U || watch->probing != 0U;
-}
+/* One slow tick with an encoder, in every state; sets `observation->calm`. `kp` is the gain of the q current controller. */
+void encoder_monitor_step(encoder_monitor_t *monitor, const winding_config_t *config, gain_t kp,
+                          observation_t *observation, evidence_t *evidence);
 
 /* The shaft has just stopped at once, or the encoder has died, and the angle with it: it will show. */
-static inline bool encoder_watch_wonders(const encoder_watch_t *watch)
+static inline bool encoder_monitor_stop_unconfirmed(const encoder_monitor_t *monitor)
 {
-    return watch->sudden && watch->calm < ENCODER_DOUBT_TICKS;
+    return monitor->sudden && monitor->calm < ENCODER_CONFIRM_TICKS;
 }
 
-/* Current that is asked for then, to see whether any flows. */
-dq_t encoder_watch_asks(const struct axis *axis);
-
-/* What an over-current may really have been: windings shorted because the shaft seemed to rest. */
-fault_set_t encoder_watch_suspects(const struct axis *axis);
-
-/* One slow tick with shorted windings: what drives their current? */
-fault_set_t encoder_watch_short(struct axis *axis);
+void encoder_monitor_suspect(const encoder_monitor_t *monitor, const observation_t *observation, evidence_t *evidence);
 
 #endif

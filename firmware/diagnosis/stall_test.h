@@ -1,5 +1,5 @@
-/* stall_proof.h - full current and no movement: is the shaft held fast, does nobody see it move, or does the current push
- * where no torque comes of it?
+/* stall_test.h - full current and no movement: is the shaft held fast, does it move unseen, or does the current push where
+ * no torque comes of it?
  *
  * The current vector turns away from the q axis by an angle phi, first to one side and back, then to the other. Its torque
  * is proportional to cos(phi - delta), where delta is the error of the encoder's angle.
@@ -13,31 +13,36 @@
  * stops, what moved against it turns round, if need be where the vector turns on. Whatever the load is, it is the same in
  * both places.
  */
-#ifndef SERVO_DRIVE_STALL_PROOF_H
-#define SERVO_DRIVE_STALL_PROOF_H
+#ifndef SERVO_DIAGNOSIS_STALL_TEST_H
+#define SERVO_DIAGNOSIS_STALL_TEST_H
 
-#include "math/frac.h"
+#include "diagnosis/evidence.h"
+#include "diagnosis/observation.h"
+#include "sensing/rotor_search.h"
 
 typedef struct {
     bool runs;
     bool second; /* the vector turns to the second side */
     bool mirrored; /* the shaft has moved, and the vector has gone to the other side: .. */
     bool ahead; /* .. with the torque that was wanted, not against it */
+    bool positive; /* the torque that was wanted */
     frac16_t phi; /* angle of the vector, from where the encoder has it */
+    int32_t origin; /* position at which it began to turn */
     int32_t farthest; /* position so far in the direction of that movement */
     uint16_t ticks; /* slow ticks since */
     frac16_t inductive; /* voltage across the vector of a rotor that stays, at the current that flows */
-} stall_proof_t;
+    frac16_t vector; /* that the test asks for: angle of the d axis, with the current along q */
+    rotor_follow_t follow;
+} stall_test_t;
 
-struct axis;
+/* The shaft stands at full current, which stays as it is. */
+void stall_test_start(stall_test_t *test, const rotor_search_config_t *config, const observation_t *observation);
 
-/* Out of SPIN with i_q at its limit; the current stays as it is. */
-void stall_proof_start(struct axis *axis);
+/* One PWM period, with the voltage along the vector's d axis. */
+void stall_test_add(stall_test_t *test, const rotor_search_config_t *config, frac16_t u_d);
 
-/* One PWM period. */
-void stall_proof_fast(struct axis *axis);
-
-/* One slow tick; raises what is found in the end. */
-void stall_proof_slow(struct axis *axis);
+/* One slow tick. */
+void stall_test_step(stall_test_t *test, const rotor_search_config_t *config, const observation_t *observation,
+                     evidence_t *evidence);
 
 #endif

@@ -1,15 +1,14 @@
-/* faults.h - sets of faults, and the record of the first one (fault codes: servo_msgs_py/variables.toml).
+/* fault_latch.h - the faults of an axis: captured, recorded, cleared (fault codes: servo_msgs_py/variables.toml).
  *
  * pending    the cause is there now
  * captured   it has been there since the last clearing: these stop the axis
  * enabled    what may be captured; FAULTS_ALWAYS cannot be switched off
  */
-#ifndef SERVO_DRIVE_FAULTS_H
-#define SERVO_DRIVE_FAULTS_H
+#ifndef SERVO_DIAGNOSIS_FAULT_LATCH_H
+#define SERVO_DIAGNOSIS_FAULT_LATCH_H
 
-#include "math/frac.h"
-
-typedef uint32_t fault_set_t;
+#include "diagnosis/evidence.h"
+#include "diagnosis/observation.h"
 
 #define FAULT_SAMPLES 64 /* a power of two */
 
@@ -32,15 +31,29 @@ typedef struct {
     frac16_t speed[FAULT_SAMPLES];
 } fault_record_t;
 
-struct axis;
+typedef struct {
+    fault_set_t captured;
+    fault_set_t pending;
+    fault_set_t enabled;
+    finding_set_t findings; /* that have been captured under whatever name */
+    uint16_t first;         /* code of the fault that came first, 0 without one */
+    fault_record_t *record; /* of the first fault; the owner's */
+    const uint32_t *clock;  /* PWM periods since reset; the owner's */
+} fault_latch_t;
 
 /* Code of the lowest fault of a set: its bit plus one; 0 for no fault. */
 uint16_t fault_code(fault_set_t faults);
 
-/* One sample of what the axis does now. */
-void fault_record_sample(fault_record_t *record, const struct axis *axis);
+/* `record` and `clock` belong to the caller and live as long as the latch. */
+void fault_latch_init(fault_latch_t *latch, fault_record_t *record, const uint32_t *clock);
 
-/* The first of `faults` is the first fault of the axis. */
-void fault_record_first(fault_record_t *record, const struct axis *axis, fault_set_t faults);
+/* One sample of what is observed now, until there is a fault. */
+void fault_latch_sample(fault_latch_t *latch, const observation_t *observation);
+
+/* Name and capture what has been found. Returns the faults that are to stop the axis. */
+fault_set_t fault_latch_capture(fault_latch_t *latch, const evidence_t *evidence, const observation_t *observation);
+
+/* Forget all faults but those that `remain`. */
+void fault_latch_clear(fault_latch_t *latch, fault_set_t remain);
 
 #endif

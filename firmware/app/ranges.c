@@ -1,0 +1,75 @@
+#include "app/ranges.h"
+
+#include <stddef.h>
+
+#include "app/variables.h"
+#include "config/contract_gen.h"
+
+typedef struct {
+    uint32_t begin; /* in the memory [bytes] */
+    uint32_t end;
+    const uint8_t *data;
+    const uint8_t *mask; /* NULL: every bit */
+} write_t;
+
+/* What the `size` bytes at `offset` are after the write, as an unsigned number: the low byte comes first in memory. */
+static uint32_t value_after(const ranges_memory_t *in, const write_t *write, uint16_t offset, uint16_t size)
+{
+    const uint8_t *memory = in->memory + offset;
+    uint32_t value = 0;
+    for (uint16_t k = 0; k < size; k++) {
+        unsigned byte = memory[k];
+        const uint32_t at = (uint32_t)offset + k;
+        if (at >= write->begin && at < write->end) {
+            const uint16_t i = (uint16_t)(at - write->begin);
+            const unsigned select = (write->mask != NULL) ? write->mask[i] : 0xFFU;
+            byte = (byte & ~select) | (write->data[i] & select);
+        }
+        value |= (uint32_t)(byte & 0xFFU) << (8U * k);
+    }
+    return value;
+}
+
+/* Counted from the minimum, modulo the size of the element: signed and unsigned numbers compare alike. */
+static bool in_range(const variable_range_t *range, uint32_t value)
+{
+    const uint32_t mask = (range->size < sizeof value) ? UINT32_C(0xFFFF) : UINT32_MAX;
+    return ((value - (uint32_t)range->min) & mask) <= (uint32_t)range->max - (uint32_t)range->min;
+}
+
+/* Positions wrap at 32 bits: a set-point half of that away would be reached by either way, and a shaft that still moves
+ * decides which. */
+static bool in_reach(const ranges_memory_t *in, uint16_t axis, uint32_t value)
+{
+    const uint32_t reach = (uint32_t)POSITION_REACH;
+    return value - (uint32_t)in->snapshot->axis[axis].position + reach <= 2U * reach;
+}
+
+static bool elements_accept(const ranges_memory_t *in, const variable_range_t *range, const write_t *write)
+{
+    for (uint16_t i = 0; i < range->count; i++) {
+        const uint16_t offset = (uint16_t)(range->offset + i * range->size);
+        if (offset >= write->end || (uint32_t)offset + range->size <= write->begin) {
+            continue; /* untouched */
+        }
+        const uint32_t value = value_after(in, write, offset, range->size);
+        if (!in_range(range, value)) {
+            return false;
+        }
+        if (range->offset == in->positions && !in_reach(in, i, value)) {
+            return false;
+        }
+    }
+    return true;
+}
+
+bool ranges_accept(const ranges_memory_t *in, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
+{
+    const write_t write = {offset, (uint32_t)offset + size, data, mask};
+    for (uint16_t i = 0; i < servo_ranges_count; i++) {
+        if (!elements_accept(in, &servo_ranges[i], &write)) {
+            return false;
+        }
+    }
+    return true;
+}

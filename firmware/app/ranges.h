@@ -1,0 +1,21 @@
+/* ranges.h - which writes of the host the application takes: no element may leave the range of its variable. */
+#ifndef SERVO_APP_RANGES_H
+#define SERVO_APP_RANGES_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "app/blocks.h"
+
+/* The memory that the host writes to. */
+typedef struct {
+    const uint8_t *memory;
+    uint16_t positions; /* offset of the position set-points */
+    const snapshot_t *snapshot;
+} ranges_memory_t;
+
+/* May `size` bytes at `offset` become `data` where `mask` (NULL: everywhere) has ones? Position set-points have to be
+ * within POSITION_REACH of the shaft as well. To be called under hold. */
+bool ranges_accept(const ranges_memory_t *in, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size);
+
+#endif

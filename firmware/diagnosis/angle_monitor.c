@@ -1,0 +1,84 @@
+#include "diagnosis/angle_monitor.h"
+
+#include "config/contract_gen.h"
+
+/* Without these the voltage is not known well enough. */
+#define NEEDED (FEATURE_DEAD_TIME | FEATURE_BUS_COMPENSATION)
+
+#define TICKS_MAX 4U
+#define FILTER_SHIFT 2 /* four slow ticks: noise, times the controllers' gain, is as large as the back-EMF looked for */
+#define EMF_OVER_SIZE 3 /* a slip turns the back-EMF, so it takes twice its size at most */
+#define ALL_PHASES ((UINT16_C(1) << OBSERVED_PHASES) - 1U)
+
+void angle_monitor_start(angle_monitor_t *monitor)
+{
+    monitor->current = (dq_t){0, 0};
+    monitor->beyond = (dq_t){0, 0};
+    monitor->ticks = 0;
+}
+
+static frac16_t filtered(frac16_t beyond, int32_t x) { return sat16(beyond + asr32(x - beyond, FILTER_SHIFT)); }
+
+/* The voltage beyond resistance, decoupling and back-EMF: u = R i +- omega L i (+ omega psi in q) + what is beyond. */
+static void filter(angle_monitor_t *m, gain_t resistance, const current_loop_config_t *loop, const observation_t *o)
+{
+    const int32_t omega = o->omega_e;
+    const int32_t turned_d = i32_gain(asr32(omega * o->current.q, 15), loop->omega_l_q);
+    const int32_t turned_q = i32_gain(asr32(omega * o->current.d, 15), loop->omega_l_d);
+    m->beyond.d = filtered(m->beyond.d, o->voltage.d - i32_gain(o->current.d, resistance) + turned_d);
+    m->beyond.q = filtered(m->beyond.q, o->voltage.q - i32_gain(o->current.q, resistance) - turned_q - o->emf);
+}
+
+/* What dead time, a quarter of the inductance, a change of the current, and half of the back-EMF that is expected account
+ * for: 29 degrees of it, or its size. Along the current half of the resistance may be added; much more is no back-EMF. Of a
+ * small current neither the direction is certain nor what a dead time does to it. */
+static bool contradicts(const angle_monitor_t *m, const winding_config_t *config, const current_loop_config_t *loop,
+                        const observation_t *o, int32_t changed)
+{
+    const int32_t size = o->current_size;
+    const int32_t emf = i32_abs(o->emf);
+    const int32_t turned = i32_gain(asr32(i32_abs(o->omega_e) * size, 15), loop->omega_l_q);
+    const bool certain = size >= 2 * (int32_t)config->silent;
+    const int32_t lost = certain ? config->emf_floor / 4 : 2 * (int32_t)config->emf_floor;
+    const int32_t known = sat16(lost + turned / 4 + i32_gain(changed, config->inductance) + emf / 2);
+    const int32_t along = o->drop / 2;
+    const int32_t length = length_about(m->beyond.d, m->beyond.q);
+    const int32_t across =
+        i32_abs(asr32((int32_t)m->beyond.d * o->current.q, 1) - asr32((int32_t)m->beyond.q * o->current.d, 1));
+    return length < known + along + EMF_OVER_SIZE * emf &&
+           (length > known + along || (certain && across > asr32(known * size, 1)));
+}
+
+void angle_monitor_step(angle_monitor_t *m, const winding_config_t *config, const current_loop_config_t *loop,
+                        const observation_t *o, evidence_t *evidence)
+{
+    const dq_t before = m->current;
+    const bool moves = o->calm == 0U; /* else it is the count that is in doubt */
+    m->current = o->current;
+    if (!moves || (o->features & NEEDED) != NEEDED || o->current_size < (int32_t)config->silent) {
+        m->beyond = (dq_t){0, 0};
+        m->ticks = 0;
+        return;
+    }
+    const int32_t changed = length_about(f16_sub(o->current.d, before.d), f16_sub(o->current.q, before.q));
+    filter(m, config->resistance, loop, o);
+    if (i32_abs(o->emf) > config->emf_floor / 4 && contradicts(m, config, loop, o, changed)) {
+        m->ticks++;
+    } else if (m->ticks > 0U) {
+        m->ticks--;
+    }
+    if (m->ticks == 0U) {
+        m->conducting = 0;
+    } else if (m->ticks > TICKS_MAX && m->conducting == ALL_PHASES) {
+        evidence->confirmed |= FOUND(FINDING_EMF_ELSEWHERE);
+    }
+}
+
+void angle_monitor_suspect(const angle_monitor_t *m, const winding_config_t *config, const observation_t *o,
+                           evidence_t *evidence)
+{
+    const int32_t explained = i32_abs(o->emf) + config->emf_floor / 4;
+    if (!o->sensorless && length_about(m->beyond.d, m->beyond.q) > explained) {
+        evidence->suspected |= SUSPECT_ANGLE;
+    }
+}

@@ -1,0 +1,16 @@
+#include "diagnosis/bus_monitor.h"
+
+finding_set_t bus_monitor_findings(const bus_monitor_t *monitor, frac16_t u_dc, bool settled, bool broken)
+{
+    finding_set_t findings = 0;
+    if (u_dc > monitor->u_dc_max) {
+        findings |= FOUND(FINDING_OVER_VOLTAGE);
+    }
+    if (u_dc < monitor->u_dc_min && settled) {
+        findings |= FOUND(FINDING_UNDER_VOLTAGE);
+    }
+    if (broken) {
+        findings |= FOUND(FINDING_HARDWARE_BREAK);
+    }
+    return findings;
+}

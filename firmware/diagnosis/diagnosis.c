@@ -1,0 +1,10 @@
+#include "diagnosis/diagnosis.h"
+
+void diagnosis_suspect(const diagnosis_t *diagnosis, const winding_config_t *config, const observation_t *observation,
+                       evidence_t *evidence)
+{
+    sensor_monitor_suspect(&diagnosis->sensor, evidence);
+    phase_monitor_suspect(&diagnosis->phase, evidence);
+    encoder_monitor_suspect(&diagnosis->encoder, observation, evidence);
+    angle_monitor_suspect(&diagnosis->angle, config, observation, evidence);
+}

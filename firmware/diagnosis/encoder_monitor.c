@@ -1,0 +1,305 @@
+#include "diagnosis/encoder_monitor.h"
+
+#include "config/contract_gen.h"
+
+#define REST_COUNTS 2   /* a shaft at rest may dither so far */
+#define CALM_TICKS 4U   /* without movement the shaft is slower than any back-EMF that counts here */
+#define WINDOW 32U      /* slow ticks */
+#define TOGGLES_MIN 12U /* changes of the count in it: 375 Hz, no shaft dithers so fast */
+#define WINDOWS_MAX 2U
+#define TURNING_TICKS 8U
+#define SWEPT_MAX 16384U /* a quarter of a turn; an eighth is looked for */
+#define TEST_TICKS 4U    /* the current controllers take less */
+#define WINDUP_TICKS 60U /* of voltage that stays where it is */
+#define SHORT_TICKS 8U
+#define SUDDEN_COUNTS 8U  /* per slow tick: slower shafts drive no current that trips anything */
+#define SETTLED_TICKS 8U  /* until the probing current flows */
+#define PROBE_TICKS 80U   /* in all: before the speed of the M/T method without its enhancement falls to zero */
+#define SWINGS_MAX 4U
+
+void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position)
+{
+    *monitor = (encoder_monitor_t){.anchor = position, .last = position};
+}
+
+/* ---- the count ---------------------------------------------------------------------------------------------------- */
+
+/* A window of a count that goes one back and forth; a shaft that hunts takes several. */
+static bool single_channel_toggle(encoder_monitor_t *m, int32_t moved)
+{
+    m->window++;
+    if (moved != 0) {
+        m->toggles++;
+        m->hunts = m->hunts || (moved != -m->toggled && m->toggled != 0);
+        m->toggled = moved;
+    }
+    if (m->window < WINDOW) {
+        return false;
+    }
+    m->windows = (m->toggles >= TOGGLES_MIN && !m->hunts) ? (uint8_t)(m->windows + 1U) : 0U;
+    m->hunts = false;
+    m->window = 0;
+    m->toggles = 0;
+    return m->windows >= WINDOWS_MAX;
+}
+
+static uint16_t size_of(int32_t moved)
+{
+    const uint32_t size = (moved < 0) ? 0U - (uint32_t)moved : (uint32_t)moved;
+    return (size > UINT16_MAX) ? UINT16_MAX : (uint16_t)size;
+}
+
+static void watch_count(encoder_monitor_t *m, int32_t position, evidence_t *evidence)
+{
+    const int32_t away = i32_sub_wrap(position, m->anchor);
+    const int32_t moved = i32_sub_wrap(position, m->last);
+    m->last = position;
+    if (away > REST_COUNTS || away < -REST_COUNTS) {
+        const uint16_t earlier = m->pace;
+        if (m->calm != 0U) { /* else everything has just been forgotten */
+            encoder_monitor_start(m, position);
+        }
+        m->anchor = position;
+        m->wanted = 0;
+        m->pace = size_of(moved);
+        m->earlier = earlier;
+        return;
+    }
+    m->sudden = m->sudden || m->pace >= SUDDEN_COUNTS || m->earlier >= SUDDEN_COUNTS;
+    m->pace = 0;
+    m->earlier = 0;
+    if (m->calm < UINT16_MAX) {
+        m->calm++;
+    }
+    if (single_channel_toggle(m, moved)) {
+        evidence->confirmed |= FOUND(FINDING_SINGLE_CHANNEL_TOGGLE);
+    }
+}
+
+/* ---- the voltage -------------------------------------------------------------------------------------------------- */
+
+static int32_t drop(frac16_t current, gain_t resistance)
+{
+    return f16_from_f32(f32_gain(f32_from_f16(current), resistance));
+}
+
+/* Voltage that the current does not need, without half of its noise: that of a current sample, times the controllers' gain,
+ * is as large as the back-EMF looked for. */
+static void note_unexplained(encoder_monitor_t *m, gain_t resistance, const observation_t *o)
+{
+    m->rest.d = sat16(asr32((int32_t)m->rest.d + o->voltage.d - drop(o->current.d, resistance), 1));
+    m->rest.q = sat16(asr32((int32_t)m->rest.q + o->voltage.q - drop(o->current.q, resistance), 1));
+}
+
+static bool current_flows(const winding_config_t *config, const observation_t *o)
+{
+    return o->current_size >= 2 * (int32_t)config->silent;
+}
+
+/* What half of the resistance, dead time and switches may account for. Small currents are not compensated. */
+static int32_t tolerated(const winding_config_t *config, const observation_t *o)
+{
+    const bool exact = (o->features & FEATURE_DEAD_TIME) != 0U && o->current_size > config->silent;
+    return (exact ? 1 : 2) * (int32_t)config->emf_floor + asr32(o->drop, 1);
+}
+
+/* The output of integrators that wind up turns, too, but more slowly than a rotor with a back-EMF of that size. `beyond`:
+ * more than other reasons may account for. */
+static void note_voltage(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t beyond)
+{
+    const dq_t voltage = m->rest;
+    const bool rigid = !m->turned && m->swept > SWEPT_MAX;
+    if (m->turning == 0U || rigid) {
+        m->emf = voltage;
+        m->swept = 0;
+        m->turned = false;
+        m->idle = 0;
+        m->rigid = rigid || (m->turning > 0U && m->rigid);
+    }
+    m->swept += (uint32_t)asr64((int64_t)beyond * config->turn_per_voltage, 15);
+    const int32_t along = asr32((int32_t)voltage.d * m->emf.d, 1) + asr32((int32_t)voltage.q * m->emf.q, 1);
+    const int32_t across = asr32((int32_t)voltage.d * m->emf.q, 1) - asr32((int32_t)voltage.q * m->emf.d, 1);
+    m->turned = m->turned || along < across || along < -across; /* more than an eighth of a turn */
+    m->idle = (uint16_t)(m->idle + (current_flows(config, o) ? 0U : 1U));
+    m->turning++;
+}
+
+static frac16_t test_size(const winding_config_t *config, const observation_t *o)
+{
+    const int32_t wanted = 4 * (int32_t)config->silent;
+    return (wanted < o->current_limit) ? (frac16_t)wanted : o->current_limit;
+}
+
+static void ask(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
+                evidence_t *evidence)
+{
+    const frac16_t size = test_size(config, o);
+    if (m->along_q) {
+        evidence->test_current.q = m->back ? f16_neg(size) : size;
+    } else {
+        evidence->test_current.d = size;
+    }
+}
+
+static frac16_t current_along(const encoder_monitor_t *m, const observation_t *o)
+{
+    return m->along_q ? o->current.q : o->current.d;
+}
+
+/* A back-EMF is still there when a current has been asked for; wind-up is not. Not all of it need be: the drops are
+ * different now, and the resistance may be wrong by as much. Where they happen to hide it, the rotor turns on, and the next
+ * test is at another angle. */
+static bool remains(const encoder_monitor_t *m)
+{
+    return 4 * length_about(m->rest.d, m->rest.q) >= length_about(m->emf.d, m->emf.q);
+}
+
+/* The voltage turns like a back-EMF. Where hardly any current flows, or flowed while it did, or the voltage has stood before
+ * for longer than a back-EMF does, it may be integrator wind-up: then a current is asked for, where most of the voltage is,
+ * for as long as the controllers take. */
+static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, evidence_t *evidence)
+{
+    if (m->testing == 0U) {
+        if (!m->rigid && 2 * (int32_t)m->idle <= (int32_t)m->turning && current_flows(config, o)) {
+            evidence->confirmed |= FOUND(FINDING_EMF_WITHOUT_COUNT);
+            return;
+        }
+        m->along_q = f16_abs(m->rest.q) > f16_abs(m->rest.d);
+        m->back = m->along_q && o->current_ref.q > 0;
+        m->before = current_along(m, o);
+    }
+    m->testing++;
+    if (m->testing <= TEST_TICKS) {
+        return;
+    }
+    m->testing = 0;
+    const int32_t size = test_size(config, o);
+    const int32_t change = (int32_t)current_along(m, o) - m->before;
+    const int32_t more = 4 * (m->back ? -change : change);
+    if (more < 2 * size) { /* through a lost phase half of it at most */
+        evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
+        return;
+    }
+    m->turning = 0;
+    if (remains(m)) {
+        evidence->confirmed |= FOUND((more >= 3 * size) ? FINDING_EMF_CONFIRMED : FINDING_EMF_WITHOUT_COUNT);
+    }
+}
+
+/* A step of the set-point asks for voltage beyond that, through the current controllers' gain. */
+static bool steps(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, const observation_t *o)
+{
+    const int32_t step = f16_abs(f16_sub(o->current_ref.q, m->wanted));
+    m->wanted = o->current_ref.q;
+    return i32_gain(step, kp) > (int32_t)config->emf_floor;
+}
+
+/* A shaft that has come to rest at once, without a current: has the encoder died? Within what dead time and switches take,
+ * a back-EMF drives no voltage that the controllers would have to answer. */
+static bool needs_test_current(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o)
+{
+    return m->sudden && m->testing == 0U && m->calm >= ENCODER_CONFIRM_TICKS && !current_flows(config, o) &&
+           f16_abs(o->current_ref.q) < 2 * (int32_t)config->silent;
+}
+
+/* A current that stays as it is needs a voltage that stays as it is, but for a rotor that turns. Another set-point ends the
+ * probe: it will show whether the shaft moves. */
+static void probe(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, evidence_t *evidence)
+{
+    const dq_t steady = {f16_from_f32((frac32_t)asr64(o->steady_d, GAIN_BITS)),
+                         f16_from_f32((frac32_t)asr64(o->steady_q, GAIN_BITS))};
+    m->probing++;
+    if (m->probing <= SETTLED_TICKS) {
+        m->along_q = false;
+        m->emf = steady;
+        m->held = o->current_ref.q;
+        m->swings = 0;
+        return;
+    }
+    const bool flows = 4 * (int32_t)current_along(m, o) >= 3 * (int32_t)test_size(config, o);
+    const int32_t swing = length_about((int32_t)steady.d - m->emf.d, (int32_t)steady.q - m->emf.q);
+    m->swings = (flows && swing > (int32_t)config->emf_floor / 2) ? (uint8_t)(m->swings + 1U) : 0U;
+    const bool turns = m->swings >= SWINGS_MAX;
+    const bool changed = f16_abs(f16_sub(o->current_ref.q, m->held)) > config->silent / 2;
+    if (turns || changed || m->probing > PROBE_TICKS) {
+        m->probing = 0;
+        m->sudden = false;
+        m->rest = (dq_t){0, 0};
+    }
+    if (turns && !changed) {
+        evidence->confirmed |= FOUND(FINDING_EMF_WITHOUT_COUNT);
+    }
+}
+
+/* One more tick of voltage. */
+static void judge(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o)
+{
+    note_unexplained(m, config->resistance, o);
+    const int32_t size = length_about(m->rest.d, m->rest.q);
+    const int32_t beyond = size - tolerated(config, o);
+    if (beyond > 0) {
+        note_voltage(m, config, o, beyond);
+    } else if (m->turning > 0U) {
+        m->turning--;
+        m->idle = (m->idle > m->turning) ? m->turning : m->idle;
+    }
+    const int32_t much = 4 * (int32_t)config->emf_floor + asr32(o->drop, 1);
+    m->windup = (size > much) ? (uint16_t)(m->windup + 1U) : 0U;
+}
+
+/* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
+static void watch_voltage(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, const observation_t *o,
+                          evidence_t *evidence)
+{
+    const bool stepped = steps(m, config, kp, o);
+    if (m->calm < CALM_TICKS) {
+        m->turning = 0;
+        m->windup = 0;
+        return;
+    }
+    if (m->probing > 0U || needs_test_current(m, config, o)) {
+        probe(m, config, o, evidence);
+        return;
+    }
+    if (!stepped) {
+        judge(m, config, o);
+    }
+    if (m->testing > 0U || (m->turning >= TURNING_TICKS && m->turned)) {
+        test_emf(m, config, o, evidence);
+    } else if (m->windup >= WINDUP_TICKS) {
+        evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
+    }
+}
+
+/* Shorted windings: only a shaft that turns drives a current through them. */
+static void watch_short(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
+                        evidence_t *evidence)
+{
+    const bool flows = o->current_size > 2 * (int32_t)config->silent;
+    m->turning = (m->calm >= CALM_TICKS && flows) ? (uint16_t)(m->turning + 1U) : 0U;
+    if (m->turning >= SHORT_TICKS) {
+        evidence->confirmed |= FOUND(FINDING_CURRENT_IN_SHORT);
+    }
+}
+
+void encoder_monitor_step(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, observation_t *o,
+                          evidence_t *evidence)
+{
+    watch_count(m, o->position, evidence);
+    o->calm = m->calm;
+    if (o->spins) {
+        watch_voltage(m, config, kp, o, evidence);
+        if (m->testing != 0U || m->probing != 0U) {
+            ask(m, config, o, evidence);
+        }
+    } else if (o->shorted) {
+        watch_short(m, config, o, evidence);
+    }
+}
+
+void encoder_monitor_suspect(const encoder_monitor_t *m, const observation_t *o, evidence_t *evidence)
+{
+    if (o->shorted && m->sudden) {
+        evidence->suspected |= SUSPECT_ENCODER;
+    }
+}

@@ -1,0 +1,186 @@
+#include "diagnosis/phase_monitor.h"
+
+#define SILENT_TICKS 8U /* 4 ms: longer than any phase is silent at a speed at which currents do not follow */
+#define NOTHING_TICKS 40U
+#define SUSPECT_TICKS 2U
+#define NOTHING_SUSPECT 8U
+#define NOTHING_FADE_TICKS 4U
+#define FORGET_TICKS 16U
+#define FADE_TICKS 128U
+#define FAINT_MAX 14U        /* of FORGET_TICKS without enough current to tell directions */
+#define DIRECTIONS 6U        /* of 8: a whole phase is silent in 4 of them at most, where it changes its sign */
+#define SILENCES 32U /* and silent so often: small currents that are mostly noise reach 6 directions by chance */
+#define SILENCE 0x100U /* one of these: the count stands above the directions */
+#define SUSPECT_DIRECTIONS 3U /* of a whole phase two in a row at most */
+
+#define CALM_TICKS 4U /* without movement the shaft is slower than any back-EMF that counts here */
+
+/* Sizes of the phase currents. */
+typedef struct {
+    int32_t phase[OBSERVED_PHASES];
+    int32_t largest;
+} phases_t;
+
+static void restart(phase_monitor_t *m)
+{
+    for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
+        m->silent[x] = 0;
+        m->sectors[x] = 0;
+    }
+    m->nothing = 0;
+    m->missed = 0;
+    m->lost = false;
+    m->wanted = 0;
+}
+
+static phases_t sizes(dq_t vector, const sin_cos_t *at)
+{
+    const abc_t x = clarke_inverse(park_inverse(vector, *at));
+    phases_t result = {{i32_abs(x.a), i32_abs(x.b), i32_abs(x.c)}, 0};
+    for (uint16_t k = 0; k < OBSERVED_PHASES; k++) {
+        result.largest = (result.phase[k] > result.largest) ? result.phase[k] : result.largest;
+    }
+    return result;
+}
+
+static uint16_t directions(uint16_t sectors)
+{
+    uint16_t bits = 0;
+    for (uint16_t word = (uint16_t)(sectors & (SILENCE - 1U)); word != 0U; word = (uint16_t)(word & (word - 1U))) {
+        bits++;
+    }
+    return bits;
+}
+
+/* In which directions of the rotor is a phase silent? A current in between voids the record. */
+static void note_direction(phase_monitor_t *m, uint16_t x, uint16_t bit)
+{
+    m->sectors[x] = (uint16_t)(m->sectors[x] | bit);
+    if (m->sectors[x] < SILENCES * SILENCE) {
+        m->sectors[x] = (uint16_t)(m->sectors[x] + SILENCE);
+    } else {
+        m->lost = m->lost || directions(m->sectors[x]) >= DIRECTIONS;
+    }
+}
+
+/* Each phase by its own current. */
+static void note_currents(phase_monitor_t *m, const winding_config_t *config, const phases_t *is, observation_t *o)
+{
+    const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)o->frame >> 13));
+    for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
+        const int32_t size = is->phase[x];
+        if (size >= config->silent) {
+            m->silent[x] = 0;
+            m->sectors[x] = 0;
+            o->conducting = (uint16_t)(o->conducting | (UINT16_C(1) << x));
+        } else if (2 * size >= config->silent) {
+            m->sectors[x] = 0;
+        } else if (is->largest > config->direction_min) {
+            if (3 * size >= is->largest) {
+                m->sectors[x] = 0;
+            } else {
+                note_direction(m, x, bit);
+            }
+        }
+    }
+}
+
+/* Current is asked of a phase, the others carry some, it has none: less than is certain, or next to nothing of what the
+ * others have, instead of half. */
+static void compare(phase_monitor_t *m, int32_t silent, const phases_t *is, dq_t current_ref, const sin_cos_t *at)
+{
+    phases_t wanted = {{0, 0, 0}, 0};
+    for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
+        const int32_t size = is->phase[x];
+        const bool less = size < silent && is->largest > 2 * silent;
+        const bool hardly = 8 * size < is->largest;
+        if ((less || hardly) && wanted.largest == 0) { /* seldom */
+            wanted = sizes(current_ref, at);
+        }
+        const int32_t asked = wanted.phase[x];
+        if ((less && asked > 2 * silent) || (hardly && asked > silent && asked > wanted.largest / 2)) {
+            m->silent[x]++;
+            m->lost = m->lost || m->silent[x] >= SILENT_TICKS;
+        } else if (4 * size >= is->largest) {
+            m->silent[x] = 0;
+        }
+    }
+}
+
+/* Rare silences by chance are no evidence. */
+static void forget(phase_monitor_t *m)
+{
+    m->age++;
+    if (m->age % FORGET_TICKS != 0U) {
+        return;
+    }
+    for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
+        m->silent[x] = (uint16_t)(m->silent[x] - ((m->silent[x] > 0U && m->age % FADE_TICKS == 0U) ? 1U : 0U));
+        m->sectors[x] = (m->faint > FAINT_MAX) ? 0U : m->sectors[x];
+    }
+    m->faint = 0;
+}
+
+/* Neither the windings nor the back-EMF are what holds the current back. */
+static bool current_not_following(const winding_config_t *config, const observation_t *o)
+{
+    const int32_t emf = o->emf;
+    return (o->sensorless || o->calm < CALM_TICKS) &&
+           length_about(o->voltage.d, o->voltage.q - emf) >
+               2 * (int32_t)config->emf_floor + i32_abs(emf) / 2 + 2 * o->drop;
+}
+
+/* As a suspicion it is forgotten slowly: an observer that has lost its rotor asks for anything. */
+static void note_nothing(phase_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t largest)
+{
+    const dq_t wanted = o->current_ref;
+    const int32_t missing = length_about((int32_t)o->current.d - wanted.d, (int32_t)o->current.q - wanted.q);
+    const bool enough = 4 * missing > 3 * (int32_t)config->silent || missing > config->direction_min;
+    const bool not_following = enough && current_not_following(config, o);
+    m->nothing = (not_following && 4 * missing > 3 * (int32_t)config->silent) ? (uint16_t)(m->nothing + 1U) : 0U;
+    const bool missed = not_following && 2 * largest < config->silent && missing > config->direction_min;
+    if (missed && m->missed < NOTHING_TICKS) {
+        m->missed++;
+    } else if (!missed && m->missed > 0U && m->age % NOTHING_FADE_TICKS == 0U) {
+        m->missed--;
+    }
+}
+
+void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, observation_t *o, evidence_t *evidence)
+{
+    o->conducting = 0;
+    if (!o->controlled) {
+        restart(m);
+        return;
+    }
+    const sin_cos_t at = sin_cos(o->frame);
+    const phases_t is = sizes(o->current, &at);
+    note_currents(m, config, &is, o);
+    const bool enough = is.largest > config->direction_min;
+    const bool same = (o->current_ref.q < 0) == (m->wanted < 0); /* else it has just turned round */
+    m->wanted = o->current_ref.q;
+    if (same && enough && !o->stop_unconfirmed) {
+        compare(m, config->silent, &is, o->current_ref, &at);
+    }
+    m->faint = (uint16_t)(m->faint + (enough ? 0U : 1U));
+    forget(m);
+    note_nothing(m, config, o, is.largest);
+    if (m->lost) {
+        evidence->confirmed |= FOUND(FINDING_PHASE_SILENT);
+    }
+    if (m->nothing >= NOTHING_TICKS && o->spins) { /* the other states search */
+        evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
+    }
+}
+
+void phase_monitor_suspect(const phase_monitor_t *m, evidence_t *evidence)
+{
+    for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
+        if (m->silent[x] >= SUSPECT_TICKS || directions(m->sectors[x]) >= SUSPECT_DIRECTIONS) {
+            evidence->silent = (uint16_t)(evidence->silent | (UINT16_C(1) << x));
+        }
+    }
+    if (m->missed >= NOTHING_SUSPECT) {
+        evidence->suspected |= SUSPECT_CURRENT;
+    }
+}

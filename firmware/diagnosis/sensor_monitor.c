@@ -1,0 +1,81 @@
+#include "diagnosis/sensor_monitor.h"
+
+#define WINDOW 64U         /* samples of a code */
+#define NOISE_MIN 4U       /* codes between the extremes of a window: less may be quiet by chance */
+#define SAME_BY_CHANCE 16U /* equal codes of a converter that counts as noisy */
+#define SAME_SUSPECT 6U    /* equal codes: 1 in 10000 with a noise of two codes */
+#define SAME_REPEATING 2U
+#define WRONG_MIN 32U /* codes off the offset: 16 times the usual noise */
+#define WRONG_TICKS 4U
+
+/* A window of codes with its extremes tells whether there is noise. */
+static void note_spread(converter_t *c, uint16_t code)
+{
+    if (c->samples == 0U) {
+        c->min = code;
+        c->max = code;
+    } else if (code < c->min) {
+        c->min = code;
+    } else if (code > c->max) {
+        c->max = code;
+    }
+    c->samples++;
+    if (c->samples >= WINDOW) {
+        c->noisy = (uint16_t)(c->max - c->min) >= NOISE_MIN;
+        c->samples = 0;
+    }
+}
+
+/* `same_min` equal codes while another converter shows noise. */
+static bool frozen(const sensor_monitor_t *m, const converter_t *c, uint16_t same_min)
+{
+    if (c->same < same_min) {
+        return false; /* almost always */
+    }
+    bool others_noisy = false;
+    for (uint16_t y = 0; y < OBSERVED_PHASES; y++) {
+        const converter_t *other = &m->converter[y];
+        others_noisy = others_noisy || (other != c && other->noisy && other->same < SAME_BY_CHANCE);
+    }
+    return others_noisy;
+}
+
+static bool broken(sensor_monitor_t *m, const idle_sample_t *sample, bool switching)
+{
+    converter_t *c = &m->converter[sample->phase];
+    const uint16_t code = sample->code;
+    if (code != c->last) {
+        c->same = 0;
+        c->last = code;
+    } else if (c->same < UINT16_MAX) {
+        c->same++;
+    }
+    note_spread(c, code);
+    const uint32_t zero = sample->zero;
+    const bool off = switching && (code > zero + WRONG_MIN || code + WRONG_MIN < zero);
+    c->wrong = off ? (uint16_t)(c->wrong + 1U) : 0U;
+    return c->wrong >= WRONG_TICKS || (c->same >= WINDOW && frozen(m, c, WINDOW));
+}
+
+void sensor_monitor_step(sensor_monitor_t *monitor, const idle_sample_t *samples, bool switching, evidence_t *evidence)
+{
+    for (const idle_sample_t *sample = samples; sample < samples + IDLE_SAMPLES; sample++) {
+        if (sample->valid && broken(monitor, sample, switching)) {
+            evidence->confirmed |= FOUND(FINDING_CONVERTER_BROKEN);
+        }
+    }
+}
+
+/* A single sample off the offset may be false: its high side has begun with the duty of the period before. */
+void sensor_monitor_suspect(const sensor_monitor_t *monitor, evidence_t *evidence)
+{
+    for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
+        const converter_t *c = &monitor->converter[x];
+        if (c->wrong > 1U || frozen(monitor, c, SAME_SUSPECT)) {
+            evidence->suspected |= SUSPECT_SENSOR;
+        }
+        if (frozen(monitor, c, SAME_REPEATING)) {
+            evidence->repeating = (uint16_t)(evidence->repeating | (UINT16_C(1) << x));
+        }
+    }
+}

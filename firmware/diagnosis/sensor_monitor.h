@@ -1,0 +1,32 @@
+/* sensor_monitor.h - current converters whose code cannot be true.
+ *
+ * A converter is broken when it reports a current at the centre of the high side, where its shunt carries nothing, or
+ * repeats its code while its neighbours show noise.
+ */
+#ifndef SERVO_DIAGNOSIS_SENSOR_MONITOR_H
+#define SERVO_DIAGNOSIS_SENSOR_MONITOR_H
+
+#include "diagnosis/evidence.h"
+#include "diagnosis/observation.h"
+
+typedef struct {
+    uint16_t wrong;   /* samples in a row that are off the offset */
+    uint16_t last;    /* the code before .. */
+    uint16_t same;    /* .. and how often it has come again */
+    uint16_t samples; /* of the present window, with its extremes */
+    uint16_t min;
+    uint16_t max;
+    bool noisy; /* in the last whole window */
+} converter_t;
+
+typedef struct {
+    converter_t converter[OBSERVED_PHASES];
+} sensor_monitor_t;
+
+/* One slow tick with the IDLE_SAMPLES that have just been taken, in every state. `switching`: the high sides conduct in
+ * turn. Open switches leave the current of a turning shaft in the diodes. */
+void sensor_monitor_step(sensor_monitor_t *monitor, const idle_sample_t *samples, bool switching, evidence_t *evidence);
+
+void sensor_monitor_suspect(const sensor_monitor_t *monitor, evidence_t *evidence);
+
+#endif

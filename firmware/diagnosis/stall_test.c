@@ -1,0 +1,116 @@
+#include "diagnosis/stall_test.h"
+
+#define GOES_ON_OVER_MOVE 8 /* so much farther, in multiples of a movement that counts: nothing has stopped it */
+#define STOPS_TICKS 16U     /* by then, what the torque has left stands; half of them are enough to slow down */
+#define TURNS_OVER_MOVE 2   /* back so far from the farthest: more than a bounce */
+
+/* Of this side. */
+static rotor_follow_config_t follow_of(const stall_test_t *test, const rotor_search_config_t *config)
+{
+    rotor_follow_config_t follow = config->follow;
+    follow.inductive = test->second ? f16_neg(test->inductive) : test->inductive;
+    follow.step = test->second ? (uint16_t)(0U - (uint32_t)follow.step) : follow.step;
+    return follow;
+}
+
+static void turn_to_side(stall_test_t *test, bool second, int32_t position)
+{
+    test->second = second;
+    test->origin = position;
+    rotor_follow_start(&test->follow, 0);
+}
+
+void stall_test_start(stall_test_t *test, const rotor_search_config_t *config, const observation_t *observation)
+{
+    const frac16_t i_q = observation->current_ref.q;
+    const int32_t current = f16_abs(i_q);
+    *test = (stall_test_t){.runs = true, .positive = i_q > 0, .vector = observation->theta_e};
+    test->inductive = sat16((int32_t)config->follow.inductive * current / config->current_limit);
+    turn_to_side(test, false, observation->position);
+}
+
+/* The frame turns instead of the rotor, with the current along its q axis: across it lies the d axis. */
+void stall_test_add(stall_test_t *test, const rotor_search_config_t *config, frac16_t u_d)
+{
+    const rotor_follow_config_t follow = follow_of(test, config);
+    rotor_follow_add(&test->follow, &follow, test->positive ? f16_neg(u_d) : u_d);
+}
+
+/* Way in the direction of the torque that was wanted. */
+static int32_t way_from(const stall_test_t *test, int32_t origin, int32_t position)
+{
+    const int32_t way = i32_sub_wrap(position, origin);
+    return test->positive ? way : -way;
+}
+
+/* The vector turns, the shaft has not moved. */
+static finding_set_t turn_step(stall_test_t *test, const rotor_search_config_t *config, int32_t position)
+{
+    const rotor_follow_config_t follow = follow_of(test, config);
+    const int32_t way = way_from(test, test->origin, position);
+    if (i32_abs(way) >= (int32_t)config->move_counts) {
+        test->mirrored = true;
+        test->ahead = way > 0;
+        test->phi = f16_neg(test->phi);
+        test->ticks = 0;
+        test->farthest = position;
+        test->origin = position;
+        return 0;
+    }
+    const bool over = rotor_follow_step(&test->follow, &follow);
+    test->phi = test->follow.theta;
+    if (!over) {
+        return 0;
+    }
+    if (rotor_follow_seen(&test->follow, &follow)) {
+        return FOUND(FINDING_STALL_UNSEEN);
+    }
+    if (test->second) {
+        return FOUND(FINDING_SHAFT_HELD);
+    }
+    turn_to_side(test, true, position);
+    return 0;
+}
+
+/* Against the torque: on to where the largest torque of a wrong angle may be. */
+static bool turned_out(stall_test_t *test, const rotor_follow_config_t *config)
+{
+    const int32_t max = (int32_t)config->ticks * config->step;
+    const int32_t phi = test->phi + ((test->phi > 0) ? (int32_t)config->step : -(int32_t)config->step);
+    test->phi = sat16(phi);
+    return phi >= max || phi <= -max;
+}
+
+static finding_set_t mirrored_step(stall_test_t *test, const rotor_search_config_t *config, int32_t position)
+{
+    const int32_t move_min = config->move_counts;
+    const int32_t sign = test->ahead ? 1 : -1;
+    const int32_t way = sign * way_from(test, test->origin, position);
+    const int32_t back = -sign * way_from(test, test->farthest, position);
+    test->farthest = (back < 0) ? position : test->farthest;
+    test->ticks++;
+    if (test->ticks == STOPS_TICKS / 2U && test->ahead) {
+        test->origin = test->farthest;
+    }
+    if (way >= GOES_ON_OVER_MOVE * move_min) {
+        return FOUND(FINDING_SHAFT_HELD);
+    }
+    if (back >= TURNS_OVER_MOVE * move_min) {
+        return FOUND(FINDING_STALL_ELSEWHERE);
+    }
+    if (!test->ahead) {
+        return turned_out(test, &config->follow) ? FOUND(FINDING_SHAFT_HELD) : 0U;
+    }
+    if (test->ticks >= STOPS_TICKS) {
+        return (way >= move_min) ? FOUND(FINDING_SHAFT_HELD) : FOUND(FINDING_STALL_ELSEWHERE);
+    }
+    return 0;
+}
+
+void stall_test_step(stall_test_t *test, const rotor_search_config_t *config, const observation_t *observation,
+                     evidence_t *evidence)
+{
+    const int32_t position = observation->position;
+    evidence->confirmed |= test->mirrored ? mirrored_step(test, config, position) : turn_step(test, config, position);
+    test->vector = f16_add_wrap(observation->theta_e, test->phi);
+}

@@ -1,0 +1,168 @@
+/* axis_data.h - what one motor is: its state machines, feedback, controllers, limits and faults. */
+#ifndef SERVO_DRIVE_AXIS_DATA_H
+#define SERVO_DRIVE_AXIS_DATA_H
+
+#include "config/axis_config.h"
+#include "control/path.h"
+#include "diagnosis/diagnosis.h"
+#include "diagnosis/fault_latch.h"
+#include "drive/current_sense.h"
+#include "drive/estimate_data.h"
+#include "drive/feedback_data.h"
+#include "drive/startup_data.h"
+#include "drive/state_machine.h"
+#include "drive/stop_data.h"
+#include "hal/hal.h"
+
+/* PWM periods per slow tick (DRM 2.3.2). */
+#define AXIS_SLOW_PERIODS 8
+
+typedef enum {
+    LOOP_FAST,
+    LOOP_SLOW,
+    LOOP_OBSERVED, /* the fast loop with the observer in it */
+    LOOP_ESTIMATE, /* in axis_estimate */
+    LOOP_CHECK, /* in axis_check */
+} axis_loop_t;
+
+/* What the host has written since the last tick: a set-point or an enable takes effect by being written, never by
+ * standing in memory. */
+#define FRESH_POSITION UINT16_C(0x01) /* the set-points come in the order of their modes */
+#define FRESH_SPEED UINT16_C(0x02)
+#define FRESH_I_Q UINT16_C(0x04)
+#define FRESH_MODE UINT16_C(0x08)
+#define FRESH_ENABLE UINT16_C(0x10)
+#define FRESH_QUICK_STOP UINT16_C(0x20)
+#define FRESH_CLEAR_FAULTS UINT16_C(0x40) /* a 1 */
+
+/* What the host asks of an axis, latched once per slow tick. */
+typedef struct {
+    int32_t position; /* counts */
+    frac32_t speed;
+    frac16_t i_q;
+    uint16_t mode; /* control_mode_t */
+    bool enable;
+    bool quick_stop;
+    uint16_t fresh; /* FRESH_ bits */
+    uint16_t age; /* slow ticks since a set-point of the mode, or another mode, was written */
+} axis_command_t;
+
+/* A set-point of the mode has just been written. */
+static inline bool axis_set_point_fresh(const axis_command_t *command)
+{
+    return (command->fresh & (FRESH_POSITION << command->mode)) != 0U;
+}
+
+typedef struct {
+    frac32_t speed;
+    frac32_t acceleration; /* speed per slow tick */
+    frac16_t i_q;
+    int32_t position_min; /* counts; INT32_MIN, INT32_MAX: none */
+    int32_t position_max;
+} axis_limits_t;
+
+/* The same as the path and the soft limits need them: worked out when they change. */
+typedef struct {
+    path_position_t step;         /* speed */
+    path_position_t acceleration;
+    path_position_t bend;         /* soft_limits.c */
+    uint16_t omega_n_ts;          /* omega_n Ts of the path filter, 16 fraction bits */
+    bool stale;                   /* the last two do not fit the limits yet */
+} path_limits_t;
+
+/* What the shaft is being made to do while the axis spins. */
+typedef enum {
+    MOTION_POSITION = CONTROL_MODE_POSITION, /* follow the shaped position set-point */
+    MOTION_SPEED = CONTROL_MODE_SPEED,       /* follow the ramped speed set-point */
+    MOTION_TORQUE = CONTROL_MODE_TORQUE,     /* follow the current set-point within the speed limit */
+    MOTION_STOP,                             /* ramp down at the limit; then hold */
+} motion_t;
+
+typedef struct {
+    motion_t motion;
+    int32_t target;       /* position set-point, counts */
+    frac32_t speed_target;
+    frac16_t i_q_target;
+    bool target_clipped;  /* a soft limit has taken a part of the set-point */
+    bool expired;         /* the axis has stopped because its set-point was not written again */
+    path_t path;
+    path_position_t model; /* where the shaft would be if it did what it is told */
+    bool path_forward;    /* the path's speed goes straight to the speed controller */
+    bool resting;         /* the shaft is close enough to a target that does not move */
+    frac32_t speed_ramp;
+    frac32_t shaped_speed; /* of the path, or the ramp, in this tick */
+    frac32_t acceleration; /* change of the shaped speed in this tick */
+    pi_state_t speed_pi;
+    frac32_t speed_ref;
+    bool saturated;       /* the speed controller pushes with all it has */
+    bool held_back;       /* the bus bears less braking current than the controller wants */
+    frac32_t resistance;  /* torque mode: what holds a load that drives the shaft past a limit */
+    frac32_t entry_speed; /* at which this motion has begun */
+    uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
+} motion_state_t;
+
+typedef struct axis {
+    const axis_config_t *config;
+    hal_t *hal;
+    uint16_t index;
+
+    sm_t sm;
+    substate_t substate;
+    axis_loop_t loop; /* which of a sub-state's functions runs */
+    axis_loop_t fast; /* .. in the fast loop */
+
+    axis_command_t command;
+    axis_limits_t limits;         /* in force */
+    axis_limits_t written_limits; /* in force with the next command */
+    bool limits_fresh;            /* .. where they are tighter, with the next slow tick */
+    path_limits_t path_limits;    /* of those in force */
+    int32_t following_error;      /* that is a fault, counts */
+    frac32_t over_speed;          /* that is a fault */
+    uint16_t command_timeout;     /* age at which a speed or torque set-point expires, slow ticks; 0: never */
+    uint16_t features;      /* FEATURE_ bits: parts of the control that are on */
+    bool requested;         /* the drive is wanted: enable was written and nothing has withdrawn it */
+    stop_category_t on_disable, on_quick_stop;
+    stop_t stop;            /* how the shaft comes to rest when it is not */
+    bool shorted;           /* FREEWHEEL with all low sides on */
+    fault_set_t stop_faults; /* captured faults that lead to FAULT once the shaft has been brought to rest */
+    fault_latch_t latch;
+    uint16_t active_limits; /* LIMIT_ bits of the last slow tick */
+    uint16_t ticks;         /* slow ticks in this state */
+
+    const feedback_source_t *source;
+    encoder_feedback_t encoder;
+    observer_feedback_t observed_position;
+    uint16_t feedback_wanted; /* feedback_kind_t; taken when the axis is not in RUN */
+    bool sensorless;          /* the source is the observer */
+    estimate_t estimate;
+    startup_t startup;
+    bool fading_out;          /* sensorless: on the way out of SPIN, below the minimum speed */
+    frac16_t current_q_left;  /* i_q* of the last slow tick */
+    feedback_t feedback;
+
+    current_sense_t sense;
+    frac32_t u_dc_now;    /* bus voltage of this period */
+    frac32_t u_dc_filter;
+    frac16_t u_dc; /* filtered bus voltage */
+    frac16_t regen_derating; /* part of the braking current that the bus takes */
+    uint16_t bus_limits; /* LIMIT_ bits that the bus sets on every axis */
+    bool calibrated;
+    rotor_search_t search;
+    current_loop_t current_loop;
+    dq_t current_ref;
+    motion_state_t motion;
+    observation_t observation;
+    diagnosis_t diagnosis;
+    dq_t test_current; /* that a monitor asks for on top of the set-point */
+} axis_t;
+
+/* LIMIT_ bits of this slow tick. */
+static inline void axis_report(axis_t *axis, uint16_t limit)
+{
+    axis->active_limits = (uint16_t)(axis->active_limits | limit);
+}
+
+/* The observer can be used with this motor. */
+static inline bool axis_observable(const axis_t *axis) { return axis->config->observer.drive != 0; }
+
+#endif

@@ -1,0 +1,30 @@
+/* estimate_data.h - what the observer and the PLL of an axis know. */
+#ifndef SERVO_DRIVE_ESTIMATE_DATA_H
+#define SERVO_DRIVE_ESTIMATE_DATA_H
+
+#include "control/pll.h"
+#include "sensing/emf_check.h"
+#include "sensing/speed_reliability.h"
+
+typedef struct {
+    observer_t observer;
+    pll_t pll;
+    speed_reliability_t reliability;
+    emf_check_t check;
+    ab_t emf;         /* in the last slow tick, stator frame */
+    frac16_t size;    /* its length */
+    frac16_t expected; /* what belongs to the speed */
+    dq_t deviation;   /* what of the back-EMF neither angle nor speed explains */
+    frac32_t speed;   /* mechanical */
+    uint32_t angle;   /* at the last estimate_turn, 2^32 is a turn */
+    int32_t turned;   /* between the last two */
+    bool started_reverse;      /* speed was negative when the closed loop began */
+    uint16_t standing; /* slow ticks in which it hardly turned that way */
+    bool deviates;    /* the back-EMF, over some time, fits neither angle nor speed */
+    bool mismatch;    /* in the last slow tick it lay off the encoder's q axis */
+    bool reliable;    /* angle and speed can be believed */
+    bool locked;      /* the PLL follows the back-EMF; otherwise it goes on as it was set */
+    bool runs;
+} estimate_t;
+
+#endif

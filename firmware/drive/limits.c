@@ -1,0 +1,67 @@
+#include "drive/limits.h"
+
+#include "drive/path_units.h"
+#include "drive/soft_limits.h"
+
+/* E40 asks for accelerations up to omega_n v / e: with less current, or a higher speed, the filter has to be slower. */
+static uint16_t omega_n_ts_under(const axis_config_t *config, axis_limits_t limits)
+{
+    uint32_t omega = (uint32_t)config->path_omega_n_ts * (uint32_t)limits.i_q / (uint32_t)config->i_q_limit;
+    if (limits.speed > config->speed_limit) {
+        omega = omega * (uint32_t)(config->speed_limit >> 16) / (uint32_t)(limits.speed >> 16);
+    }
+    if (omega > config->path_omega_n_ts) {
+        return config->path_omega_n_ts;
+    }
+    return (omega == 0U) ? 1U : (uint16_t)omega;
+}
+
+static bool same(const axis_limits_t *a, const axis_limits_t *b)
+{
+    return a->speed == b->speed && a->acceleration == b->acceleration && a->i_q == b->i_q &&
+           a->position_min == b->position_min && a->position_max == b->position_max;
+}
+
+/* Limits from now on. */
+static void apply(axis_t *axis, const axis_limits_t *limits)
+{
+    if (same(limits, &axis->limits)) {
+        return; /* almost always */
+    }
+    axis->limits = *limits;
+    axis->path_limits.step = path_step_of(axis->config, limits->speed);
+    axis->path_limits.acceleration = path_step_of(axis->config, limits->acceleration);
+    axis->path_limits.stale = true;
+}
+
+static int32_t lower(int32_t a, int32_t b) { return (a < b) ? a : b; }
+static int32_t higher(int32_t a, int32_t b) { return (a > b) ? a : b; }
+
+void limits_tighten(axis_t *axis)
+{
+    const axis_limits_t *written = &axis->written_limits;
+    axis_limits_t limits = axis->limits;
+    limits.speed = lower(limits.speed, written->speed);
+    limits.i_q = (frac16_t)lower(limits.i_q, written->i_q);
+    limits.position_min = higher(limits.position_min, written->position_min);
+    limits.position_max = lower(limits.position_max, written->position_max);
+    apply(axis, &limits);
+    axis->limits_fresh = false;
+}
+
+void limits_renew(axis_t *axis) { apply(axis, &axis->written_limits); }
+
+void limits_settle(axis_t *axis)
+{
+    axis->path_limits = soft_limits_path(axis->config, &axis->limits, omega_n_ts_under(axis->config, axis->limits));
+}
+
+void limits_retune(axis_t *axis)
+{
+    const uint16_t before = axis->path_limits.omega_n_ts;
+    limits_settle(axis);
+    if (axis->path_limits.omega_n_ts != before && axis->motion.motion == MOTION_POSITION) {
+        path_retune(&axis->motion.path, axis->motion.target, axis->path_limits.acceleration, before,
+                    axis->path_limits.omega_n_ts);
+    }
+}

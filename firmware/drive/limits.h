@@ -1,0 +1,21 @@
+/* limits.h - which limits hold when, and what the path makes of them. */
+#ifndef SERVO_DRIVE_LIMITS_H
+#define SERVO_DRIVE_LIMITS_H
+
+#include "drive/axis_data.h"
+
+/* Take the limits as they are written in this tick. A tighter one is in force at once. A wider one waits for the next set-point,
+ * mode or stop, as the acceleration does either way: a parameter alone never sets a shaft in motion, and a move that has
+ * begun keeps the acceleration that it was planned with. */
+void limits_tighten(axis_t *axis);
+
+/* A fresh command takes the limits as they are written. */
+void limits_renew(axis_t *axis);
+
+/* The path filter and the soft limits follow the limits: for a path that is yet to begin .. */
+void limits_settle(axis_t *axis);
+
+/* .. and with one in flight, once after a change. Its divisions are long: in another period than the set-points. */
+void limits_retune(axis_t *axis);
+
+#endif

@@ -1,0 +1,13 @@
+/* outputs.h - what the inverter does while no current is controlled. */
+#ifndef SERVO_DRIVE_OUTPUTS_H
+#define SERVO_DRIVE_OUTPUTS_H
+
+#include "drive/axis_data.h"
+
+/* Duty 50 % on every phase, outputs on or off; controllers forget what they held. */
+void axis_zero_voltage(axis_t *axis, bool outputs_on);
+
+/* Duty 0 on every phase, outputs on: all low sides short the windings, and the shunts see their currents. */
+void axis_short(axis_t *axis);
+
+#endif

@@ -1,0 +1,14 @@
+/* run_states.h - the sub-states of RUN and their transitions (DRM 4.5, F37). */
+#ifndef SERVO_DRIVE_RUN_STATES_H
+#define SERVO_DRIVE_RUN_STATES_H
+
+#include "drive/axis_data.h"
+
+/* RUN begins in CALIB; RUN may be left from CALIB and READY only. */
+void run_state_enter(axis_t *axis);
+bool run_state_may_leave(const axis_t *axis);
+
+/* One call of the loop that `axis->loop` names. */
+void run_state_step(axis_t *axis);
+
+#endif

@@ -1,0 +1,117 @@
+#include "drive/speed_control.h"
+
+#include "drive/soft_limits.h"
+
+/* What is known to be needed, before there is an error: current against friction and for the acceleration. */
+static frac32_t forward_current(const axis_t *axis)
+{
+    const motion_state_t *m = &axis->motion;
+    frac32_t i_q = 0;
+    if ((axis->features & FEATURE_FRICTION) != 0U) {
+        i_q = friction_current(&axis->config->friction, m->shaped_speed);
+    }
+    /* On a path that the shaft trails, the acceleration of the shaft is another one. */
+    const bool in_time = m->motion != MOTION_POSITION || m->path_forward;
+    if ((axis->features & FEATURE_ACCELERATION_FORWARD) != 0U && in_time) {
+        const int64_t inertia = asr64((int64_t)m->acceleration * axis->config->acceleration_forward, 16);
+        i_q = sat32(i_q + inertia);
+    }
+    return i_q;
+}
+
+/* True if a current takes energy out of a shaft that turns fast enough to return it to the bus. */
+static bool returns_energy(const axis_t *axis, bool negative)
+{
+    const frac32_t speed = axis->feedback.speed;
+    return f32_abs(speed) > axis->config->regeneration_speed && (speed < 0) != negative;
+}
+
+/* Current limit in a direction: less against the motion while the bus cannot take what braking returns. */
+static frac16_t current_limit(const axis_t *axis, bool negative)
+{
+    const frac16_t limit = axis->limits.i_q;
+    if (axis->regen_derating == FRAC16_MAX) {
+        return limit; /* almost always */
+    }
+    return returns_energy(axis, negative) ? f16_mul(limit, axis->regen_derating) : limit;
+}
+
+static void hold_back(axis_t *axis, bool held)
+{
+    axis->motion.held_back = held;
+    axis->current_ref.d = 0; /* E23 */
+    if (held) {
+        axis_report(axis, LIMIT_REGENERATION);
+        axis->current_ref.d = f16_neg(f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->regen_derating)));
+    }
+}
+
+static const pi_gains_t *speed_gains(const axis_t *axis)
+{
+    return axis->sensorless ? &axis->config->observed_speed : &axis->config->speed;
+}
+
+frac16_t speed_control(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
+    const pi_gains_t *gains = speed_gains(axis);
+    if ((axis->features & FEATURE_ANTI_WINDUP) == 0U) {
+        m->speed_pi.excess = 0; /* as with Kc = 0 */
+    }
+    /* The integral part sums the way that the encoder has counted. M/T's speed falls for tens of milliseconds after the
+     * shaft has stopped: its sum would push the shaft off again. */
+    pi_integrate(&m->speed_pi, gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
+    const pi_sum_t sum = pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis));
+    const frac16_t limit = current_limit(axis, sum < 0);
+    const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));
+    m->saturated = m->speed_pi.excess != 0;
+    hold_back(axis, m->saturated && limit < axis->limits.i_q);
+    if (m->saturated) {
+        axis_report(axis, LIMIT_CURRENT);
+    }
+    return f16_from_f32(i_q);
+}
+
+/* Current up to which a torque may push towards a limit of the speed that is ahead by this much, and by so much of the mean
+ * speed. Near the limit the speed controller's proportional part takes the current back. Beyond it the integral part,
+ * `held`, which is not above 0, grows against a load that drives the shaft, and is given back within it. */
+static frac32_t room(const axis_t *axis, frac32_t ahead, frac32_t mean_ahead, frac32_t *held)
+{
+    const pi_gains_t *gains = speed_gains(axis);
+    const frac32_t integral = f32_add(*held, f32_gain(mean_ahead, gains->ki));
+    *held = (integral < 0) ? f32_clip(integral, f32_from_f16(axis->limits.i_q)) : 0;
+    return f32_add(*held, f32_gain(ahead, gains->kp));
+}
+
+frac16_t torque_control(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const feedback_t *feedback = &axis->feedback;
+    const speed_range_t range = soft_limits_speed(axis);
+    frac32_t above = (m->resistance < 0) ? m->resistance : 0;
+    frac32_t below = (m->resistance > 0) ? -m->resistance : 0;
+    const frac32_t most =
+        room(axis, f32_sub(range.most, feedback->speed), f32_sub(range.most, feedback->mean_speed), &above);
+    const frac32_t back =
+        room(axis, f32_sub(feedback->speed, range.least), f32_sub(feedback->mean_speed, range.least), &below);
+    const frac32_t least = f32_sub(0, back);
+    m->resistance = above - below;
+    const frac16_t wanted = f16_limit(m->i_q_target, axis->limits.i_q);
+    if (wanted != m->i_q_target) {
+        axis_report(axis, LIMIT_CURRENT);
+    }
+    frac32_t i_q = f32_from_f16(wanted);
+    if (i_q > most || i_q < least) {
+        const bool soft = (i_q > most) ? range.most < axis->limits.speed : range.least > -axis->limits.speed;
+        axis_report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
+        i_q = (i_q > most) ? most : least;
+    }
+    const frac16_t limit = current_limit(axis, i_q < 0);
+    const frac16_t result = f16_limit(f16_from_f32(i_q), limit);
+    hold_back(axis, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->limits.i_q);
+    m->speed_ref = axis->feedback.speed;
+    m->saturated = false;
+    pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
+    return result;
+}

@@ -1,0 +1,129 @@
+#include "drive/watch.h"
+
+#include "diagnosis/fault_isolate.h"
+#include "drive/axis_faults.h"
+
+finding_set_t watch_bus_now(const axis_t *axis)
+{
+    const bool settled = axis->sm.state != STATE_INIT;
+    return bus_monitor_findings(&axis->diagnosis.bus, axis->u_dc, settled, hal_break_active(axis->hal, axis->index));
+}
+
+/* ---- observing ------------------------------------------------------------------------------------------------------ */
+
+/* The vector of the last period in STARTUP. */
+static frac16_t startup_frame(const axis_t *axis)
+{
+    const startup_t *startup = &axis->startup;
+    if (startup->phase == STARTUP_PROVE) {
+        return axis->feedback.theta_e;
+    }
+    return (startup->phase == STARTUP_RAMP) ? pll_upper(startup->angle - (uint32_t)startup->step) : 0;
+}
+
+/* Is a current controlled, and where lies its d axis? */
+static void observe_frame(axis_t *axis)
+{
+    observation_t *o = &axis->observation;
+    const substate_t substate = (axis->sm.state == STATE_RUN) ? axis->substate : SUBSTATE_CALIB;
+    o->switching = substate != SUBSTATE_CALIB && substate != SUBSTATE_FREEWHEEL;
+    o->spins = substate == SUBSTATE_SPIN;
+    o->controlled = true;
+    if (o->spins) {
+        o->frame = axis->feedback.theta_e;
+    } else if (substate == SUBSTATE_STARTUP) {
+        o->frame = startup_frame(axis);
+    } else if (substate == SUBSTATE_ALIGN && axis->diagnosis.stall.runs) {
+        o->frame = axis->diagnosis.stall.vector;
+    } else {
+        o->frame = rotor_search_angle(&axis->search);
+        o->controlled = substate == SUBSTATE_ALIGN && rotor_search_drives(&axis->search);
+    }
+}
+
+static void observe_currents(axis_t *axis)
+{
+    observation_t *o = &axis->observation;
+    const current_loop_t *loop = &axis->current_loop;
+    o->features = axis->features;
+    o->position = axis->feedback.position;
+    o->current_ref = axis->current_ref;
+    o->voltage = loop->voltage;
+    if (axis->diagnosis.encoder.sudden) { /* else nothing is probed */
+        o->steady_d = loop->d.integral;
+        o->steady_q = loop->q.integral;
+    }
+    o->current_limit = axis->limits.i_q;
+    o->omega_e = f16_from_f32(loop->omega_e);
+    o->current_size = length_about(o->current.d, o->current.q);
+    o->drop = i32_gain(o->current_size, axis->config->winding.resistance);
+    o->calm = axis->diagnosis.encoder.calm;
+    o->stop_unconfirmed = encoder_monitor_stop_unconfirmed(&axis->diagnosis.encoder);
+}
+
+/* Another pair of converters each time: all three say something within three ticks, whatever is asked of them. */
+static void rotate_sense_pair(axis_t *axis)
+{
+    axis->sense.pair = (axis->sense.pair == PHASE_PAIR_CA) ? PHASE_PAIR_AB : (phase_pair_t)(axis->sense.pair + 1);
+    hal_adc_select(axis->hal, axis->index, axis->sense.pair);
+}
+
+/* ---- the monitors --------------------------------------------------------------------------------------------------- */
+
+/* The pair AB, BC or CA. */
+static void watch_converters(axis_t *axis, evidence_t *evidence)
+{
+    const adc_pair_t codes = hal_adc_offsets(axis->hal, axis->index);
+    const int32_t high[SENSE_PHASES] = {axis->sense.duty.a, axis->sense.duty.b, axis->sense.duty.c};
+    const uint16_t first = (uint16_t)axis->sense.pair;
+    const uint16_t second = (first == SENSE_PHASES - 1U) ? 0U : (uint16_t)(first + 1U);
+    const uint32_t *offset = axis->sense.offset;
+    const int32_t high_min = axis->config->offset_duty_min;
+    const idle_sample_t samples[IDLE_SAMPLES] = {
+        {first, codes.first, (uint16_t)(offset[first] >> SENSE_OFFSET_BITS), high[first] >= high_min},
+        {second, codes.second, (uint16_t)(offset[second] >> SENSE_OFFSET_BITS), high[second] >= high_min},
+    };
+    sensor_monitor_step(&axis->diagnosis.sensor, samples, axis->observation.switching, evidence);
+}
+
+void watch_currents(axis_t *axis)
+{
+    diagnosis_t *d = &axis->diagnosis;
+    observation_t *o = &axis->observation;
+    d->evidence = (evidence_t){0};
+    axis_observe(axis);
+    observe_frame(axis);
+    watch_converters(axis, &d->evidence);
+    if (axis->sm.state != STATE_RUN) {
+        rotate_sense_pair(axis);
+    }
+    fault_latch_sample(&axis->latch, o);
+    o->temperature = hal_adc_temperature(axis->hal, axis->index);
+    heat_monitor_step(&d->heat, &axis->config->heat, o, &d->evidence);
+    const bool possible = bus_monitor_fault_possible(&d->bus, axis->u_dc) || hal_break_active(axis->hal, axis->index);
+    const finding_set_t now = d->evidence.confirmed | (possible ? watch_bus_now(axis) : 0U);
+    axis->latch.pending = (now != 0U) ? fault_names(now) : 0U;
+    if (axis->sm.state != STATE_FAULT) {
+        observe_currents(axis);
+        phase_monitor_step(&d->phase, &axis->config->winding, o, &d->evidence);
+        d->angle.conducting = (uint16_t)(d->angle.conducting | o->conducting);
+    }
+}
+
+/* By what the encoder showed in the tick before. */
+void watch_encoder(axis_t *axis)
+{
+    const axis_config_t *config = axis->config;
+    diagnosis_t *d = &axis->diagnosis;
+    observation_t *o = &axis->observation;
+    if (axis->sm.state != STATE_FAULT && !o->sensorless) {
+        encoder_monitor_step(&d->encoder, &config->winding, config->current_loop.q.kp, o, &d->evidence);
+        if (o->spins) {
+            angle_monitor_step(&d->angle, &config->winding, &config->current_loop, o, &d->evidence);
+        }
+    }
+    axis->test_current = d->evidence.test_current;
+    if (d->evidence.confirmed != 0U) {
+        axis_raise(axis, d->evidence.confirmed);
+    }
+}

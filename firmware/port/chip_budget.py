@@ -1,0 +1,319 @@
+"""Stack and RAM of the MC56F84789, as far as other compilers can tell: ``make chip-budget``.
+
+There is no free compiler for the 56800EX. So the firmware is compiled as for silicon by arm-none-eabi-gcc, which knows
+what every function calls and what it leaves on the stack, and by avr-gcc, whose int and pointers have 16 bits as those
+of the chip. Both are estimates; the allowances below are added, and the linker file has to keep what comes out.
+
+Functions are followed from the interrupts of ``vectors.c``, whose levels stand in ``vectors.h`` and ``settings.h``.
+Where a function is called by a pointer, `POINTERS` says what that may hold; one that is not in there is an error.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+FIRMWARE: Final = Path(__file__).resolve().parents[1]
+CHIP: Final = FIRMWARE / "port" / "mc56f84789"
+ARM: Final = ("arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-O2")
+AVR: Final = ("avr-gcc", "-mmcu=atmega1284p", "-Os")
+
+RAM_WORDS: Final = 0x4000
+BYTES_PER_WORD: Final = 2
+CALL_WORDS: Final = 2  # JSR pushes PC and SR
+INTERRUPT_WORDS: Final = 64  # `interrupt alignsp saveall`: some 45 words of registers, alignment, PC and SR
+LIBRARY_WORDS: Final = 32  # for a function of the run-time library; its frame is not known
+CODE_ALLOWANCE: Final = 1.25  # words of the chip per halfword of Thumb-2, at `-opt speed`
+
+SOURCES: Final = r"(encoder|observer)_source_"
+POINTERS: Final[Mapping[str, str]] = {
+    # axis_t.source: feedback by an encoder, or by the observer
+    "fast": SOURCES + "fast",
+    "slow": SOURCES + "slow",
+    "edge": SOURCES + "edge",
+    "reset": SOURCES + "reset",
+    "align": SOURCES + "align",
+    "resync": SOURCES + "resync",
+    # states, transitions and sub-states
+    "run_table": r"(calib|ready|align|spin|spin_observed|freewheel|startup)_(fast|slow|slow_state|estimate|check)"
+    r"|track_offsets|idle|off",
+    "state": r"state_(fault|init|stop|run)|off",
+    "to_fault": r"(init|stop|run)_(fault|stop|init)|off",
+    "state_machine.c:fault": "state_fault",
+    "state_machine.c:run": "state_run",
+    "state_machine.c:fault_init": "fault_init",
+    "state_machine.c:init_stop": "init_stop|stop_init",
+    "state_machine.c:stop_run": "stop_run",
+    "state_machine.c:run_stop": "run_stop",
+    # the server and its application
+    "hold": "hold",
+    "accepts": "accepts",
+    "written": "written",
+    "app_command.c:run": "app_command",
+    "freemaster.c:run": r"(read|write)_memory|read_memory_from_base|(read|set)_scope|send_app_command"
+    r"|get_(tsa_info|string_length|configuration|app_command_status|app_command_data)",
+}
+"""Functions that a pointer may hold, by its name in the source, or by file and name."""
+
+
+class BudgetError(Exception):
+    """Something about the firmware that the tool does not know."""
+
+
+@dataclass
+class Function:
+    """What a compiler says of one function."""
+
+    name: str
+    file: str
+    stack: int = 0  # [bytes]
+    calls: set[str] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class Program:
+    """All functions of the firmware by what the compiler calls them, and the sizes of the files."""
+
+    functions: Mapping[str, Function]
+    code: Mapping[str, int]
+    """Bytes of Thumb-2 by file."""
+    constants: int
+    """Read-only data [bytes], which the chip keeps in RAM."""
+
+    def find(self, pattern: str) -> set[str]:
+        """Functions whose name matches.
+
+        Raises
+        ------
+        BudgetError
+            If there is none.
+        """
+        found = {key for key, one in self.functions.items() if re.fullmatch(pattern, one.name)}
+        if not found:
+            raise BudgetError(f"no function is called {pattern}")
+        return found
+
+    def reach(self, roots: Iterable[str]) -> set[str]:
+        """These functions and everything that they call, without the run-time library."""
+        found: set[str] = set()
+        waiting = list(roots)
+        while waiting:
+            key = waiting.pop()
+            if key in self.functions and key not in found:
+                found.add(key)
+                waiting += self.functions[key].calls
+        return found
+
+    def depth(self, root: str) -> int:
+        """Deepest stack below a call of this function [words].
+
+        Raises
+        ------
+        BudgetError
+            If it may call itself.
+        """
+        known: dict[str, int] = {}
+
+        def below(key: str, path: tuple[str, ...]) -> int:
+            if key in path:
+                raise BudgetError(f"recursion: {' -> '.join([*path, key])}")
+            if key not in self.functions:
+                return LIBRARY_WORDS
+            if key not in known:
+                one = self.functions[key]
+                calls = max((below(call, (*path, key)) for call in one.calls), default=0)
+                known[key] = CALL_WORDS + -(-one.stack // BYTES_PER_WORD) + calls
+            return known[key]
+
+        return below(root, ())
+
+
+def listed(target: str) -> list[str]:
+    """Names of files, without their ending, as the makefile of the chip lists them."""
+    return _output("make", "--silent", "--no-print-directory", "-C", CHIP, target).split()
+
+
+# ---- compilers -----------------------------------------------------------------------------------------------------
+
+
+def sources() -> list[Path]:
+    """Every C file that is flashed."""
+    return [FIRMWARE / f"{name}.c" for name in listed("list")]
+
+
+def missing_tools() -> list[str]:
+    """Compilers that are needed and not installed."""
+    return [tool for tool in (ARM[0], AVR[0], "arm-none-eabi-objdump", "avr-size") if shutil.which(tool) is None]
+
+
+def _compile(compiler: Sequence[str], options: Sequence[str], folder: Path, files: Iterable[Path]) -> list[Path]:
+    objects = []
+    for path in files:  # two folders may have files of one name
+        objects.append(folder / f"{path.parent.name}_{path.stem}.o")
+        command = [*compiler, "-std=c99", f"-I{FIRMWARE}", *options, "-c", str(path), "-o", str(objects[-1])]
+        subprocess.run(command, check=True)
+    return objects
+
+
+def _output(*command: object) -> str:
+    return subprocess.run([str(part) for part in command], check=True, capture_output=True, text=True).stdout
+
+
+def load(files: Sequence[Path] | None = None) -> Program:
+    """Compile the firmware as for silicon, with arm-none-eabi-gcc, and read what it says."""
+    paths = list(sources() if files is None else files)
+    functions: dict[str, Function] = {}
+    code: dict[str, int] = {}
+    constants = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for path, compiled in zip(paths, _compile(ARM, ["-fcallgraph-info=su"], folder, paths), strict=True):
+            _read_graph(compiled.with_suffix(".ci").read_text(encoding="ascii"), functions)
+            sizes = re.findall(
+                r"^ +\d+ \.(text|rodata)\S* +([0-9a-f]{8})", _output("arm-none-eabi-objdump", "-h", compiled), re.M
+            )
+            file = path.relative_to(FIRMWARE).as_posix()
+            code[file] = sum(int(size, 16) for section, size in sizes if section == "text")
+            constants += sum(int(size, 16) for section, size in sizes if section == "rodata")
+    return Program(functions, code, constants)
+
+
+def _read_graph(text: str, functions: dict[str, Function]) -> None:
+    """Nodes and edges of one file (``-fcallgraph-info=su``)."""
+    for title, name, file, size in re.findall(
+        r'^node: \{ title: "([^"]+)" label: "(\S+?)\\n([^":]+):\d+:\d+\\n(\d+) bytes', text, re.MULTILINE
+    ):
+        functions[title] = Function(name.split(".")[0], Path(file).relative_to(FIRMWARE).as_posix(), int(size))
+    for caller, target, where in re.findall(
+        r'^edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"(?: label: "([^"]+)")?', text, re.MULTILINE
+    ):
+        functions[caller].calls.add(pointer_at(where) if target == "__indirect_call" else target)
+
+
+def pointer_at(where: str) -> str:
+    """``*`` and the name of the pointer by which a call at file:line:column goes."""
+    path, line, column = where.rsplit(":", 2)
+    text = Path(path).read_text(encoding="ascii").splitlines()[int(line) - 1][int(column) - 1 :]
+    called = re.sub(r"\[[^]]*\]", "", text.split("(")[0])
+    name = re.split(r"->|\.", called)[-1].strip()
+    specific = f"{Path(path).name}:{name}"
+    if specific in POINTERS:
+        return f"*{specific}"
+    if name in POINTERS:
+        return f"*{name}"
+    raise BudgetError(f"{where}: POINTERS does not say what {name} may hold")
+
+
+def resolve(program: Program) -> Program:
+    """The same program with calls of all functions that they may hold for the calls by pointers."""
+    functions = {}
+    for key, one in program.functions.items():
+        held = (program.find(POINTERS[call[1:]]) for call in one.calls if call.startswith("*"))
+        plain = {call for call in one.calls if not call.startswith("*")}
+        functions[key] = replace(one, calls=plain.union(*held))
+    return replace(program, functions=functions)
+
+
+def data_words(files: Sequence[Path] | None = None) -> int:
+    """Variables of the chip [words], by avr-gcc."""
+    with tempfile.TemporaryDirectory() as name:
+        objects = _compile(AVR, [], Path(name), sources() if files is None else files)
+        rows = [line.split() for line in _output("avr-size", *objects).splitlines()[1:]]
+    return -(-sum(int(row[1]) + int(row[2]) for row in rows) // BYTES_PER_WORD)
+
+
+# ---- what the sources say ------------------------------------------------------------------------------------------
+
+
+def levels() -> dict[int, list[str]]:
+    """Handlers by the level of their interrupt."""
+    settings = (CHIP / "settings.h").read_text(encoding="ascii")
+    numbers = {name: int(value) for name, value in re.findall(r"#define (LEVEL_\w+) (\d+)U", settings)}
+    found: dict[int, list[str]] = {}
+    text = (CHIP / "vectors.h").read_text(encoding="ascii")
+    for level, handler in re.findall(r"V\(VECTOR_\w+, (LEVEL_\w+), port_(\w+)\)", text):
+        found.setdefault(numbers[level], []).append(f"isr_{handler}")
+    return found
+
+
+def fast_files() -> list[str]:
+    """Files that run from RAM."""
+    return [f"{name}.c" for name in listed("list-fast")]
+
+
+def stack_words() -> int:
+    """What the linker file keeps for the stack."""
+    text = (CHIP / "mc56f84789.cmd").read_text(encoding="ascii")
+    return int(re.findall(r"__stack_size = (\w+);", text)[0], 16)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Words of the chip's RAM."""
+
+    background: int
+    by_level: Mapping[int, tuple[str, int]]  # deepest handler, its stack with the interrupt itself
+    code: int
+    data: int
+    constants: int
+    stack: int  # kept by the linker file
+
+    @property
+    def deepest(self) -> int:
+        """Of the background, interrupted by the deepest handler of each level."""
+        return self.background + sum(depth for _, depth in self.by_level.values())
+
+    @property
+    def left(self) -> int:
+        return RAM_WORDS - self.code - self.data - self.constants - self.stack
+
+
+def budget(program: Program) -> Budget:
+    """Everything that lies in the RAM."""
+    by_level = {}
+    for level, handlers in sorted(levels().items()):
+        depths = {handler: INTERRUPT_WORDS + program.depth(handler) for handler in handlers}
+        deepest = max(depths, key=lambda handler: depths[handler])
+        by_level[level] = (deepest, depths[deepest])
+    code = sum(program.code[name] for name in fast_files())
+    return Budget(
+        program.depth("main"),
+        by_level,
+        round(code / BYTES_PER_WORD * CODE_ALLOWANCE),
+        data_words(),
+        -(-program.constants // BYTES_PER_WORD),
+        stack_words(),
+    )
+
+
+def report(one: Budget) -> str:
+    """Tables of the budget."""
+    rows = [f"| background | `main` | {one.background} |"]
+    rows += [f"| level {level} | `{name}` | {depth} |" for level, (name, depth) in one.by_level.items()]
+    rows += [f"| all of them at once | | {one.deepest} of {one.stack} |"]
+    ram = (("code that runs from RAM", one.code), ("variables", one.data), ("constants", one.constants))
+    return "\n".join(
+        ["| stack | deepest | words |", "|---|---|---:|", *rows, "", "| RAM | words |", "|---|---:|"]
+        + [f"| {name} | {words} |" for name, words in (*ram, ("stack", one.stack), ("left", one.left))]
+        + [f"| all | {RAM_WORDS} |"]
+    )
+
+
+def main() -> int:
+    """Print the tables."""
+    if missing := missing_tools():
+        print(f"needs {', '.join(missing)} (apt-get install gcc-arm-none-eabi gcc-avr binutils-avr)", file=sys.stderr)
+        return 1
+    print(report(budget(resolve(load()))))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,46 @@
+/* hal_data.h - the state of a board below hal/hal.h. */
+#ifndef PORT_HAL_DATA_H
+#define PORT_HAL_DATA_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "app/servo.h"
+#include "hal/hal.h"
+
+#define PORT_RING 64U /* received bytes that wait; a power of two */
+
+typedef struct {
+    uint16_t pwm; /* base addresses */
+    uint16_t tmr;
+    phase_pair_t pair; /* in the channel lists */
+    adc_pair_t currents;
+    uint16_t others;        /* bits of OUTEN that do not belong to the inverter */
+    bool behind;            /* the last duties were released behind the load */
+    volatile bool armed;    /* the B-edge interrupt is enabled */
+    volatile uint16_t arms; /* times armed */
+} port_axis_t;
+
+struct hal {
+#ifdef CHIP_ON_HOST
+    struct chip *chip;
+#endif
+    uint32_t baud; /* of the host's line, set by the owner of the board; 0: SERIAL_BAUD */
+    servo_t *servo;
+    port_axis_t axis[HAL_AXES];
+    uint16_t bus;
+    bool watchdog_reset;     /* the last reset was that of the watchdog */
+    uint16_t losses; /* of triggers, forgotten with time */
+    uint32_t restarts; /* of the sequence, since reset */
+    uint16_t late;     /* loops that came after the load of their duties, modulo 65536 */
+    uint16_t last;     /* time stamp of the last M1, TIME_STAMP_DIVIDER clocks */
+    bool running;      /* M1 has run before */
+    bool monitoring;   /* the monitor outputs run */
+
+    volatile uint8_t ring[PORT_RING];
+    volatile uint16_t ring_in; /* bytes ever put in and taken out, modulo 65536 */
+    volatile uint16_t ring_out;
+    uint16_t overruns; /* received bytes lost in the interface or in the ring */
+};
+
+#endif

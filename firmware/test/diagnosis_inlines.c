@@ -1,0 +1,12 @@
+/* diagnosis_inlines.c - the inline functions of the diagnosis as functions that a test can call (core_inlines.c). */
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "config/contract_gen.h"
+#include "diagnosis/evidence.h"
+#include "diagnosis/observation.h"
+
+#define static
+#define inline
+#include "diagnosis/heat_monitor.h"
+#include "diagnosis/shaft_monitor.h"

@@ -1,0 +1,257 @@
+"""A write that would leave the range of a variable is refused as a whole, whatever way it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from core_library import Core
+from freemaster_model import Answer, parse_answer, request, uleb
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bench import Bench
+from servo_msgs_py.catalogue import Catalogue, Variable
+
+WRITEMEM = 0x23
+OUT_OF_RANGE = 0x97
+REACH = 2**30
+CATALOGUE = Catalogue.load()
+WRITABLE = {v.name: v for v in CATALOGUE.variables.values() if v.writable}
+RANGED = [name for name in WRITABLE if name != "cmd.position"]
+
+
+def stopped(core: Core, *, shaft: int = 0) -> Bench:
+    """A board at rest; both shafts are where it was told."""
+    bench = Bench(core)
+    bench.to_stop()
+    for axis in range(2):
+        bench.view(axis).position = shaft
+    return bench
+
+
+@pytest.fixture
+def bench(core: Core) -> Bench:
+    return stopped(core)
+
+
+def memory(bench: Bench) -> bytes:
+    """Command and parameter block, the marks, and what the supervision counts."""
+    servo, buffer = bench.servo, bench.core.ffi.buffer
+    parts = (servo.command, servo.parameter, servo.marks)
+    counts = bytes([servo.host_commands & 0xFF, servo.held])
+    return b"".join(bytes(buffer(bench.core.ffi.addressof(part))) for part in parts) + counts
+
+
+def over_frame(bench: Bench, address: int, data: bytes, mask: bytes | None = None) -> int:
+    """Status of a WRITEMEM over the serial line."""
+    flags = b"\x00" if mask is None else b"\x01"
+    wire = request(WRITEMEM, flags + uleb(address) + uleb(len(data)) + data + (mask or b""))
+    hal = bench.hal
+    bench.core.ffi.memmove(hal.serial_in, wire, len(wire))
+    hal.serial_in_taken, hal.serial_in_size, hal.serial_out_size = 0, len(wire), 0
+    bench.core.lib.servo_background(bench.servo)
+    answer = parse_answer(bytes(bench.core.ffi.buffer(hal.serial_out, hal.serial_out_size)))
+    assert answer == Answer(answer.status)
+    return answer.status
+
+
+def past_the_line(bench: Bench, address: int, data: bytes, mask: bytes | None = None) -> int:
+    """Status of a write without a serial line."""
+    lib, servo = bench.core.lib, bench.servo
+    if mask is None:
+        return int(lib.servo_write(servo, address, data, len(data)))
+    return int(lib.freemaster_write(bench.core.ffi.addressof(servo, "freemaster"), address, data, mask, len(data)))
+
+
+Way = Callable[..., int]
+WAYS = pytest.mark.parametrize("way", [over_frame, past_the_line])
+
+
+def encoded(variable: Variable, number: int) -> bytes:
+    """One element, whether it fits the range or not."""
+    return (number % (1 << 8 * variable.element_size)).to_bytes(variable.element_size, "little")
+
+
+def stored(bench: Bench, variable: Variable) -> list[int]:
+    data = bench.core.ffi.new("uint8_t[]", variable.size)
+    assert bench.core.lib.servo_read(bench.servo, bench.address(variable.name), data, variable.size) == 0
+    return variable.decode_raw(bytes(bench.core.ffi.buffer(data)))
+
+
+def test_what_stands_there_after_a_reset_is_inside_the_ranges(bench: Bench) -> None:
+    for variable in WRITABLE.values():
+        low, high = variable.raw_range
+        assert all(low <= number <= high for number in stored(bench, variable)), variable.name
+
+
+@WAYS
+@pytest.mark.parametrize("name", RANGED)
+def test_both_ends_of_a_range_are_taken(bench: Bench, name: str, way: Way) -> None:
+    variable = WRITABLE[name]
+    for number in variable.raw_range:
+        assert way(bench, bench.address(name), encoded(variable, number) * variable.count) == 0
+        assert stored(bench, variable) == [number] * variable.count
+        bench.core.lib.servo_init(bench.servo, bench.hal)
+        for element in range(variable.count):
+            assert way(bench, bench.address(name, element), encoded(variable, number)) == 0
+            assert stored(bench, variable)[element] == number
+
+
+@WAYS
+@pytest.mark.parametrize("name", RANGED)
+def test_one_beyond_either_end_is_refused_and_changes_nothing(bench: Bench, name: str, way: Way) -> None:
+    variable = WRITABLE[name]
+    low, high = variable.raw_range
+    before = memory(bench)
+    for number in (low - 1, high + 1):
+        bad, good = encoded(variable, number), encoded(variable, high)
+        for element in range(variable.count):
+            assert way(bench, bench.address(name, element), bad) == OUT_OF_RANGE
+            whole = good * element + bad + good * (variable.count - element - 1)
+            assert way(bench, bench.address(name), whole) == OUT_OF_RANGE, "the good element is not written either"
+            assert way(bench, bench.address(name), whole, b"\xff" * len(whole)) == OUT_OF_RANGE
+        assert memory(bench) == before
+
+
+@WAYS
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("cmd.mode", 9),
+        ("cmd.enable", 2),
+        ("cmd.enable", 0x101),
+        ("cmd.enable", 0xFFFF),
+        ("cmd.quick_stop", 2),
+        ("cmd.clear_faults", 3),
+        ("param.feedback", 9),
+        ("param.on_disable", 4),
+        ("param.monitor", 99),
+        ("param.host_timeout", 0),
+        ("param.host_timeout", 60001),
+        ("param.brake", 2),
+        ("param.features", 0x1000),
+        ("param.faults_enabled", 1 << 21),
+        ("param.faults_enabled", 1 << 31),
+        ("cmd.speed", -(2**31)),
+        ("cmd.speed", 2**31 - 1),
+        ("cmd.i_q", -32768),
+        ("param.i_q_limit", -1),
+        ("param.speed_limit", -1),
+        ("param.acceleration_limit", 0),
+    ],
+)
+def test_values_without_a_meaning_are_refused(bench: Bench, name: str, number: int, way: Way) -> None:
+    before = memory(bench)
+    assert way(bench, bench.address(name), encoded(WRITABLE[name], number)) == OUT_OF_RANGE
+    assert memory(bench) == before
+
+
+@WAYS
+def test_a_part_of_an_element_counts_with_the_bytes_that_stay(bench: Bench, way: Way) -> None:
+    address = bench.address("param.host_timeout")
+    bench.write_raw("param.host_timeout", [0x01F0])
+    assert way(bench, address + 1, b"\x00") == 0, "0x00F0 is above the minimum of 100"
+    assert way(bench, address, b"\x40") == OUT_OF_RANGE, "0x0040 is not"
+    assert way(bench, address + 1, b"\xff") == OUT_OF_RANGE, "0xFFF0 is above the maximum of 60000"
+    assert stored(bench, WRITABLE["param.host_timeout"]) == [0x00F0]
+
+
+@WAYS
+def test_bits_that_the_mask_leaves_alone_count_as_they_stand(bench: Bench, way: Way) -> None:
+    address = bench.address("param.features")
+    bench.write_raw("param.features", [0x0123, 0x0FFF])
+    assert way(bench, address, b"\xff" * 4, b"\x0f\x0f\x00\x00") == 0
+    assert stored(bench, WRITABLE["param.features"]) == [0x0F2F, 0x0FFF]
+    assert way(bench, address, b"\xff" * 4, b"\x00\x10\x00\x00") == OUT_OF_RANGE
+    assert way(bench, address, b"\xff" * 4, b"\x00\x00\x00\x80") == OUT_OF_RANGE
+    assert stored(bench, WRITABLE["param.features"]) == [0x0F2F, 0x0FFF]
+
+
+@WAYS
+def test_an_element_that_the_mask_leaves_alone_may_be_given_any_number(bench: Bench, way: Way) -> None:
+    address = bench.address("cmd.mode")
+    assert way(bench, address, b"\x09\x00\x01\x00", b"\x00\x00\xff\xff") == 0
+    assert way(bench, address, b"\x02\x00\x09\x00", b"\xff\xff\x00\x00") == 0
+    assert stored(bench, WRITABLE["cmd.mode"]) == [2, 1]
+    assert way(bench, address, b"\x01\x00\x09\x00", b"\x00\x00\xff\xff") == OUT_OF_RANGE
+    assert way(bench, address, b"\x09\x00\x01\x00", b"\xff\xff\x00\x00") == OUT_OF_RANGE
+    assert stored(bench, WRITABLE["cmd.mode"]) == [2, 1]
+
+
+@WAYS
+def test_a_mask_of_zeros_refuses_nothing_and_writes_nothing(bench: Bench, way: Way) -> None:
+    before = memory(bench)
+    assert way(bench, bench.address("cmd.mode"), b"\xff" * 4, bytes(4)) == 0
+    assert memory(bench) == before
+
+
+@given(data=st.data())
+def test_after_any_writes_every_element_is_inside_its_range(core: Core, data: st.DataObject) -> None:
+    """Parts of elements, several elements, masks: what stands there stays something that may stand there."""
+    bench = stopped(core)
+    taken = 0
+    for _ in range(20):
+        variable = data.draw(st.sampled_from(list(WRITABLE.values())))
+        begin = data.draw(st.integers(0, variable.size - 1))
+        size = data.draw(st.integers(1, variable.size - begin))
+        written = data.draw(st.binary(min_size=size, max_size=size))
+        some = st.sampled_from([0, 0xFF]) | st.integers(0, 0xFF)
+        mask = data.draw(st.none() | st.lists(some, min_size=size, max_size=size).map(bytes))
+        before = stored(bench, variable)
+        old = b"".join(encoded(variable, number) for number in before)
+        selected = mask or b"\xff" * size
+        new = bytearray(old)
+        for k in range(size):
+            new[begin + k] = old[begin + k] & ~selected[k] & 0xFF | written[k] & selected[k]
+        low, high = variable.raw_range
+        wanted = variable.decode_raw(bytes(new))
+        fits = all(low <= number <= high for number in wanted)
+        status = past_the_line(bench, bench.address(variable.name) + begin, written, mask)
+        if variable.name == "cmd.position":
+            fits = status == 0  # and within reach, see below
+        assert status == (0 if fits else OUT_OF_RANGE)
+        assert stored(bench, variable) == (wanted if fits else before)
+        taken += fits
+
+
+# ---- position set-points --------------------------------------------------------------------------------------------
+
+
+@WAYS
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("shaft", [0, 12345, -(2**30) - 7, 2**31 - 1, -(2**31)])
+def test_a_position_out_of_reach_is_refused(core: Core, shaft: int, axis: int, way: Way) -> None:
+    """Farther than a quarter of the 32 bits; across their ends the distance is that of the shorter way."""
+    bench, variable = stopped(core), WRITABLE["cmd.position"]
+    bench.view(axis).position = shaft
+    address = bench.address("cmd.position", axis)
+    for distance in (0, 1, -1, REACH, -REACH):
+        assert way(bench, address, encoded(variable, shaft + distance)) == 0, distance
+    before = memory(bench)
+    for distance in (REACH + 1, -REACH - 1, 2**31 - 1, -(2**31)):
+        assert way(bench, address, encoded(variable, shaft + distance)) == OUT_OF_RANGE, distance
+    assert memory(bench) == before
+
+
+def test_only_the_axis_that_is_commanded_has_to_be_within_reach(core: Core) -> None:
+    """The other one may have turned away from where it was sent long ago."""
+    bench, variable = stopped(core), WRITABLE["cmd.position"]
+    bench.view(1).position = 2**31 - 1
+    address, both = bench.address("cmd.position"), encoded(variable, 7) * 2
+    assert over_frame(bench, address, encoded(variable, 7)) == 0
+    assert over_frame(bench, address, both, b"\xff" * 4 + bytes(4)) == 0
+    assert over_frame(bench, address, both) == OUT_OF_RANGE
+    assert over_frame(bench, address, both, bytes(7) + b"\x01") == OUT_OF_RANGE
+
+
+# ---- what a refusal leaves alone ------------------------------------------------------------------------------------
+
+
+def test_a_refused_command_takes_no_effect(bench: Bench) -> None:
+    snapshot = bench.servo.snapshot
+    count, commands = snapshot.applied_count, bench.servo.host_commands
+    assert over_frame(bench, bench.address("cmd.enable"), b"\x01\x00\x02\x00") == OUT_OF_RANGE
+    assert bench.servo.freemaster.statistics.refused == 1
+    bench.slow(3)
+    assert (snapshot.applied_count, bench.servo.host_commands) == (count, commands), "nor is it a sign of life"
+    assert not bench.axis(0).requested

@@ -1,0 +1,684 @@
+"""Each monitor alone: what it needs to see until it says something, and what is not enough."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from diagnosis_rig import (
+    ANGLE,
+    BUS_COMPENSATION,
+    CURRENT,
+    DEAD_TIME,
+    DIRECTION_MIN,
+    EMF_FLOOR,
+    ENCODER,
+    FOLLOWING_ERROR,
+    OVER_SPEED,
+    RESISTANCE,
+    SENSOR,
+    SILENT,
+    Diagnosis,
+)
+from firmware_compiler import CompileC
+
+NOTHING: set[str] = set()
+
+
+@pytest.fixture
+def rig(compile_c: CompileC) -> Diagnosis:
+    return Diagnosis(compile_c)
+
+
+def first_tick(step: Callable[[int], set[str]], finding: str, ticks: int) -> int:
+    """Tick, counted from 1, in which a finding comes first; it is the only one until then. 0: it never does."""
+    for tick in range(1, ticks + 1):
+        found = step(tick)
+        if found:
+            assert found == {finding}
+            return tick
+    return 0
+
+
+# ---- current converters
+def noise(rig: Diagnosis, phase: int, samples: int, codes: int = 4) -> None:
+    for k in range(samples):
+        assert rig.sensor(phase, 2040 + k % (codes + 1)) == NOTHING
+
+
+@pytest.mark.parametrize(("off", "tick"), [(33, 4), (-33, 4), (32, 0), (-32, 0)])
+def test_a_code_off_its_offset_is_a_broken_converter_after_four_samples(rig: Diagnosis, off: int, tick: int) -> None:
+    rig.seen.switching = True
+    assert first_tick(lambda _: rig.sensor(1, 2048 + off), "CONVERTER_BROKEN", 60) == tick
+
+
+def test_a_code_off_its_offset_is_suspected_after_two_samples_and_forgotten_after_a_right_one(rig: Diagnosis) -> None:
+    rig.seen.switching = True
+    rig.sensor(0, 2100)
+    assert not rig.suspect().suspected & SENSOR
+    rig.sensor(0, 2100)
+    assert rig.suspect().suspected & SENSOR
+    rig.sensor(0, 2048)
+    assert not rig.suspect().suspected & SENSOR
+
+
+def test_no_code_is_off_while_the_switches_are_open(rig: Diagnosis) -> None:
+    assert first_tick(lambda _: rig.sensor(0, 2100), "CONVERTER_BROKEN", 50) == 0
+
+
+def test_a_code_that_comes_again_64_times_among_noisy_ones_is_stuck(rig: Diagnosis) -> None:
+    noise(rig, 1, 64)
+    assert first_tick(lambda _: rig.sensor(0, 2048), "CONVERTER_BROKEN", 100) == 65
+
+
+@pytest.mark.parametrize(("samples", "codes"), [(63, 4), (64, 3)])
+def test_without_a_window_of_noise_elsewhere_no_code_is_stuck(rig: Diagnosis, samples: int, codes: int) -> None:
+    noise(rig, 1, samples, codes)
+    assert first_tick(lambda _: rig.sensor(0, 2048), "CONVERTER_BROKEN", 100) == 0
+
+
+@pytest.mark.parametrize(("again", "suspected"), [(15, True), (16, False)])
+def test_a_neighbour_that_has_gone_quiet_shows_no_noise(rig: Diagnosis, again: int, suspected: bool) -> None:
+    noise(rig, 1, 64)
+    for _ in range(again + 1):
+        rig.sensor(1, 2000)
+    for _ in range(8):
+        rig.sensor(0, 2048)
+    assert bool(rig.suspect().suspected & SENSOR) == suspected
+
+
+def test_equal_codes_are_repeating_after_two_and_suspected_after_six(rig: Diagnosis) -> None:
+    noise(rig, 1, 64)
+    told = []
+    for _ in range(8):
+        rig.sensor(2, 2048)
+        evidence = rig.suspect()
+        told.append((evidence.repeating == 0b100, bool(evidence.suspected & SENSOR)))
+    assert [repeating for repeating, _ in told] == [False] * 2 + [True] * 6
+    assert [suspected for _, suspected in told] == [False] * 6 + [True] * 2
+
+
+# ---- phases: at frame 0 the current in d is that of phase a, the current in q goes from b to c
+@pytest.fixture
+def driven(rig: Diagnosis) -> Diagnosis:
+    rig.seen.controlled = True
+    rig.seen.spins = True
+    return rig
+
+
+@pytest.mark.parametrize(
+    ("current", "wanted", "tick"),
+    [
+        ((0, 2000), (2 * SILENT + 2, 2000), 8),  # less than is certain
+        ((0, 2000), (2 * SILENT - 2, 2600), 0),  # more need not flow
+        ((0, 1200), (SILENT + 10, 1000), 8),  # hardly any of what the others have
+        ((140, 1200), (SILENT + 10, 1000), 0),  # an eighth
+        ((0, 1200), (SILENT - 10, 1000), 0),
+    ],
+)
+def test_a_phase_silent_against_its_set_point_for_eight_ticks_is_lost(
+    driven: Diagnosis, current: tuple[int, int], wanted: tuple[int, int], tick: int
+) -> None:
+    driven.current(*current)
+    driven.seen.current_ref = wanted
+    assert first_tick(lambda _: driven.phase(), "PHASE_SILENT", 20) == tick
+
+
+def test_a_phase_is_suspected_after_two_silent_ticks_and_forgotten_with_time(driven: Diagnosis) -> None:
+    driven.current(0, 2000)
+    driven.seen.current_ref = (2000, 2000)
+    driven.phase()
+    assert driven.suspect().silent == 0
+    driven.phase()
+    assert driven.suspect().silent == 0b001
+    driven.seen.current_ref = (0, 2000)
+    for _ in range(125):
+        driven.phase()
+        driven.monitors.phase.sectors[0] = 0  # of what this test is not about
+    assert driven.suspect().silent == 0b001
+    driven.phase()  # the 128th
+    driven.monitors.phase.sectors[0] = 0
+    assert driven.suspect().silent == 0
+
+
+def test_a_phase_is_not_compared_while_a_stop_is_unconfirmed_or_the_set_point_turns_round(driven: Diagnosis) -> None:
+    driven.current(0, 2000)
+    driven.seen.current_ref = (2000, 2000)
+    driven.seen.stop_unconfirmed = True
+    assert first_tick(lambda _: driven.phase(), "PHASE_SILENT", 20) == 0
+    driven.seen.stop_unconfirmed = False
+    for tick in range(20):
+        driven.seen.current_ref = (2000, 2000 if tick % 2 else -2000)
+        assert driven.phase() == NOTHING
+
+
+@pytest.mark.parametrize(("sectors", "tick"), [(5, 0), (6, 33)])
+def test_silence_in_six_of_eight_directions_and_33_times_is_a_lost_phase(
+    driven: Diagnosis, sectors: int, tick: int
+) -> None:
+    """The current goes from b to c whatever the rotor does."""
+
+    def step(k: int) -> set[str]:
+        angle = (k % sectors + 0.5) * math.pi / 4.0
+        driven.seen.frame = (round(angle / math.pi * 32768) + 32768) % 65536 - 32768
+        driven.current(round(491 * math.sin(angle)), round(491 * math.cos(angle)))
+        return driven.phase()
+
+    assert first_tick(step, "PHASE_SILENT", 300) == tick
+
+
+@pytest.mark.parametrize(("sectors", "suspected"), [(0b011, False), (0b111, True), (0b10101, True)])
+def test_silence_in_three_directions_is_suspicious(driven: Diagnosis, sectors: int, suspected: bool) -> None:
+    driven.monitors.phase.sectors[1] = 0x100 | sectors
+    assert bool(driven.suspect().silent) == suspected
+
+
+@pytest.mark.parametrize(("faint", "kept"), [(14, True), (15, False)])
+def test_directions_are_forgotten_when_15_of_16_ticks_are_too_faint(driven: Diagnosis, faint: int, kept: bool) -> None:
+    for tick in range(16):
+        driven.current(0, 400 if tick < 16 - faint else 360)  # 346 and 311 in b and c
+        assert driven.phase() == NOTHING
+    assert bool(driven.monitors.phase.sectors[0]) == kept
+
+
+@pytest.mark.parametrize(
+    ("change", "tick"),
+    [
+        ({}, 40),
+        ({"spins": False}, 0),
+        ({"calm": 4}, 0),
+        ({"calm": 4, "sensorless": True}, 40),
+        ({"voltage": (0, 2 * EMF_FLOOR)}, 0),
+        ({"voltage": (0, 2 * EMF_FLOOR + 1)}, 40),
+        ({"voltage": (0, 6000), "emf": 6000}, 0),
+        ({"current_ref": (0, 3 * SILENT // 4)}, 0),
+    ],
+)
+def test_voltage_without_current_for_forty_ticks(driven: Diagnosis, change: dict[str, object], tick: int) -> None:
+    state: dict[str, object] = {"calm": 3, "voltage": (0, 4000), "current_ref": (0, 2000), **change}
+    for name, value in state.items():
+        setattr(driven.seen, name, value)
+    assert first_tick(lambda _: driven.phase(), "CURRENT_NOT_FOLLOWING", 60) == tick
+
+
+def test_a_current_that_does_not_follow_is_suspected_after_eight_ticks_and_fades_at_a_quarter_of_that(
+    driven: Diagnosis,
+) -> None:
+    driven.seen.voltage, driven.seen.current_ref = (0, 4000), (0, 2000)
+    told = []
+    for tick in range(1, 13):
+        if tick == 9:
+            driven.seen.voltage = (0, 0)
+        driven.phase()
+        told.append(bool(driven.suspect().suspected & CURRENT))
+    assert told == [False] * 7 + [True] * 4 + [False]
+
+
+def test_what_is_known_of_phases_is_forgotten_while_no_current_is_controlled(driven: Diagnosis) -> None:
+    driven.current(0, 2000)
+    driven.seen.current_ref = (2000, 2000)
+    for _ in range(7):
+        driven.phase()
+    assert driven.seen.conducting == 0b110
+    driven.seen.controlled = False
+    assert driven.phase() == NOTHING
+    assert (driven.seen.conducting, driven.suspect().silent) == (0, 0)
+    driven.seen.controlled = True
+    assert first_tick(lambda _: driven.phase(), "PHASE_SILENT", 20) == 8
+
+
+# ---- the encoder's count
+@pytest.mark.parametrize(("changes", "tick"), [(12, 64), (11, 0)])
+def test_a_count_that_goes_back_and_forth_in_two_windows_of_32_ticks(rig: Diagnosis, changes: int, tick: int) -> None:
+    position = 0
+
+    def step(k: int) -> set[str]:
+        nonlocal position
+        position ^= (k - 1) % 32 < changes
+        return rig.encoder(position)
+
+    assert first_tick(step, "SINGLE_CHANNEL_TOGGLE", 200) == tick
+
+
+def test_one_window_of_toggles_is_not_enough_and_a_quiet_one_ends_the_row(rig: Diagnosis) -> None:
+    for k in range(640):
+        assert rig.encoder(k % 2 if k // 32 % 2 else 0) == NOTHING
+
+
+def test_a_shaft_that_hunts_moves_twice_the_same_way(rig: Diagnosis) -> None:
+    for k in range(640):
+        assert rig.encoder((0, 1, 2, 1)[k % 4]) == NOTHING
+
+
+@pytest.mark.parametrize(("dither", "rests"), [(2, True), (-2, True), (3, False), (-3, False)])
+def test_a_shaft_that_rests_may_dither_by_two_counts(rig: Diagnosis, dither: int, rests: bool) -> None:
+    for k in range(11):
+        rig.encoder(dither * (k % 2))
+    assert (rig.seen.calm == 11) == rests
+
+
+@pytest.mark.parametrize(("size", "tick"), [(2 * SILENT + 1, 11), (2 * SILENT, 0)])
+def test_current_in_shorted_windings_of_a_shaft_that_rests_for_eight_ticks(
+    rig: Diagnosis, size: int, tick: int
+) -> None:
+    """The first three ticks without movement do not count."""
+    rig.seen.shorted = True
+    rig.current(size, 0)
+    assert first_tick(lambda _: rig.encoder(), "CURRENT_IN_SHORT", 40) == tick
+
+
+def test_current_in_shorted_windings_of_a_shaft_that_turns_is_expected(rig: Diagnosis) -> None:
+    rig.seen.shorted = True
+    rig.current(3000, 0)
+    for k in range(100):
+        assert rig.encoder(k) == NOTHING
+
+
+@pytest.mark.parametrize(("counts", "suspected"), [(8, True), (7, False)])
+def test_windings_shorted_after_a_sudden_stop_make_the_encoder_suspect(
+    rig: Diagnosis, counts: int, suspected: bool
+) -> None:
+    for k in range(5):
+        rig.encoder(k * counts)
+    rig.encoder(4 * counts)
+    assert not rig.suspect().suspected & ENCODER
+    rig.seen.shorted = True
+    assert bool(rig.suspect().suspected & ENCODER) == suspected
+
+
+# ---- the encoder and the voltage
+@pytest.fixture
+def spinning(rig: Diagnosis) -> Diagnosis:
+    rig.seen.spins = True
+    rig.seen.features = DEAD_TIME
+    rig.seen.current_limit = 16000
+    return rig
+
+
+def turn(rig: Diagnosis, tick: int, degrees: float = 20.0, size: float = 6000.0) -> None:
+    """The voltage of a rotor that turns while the encoder stands."""
+    angle = math.radians(degrees * tick)
+    rig.seen.voltage = (round(size * math.cos(angle)), round(size * math.sin(angle)))
+
+
+def asked(rig: Diagnosis) -> tuple[int, int]:
+    return rig.evidence.test_current.d, rig.evidence.test_current.q
+
+
+@pytest.mark.parametrize("degrees", [20.0, -20.0, 0.0])
+def test_voltage_that_turns_for_eight_ticks_while_current_flows_is_a_lost_encoder(
+    spinning: Diagnosis, degrees: float
+) -> None:
+    spinning.current(2 * SILENT, 0)
+
+    def step(tick: int) -> set[str]:
+        turn(spinning, tick, degrees)
+        return spinning.encoder()
+
+    assert first_tick(step, "EMF_WITHOUT_COUNT", 40) == (11 if degrees else 0)
+
+
+@pytest.mark.parametrize(
+    ("features", "beyond", "found"),
+    [(DEAD_TIME, 0, False), (DEAD_TIME, 1, True), (0, 1, False), (0, EMF_FLOOR + 1, True)],
+)
+def test_voltage_that_dead_time_and_half_of_the_resistance_explain_is_no_back_emf(
+    spinning: Diagnosis, features: int, beyond: int, found: bool
+) -> None:
+    """By quarter turns, along the axes, where the length is exact. Without compensation twice as much is lost."""
+    spinning.current(2 * SILENT, 0)
+    spinning.seen.features = features
+    length = EMF_FLOOR + spinning.seen.drop // 2 + beyond
+
+    def step(tick: int) -> set[str]:
+        spinning.monitors.encoder.rest = (0, 0)
+        d, q = ((1, 0), (0, 1), (-1, 0), (0, -1))[tick % 4]
+        spinning.seen.voltage = (2 * length * d + spinning.seen.drop, 2 * length * q)
+        return spinning.encoder()
+
+    assert bool(first_tick(step, "EMF_WITHOUT_COUNT", 40)) == found
+
+
+@pytest.mark.parametrize("limit", [16000, 2000])
+@pytest.mark.parametrize(
+    ("part", "finding"), [(0.4, "CURRENT_NOT_FOLLOWING"), (0.6, "EMF_WITHOUT_COUNT"), (0.8, "EMF_CONFIRMED")]
+)
+def test_where_no_current_flows_one_is_asked_for_and_four_ticks_later_it_tells(
+    spinning: Diagnosis, part: float, finding: str, limit: int
+) -> None:
+    spinning.seen.current_limit = limit
+    size = min(4 * SILENT, limit)
+    asked_in: list[int] = []
+
+    def step(tick: int) -> set[str]:
+        turn(spinning, tick)
+        found = spinning.encoder()
+        if asked(spinning) != (0, 0):
+            asked_in.append(tick)
+            d, q = asked(spinning)
+            assert (abs(d), abs(q)) in {(size, 0), (0, size)}
+            spinning.current(round(part * d), round(part * q))
+        return found
+
+    assert first_tick(step, finding, 40) == 15
+    assert asked_in == [11, 12, 13, 14]
+
+
+@pytest.mark.parametrize(("i_q", "sign"), [(1000, -1), (0, 1), (-1000, 1)])
+def test_a_test_current_along_q_goes_away_from_the_limit(spinning: Diagnosis, i_q: int, sign: int) -> None:
+    spinning.seen.current_ref.q = i_q
+    for tick in range(1, 16):
+        turn(spinning, tick)
+        spinning.seen.voltage = (0, 6000) if tick >= 10 else spinning.seen.voltage
+        spinning.encoder(kp=0)
+        if asked(spinning) != (0, 0):
+            break
+    assert asked(spinning) == (0, sign * 4 * SILENT)
+    spinning.current(0, round(0.8 * sign * 4 * SILENT))
+    spinning.seen.voltage = (0, 6000 + round(RESISTANCE * spinning.seen.current.q))
+    assert first_tick(lambda _: spinning.encoder(kp=0), "EMF_CONFIRMED", 10) == 4
+
+
+def test_a_voltage_that_ends_with_the_test_current_was_wind_up(spinning: Diagnosis) -> None:
+    for tick in range(1, 40):
+        turn(spinning, tick, size=6000.0 if tick < 11 else 0.0)
+        assert spinning.encoder() == NOTHING
+        d, q = asked(spinning)
+        spinning.current(d, q)
+
+
+@pytest.mark.parametrize(("swept", "immediate"), [(16384, True), (16385, False)])
+def test_voltage_that_has_stood_for_more_than_a_quarter_turn_of_a_back_emf_needs_a_test(
+    spinning: Diagnosis, swept: int, immediate: bool
+) -> None:
+    spinning.current(2 * SILENT, 0)
+    for _ in range(12):
+        turn(spinning, 0)
+        assert spinning.encoder() == NOTHING
+    spinning.monitors.encoder.swept = swept
+    turn(spinning, 1, 120.0)
+    assert spinning.encoder() == ({"EMF_WITHOUT_COUNT"} if immediate else NOTHING)
+    for tick in range(2, 20):
+        turn(spinning, tick, 120.0 if immediate else 20.0)
+        if spinning.encoder() or asked(spinning) != (0, 0):
+            break
+    assert (asked(spinning) == (0, 0)) == immediate
+
+
+def test_voltage_that_grows_and_stays_for_sixty_ticks_drives_no_current(spinning: Diagnosis) -> None:
+    """From the sixth tick on: the first three do not count, and the filter takes two."""
+    spinning.seen.voltage = (6000, 0)
+    assert first_tick(lambda _: spinning.encoder(), "CURRENT_NOT_FOLLOWING", 100) == 65
+
+
+def test_less_than_four_times_the_unexplained_voltage_is_no_wind_up(spinning: Diagnosis) -> None:
+    spinning.seen.voltage = (4 * EMF_FLOOR, 0)
+    assert first_tick(lambda _: spinning.encoder(), "CURRENT_NOT_FOLLOWING", 200) == 0
+
+
+def test_a_step_of_the_set_point_explains_the_voltage_of_its_tick(spinning: Diagnosis) -> None:
+    spinning.seen.voltage = (6000, 0)
+
+    def step(tick: int) -> set[str]:
+        spinning.seen.current_ref.q = (EMF_FLOOR + 1) * (tick % 2)
+        return spinning.encoder()
+
+    assert first_tick(step, "CURRENT_NOT_FOLLOWING", 200) == 0
+
+
+def stopped_at_once(rig: Diagnosis, counts: int = 8) -> None:
+    for k in range(5):
+        rig.encoder(k * counts)
+    rig.monitors.encoder.anchor = rig.monitors.encoder.last = 0
+
+
+@pytest.mark.parametrize(("counts", "tick"), [(8, 20), (7, 0)])
+def test_a_sudden_stop_is_probed_with_a_current_after_twenty_ticks(spinning: Diagnosis, counts: int, tick: int) -> None:
+    stopped_at_once(spinning, counts)
+    ticks = [k for k in range(1, 121) if spinning.encoder() == NOTHING and asked(spinning) != (0, 0)]
+    assert ticks == (list(range(tick, tick + 80)) if tick else [])
+
+
+@pytest.mark.parametrize(("settled", "swings", "tick"), [(8, 4, 31), (8, 3, 0), (7, 4, 34)])
+def test_a_probe_whose_voltage_swings_four_times_in_a_row_finds_a_turning_rotor(
+    spinning: Diagnosis, settled: int, swings: int, tick: int
+) -> None:
+    """It settles for eight ticks, and is compared with the eighth; what has swung by then swings back."""
+    stopped_at_once(spinning)
+    started = 20
+
+    def step(k: int) -> set[str]:
+        d, _ = asked(spinning)
+        spinning.current(round(0.75 * d) + 1, 0)
+        beyond = started + settled <= k < started + settled + swings
+        spinning.seen.steady_d = (EMF_FLOOR // 2 + 2) << 40 if beyond else 0
+        return spinning.encoder()
+
+    assert first_tick(step, "EMF_WITHOUT_COUNT", 99) == tick
+
+
+def test_a_probe_through_which_no_current_flows_or_whose_set_point_changes_finds_nothing(spinning: Diagnosis) -> None:
+    for flows in (False, True):
+        spinning.encoder(100)
+        stopped_at_once(spinning)
+        for k in range(1, 60):
+            d, _ = asked(spinning)
+            spinning.current(d if flows else 0, 0)
+            spinning.seen.current_ref.q = (SILENT // 2 + 1) if flows and k >= 31 else 0
+            spinning.seen.steady_d = 5000 << 40 if k >= 28 else 0
+            assert spinning.encoder() == NOTHING
+
+
+# ---- the encoder's angle
+@pytest.fixture
+def turning(rig: Diagnosis) -> Diagnosis:
+    rig.seen.spins = True
+    rig.seen.features = DEAD_TIME | BUS_COMPENSATION
+    rig.seen.emf = 3000
+    rig.seen.conducting = 7
+    rig.current(0, 1300)
+    return rig
+
+
+def test_a_back_emf_elsewhere_for_five_ticks(turning: Diagnosis) -> None:
+    """The filter takes the first one."""
+    turning.seen.voltage = (5000, 3000)
+    assert first_tick(lambda _: turning.angle(), "EMF_ELSEWHERE", 50) == 6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"calm": 1},
+        {"features": DEAD_TIME},
+        {"features": BUS_COMPENSATION},
+        {"conducting": 5},
+        {"voltage": (15000, 3000)},  # too much for a back-EMF
+        {"emf": EMF_FLOOR // 4},
+        {"current_size": SILENT - 1},
+    ],
+)
+def test_what_is_no_evidence_of_another_angle(turning: Diagnosis, change: dict[str, object]) -> None:
+    turning.seen.voltage = (5000, 3000)
+    for name, value in change.items():
+        setattr(turning.seen, name, value)
+    assert first_tick(lambda _: turning.angle(), "EMF_ELSEWHERE", 50) == 0
+
+
+@pytest.mark.parametrize("omega", [10000, -10000])
+@pytest.mark.parametrize("current", [(16000, 0), (-16000, 0), (0, 16000), (0, -16000)])
+def test_the_voltage_of_a_sound_motor_contradicts_nothing(
+    turning: Diagnosis, current: tuple[int, int], omega: int
+) -> None:
+    """A sign that is wrong leaves twice the drop of the resistance, or of the inductance."""
+    d, q = current
+    for inductive in (0.1, 1.0):
+        turning.loop.omega_l_d = turning.loop.omega_l_q = round(inductive * 2**24)
+        turning.current(d, q)
+        turned = inductive * omega / 32768.0
+        turning.seen.omega_e = omega
+        turning.seen.voltage = (
+            round(RESISTANCE * d - turned * q),
+            round(RESISTANCE * q + turned * d + turning.seen.emf),
+        )
+        assert first_tick(lambda _: turning.angle(), "EMF_ELSEWHERE", 50) == 0
+        assert abs(turning.monitors.angle.beyond.d) < 10
+        assert abs(turning.monitors.angle.beyond.q) < 10
+
+
+def test_all_phases_have_to_carry_current_since_the_contradiction_began(turning: Diagnosis) -> None:
+    turning.seen.voltage = (5000, 3000)
+    for tick in range(1, 12):
+        turning.seen.conducting = 1 << tick % 3 if tick < 9 else 0
+        assert ("EMF_ELSEWHERE" in turning.angle()) == (tick >= 6)
+    turning.seen.voltage = (0, 3244)
+    while turning.monitors.angle.ticks:
+        turning.seen.conducting = 7
+        turning.angle()
+    turning.seen.voltage, turning.seen.conducting = (5000, 3000), 6
+    assert first_tick(lambda _: turning.angle(), "EMF_ELSEWHERE", 20) == 0
+
+
+@pytest.mark.parametrize(("beyond", "suspected"), [(3000 + EMF_FLOOR // 4, False), (3001 + EMF_FLOOR // 4, True)])
+def test_a_back_emf_missed_by_more_than_its_size_makes_the_angle_suspect(
+    turning: Diagnosis, beyond: int, suspected: bool
+) -> None:
+    for emf in (3000, -3000):
+        turning.seen.emf = emf
+        turning.monitors.angle.beyond = (0, -beyond)
+        assert bool(turning.suspect().suspected & ANGLE) == suspected
+    turning.seen.sensorless = True
+    assert not turning.suspect().suspected & ANGLE
+
+
+# ---- the stall test
+@pytest.mark.parametrize("i_q", [15888, -15888])
+def test_a_shaft_that_nothing_moves_is_held(rig: Diagnosis, i_q: int) -> None:
+    rig.stall_start(i_q)
+    assert first_tick(lambda _: rig.stall(), "SHAFT_HELD", 1000) == 800
+
+
+@pytest.mark.parametrize(("flux", "finding", "tick"), [(209631, "STALL_UNSEEN", 400), (209630, "SHAFT_HELD", 800)])
+def test_a_flux_that_follows_the_vector_is_a_rotor_that_moves_unseen(
+    rig: Diagnosis, flux: int, finding: str, tick: int
+) -> None:
+    rig.stall_start(15888)
+    rig.monitors.stall.follow.high = flux
+    assert first_tick(lambda _: rig.stall(), finding, 1000) == tick
+
+
+def mirrored(rig: Diagnosis, way: int) -> None:
+    """The shaft moves while the vector turns to the first side."""
+    rig.seen.position = 0
+    rig.stall_start(15888)
+    for _ in range(50):
+        assert rig.stall() == NOTHING
+    assert rig.stall(way) == NOTHING
+    assert rig.monitors.stall.mirrored == (abs(way) >= 3)
+
+
+def test_two_counts_are_no_movement(rig: Diagnosis) -> None:
+    mirrored(rig, 2)
+    mirrored(rig, -2)
+
+
+@pytest.mark.parametrize(("way", "tick"), [(24, 1), (23, 16)])
+def test_a_shaft_that_goes_on_was_held(rig: Diagnosis, way: int, tick: int) -> None:
+    mirrored(rig, 3)
+    assert first_tick(lambda k: rig.stall(3 + way + (k > 8) * 3), "SHAFT_HELD", 40) == tick
+
+
+@pytest.mark.parametrize(("back", "tick"), [(6, 2), (5, 16)])
+def test_a_shaft_that_turns_round_or_stops_contradicts_the_angle(rig: Diagnosis, back: int, tick: int) -> None:
+    mirrored(rig, 3)
+    assert first_tick(lambda k: rig.stall(10 if k == 1 else 10 - back), "STALL_ELSEWHERE", 40) == tick
+
+
+@pytest.mark.parametrize(("late", "finding"), [(3, "SHAFT_HELD"), (2, "STALL_ELSEWHERE")])
+def test_what_moves_on_in_the_second_half_of_sixteen_ticks_decides(rig: Diagnosis, late: int, finding: str) -> None:
+    mirrored(rig, 3)
+    assert first_tick(lambda k: rig.stall(8 if k <= 8 else 8 + late), finding, 40) == 16
+
+
+def test_against_the_torque_the_vector_turns_on_as_far_as_it_may(rig: Diagnosis) -> None:
+    mirrored(rig, -3)
+    assert rig.monitors.stall.phi == -50 * 109
+    assert first_tick(lambda _: rig.stall(-3), "SHAFT_HELD", 300) == 150
+
+
+# ---- the shaft in motion
+def test_a_stall_lasts_longer_than_its_ticks(rig: Diagnosis) -> None:
+    rig.shaft_seen.stands = True
+    assert first_tick(lambda _: rig.shaft(), "SHAFT_HELD", 20) == 6
+    rig.shaft_seen.stands = False
+    assert rig.shaft() == NOTHING
+
+
+@pytest.mark.parametrize(
+    ("change", "tick"),
+    [
+        ({}, 5),
+        ({"speed": -6002}, 5),
+        ({"speed": 6001}, 0),
+        ({"braked": False}, 0),
+        ({"braked": False, "speed_limit": 5001}, 5),
+        ({"braked": False, "speed_limit": 5002}, 0),
+    ],
+)
+def test_speed_gained_against_the_full_current_or_beyond_the_limit(
+    rig: Diagnosis, change: dict[str, object], tick: int
+) -> None:
+    """By more than the margin of 1000 for more than four ticks."""
+    state: dict[str, object] = {"braked": True, "speed_limit": 100000, "speed": 6002, **change}
+    for name, value in state.items():
+        setattr(rig.shaft_seen, name, value)
+    rig.monitors.shaft.braked_speed = 5001
+    assert first_tick(lambda _: rig.shaft(), "RUNS_AWAY", 20) == tick
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_bounds_of_path_and_speed_hold_with_their_features(rig: Diagnosis, sign: int) -> None:
+    rig.shaft_seen.following_error_max, rig.shaft_seen.over_speed_max, rig.shaft_seen.speed_limit = 100, 200, 1000
+    rig.shaft_seen.following_error, rig.shaft_seen.speed = 101 * sign, 201 * sign
+    assert first_tick(lambda _: rig.shaft(), "OFF_PATH", 20) == 0
+    rig.shaft_seen.features = FOLLOWING_ERROR
+    assert first_tick(lambda _: rig.shaft(), "OFF_PATH", 20) == 7
+    rig.shaft_seen.features = OVER_SPEED
+    assert first_tick(lambda _: rig.shaft(), "TOO_FAST", 20) == 8
+    rig.shaft_seen.features = FOLLOWING_ERROR | OVER_SPEED
+    rig.shaft_seen.following_error, rig.shaft_seen.speed = 100 * sign, 200 * sign
+    assert first_tick(lambda _: rig.shaft(), "OFF_PATH", 20) == 0
+
+
+# ---- heat and bus
+@pytest.mark.parametrize(("hot", "cool", "step"), [(2321, 1911, 1), (1911, 2321, -1)])
+def test_heat_lasts_sixteen_ticks_and_ends_below_its_hysteresis(rig: Diagnosis, hot: int, cool: int, step: int) -> None:
+    assert first_tick(lambda _: rig.heat(hot, cool, hot - step), "HOT", 40) == 0
+    assert first_tick(lambda _: rig.heat(hot, cool, hot), "HOT", 40) == 16
+    assert rig.heat(hot, cool, cool) == {"HOT"}
+    assert rig.heat(hot, cool, cool - step) == NOTHING
+    for _ in range(5):
+        assert first_tick(lambda _: rig.heat(hot, cool, hot), "HOT", 15) == 0
+        rig.heat(hot, cool, hot - step)
+
+
+@pytest.mark.parametrize(
+    ("u_dc", "settled", "broken", "findings"),
+    [
+        (200, True, False, set()),
+        (201, True, False, {"OVER_VOLTAGE"}),
+        (100, True, False, set()),
+        (99, True, False, {"UNDER_VOLTAGE"}),
+        (99, False, False, set()),
+        (201, False, True, {"OVER_VOLTAGE", "HARDWARE_BREAK"}),
+    ],
+)
+def test_bus_and_break(rig: Diagnosis, u_dc: int, settled: bool, broken: bool, findings: set[str]) -> None:
+    limits = rig.ffi.new("bus_monitor_t *", {"u_dc_max": 200, "u_dc_min": 100})
+    rig.evidence.confirmed = rig.lib.bus_monitor_findings(limits, u_dc, settled, broken)
+    assert rig.names() == findings
+
+
+def test_the_constants_of_this_rig_are_in_order() -> None:
+    assert DIRECTION_MIN < SILENT < EMF_FLOOR

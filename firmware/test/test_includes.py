@@ -1,0 +1,88 @@
+"""The includes of the firmware: no circle, and what a folder must not know.
+
+A unit is a source file with its header: `app/servo` stands for ``app/servo.c`` and ``app/servo.h``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from firmware_compiler import FIRMWARE
+
+INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
+Graph = Mapping[str, set[str]]
+
+
+def include_graph(root: Path) -> dict[str, set[str]]:
+    """Units that each unit includes; those of the tests do not count."""
+    graph: dict[str, set[str]] = {}
+    for path in sorted(root.rglob("*.[ch]")):
+        name = path.relative_to(root).with_suffix("")
+        if name.parts[0] == "test":
+            continue
+        units = graph.setdefault(name.as_posix(), set())
+        for text in INCLUDE.findall(path.read_text(encoding="utf-8")):
+            found = next((place / text for place in (root, path.parent) if (place / text).is_file()), None)
+            assert found is not None, f"{path} includes {text}, which is nowhere"
+            units.add(found.relative_to(root).with_suffix("").as_posix())
+        units.discard(name.as_posix())
+    return graph
+
+
+def circle_of(graph: Graph) -> list[str]:
+    """Some circle, its first unit again at the end; empty if there is none."""
+    done: set[str] = set()
+
+    def search(unit: str, path: list[str]) -> list[str]:
+        if unit in path:
+            return [*path[path.index(unit) :], unit]
+        if unit in done:
+            return []
+        for other in sorted(graph.get(unit, ())):
+            if circle := search(other, [*path, unit]):
+                return circle
+        done.add(unit)
+        return []
+
+    return next((circle for unit in sorted(graph) if (circle := search(unit, []))), [])
+
+
+def reached_from(graph: Graph, folder: str) -> set[str]:
+    """All that the units of a folder include, directly or not."""
+    reached: set[str] = set()
+    open_ends = {unit for unit in graph if unit.startswith(f"{folder}/")}
+    while open_ends:
+        unit = open_ends.pop()
+        reached.add(unit)
+        open_ends |= graph.get(unit, set()) - reached
+    return reached
+
+
+@pytest.fixture(scope="module")
+def graph() -> dict[str, set[str]]:
+    return include_graph(FIRMWARE)
+
+
+def test_no_unit_of_the_firmware_includes_itself_by_way_of_others(graph: Graph) -> None:
+    assert {"app/servo", "drive/axis", "diagnosis/fault_isolate", "port/mc56f84789/port"} <= set(graph)
+    assert " -> ".join(circle_of(graph)) == ""
+
+
+@pytest.mark.parametrize("above", ["drive", "app", "comm", "port"])
+def test_the_diagnosis_knows_nothing_of_what_stands_above_it(graph: Graph, above: str) -> None:
+    assert not {unit for unit in reached_from(graph, "diagnosis") if unit.startswith(f"{above}/")}
+
+
+def test_the_drive_depends_one_way_from_the_axis_to_the_latch(graph: Graph) -> None:
+    for lower, upper in (("axis_states", "axis"), ("run_states", "axis_states"), ("axis_faults", "run_states")):
+        assert f"drive/{lower}" in graph[f"drive/{upper}"]
+    assert "diagnosis/fault_latch" in reached_from(graph, "drive")
+
+
+def test_a_circle_is_named(tmp_path: Path) -> None:
+    for name, other in {"a.h": "b.h", "b.c": "c.h", "b.h": "b.h", "c.h": "a.h"}.items():
+        (tmp_path / name).write_text(f'#include "{other}"\n', encoding="utf-8")
+    assert circle_of(include_graph(tmp_path)) == ["a", "b", "c", "a"]

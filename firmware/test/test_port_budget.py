@@ -1,0 +1,135 @@
+"""Build recipe, stack and RAM of the MC56F84789: nothing is forgotten, and everything has its room."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import chip_budget
+import pytest
+from chip_budget import CALL_WORDS, INTERRUPT_WORDS, LIBRARY_WORDS, POINTERS, Budget, BudgetError, Program
+from firmware_compiler import FIRMWARE
+from port_board import PORT
+
+STACK_MARGIN = 1.5  # frames of the chip's own compiler are not known
+LIBRARY_ROOM = 512  # words of the run-time library, which runs from RAM, too
+OTHERS = {"test", "port/avr", "port/cortex_m3"}  # folders that are not flashed
+FAST_ROOTS = r"drive_current|drive_observed|(encoder|observer)_source_fast|adc_take_(first|second)|port_receive"
+"""What every period executes, on the way from the sample to the duties; and the receiver, which must not be late."""
+
+
+@pytest.fixture(scope="module")
+def loaded() -> Program:
+    if missing := chip_budget.missing_tools():
+        pytest.skip(f"{', '.join(missing)} not installed")
+    return chip_budget.load()
+
+
+@pytest.fixture(scope="module")
+def program(loaded: Program) -> Program:
+    return chip_budget.resolve(loaded)
+
+
+@pytest.fixture(scope="module")
+def budget(program: Program) -> Budget:
+    return chip_budget.budget(program)
+
+
+@pytest.fixture
+def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A firmware of one file."""
+    if missing := chip_budget.missing_tools():
+        pytest.skip(f"{', '.join(missing)} not installed")
+    monkeypatch.setattr(chip_budget, "FIRMWARE", tmp_path)
+    return tmp_path / "alone.c"
+
+
+def load(path: Path, text: str) -> Program:
+    path.write_text(text, encoding="ascii")
+    return chip_budget.resolve(chip_budget.load([path]))
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+class TestBuild:
+    def test_every_source_of_the_firmware_is_compiled(self) -> None:
+        files = {path.relative_to(FIRMWARE) for path in FIRMWARE.rglob("*.c")}
+        expected = {path.as_posix() for path in files if not any(path.is_relative_to(folder) for folder in OTHERS)}
+        assert {path.relative_to(FIRMWARE).as_posix() for path in chip_budget.sources()} == expected
+
+    def test_what_runs_from_ram_is_a_part_of_it(self) -> None:
+        fast = chip_budget.fast_files()
+        assert fast
+        assert len(set(fast)) == len(fast)
+        assert set(fast) <= {path.relative_to(FIRMWARE).as_posix() for path in chip_budget.sources()}
+
+    def test_commands(self) -> None:
+        """Each object has a source and a place of its own; files of the fast loops come by way of their section."""
+        run = chip_budget._output("make", "--dry-run", "--always-make", "-C", PORT, "CW=/cw", "all")
+        compiled = [line.split(" -c ")[1].split(" -o ") for line in run.splitlines() if " -c " in line]
+        for source, target in compiled:
+            name = target.removeprefix("build/").removesuffix(".o")
+            way = "build/fast" if f"{name}.c" in chip_budget.fast_files() else "../.."
+            assert source == f"{way}/{name}.c"
+        (link,) = [line for line in run.splitlines() if "mwld56800e" in line]
+        assert sorted(target for _, target in compiled) == sorted(word for word in link.split() if word.endswith(".o"))
+        assert len(compiled) == len(chip_budget.sources())
+
+
+class TestFirmware:
+    def test_the_stack_has_room_for_an_interrupt_of_each_level(self, budget: Budget) -> None:
+        assert budget.deepest * STACK_MARGIN <= budget.stack, chip_budget.report(budget)
+
+    def test_the_ram_has_room_for_everything(self, budget: Budget) -> None:
+        assert budget.left >= LIBRARY_ROOM, chip_budget.report(budget)
+
+    def test_the_fast_loops_run_from_ram(self, program: Program) -> None:
+        files = {program.functions[key].file for key in program.reach(program.find(FAST_ROOTS))}
+        assert files <= set(chip_budget.fast_files())
+
+    def test_every_pointer_of_the_table_is_in_use(self, loaded: Program, program: Program) -> None:
+        used = {call for one in loaded.functions.values() for call in one.calls if call.startswith("*")}
+        assert used == {f"*{name}" for name in POINTERS}
+        assert all(program.find(pattern) for pattern in POINTERS.values())
+
+
+class TestTool:
+    def test_depth_is_that_of_the_deepest_call(self, alone: Path) -> None:
+        program = load(
+            alone,
+            "void leaf(volatile char *); void use(volatile char *);\n"
+            "__attribute__((noinline)) void flat(void) { volatile char a[40]; a[0] = 1; }\n"
+            "__attribute__((noinline)) int deep(void) { volatile char a[400]; use(a); return a[0]; }\n"
+            "int root(void) { flat(); return deep() + 1; }\n",
+        )
+        frames = {one.name: one.stack // 2 for one in program.functions.values()}
+        assert frames["deep"] >= 200
+        assert program.depth("root") == 2 * CALL_WORDS + frames["root"] + frames["deep"] + LIBRARY_WORDS
+
+    def test_recursion_is_an_error(self, alone: Path) -> None:
+        program = load(alone, "int use(int); int loop(int n) { return n ? use(n) + loop(n - 1) * use(n) : 0; }\n")
+        with pytest.raises(BudgetError, match="recursion: loop -> loop"):
+            program.depth("loop")
+
+    def test_a_pointer_that_is_not_in_the_table_is_an_error(self, alone: Path) -> None:
+        with pytest.raises(BudgetError, match=r"alone\.c:1:\d+: POINTERS does not say what surprise may hold"):
+            load(alone, "void call(void (*surprise)(void)) { surprise(); surprise(); }\n")
+
+    def test_a_pointer_may_hold_all_that_the_table_says(self, alone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(chip_budget, "POINTERS", {"hook": "one|two"})
+        program = load(
+            alone,
+            "void use(volatile char *);\n"
+            "void one(void) {}\n"
+            "void two(void) { volatile char a[600]; use(a); }\n"
+            "void call(void (**hook)(void)) { hook[1](); hook[0](); }\n",
+        )
+        assert program.functions["call"].calls == {"one", "two"}
+        assert program.depth("call") > 300
+
+    def test_levels_come_from_the_sources(self, program: Program, budget: Budget) -> None:
+        handlers = [handler for found in chip_budget.levels().values() for handler in found]
+        assert sorted(handlers) == sorted(
+            one.name for one in program.functions.values() if one.name[:4] == "isr_" and one.name != "isr_unexpected"
+        )
+        for name, depth in budget.by_level.values():
+            assert depth == INTERRUPT_WORDS + program.depth(name)
