@@ -35,7 +35,7 @@ typedef struct {
     double v_drop;         /* forward drop of switch and diode [V] */
     double r_on;           /* on resistance [ohm] */
     /* seen by the plant at switching level only */
-    double turn_off;       /* a switch conducts so long after its gate has gone off [s] */
+    double dead_time_min;  /* shortest dead time of the switches: a leg with less is a short for the rest of it [s] */
     double i_settle;       /* time constant of the current amplifiers [s] */
     double encoder_jitter; /* standard deviation of an edge [counts] */
     double encoder_duty_error; /* a line is high for 1/2 + this of its period */
@@ -54,14 +54,10 @@ typedef struct {
     double brake_capacity, brake_resistance; /* of the brake resistor, to the ambient air [J/K], [K/W] */
 } plant_bus_t;
 
-/* How long the core is busy with each handler [bus clocks] (servo_twin/core.toml); register level only. */
+/* How fast the core of the DSC is (servo_twin/core.toml); register level only. */
 typedef struct {
-    uint32_t m1, m1_slow, m1_watch; /* t1: fast loop only, with the slow loop, with the watches */
-    uint32_t m2, m2_slow, m2_watch; /* t3 */
-    uint32_t start;        /* of the sequence, once */
-    uint32_t edge;         /* captured encoder edge */
-    uint32_t fault;        /* over-current break */
-    uint32_t receive;      /* byte from the host */
+    double cycles_per_instruction; /* of those that a Cortex-M3 would take */
+    uint32_t entry_cycles;         /* of an interrupt: vector, registers saved and restored */
 } board_core_t;
 
 typedef struct {
@@ -74,18 +70,19 @@ typedef struct {
     uint64_t seed;         /* of every random number */
 } board_config_t;
 
-/* The plant's own state, which no sensor sees exactly. */
+/* The plant's own state, which no sensor sees exactly; to look changes nothing. At register level the state of the present
+ * clock, at the ideal level that of the end of the last half cycle of the PWM. Temperatures move once in 1 ms. */
 typedef struct {
     double theta_m;        /* mechanical angle, not wrapped [rad] */
     double omega_m;        /* mechanical speed [rad/s] */
-    double i_d, i_q;       /* [A] */
-    double torque_e;       /* air-gap torque [N m] */
+    double i_d, i_q;       /* [A]; with the ripple at register level */
+    double torque_e;       /* air-gap torque of these currents [N m] */
     double t_sink;         /* temperature of the axis' power stage [deg C] */
     double u_dc;           /* [V] */
-    double e_brake;        /* burnt in the brake resistor so far [J] */
+    double e_brake;        /* burnt in the brake resistor since power-on [J] */
     double t_brake;        /* temperature of the brake resistor [deg C] */
-    /* Mean phase-to-midpoint voltages [V]: of the last half cycle on the ideal level, since the last call that moved
-     * time began at register level. */
+    /* Mean voltages of the motor's terminals against the midpoint of u_dc [V]: over the last half cycle at the ideal level,
+     * over the last full window at register level (a PWM period; windows follow each other from power-on). */
     double u_a, u_b, u_c;
 } board_truth_t;
 

@@ -19,7 +19,6 @@ struct board {
     servo_t servo;
     hal_t hal;
     void *allocated; /* what the board lies in */
-    board_core_t core;
     uint64_t time_ns;  /* since `zero` */
     uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
     bool booted, starting;
@@ -86,6 +85,7 @@ static inline unsigned line_pin(const board_t *board, int axis, int line)
 void world_patience(void *world)
 {
     board_t *board = (board_t *)world;
+    board->chip.core.horizon = 0; /* the plant may have something sooner */
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         const unsigned a = chip_patience(&board->chip, encoder_pin[axis][0]);
         const unsigned b = chip_patience(&board->chip, encoder_pin[axis][1]);
@@ -129,6 +129,7 @@ void world_gates(void *world, unsigned module, unsigned submodule, unsigned leve
     if (submodule >= 3u) {
         return; /* the monitor outputs drive no inverter */
     }
+    board->chip.core.horizon = 0;
     switching_edge(&board->plant, (int)module, (int)submodule, (switching_leg_t)levels);
 }
 
@@ -148,8 +149,10 @@ uint16_t world_convert(void *world, unsigned channel)
 }
 
 /* The switch of the brake resistor follows its pin, as software has left it. */
-static void follow_brake(board_t *board)
+void world_outputs(void *world)
 {
+    board_t *board = (board_t *)world;
+    board->chip.core.horizon = 0; /* the plant may have something sooner */
     const bool on = chip_pin_level(&board->chip, brake_pin);
     if (on != board->plant.supply.braking) {
         switching_advance(&board->plant, board->chip.now); /* the plant stands where the chip met it last */
@@ -165,43 +168,22 @@ void world_boot(void *world)
     board->hal.chip = &board->chip;
     board->hal.baud = (uint32_t)(board->chip.config.baud + 0.5); /* both ends of the line are told the same */
     board->up = port_init(&board->hal, &board->servo);
-    follow_brake(board);
 }
 
 uint32_t world_interrupt(void *world, unsigned vector)
 {
     board_t *board = (board_t *)world;
-    const board_core_t *core = &board->core;
-    const bool slow = board->servo.slow_tick;
-    const bool watch = board->servo.watch_tick;
     const uint32_t tick = board->servo.snapshot.tick;
     port_isr(&board->hal, (uint16_t)vector);
-    follow_brake(board);
-    const bool loop = vector == VECTOR_M1 || vector == VECTOR_ADC_CC0;
-    if (loop && board->stall_clocks > 0u) {
-        const uint32_t stall = board->stall_clocks;
-        board->stall_clocks = 0;
-        return stall;
-    }
-    switch (vector) {
-    case VECTOR_M1:
-        return board->servo.slow_tick ? core->m1_slow : (board->servo.watch_tick ? core->m1_watch : core->m1);
-    case VECTOR_ADC_CC0:
-        board->chip.stop = board->recording && board->servo.snapshot.tick != tick;
-        return slow ? core->m2_slow : (watch ? core->m2_watch : core->m2);
-    case VECTOR_START:
-        board->chip.stop = board->chip.stop || board->starting;
-        board->starting = false;
-        return core->start;
-    case VECTOR_PWMA_FAULT:
-    case VECTOR_PWMB_FAULT:
-        return core->fault;
-    case VECTOR_TMRA0:
-    case VECTOR_TMRB0:
-        return core->edge;
-    default:
-        return core->receive;
-    }
+    const bool second = vector == VECTOR_ADC_CC0;
+    const bool loop = vector == VECTOR_M1 || second;
+    const bool starts = board->starting && vector == VECTOR_START;
+    const bool published = second && board->servo.snapshot.tick != tick;
+    board->starting = board->starting && !starts;
+    board->chip.stop = board->chip.stop || starts || (board->recording && published);
+    const uint32_t stall = loop ? board->stall_clocks : 0u;
+    board->stall_clocks -= stall;
+    return stall;
 }
 
 void world_background(void *world)
@@ -222,9 +204,13 @@ board_t *board_new(const board_config_t *config)
     }
     board_t *board = (board_t *)(void *)(room + SWITCHING_LINE - (uintptr_t)room % SWITCHING_LINE);
     board->allocated = room;
-    board->core = config->core;
     switching_init(&board->plant, config);
-    const chip_config_t chip = {.wiring = wiring, .baud = config->baud, .crossbar_clocks = SYNC_CLOCKS};
+    const chip_config_t chip = {
+        .wiring = wiring,
+        .baud = config->baud,
+        .crossbar_clocks = SYNC_CLOCKS,
+        .core = {config->core.cycles_per_instruction, config->core.entry_cycles},
+    };
     chip_init(&board->chip, &chip, board);
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         for (int line = 0; line < 2; line++) {
@@ -277,9 +263,6 @@ static bool run(board_t *board, uint64_t until_ns)
 {
     boot_once(board);
     board->chip.stop = false;
-    for (int axis = 0; axis < BOARD_AXES; axis++) {
-        switching_mean(&board->plant, axis);
-    }
     (void)chip_run(&board->chip, board->zero + until_ns / CLOCK_NS);
     const uint64_t reached = (board->chip.now > board->zero) ? (board->chip.now - board->zero) * CLOCK_NS : 0u;
     if (board->chip.stop || board->chip.failed) {

@@ -245,7 +245,15 @@ void hal_brake(hal_t *hal, bool on) { supply_switch(&hal->plant.bus, on); }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
+void hal_duties_done(hal_t *hal, uint16_t axis)
+{
+    (void)hal; /* loops take no time */
+    (void)axis;
+}
+
 uint16_t hal_late_loops(hal_t *hal) { return hal->late; }
+
+uint16_t hal_receiver_overruns(hal_t *hal) { return (uint16_t)hal->uart.overruns; }
 
 bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import sysconfig
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -20,7 +21,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 NATIVE = PACKAGE / "native"
 FIRMWARE = PACKAGE.parent / "firmware"
-FIRMWARE_FOLDERS = ("math", "control", "sensing", "drive", "app", "comm", "config")
+FIRMWARE_FOLDERS = ("math", "control", "sensing", "diagnosis", "drive", "app", "comm", "config")
 PORT = FIRMWARE / "port" / "mc56f84789"
 
 # Without contraction of a * b + c every processor computes the same bits; pairs of doubles in vectors only cost time in
@@ -116,16 +117,36 @@ def make_ffi(
 
 
 _IDEAL = [NATIVE / name for name in ("board_ideal.c", "ideal_chip.c", "uart.c")]
-_REGISTERS = [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c")), *sorted(PORT.glob("*.c"))]
+_REGISTERS = [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c"))]
 _ON_HOST = ["-DCHIP_ON_HOST"]
+
+
+def charged_sources(folder: Path) -> list[Path]:
+    """Firmware and port as the virtual core runs them: with what they take of its time."""
+    if str(PACKAGE) not in sys.path:  # setuptools runs this file as a script
+        sys.path.insert(0, str(PACKAGE))
+    from servo_twin._core_time import write_charged
+
+    return write_charged([*firmware_sources(), *sorted(PORT.glob("*.c"))], FIRMWARE, _ON_HOST, folder)
 
 
 def board_ffi(module: str, level: str, config: Path) -> FFI:
     """A module with another ``servo_config_gen.c``, for `cffi.FFI.compile` in a folder of its own."""
-    sources = [config if path.name == "servo_config_gen.c" else path for path in firmware_sources()]
-    native, options = (_IDEAL, []) if level == "ideal" else (_REGISTERS, _ON_HOST)
+    native, options, sources = (
+        (_IDEAL, [], firmware_sources())
+        if level == "ideal"
+        else (_REGISTERS, _ON_HOST, charged_sources(config.parent / "charged"))
+    )
+    sources = [config if path.name == "servo_config_gen.c" else path for path in sources]
     return make_ffi(module, native, options, sources, _absolute)
 
 
-ffi = make_ffi("servo_twin._native", _IDEAL)
-registers_ffi = make_ffi("servo_twin._registers", _REGISTERS, _ON_HOST)
+def ffi() -> FFI:
+    """``servo_twin._native``."""
+    return make_ffi("servo_twin._native", _IDEAL)
+
+
+def registers_ffi() -> FFI:
+    """``servo_twin._registers``."""
+    sources = charged_sources(PACKAGE / "build" / "charged")
+    return make_ffi("servo_twin._registers", _REGISTERS, _ON_HOST, sources)

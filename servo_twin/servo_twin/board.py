@@ -21,7 +21,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board_memory import BoardError, BoardMemory
-from servo_twin.core_load import CoreLoad
+from servo_twin.core_speed import CoreSpeed
 from servo_twin.harm import Harm
 from servo_twin.level import Level, chosen_level
 from servo_twin.plant import PlantConfig
@@ -77,6 +77,9 @@ TRACE_ENTRY: Final = np.dtype([("clock", "<u8"), ("kind", "<u2"), ("a", "<u2"), 
 class Truth:
     """State of the plant that no sensor sees exactly.
 
+    Instants, unless it says mean: at the level ``registers`` of `Board.time_ns` (in steps of 10 ns), at the level
+    ``ideal`` of the end of the last half cycle of the PWM (31.25 us) up to then. Temperatures move once in 1 ms.
+
     Attributes
     ----------
     theta_m : float
@@ -84,17 +87,20 @@ class Truth:
     omega_m : float
         Mechanical speed [rad/s].
     i_d, i_q : float
-        Stator currents in the rotor frame [A].
+        Stator currents in the rotor frame [A]. With the ripple of the PWM at the level ``registers``; at the level
+        ``ideal`` the plant is averaged over half cycles and has none.
     torque_e : float
-        Air-gap torque [N m].
+        Air-gap torque of these currents [N m].
     u_a, u_b, u_c : float
-        Mean phase voltages against the midpoint of the bus over the last half cycle [V].
+        Mean voltages of the motor's terminals against the midpoint of `u_dc` [V]. At the level ``registers`` over the
+        last full window of a PWM period (62.5 us, counted from power-on), at the level ``ideal`` over the last half
+        cycle.
     t_sink : float
         Temperature of the axis' power stage [deg C].
     u_dc : float
         Bus voltage [V].
     e_brake : float
-        Burnt in the brake resistor so far [J].
+        Burnt in the brake resistor since power-on [J].
     t_brake : float
         Temperature of the brake resistor [deg C].
     """
@@ -135,11 +141,10 @@ class BoardStats:
     watchdog_services: int
 
 
-def _native_config(ffi: Any, plant: PlantConfig, core: CoreLoad, seed: int, baud: float) -> Any:
+def _native_config(ffi: Any, plant: PlantConfig, core: CoreSpeed, seed: int, baud: float) -> Any:
     config = ffi.new("board_config_t *")
     plant.drawn(seed).fill(config)
-    for name, clocks in vars(core).items():
-        setattr(config.core, name, clocks)
+    config.core.cycles_per_instruction, config.core.entry_cycles = core.cycles_per_instruction, core.entry_cycles
     config.baud, config.seed = baud, seed
     return config
 
@@ -160,8 +165,8 @@ class Board:
     level : {"registers", "ideal"}, optional
         How closely chip and plant are modelled; by default what the environment variable SERVO_TWIN_LEVEL names, or
         else ``ideal``.
-    core : CoreLoad, optional
-        How long the handlers take at register level; the packaged ``core.toml`` by default.
+    core : CoreSpeed, optional
+        How fast the core is at register level; the packaged ``core.toml`` by default.
     firmware : Firmware, optional
         Compiled with another configuration (`servo_twin.firmware_build`), for a board of that level.
     """
@@ -174,7 +179,7 @@ class Board:
         baud: float = 115200.0,
         catalogue: Catalogue | None = None,
         level: Level | None = None,
-        core: CoreLoad | None = None,
+        core: CoreSpeed | None = None,
         firmware: Firmware | None = None,
     ) -> None:
         if not 0 <= seed < 1 << 64:
@@ -185,7 +190,7 @@ class Board:
         self._ffi, self._lib = firmware or _FIRMWARE[self.level]
         self.plant = plant or PlantConfig.load()
         self.catalogue = catalogue or Catalogue.load()
-        handle = self._lib.board_new(_native_config(self._ffi, self.plant, core or CoreLoad.load(), seed, baud))
+        handle = self._lib.board_new(_native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud))
         if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)

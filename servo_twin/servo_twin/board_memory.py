@@ -15,6 +15,7 @@ _STATUS_TEXT: Final[Mapping[int, str]] = {
     0x86: "wrong number of bytes",
     0x87: "busy",
     0x89: "access denied: not inside one variable, or read-only",
+    0x97: "value outside the range of the variable",
 }
 
 

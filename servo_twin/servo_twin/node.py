@@ -103,6 +103,7 @@ class ServoTwin(Node):
         )
         self._lock = threading.Lock()  # the monitor and what was said last are used by both threads
         self._board_trouble = ""
+        self._fault = ""  # of the board
         self._parameter_trouble = ""
         self._samples_before = 0
         self._compared = False
@@ -203,16 +204,20 @@ class ServoTwin(Node):
                 self._publish_joints(pair, self._compare(pair))
         elif self._twin.status:
             with self._lock:
-                self._monitor.interrupt(self._board_trouble or f"synchronising: {self._twin.status}")
+                fault = self._fault = self._twin.fault
+                status = f"synchronising: {self._twin.status}"
+                self._monitor.interrupt(self._board_trouble or (f"{fault}; {status}" if fault else status))
         self._say()
 
     def _compare(self, pair: Pair) -> Residual | None:
         with self._lock:
+            self._fault = pair.fault
+            if pair.fault or pair.difference:
+                self._monitor.interrupt(self._board_trouble or pair.fault or f"synchronising: {pair.difference}")
             if pair.difference:
-                self._monitor.interrupt(f"synchronising: {pair.difference}")
                 return None
             result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants)
-            if not self._board_trouble:
+            if not (self._board_trouble or pair.fault):
                 self._monitor.update(result, pair.stopping)
             self._worst = result if self._worst is None else _larger(self._worst, result)
             return result
@@ -249,7 +254,7 @@ class ServoTwin(Node):
                 text = f"SYNCHRONISING {self._twin.status}"
             else:
                 text = " ".join(f"{joint}={label}" for joint, label in zip(self._joints, labels, strict=True))
-            healthy = self._monitor.healthy
+            healthy, fault = self._monitor.healthy, self._fault
             if self._said.get(topics.STATE) != text:
                 self._said[topics.STATE] = text
                 self._state.publish(String(data=text))
@@ -258,7 +263,11 @@ class ServoTwin(Node):
                 self._healthy.publish(Bool(data=healthy))
                 if healthy:
                     self._log.info("healthy: twin and board agree")
-                elif before is not None:
+                elif before is not None and not fault:
+                    self._log.warning(f"not healthy: {self._reason()}")
+            if self._said.get("fault", "") != fault:
+                self._said["fault"] = fault  # a residual may have shown before the fault
+                if fault:
                     self._log.warning(f"not healthy: {self._reason()}")
 
     def _every_second(self) -> None:

@@ -48,7 +48,7 @@ _AXIS_RULES: Final[Mapping[str, _Rule]] = {
     "dead_time": _NOT_NEGATIVE,
     "v_drop": _NOT_NEGATIVE,
     "r_on": _NOT_NEGATIVE,
-    "turn_off": _NOT_NEGATIVE,
+    "dead_time_min": _NOT_NEGATIVE,
     "i_settle": _NOT_NEGATIVE,
     "encoder_jitter": _NOT_NEGATIVE,
     "encoder_duty_error": ("between -0.2 and 0.2", lambda x: -0.2 < x < 0.2),
@@ -114,9 +114,9 @@ class AxisPlant:
         Both switches of a leg are open for so long at every edge [s].
     v_drop, r_on : float
         Forward drop [V] and resistance [ohm] of switch and diode.
-    turn_off : float
-        A switch conducts so long after its gate has gone off [s]. This and all that follows is seen by the plant at
-        switching level only.
+    dead_time_min : float
+        Shortest dead time that the switches bear: with less the leg is a short for the rest of it, which trips the
+        comparator [s]. This and all that follows is seen by the plant at switching level only.
     i_settle : float
         Time constant of the current amplifiers [s].
     encoder_jitter : float
@@ -148,7 +148,7 @@ class AxisPlant:
     dead_time: float
     v_drop: float
     r_on: float
-    turn_off: float
+    dead_time_min: float
     i_settle: float
     encoder_jitter: float
     encoder_duty_error: float

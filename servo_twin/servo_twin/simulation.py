@@ -11,7 +11,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
 from servo_twin.board import Board, SimulationError
 
-__all__ = ["MoveResult", "SimulationError", "enable", "move", "record", "time_axis"]
+__all__ = ["MoveResult", "SimulationError", "enable", "keep_set_points", "move", "record", "time_axis"]
 
 _BOOT = 0.03  # reset to STOP [s]
 _SEARCH_MOST = 6.0  # rotor search of both axes [s]
@@ -58,6 +58,11 @@ def record(board: Board, seconds: float) -> NDArray[np.void]:
     return board.record(board.time_ns + round(seconds * 1e9))
 
 
+def keep_set_points(board: Board) -> None:
+    """Let velocity and torque set-points stand until the next one: no host repeats them in such a run."""
+    board.write("param.command_timeout", 0.0)
+
+
 def enable(board: Board) -> NDArray[np.void]:
     """Switch a fresh board on and bring both axes to SPIN; returns what was recorded meanwhile.
 
@@ -67,6 +72,7 @@ def enable(board: Board) -> NDArray[np.void]:
         If an axis ends in a fault or does not find its rotor.
     """
     catalogue = board.catalogue
+    keep_set_points(board)
     board.run(_BOOT)
     board.write("cmd.enable", [1] * AXES)
     logs: list[NDArray[np.void]] = []

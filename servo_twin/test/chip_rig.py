@@ -22,6 +22,7 @@ typedef struct {
     void (*events)(void);
     void (*late)(void);
     void (*gates)(unsigned, unsigned, unsigned);
+    void (*outputs)(void);
     uint16_t (*convert)(unsigned);
     void (*boot)(void);
     uint32_t (*interrupt)(unsigned);
@@ -33,7 +34,8 @@ CDEF = (
     WORLD
     + """
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
-typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; } chip_config_t;
+typedef struct { double cycles_per_instruction; unsigned entry_clocks; } core_speed_t;
+typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core; } chip_config_t;
 typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
 typedef struct { trace_entry_t *entry; size_t size, left; } trace_t;
 typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
@@ -57,6 +59,8 @@ void chip_register_name(uint32_t address, char *name, size_t size);
 /* A call that may end in an error: 0, or -1. */
 int try_read(chip_t *chip, uint32_t address);
 int try_write(chip_t *chip, uint32_t address, uint16_t value);
+/* What the software of the tests is charged with, in 1/16 instruction. */
+void try_spend(int units);
 """
 )
 
@@ -64,6 +68,7 @@ PREAMBLE = (
     """
 #include <setjmp.h>
 #include <string.h>
+#include "chip/core_time.h"
 #include "chip/parts.h"
 """
     + WORLD
@@ -80,10 +85,13 @@ void world_gates(void *world, unsigned module, unsigned submodule, unsigned leve
 {
     rig(world)->gates(module, submodule, levels);
 }
+void world_outputs(void *world) { rig(world)->outputs(); }
 uint16_t world_convert(void *world, unsigned channel) { return rig(world)->convert(channel); }
 void world_boot(void *world) { rig(world)->boot(); }
 uint32_t world_interrupt(void *world, unsigned vector) { return rig(world)->interrupt(vector); }
 void world_background(void *world) { rig(world)->background(); }
+
+static void try_spend(int units) { core_spend(units); }
 
 /* The tests act as software from outside of chip_run, and from handlers: errors come back to here. */
 static int try_read(chip_t *chip, uint32_t address)
@@ -105,9 +113,6 @@ static int try_write(chip_t *chip, uint32_t address, uint16_t value)
     const int reason = setjmp(chip->escape);
     if (reason == 0) {
         chip_write(chip, address, value);
-        if (chip->core.depth == 0 && !chip->core.deferring) {
-            core_step(chip);
-        }
     }
     memcpy(&chip->escape, &outer, sizeof outer);
     return (reason == 1) ? -1 : 0;
@@ -263,7 +268,15 @@ class ChipRig:
         How many have.
     """
 
-    def __init__(self, native: Native, *, baud: float = 115200.0, crossbar_clocks: int = 0, start: bool = True) -> None:
+    def __init__(
+        self,
+        native: Native,
+        *,
+        baud: float = 115200.0,
+        crossbar_clocks: int = 0,
+        start: bool = True,
+        core: tuple[float, int] = (0.0, 0),
+    ) -> None:
         self.ffi, self.lib = native.ffi, native.lib
         self.codes: list[int | Callable[[int], int]] = [100 * k for k in range(16)]
         self.handlers: dict[int, Callable[[], int | None]] = {}
@@ -282,6 +295,7 @@ class ChipRig:
             "events": ("void(void)", self._events),
             "late": ("void(void)", self._late),
             "gates": ("void(unsigned, unsigned, unsigned)", self._gates),
+            "outputs": ("void(void)", lambda: None),
             "convert": ("uint16_t(unsigned)", self._convert),
             "boot": ("void(void)", self._boot),
             "interrupt": ("uint32_t(unsigned)", self._interrupt),
@@ -291,7 +305,7 @@ class ChipRig:
         for name, call in self._keep.items():
             setattr(world, name, call)
         self.chip = self.ffi.new("chip_t *")
-        config = {"wiring": WIRING, "baud": baud, "crossbar_clocks": crossbar_clocks}
+        config = {"wiring": WIRING, "baud": baud, "crossbar_clocks": crossbar_clocks, "core": core}
         self.lib.chip_init(self.chip, self.ffi.new("chip_config_t *", config), world)
         self._world = world
         self._trace = self.ffi.new("trace_entry_t[]", 200_000)

@@ -29,7 +29,7 @@ typedef struct { ...; } plant_random_t;
 typedef struct { double alpha, beta; } plant_vector_t;
 typedef struct {
     double r_s, l_d, l_q, psi_m, pole_pairs, inertia, friction, viscous, encoder_lines, theta_start, i_full_scale;
-    double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, turn_off, i_settle;
+    double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, dead_time_min, i_settle;
     double encoder_jitter, encoder_duty_error, encoder_hysteresis;
     double winding_capacity, winding_resistance, sink_capacity, sink_resistance;
 } plant_axis_t;
@@ -50,7 +50,7 @@ void plant_motor_set_phases(plant_motor_t *motor, double i_a, double i_b);
 void plant_motor_lock(plant_motor_t *motor, bool locked);
 double plant_motor_torque(const plant_motor_t *motor);
 
-typedef struct { bool on; double leg[3], share[3]; ...; } plant_inverter_t;
+typedef struct { bool on; double leg[3], share[3], heat; ...; } plant_inverter_t;
 void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
 void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc);
 double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);

@@ -39,7 +39,6 @@ typedef struct {
     double e_bus, e_copper, e_switch; bool over_current;
 } switching_truth_t;
 void switching_truth(const switching_t *plant, int axis, switching_truth_t *truth);
-void switching_mean(switching_t *plant, int axis);
 typedef struct { double u_dc, e_source, e_brake, t_brake; } switching_bus_t;
 void switching_bus(const switching_t *plant, switching_bus_t *bus);
 void switching_set_load(switching_t *plant, int axis, double torque);

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
-import re
-from pathlib import Path
+import threading
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES
 from servo_twin.board import TRACE_ENTRY, Board, BoardError, ChipError, SimulationError
-from servo_twin.core_load import DEFAULT_FILE, CoreLoad
+from servo_twin.core_speed import CoreSpeed
+from servo_twin.experiments.named_faults import faults
 from servo_twin.level import Level
+from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable, move
 
-COST_TABLE = Path(__file__).resolve().parents[2] / "tests" / "bench" / "firmware_cost.md"
 LEVELS: tuple[Level, ...] = ("registers", "ideal")
 ENTER, LEAVE, LOAD, WRITE = 8, 9, 2, 10
 M1, M2, START = 85, 30, 87
 PERIOD = 6250
-HANDLERS = ("m1", "m2", "m1_slow", "m2_slow", "m1_watch", "m2_watch")  # in the order of the cost table
 ADC_GC1, SIM_RSTAT, PWMA_MCTRL, INTC_IPR9 = 0xE550, 0xE401, 0xE6C4, 0xE309
 
 
@@ -69,6 +68,26 @@ def test_both_levels_do_the_same_move() -> None:
         assert registers.i_q_most == pytest.approx(ideal.i_q_most, rel=0.1)
 
 
+def test_both_levels_heat_the_power_stages_alike() -> None:
+    """By reversals, whose currents go from the limit to what friction needs."""
+    heat = []
+    for level in LEVELS:
+        plant = PlantConfig.load()
+        for axis in range(AXES):
+            plant = plant.with_axis(axis, sink_capacity=1.0, sink_resistance=1e6)
+        with Board(plant, level=level, seed=1) as board:
+            enable(board)
+            before = [board.truth(axis).t_sink for axis in range(AXES)]
+            board.write("cmd.mode", [1] * AXES)
+            for n in range(8):
+                board.write("cmd.speed", [150.0 * (-1) ** n] * AXES)
+                board.run(0.2)
+            heat.append([board.truth(axis).t_sink - t for axis, t in enumerate(before)])  # [J]
+    registers, ideal = heat
+    assert min(registers) > 0.5
+    assert ideal == pytest.approx(registers, rel=0.035)
+
+
 def test_same_calls_same_bits() -> None:
     def run() -> tuple[bytes, bytes]:
         with Board(level="registers", seed=11) as board:
@@ -87,6 +106,18 @@ def test_how_time_is_cut_changes_nothing() -> None:
             board.advance(30_000_000)
             ends.append(board.record(60_000_000).tobytes())
     assert ends[0] == ends[1] == ends[2]
+
+
+def test_a_run_that_is_suspended_in_a_handler_goes_on_in_another_thread() -> None:
+    """Each piece in a thread of its own, while another board runs in this one."""
+    with Board(level="registers", seed=2) as plain, Board(level="registers", seed=2) as moved:
+        plain.advance(20_000_000)
+        for until in range(10_000, 20_000_001, 70_000):
+            thread = threading.Thread(target=moved.advance, args=(until,))
+            thread.start()
+            thread.join()
+        moved.advance(20_000_000)
+        assert plain.record(40_000_000).tobytes() == moved.record(40_000_000).tobytes()
 
 
 class TestTrace:
@@ -112,80 +143,48 @@ class TestTrace:
             assert plain.record(40_000_000).tobytes() == traced.record(40_000_000).tobytes()
 
 
+def spinning(core: CoreSpeed) -> Board:
+    board = Board(level="registers", core=core)
+    enable(board)
+    return board
+
+
 class TestCore:
-    def test_handlers_last_as_the_core_load_says(self) -> None:
-        core = CoreLoad(
-            m1=700,
-            m1_slow=2400,
-            m1_watch=1500,
-            m2=600,
-            m2_slow=1900,
-            m2_watch=1300,
-            start=99,
-            edge=150,
-            fault=120,
-            receive=110,
-        )
-        with Board(level="registers", core=core) as board:
-            log = board.trace(10_000_000)
-        assert {end - begin for begin, end in handlers(log, M1)} == {700, 2400, 1500}
-        assert {end - begin for begin, end in handlers(log, M2)} == {600, 1900, 1300}
-        assert {end - begin for begin, end in handlers(log, START)} == {99}
+    def test_handlers_last_as_long_as_their_instructions(self) -> None:
+        """The fast loop alone: so many instructions and the entry, whatever a cycle costs."""
+        shortest = {}
+        for cycles, entry in ((1.0, 30), (2.0, 30), (2.0, 50)):
+            with spinning(CoreSpeed(cycles, entry)) as board:
+                log = board.trace(board.time_ns + 5_000_000)
+            shortest[cycles, entry] = [min(end - begin for begin, end in handlers(log, v)) for v in (M1, M2)]
+        for one, two, three in zip(*shortest.values(), strict=True):
+            assert two - 30 == pytest.approx(2 * (one - 30), abs=5)
+            assert three == two + 20
+            assert 200 < one < 800
 
-    def test_a_handler_that_is_too_long_is_late_by_a_period(self) -> None:
-        """Its duties miss the reload half a period after the sample, and wait for the next one."""
-        delay = {}
-        for length in (700, 3200):
-            core = dataclasses.replace(CoreLoad.load(), m1=length, m1_slow=length, m1_watch=length)
-            with Board(level="registers", core=core) as board:
+    def test_writes_of_a_handler_are_spread_over_it(self) -> None:
+        with spinning(CoreSpeed.load()) as board:
+            log = board.trace(board.time_ns + 500_000)
+        for begin, end in handlers(log, M1):
+            writes = [int(e["clock"]) - begin for e in log if e["kind"] == WRITE and begin < e["clock"] < end]
+            assert len(set(writes)) > 8
+            assert writes[0] >= 30
+
+    def test_a_core_that_is_too_slow_is_late(self) -> None:
+        """The counter tells, and the fault keeps the switches open."""
+        for cycles in (2.0, 7.0):
+            with Board(level="registers", core=CoreSpeed(cycles, 30)) as board:
                 board.run(0.02)
-                board.write("cmd.enable", [1, 1])
-                board.run(0.15)
-                log = board.trace(board.time_ns + 2_000_000)
-            begin, end = handlers(log, M1)[0]
-            loads = [int(e["clock"]) for e in log if e["kind"] == LOAD and e["a"] == 0 and e["clock"] > end]
-            delay[length] = loads[0] - begin
-        assert delay[700] < PERIOD // 2
-        assert delay[3200] == delay[700] + PERIOD
-
-    def test_packaged_instructions_are_those_of_the_cost_table(self) -> None:
-        """Position mode at -O2, mean, plus the drivers."""
-        text = COST_TABLE.read_text(encoding="utf-8")
-        section = text.split("## Instructions, -O2\n")[1]
-        row = re.search(r"^\| position \|(.*)\|$", section, re.MULTILINE)
-        assert row is not None
-        means = [float(cell.split()[1]) for cell in row.group(1).split("|")]
-        core = CoreLoad.load()
-        text = DEFAULT_FILE.read_text(encoding="utf-8").split("[instructions_most]")[0]
-        table = dict(re.findall(r"^(\w+)\s*=\s*([\d.]+)", text, re.MULTILINE))
-        for name, mean in zip(HANDLERS, means[2:], strict=True):
-            drivers = 240 if name.endswith("slow") else 140
-            assert mean + drivers <= float(table[name]) <= mean + drivers + 50
-            cycles = float(table["entry_cycles"]) + float(table["cycles_per_instruction"]) * float(table[name])
-            assert getattr(core, name) == round(cycles)
-
-    def test_longest_instructions_are_those_of_the_cost_table(self) -> None:
-        """The most of any mode with every feature on, plus the drivers."""
-        section = COST_TABLE.read_text(encoding="utf-8").split("## Instructions, -O2, every feature on\n")[1]
-        rows = re.findall(r"^\| [a-z ]+ \|(.*\d \|)$", section.split("\n## ")[0], re.MULTILINE)
-        most = np.array([[float(cell.split()[2]) for cell in row.split("|")[2:8]] for row in rows]).max(axis=0)
-        usual, longest = CoreLoad.load(), CoreLoad.longest()
-        text = DEFAULT_FILE.read_text(encoding="utf-8")
-        table = dict(re.findall(r"^(\w+)\s*=\s*([\d.]+)", text.split("[instructions_most]")[1], re.MULTILINE))
-        for name, instructions in zip(HANDLERS, most, strict=True):
-            drivers = 240 if name.endswith("slow") else 140
-            assert instructions + drivers <= float(table[name]) <= instructions + drivers + 50
-            assert getattr(longest, name) > getattr(usual, name)
-        assert longest.edge == usual.edge
+                assert (board.read_raw("late_loops")[0] > 0) == (cycles > 2.0)
+                assert [faults(board, axis) for axis in range(2)] == [{"LATE_LOOP"} if cycles > 2.0 else set()] * 2
 
     def test_refusals(self) -> None:
-        table = {"entry_cycles": 10, "cycles_per_instruction": 1.0, "instructions": {"m1": 1}}
-        with pytest.raises(ValueError, match="handlers are"):
-            CoreLoad.parse(table)
-        names = [field.name for field in dataclasses.fields(CoreLoad)]
-        table["instructions"] = dict.fromkeys(names, -11)
-        with pytest.raises(ValueError, match="lasts -1 clocks"):
-            CoreLoad.parse(table)
+        with pytest.raises(ValueError, match="the values are"):
+            CoreSpeed.parse({"entry_cycles": 10})
+        with pytest.raises(ValueError, match="cycles per instruction"):
+            CoreSpeed(0.0, 30)
+        with pytest.raises(ValueError, match="begins with"):
+            CoreSpeed(1.0, -1)
 
 
 class TestErrors:

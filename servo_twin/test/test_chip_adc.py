@@ -225,6 +225,7 @@ class TestScanEnd:
         run_triggered(rig, ADC_CTRL1=0x5005)
         rig.write("ADC_CTRL1", 0x5805)
         rig.write("ADC_CTRL1", 0x1805)
+        rig.step(0)
         calls.clear()
         rig.clear()
         rig.step(3 * PERIOD)
@@ -241,7 +242,7 @@ class TestScanEnd:
         rig.step(5000)
         enters, leaves = rig.clocks("enter"), rig.clocks("leave")
         assert len(enters) >= 10
-        assert enters == leaves[: len(enters)]  # again and again without a gap
+        assert enters[1:] == leaves[: len(enters) - 1]  # again and again without a gap
 
     def test_sample_interrupt(self, rig: ChipRig) -> None:
         """SCHLTEN asks after sample 9 until its result has been read."""

@@ -91,7 +91,7 @@ class TestAccess:
             assert spoken.replace("Q", "") == f"{block} {register}"
 
 
-class TestInterrupts:
+class Interrupts:
     """Levels: 77 PWM fault, 85 M1, 28 an encoder edge; the fields of their priorities."""
 
     FIELD: ClassVar[dict[int, tuple[str, int]]] = {
@@ -129,6 +129,8 @@ class TestInterrupts:
 
         rig.handlers[77] = handler
 
+
+class TestInterrupts(Interrupts):
     def test_a_higher_level_interrupts_a_lower_one(self, rig: ChipRig) -> None:
         self.m1(rig, 2000)
         self.fault(rig, 300)
@@ -181,26 +183,6 @@ class TestInterrupts:
         rig.step(1000)
         assert [e.a for e in rig.events("enter")] == [76, 87]
 
-    def test_a_nested_handler_leaves_what_the_outer_one_has_written_last(self, rig: ChipRig) -> None:
-        def outer() -> int:
-            rig.write("PWMA1_STS", 0x20)
-            rig.write("PWMA0_VAL3", 600)
-            return 2000
-
-        def inner() -> int:
-            rig.write("PWMA_FCTRL0", 0xF0F0)
-            rig.write("PWMA0_VAL2", -600)
-            return 100
-
-        rig.handlers.update({85: outer, 77: inner})
-        self.enable(rig, v85=1, v77=2)
-        start = self.start(rig)
-        rig.edges = [(start + 900, "E8", True)]
-        rig.run(start + 4000)
-        written = {e.a: e.clock - start for e in rig.events("write")}
-        assert written[ADDRESS["PWMA0_VAL2"]] == 1000
-        assert written[ADDRESS["PWMA0_VAL3"]] == 400 + 2000 + 100
-
     def test_level_off_and_masks(self, rig: ChipRig) -> None:
         self.m1(rig, 100)
         start = self.start(rig)
@@ -211,28 +193,99 @@ class TestInterrupts:
         rig.step(10)
         assert rig.events("enter") == []  # all off
         rig.write("INTC_CTRL", 0)
+        rig.step(0)
         assert rig.clocks("enter", a=85) == [rig.now]
 
-    def test_buffered_writes_of_a_handler_act_at_its_end(self, rig: ChipRig) -> None:
-        read, lengths = [], [0]
 
+class TestTimeInAHandler(Interrupts):
+    """Two clocks for each instruction, 30 for the entry of an interrupt.
+
+    No run may end within a handler of these tests: Python's own stack does not survive that.
+    """
+
+    INSTRUCTION = 16
+
+    @pytest.fixture
+    def rig(self, registers_c: Native) -> ChipRig:
+        return ChipRig(registers_c, core=(2.0, 30))
+
+    def test_an_access_happens_when_the_software_gets_to_it(self, rig: ChipRig) -> None:
         def handler() -> int:
+            rig.lib.try_spend(100 * self.INSTRUCTION)
             rig.write("PWMA1_STS", 0x20)
-            rig.write("PWMA0_VAL3", 600)
-            rig.write("PWMA_MCTRL", 0x0701)
-            read.extend([rig.read("PWMA0_VAL3"), rig.read("PWMA_MCTRL")])
-            return lengths[0]
+            rig.lib.try_spend(50 * self.INSTRUCTION)
+            rig.read("PWMA0_VAL3")
+            rig.lib.try_spend(25 * self.INSTRUCTION)
+            return 7
 
         rig.handlers[85] = handler
         self.enable(rig, v85=1)
-        for length, loaded in ((HALF - 500, 0), (HALF - 300, 1)):
-            lengths[:] = [length]
+        start = self.start(rig)
+        rig.run(start + 2000)
+        assert rig.clocks("write", a=ADDRESS["PWMA1_STS"]) == [start + 400 + 30 + 200]
+        assert rig.clocks("leave", a=85) == [start + 400 + 30 + 2 * 175 + 7]
+
+    def test_parts_of_a_clock_add_up(self, rig: ChipRig) -> None:
+        def handler() -> None:
+            for _ in range(1600):
+                rig.lib.try_spend(1)
+                rig.read("PWMA0_VAL3")
+            rig.write("PWMA1_STS", 0x20)
+
+        rig.handlers[85] = handler
+        self.enable(rig, v85=1)
+        start = self.start(rig)
+        rig.run(start + 2000)
+        assert rig.clocks("write", a=ADDRESS["PWMA1_STS"]) == [start + 400 + 30 + 200]
+
+    def test_duties_that_are_released_behind_the_load_wait_for_the_next_one(self, rig: ChipRig) -> None:
+        instructions = [0]
+
+        def handler() -> None:
+            rig.write("PWMA1_STS", 0x20)
+            rig.lib.try_spend(instructions[0] * self.INSTRUCTION)
+            rig.write("PWMA0_VAL3", 600)
+            rig.write("PWMA_MCTRL", 0x0701)
+
+        rig.handlers[85] = handler
+        self.enable(rig, v85=1)
+        to_load = HALF - 400 - 30
+        for instructions[0], in_time in ((to_load // 2 - 1, True), (to_load // 2 + 1, False)):
             start = self.start(rig)
-            rig.run(start + PERIOD + HALF - 1)
-            assert read[:2] == [600, 0x0701]
-            # VAL5 is at 400: the shorter handler ends before the reload point, the longer one after it
-            assert (start + HALF in rig.clocks("load", a=0)) == (loaded == 0)
+            rig.run(start + PERIOD)
+            assert (start + HALF in rig.clocks("load", a=0)) == in_time
             rig.write("PWMA_MCTRL", 0)
+            rig.step(PERIOD)
+
+    def test_an_interrupt_comes_between_two_statements_at_every_instant(self, rig: ChipRig) -> None:
+        """The outer handler never notices, and ends later by as much as the inner one takes."""
+        for delay in range(430, 460):
+            seen: list[str] = []
+
+            def outer(seen: list[str] = seen) -> int:
+                rig.write("PWMA1_STS", 0x20)
+                for _ in range(10):
+                    rig.lib.try_spend(self.INSTRUCTION)
+                    seen.append("out")
+                return 10
+
+            def inner(seen: list[str] = seen) -> int:
+                seen.append("in")
+                rig.write("PWMA_FCTRL0", 0xF0F0)
+                return 40
+
+            rig.handlers.update({85: outer, 77: inner})
+            self.enable(rig, v85=1, v77=2)
+            start = self.start(rig)
+            rig.edges = [(start + delay, "E8", True)]
+            rig.run(start + 2000)
+            enter = rig.clocks("enter", a=77)[0] - start
+            assert enter == delay
+            assert rig.clocks("leave", a=85) == [start + 460 + 70]
+            assert seen.index("in") == min((delay - 430) // 2, 10), "statements that are through"
+            rig.write("PWMA_MCTRL", 0)
+            rig.pin("E8", False)
+            rig.write("PWMA_FSTS0", 0x00FF)
             rig.step(PERIOD)
 
 

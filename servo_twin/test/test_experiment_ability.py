@@ -74,7 +74,8 @@ def test_belief_hidden_by_the_current_limit(plant: PlantConfig, monkeypatch: pyt
 def test_path_asks_for_a_half_of_the_current(plant: PlantConfig) -> None:
     for entry, demand in zip(plant.axes, path_demands(plant, 3), strict=True):
         needed = entry.inertia * demand.acceleration * SPEED / entry.torque_constant
-        assert needed == pytest.approx(0.5 * demand.current, rel=0.02)
+        # Less by what the ramp takes to come up to its speed at param.acceleration_limit's maximum.
+        assert needed == pytest.approx(0.5 * demand.current, rel=0.04)
 
 
 class TestTopSpeed:

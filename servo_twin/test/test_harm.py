@@ -79,7 +79,9 @@ class Switched:
     """The same at switching level."""
 
     def __init__(self, native: Native, bus: float = 24.0, **axis: Any) -> None:
-        plant = plain(inertia=FLYWHEEL, turn_off=0.0, **axis).with_bus(u_source=bus, r_source=1e-3, capacitance=1.0)
+        plant = plain(inertia=FLYWHEEL, dead_time_min=0.0, **axis).with_bus(
+            u_source=bus, r_source=1e-3, capacitance=1.0
+        )
         self.plant = plant.axes[0]
         self.rig = Switching(native, plant)
 

@@ -58,7 +58,8 @@ def test_a_millisecond_without_the_core(level: Level, state: str, seed: int) -> 
     damage = next(d for d in fault_matrix.damages(PLANT) if d.name == "core stands still 1 ms")
     with at_level(level):
         found = fault_matrix.case(PLANT, seed, damage, state)
-    assert (found.name, found.periods, found.other) == ("LATE_LOOP", 24, True)
+    assert (found.name, found.other) == ("LATE_LOOP", True)
+    assert found.periods in (24, 32), "the supervision comes once in a slow tick"
 
 
 EDGE_HANDLERS = (24, 28)  # vectors of channel 0 of both timers

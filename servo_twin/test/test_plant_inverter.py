@@ -141,6 +141,20 @@ def test_currents_die_without_chatter_at_rest(plant_c: Native) -> None:
     assert largest[-1] < 1e-3
 
 
+@pytest.mark.parametrize("swing", [0.01, 0.03, 0.1])
+def test_heats_by_what_the_bus_gives_and_the_winding_does_not_burn(plant_c: Native, swing: float) -> None:
+    """A held motor, also at currents so small that the drop of the legs has faded with them."""
+    axis = plain(dead_time=1e-6, v_drop=0.7, r_on=0.03).axes[0]
+    leg = locked(plant_c, axis)
+    leg.duty(0.5 + swing, 0.5 - swing / 2, 0.5 - swing / 2)
+    leg.run(2000)
+    leg.inverter.heat, before = 0.0, leg.charge
+    leg.run(1000)
+    copper = axis.r_s * sum(i**2 for i in leg.phase) * 1000 * STEP
+    assert leg.inverter.heat > 0.0
+    assert leg.inverter.heat == pytest.approx((leg.charge - before) * BUS - copper, rel=1e-6)
+
+
 class TestAllSwitchesOpen:
     def test_current_dies_at_the_rate_of_the_bus_and_feeds_it(self, plant_c: Native) -> None:
         """Phase a hangs on the lower rail, b and c on the upper one: -2/3 (u + 2 V_drop) along a."""

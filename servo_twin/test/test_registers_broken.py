@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from buffered_registers import poke_buffered
 from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board, ChipError
 from servo_twin.experiments.named_faults import faults
@@ -81,7 +82,7 @@ def clocks(events: Iterable[Event], kind: str, a: int, b: int | None = None) -> 
 
 def poke_pwm(board: Board, module: int, submodule: int, register: int, value: int) -> None:
     """A buffered register: it counts from the next reload on."""
-    board.poke(sm(module, submodule, register), value & 0xFFFF)
+    poke_buffered(board, sm(module, submodule, register), value)
     board.poke(module + MCTRL, LOAD_ALL)
     board.run(2 * PERIOD_S)
 
@@ -148,7 +149,7 @@ def test_late_trigger_leaves_m1_without_results(board: Board) -> None:
 
 def test_early_interrupt_leaves_m1_without_results(board: Board) -> None:
     (tick,) = board.read_raw("tick")
-    poke_pwm(board, PWMA, 1, VAL5, -HALF + 100)
+    poke_pwm(board, PWMA, 1, VAL5, HALF - 300)
     board.run(0.02)
     assert board.read_raw("tick")[0] <= tick + 8
     assert resets_by_watchdog(board)
@@ -176,12 +177,12 @@ def test_only_one_motor_triggers(board: Board, term: int) -> None:
 
 
 def test_slower_converter(board: Board) -> None:
-    """The pairs are twice as far apart; M1 finds the scan unfinished and starts anew with the right divider."""
-    board.poke(ADC_CTRL2, 0x0049)
+    """The pairs are four times as far apart; M1 finds the scan unfinished and starts anew with the right divider."""
+    board.poke(ADC_CTRL2, 0x0053)
     events = trace(board, 3 * PERIOD_S)
     samples = [e.clock for e in events if e.kind == "sample" and e.a < 8]
     apart = {b - a for a, b in pairwise(samples)}
-    assert 60 in apart
+    assert 120 in apart
     assert START in loops(events)
     assert board.peek(ADC_CTRL2) == 0x0044
     assert not resets_by_watchdog(board)

@@ -15,7 +15,7 @@ from servo_twin.experiments.rig import RPM, TICK_NS, choose_mode, features, set_
 from servo_twin.harm import SlippedEncoder
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
-from servo_twin.simulation import enable
+from servo_twin.simulation import enable, keep_set_points
 
 STOP, RUN = 2, 3
 READY, SPIN, FREEWHEEL, STARTUP = 1, 3, 4, 5
@@ -30,6 +30,7 @@ def sensorless(
 ) -> Board:
     """A board without encoders, just enabled with speed set-points [rad/s]; an axis with 0 waits."""
     board = Board(plant, seed=seed, level=level)
+    keep_set_points(board)
     board.run(0.05)
     board.write("param.feedback", [1, 1])
     board.run(0.01)

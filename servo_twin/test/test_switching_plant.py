@@ -119,7 +119,7 @@ class TestMeans:
     @pytest.mark.parametrize("swing", [0.12, -0.12])
     def test_dead_time_and_drops_by_arithmetic(self, switching_c: Native, swing: float) -> None:
         """Mean of a held axis: duty, less t_d f u and the drop, against the current."""
-        plant = plain(dead_time=1e-6, v_drop=0.7, r_on=0.03, turn_off=0.0)
+        plant = plain(dead_time=1e-6, v_drop=0.7, r_on=0.03, dead_time_min=0.0)
         switching = Switching(switching_c, plant)
         switching.lib.switching_lock(switching.c, 0, True)
         duty = (0.5 + swing, 0.5 - swing / 2, 0.5 - swing / 2)
@@ -168,13 +168,26 @@ class TestMeans:
 
     def test_mean_voltages(self, switching_c: Native) -> None:
         """Of a held axis with constant duties, over whole periods."""
-        switching = Switching(switching_c, plain(turn_off=0.0))
+        switching = Switching(switching_c, plain(dead_time_min=0.0))
         switching.lib.switching_lock(switching.c, 0, True)
-        switching.run(cycles([0], (0.6, 0.5, 0.4), 0, 20, dead=0), 20 * PERIOD)
-        switching.lib.switching_mean(switching.c, 0)
-        switching.run(cycles([0], (0.6, 0.5, 0.4), 20 * PERIOD, 20, dead=0), 40 * PERIOD)
+        switching.run(cycles([0], (0.6, 0.5, 0.4), 0, 40, dead=0), 40 * PERIOD)
         bus = switching.bus.u_dc
         assert list(switching.truth(0).voltage) == pytest.approx([0.6 * bus, 0.5 * bus, 0.4 * bus], rel=4e-3)
+
+    @pytest.mark.parametrize("late", [0, 1, 6249])
+    def test_mean_voltages_are_those_of_the_last_full_period(self, switching_c: Native, late: int) -> None:
+        """A turning motor without current shows its back-EMF: the change of the magnet's flux in that period."""
+        switching = Switching(switching_c, plain())
+        switching.spin(0, 150.0)
+        axis = switching.plant.axes[0]
+        for n in range(1, 40):
+            switching.advance(n * PERIOD + late)
+            v = list(switching.truth(0).voltage)
+            angle = [axis.pole_pairs * 150.0 * (n + k) * PERIOD * CLOCK for k in (-1, 0)]
+            alpha = axis.psi_m * (math.cos(angle[1]) - math.cos(angle[0])) / (PERIOD * CLOCK)
+            beta = axis.psi_m * (math.sin(angle[1]) - math.sin(angle[0])) / (PERIOD * CLOCK)
+            assert (2 * v[0] - v[1] - v[2]) / 3 == pytest.approx(alpha, abs=1e-5)
+            assert (v[1] - v[2]) / math.sqrt(3) == pytest.approx(beta, abs=1e-5)
 
 
 class TestShunts:
@@ -280,21 +293,21 @@ class TestComparator:
 
     @pytest.mark.parametrize(("dead", "trips"), [(30, False), (20, True), (0, True)])
     def test_too_little_dead_time_is_a_short(self, switching_c: Native, dead: int, trips: bool) -> None:
-        """A switch still conducts 0.25 us after its gate has gone off."""
-        switching = Switching(switching_c, plain(turn_off=0.25e-6))
+        """The switches need 0.25 us; what is missing of that is a short."""
+        switching = Switching(switching_c, plain(dead_time_min=0.25e-6))
         switching.run([(0, 0, 0, HIGH), (500, 0, 0, OPEN), (500 + dead, 0, 0, LOW)], 1000)
         events = [(event[0], event[4]) for event in switching.events if event[1] == OVER_CURRENT]
         assert events == ([(500 + dead, True), (525, False)] if trips else [])
 
     def test_both_gates_on(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain(turn_off=0.0))
+        switching = Switching(switching_c, plain(dead_time_min=0.0))
         switching.run([(100, 1, 2, 3)], 200)
         assert switching.lib.switching_over_current(switching.c, 1)
         switching.run([(300, 1, 2, OPEN)], 400)
         assert not switching.lib.switching_over_current(switching.c, 1)
 
     def test_the_same_switch_again_is_no_short(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain(turn_off=0.25e-6))
+        switching = Switching(switching_c, plain(dead_time_min=0.25e-6))
         switching.run([(0, 0, 0, HIGH), (500, 0, 0, OPEN), (505, 0, 0, HIGH)], 1000)
         assert not switching.events
 

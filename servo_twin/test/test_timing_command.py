@@ -7,26 +7,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from buffered_registers import poke_buffered
 from servo_twin.board import Board
 from servo_twin.cli import main
 from servo_twin.plant import PlantConfig
 from servo_twin.timing.command import measure
 
 PWMA_SM1_VAL4, PWMA_SM1_VAL5 = 0xE63D, 0xE63F
-CLOCK_NS = 10
 
 
 def poke(address: int, value: Callable[[int], int]) -> Callable[[Board], None]:
-    """Change a buffered register; while a load is pending it is locked."""
+    """Change a buffered register."""
 
     def do(board: Board) -> None:
-        wanted = value(board.peek(address)) & 0xFFFF
-        for _ in range(200):
-            board.poke(address, wanted)
-            if board.peek(address) == wanted:
-                break
-            board.advance(board.time_ns + 100 * CLOCK_NS)
-        assert board.peek(address) == wanted
+        poke_buffered(board, address, value(board.peek(address)))
         board.run(0.002)
 
     return do
@@ -55,3 +49,8 @@ def test_early_interrupt_shows() -> None:
     """M1 comes before the third conversion."""
     names = wrong(poke(PWMA_SM1_VAL5, lambda value: value - 120))
     assert "M1 begins after its data, least" in names
+
+
+def test_a_core_that_is_too_slow_fails_its_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    """Handlers half as long again: rows fail, and the board itself counts late loops."""
+    assert main(["timing", "--json", "--cycles-per-instruction", "3.5"]) != 0

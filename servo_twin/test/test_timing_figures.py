@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from servo_twin.board import TRACE_ENTRY as ENTRY
 from servo_twin.experiments.outcome import Row
-from servo_twin.timing.chip_map import START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
+from servo_twin.timing import deadlines
+from servo_twin.timing.chip_map import SLOTS, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
 from servo_twin.timing.figures import circle, start
 from servo_twin.timing.trace import Kind, Trace
 
@@ -18,6 +19,9 @@ HALF = PERIOD // 2
 COUNT = 40  # periods
 FIRST, NEXT = 50, 30  # clocks from a trigger to the first pair, and from pair to pair
 DEAD = 100
+MCTRL = (0xE6C4, 0xE7C4)
+RELEASE, LENGTH = 1000, 1200  # of a loop: clocks from its begin to the release of the duties, and to its end
+M1_BEGIN = 260  # from the start of the counter
 Entry = tuple[int, int, int, int]
 Mistake = Callable[[list[Entry]], list[Entry]]
 
@@ -46,11 +50,12 @@ def ideal() -> list[Entry]:
                 clock = trigger + FIRST + pair * NEXT
                 for converter in range(2):
                     add(clock, Kind.SAMPLE, 8 * converter + 3 * module + pair, pair)
-            vector, begin = (VECTOR_M1, origin + 260) if module == 0 else (VECTOR_M2, origin + 232)
+            vector, begin = (VECTOR_M1, origin + M1_BEGIN) if module == 0 else (VECTOR_M2, origin + 232)
             if module == 1:
                 add(origin + 230, Kind.SCAN_END, 0)
             add(begin, Kind.ENTER, vector, 1)
-            add(begin + 1200, Kind.LEAVE, vector)
+            add(begin + RELEASE, Kind.WRITE, MCTRL[module], 0x0707)
+            add(begin + LENGTH, Kind.LEAVE, vector)
     return entries
 
 
@@ -70,8 +75,6 @@ def test_right_timing_agrees() -> None:
     assert by_name["motor 1: currents after the centre, most"] == pytest.approx(
         (60 + FIRST - DEAD / 2) * 0.01, abs=0.01
     )
-    assert by_name["M1, longest"] == pytest.approx(12.0)
-    assert by_name["M1 done before its duties load, least"] == pytest.approx((HALF - 260 - 1200) * 0.01)
 
 
 def shift(kind: Kind, marks: set[int], clocks: int) -> Mistake:
@@ -102,8 +105,6 @@ def longer(vector: int, clocks: int) -> Mistake:
         (shift(Kind.SAMPLE, {0, 1, 2, 8, 9, 10}, 2000), "pause after the third pair, least"),
         (shift(Kind.ENTER, {VECTOR_M1}, -100), "M1 begins after its data, least"),
         (shift(Kind.SCAN_END, {0}, 100), "M2 begins after its data, least"),
-        (longer(VECTOR_M1, 2000), "M1, longest"),
-        (longer(VECTOR_M1, 2000), "M1 done before its duties load, least"),
         (longer(VECTOR_M2, 2000), "M1 and M2 at the same time"),
         (without(Kind.ENTER, VECTOR_M2), "M2 per PWM period"),
         (shift(Kind.SAMPLE, {3, 11}, 200), "periods with t0, t1, t2, t3 in order"),
@@ -116,6 +117,66 @@ def test_mistake_shows(mistake: Mistake, row: str) -> None:
 def test_an_empty_trace_agrees_with_nothing() -> None:
     rows = circle(trace([]))
     assert wrong(rows) >= {row.name for row in rows} - {"M1 and M2 at the same time"}
+
+
+# ---- deadlines -------------------------------------------------------------------------------------------------------
+
+
+def rooms(entries: list[Entry]) -> dict[str, float | None]:
+    return {row.name: row.measured for row in deadlines.rows(trace(entries), M1_BEGIN)}
+
+
+def test_room_is_what_is_left_from_sample_to_load() -> None:
+    """Every kind of handler: alone, with slow loop, watches, supervision, latch, in both loops."""
+    due = HALF - 60 - FIRST
+    for name, begin in (("M1", M1_BEGIN), ("M2", 232)):
+        left = HALF - begin - RELEASE
+        for kind in ("", *(f" {what}" for what in SLOTS.values())):
+            assert rooms(ideal())[f"{name}{kind}, least room"] == pytest.approx(100.0 * left / due), name + kind
+    assert rooms(ideal())["core busy"] == pytest.approx(100.0 * 2 * LENGTH / PERIOD, abs=1.0)
+    assert wrong(deadlines.rows(trace(ideal()), M1_BEGIN)) == set()
+
+
+def at_period(slot: int, mistake: Mistake) -> Mistake:
+    """Only in one PWM period of each slow tick; the first M1 is that of period 1."""
+
+    def do(entries: list[Entry]) -> list[Entry]:
+        def chosen(entry: Entry) -> bool:
+            return (entry[0] // PERIOD + 1) % 8 == slot
+
+        return [*(e for e in entries if not chosen(e)), *mistake([e for e in entries if chosen(e)])]
+
+    return do
+
+
+def test_a_miss_is_a_negative_room_however_soon_the_next_load_comes() -> None:
+    """Duties that are released right behind their load, in one kind of handler: its row fails, and no other one."""
+    late = at_period(4, shift(Kind.WRITE, {MCTRL[0]}, HALF - M1_BEGIN - RELEASE + 1))
+    longer_m1 = at_period(4, longer(VECTOR_M1, HALF - M1_BEGIN - LENGTH + 10))
+    entries = late(longer_m1(ideal()))
+    assert rooms(entries)["M1 with current watches, least room"] == pytest.approx(-100.0 / (HALF - 60 - FIRST))
+    assert wrong(deadlines.rows(trace(entries), M1_BEGIN)) == {"M1 with current watches, least room"}
+
+
+def test_a_loop_that_begins_late_has_less_room() -> None:
+    marks = {VECTOR_M2, MCTRL[1]}
+    entries = [(c + 1400 if a in marks and k != Kind.SAMPLE else c, k, a, b) for c, k, a, b in ideal()]
+    assert "M2, least room" in wrong(deadlines.rows(trace(entries), M1_BEGIN))
+
+
+def test_what_interrupts_a_handler_is_counted_once() -> None:
+    entries = ideal()
+    nested = [
+        extra
+        for clock, kind, a, _ in entries
+        if kind == Kind.ENTER and a == VECTOR_M1
+        for extra in ((clock + 100, int(Kind.ENTER), 52, 2), (clock + 300, int(Kind.LEAVE), 52, 0))
+    ]
+    assert deadlines.busy(trace(entries + nested)) == deadlines.busy(trace(entries))
+
+
+def test_a_trace_without_handlers_has_no_rows_but_the_core() -> None:
+    assert list(rooms([])) == ["core busy"]
 
 
 def beginning() -> list[Entry]:

@@ -29,6 +29,7 @@ from servo_msgs_py.convert import (
 )
 from servo_msgs_py.node_shell import ParameterError
 from servo_msgs_py.units import PERIOD_NS
+from servo_twin.harm import HotPowerStage, SlippedEncoder
 from servo_twin.node import PARAMETERS, ServoTwin, main
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -140,6 +141,10 @@ class Rig:
         found = [s for m in self.messages["/diagnostics"] for s in m.status if s.name == f"servo_twin: {part}"]
         return found[-1] if found else DiagnosticStatus(message="no diagnostics yet")
 
+    def told(self) -> list[str]:
+        """All that the comparison has said in its diagnostics."""
+        return [s.message for m in self.messages["/diagnostics"] for s in m.status if s.name.endswith(": comparison")]
+
     def residual_ticks(self) -> dict[int, JointState]:
         """Residuals by the tick of their real sample."""
         messages = self.messages["/twin/residual"]
@@ -220,6 +225,49 @@ def test_healthy_when_small_for_long_enough_and_not_while_synchronising(rig: Rig
     rig.board.run(0.7)
     rig.until(lambda: [m.data for m in rig.messages["/twin/healthy"]] == [False, True, False, True])
     assert rig.last("/twin/state") == "axis1=RUN/SPIN axis2=RUN/SPIN"
+
+
+def test_a_board_in_fault_makes_it_unhealthy_until_the_fault_is_cleared(
+    rig: Rig, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """ANGLE_MISMATCH: nothing is there for the twin's encoder to slip on."""
+    rig.board.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME+ANGLE_CHECK")
+    rig.board.up()
+    rig.board.write("cmd.mode", [1, 1])
+    rig.board.write("cmd.speed", [60.0, 0.0])
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+    rig.board.board.inject(SlippedEncoder(0, 667))
+    rig.board.until("FAULT", axes=[0])
+    (flag,) = [flag for flag in CATALOGUE.flags["faults"] if flag.name == "ANGLE_MISMATCH"]
+    named = f"axis1 of the board is in FAULT (ANGLE_MISMATCH: {flag.cause})"
+    rig.until(lambda: rig.last("/twin/healthy") is False)
+    for _ in range(4):
+        rig.board.run(1.0)
+        rig.caught_up()
+    rig.until(lambda: rig.last("/twin/state") == "axis1=STOP axis2=RUN/SPIN")
+    rig.until(lambda: named in rig.told())
+    assert rig.last("/twin/healthy") is False
+    rig.board.write("cmd.clear_faults", [1, 0], 1)
+    rig.board.run(0.7)
+    rig.until(lambda: rig.last("/twin/healthy"))
+    log = capfd.readouterr().err
+    assert "synchronisation 2" in log
+    assert "synchronisation 3" not in log
+    said = [line for line in log.splitlines() if "ANGLE_MISMATCH" in line]
+    assert len(said) == 1, said
+    assert f"not healthy: {named}" in said[0]
+
+
+def test_a_fault_from_before_the_twin_is_named(rig: Rig, capfd: pytest.CaptureFixture[str]) -> None:
+    """Known to both boards, and so they agree."""
+    rig.board.board.inject(HotPowerStage(1, 200.0))
+    rig.board.run(0.3)
+    assert rig.board.label(1) == "FAULT"
+    named = "axis2 of the board is in FAULT (OVER_TEMPERATURE: "
+    rig.until(lambda: any(text.startswith(named) for text in rig.told()))
+    assert not any(m.data for m in rig.messages["/twin/healthy"])
+    assert len([line for line in capfd.readouterr().err.splitlines() if "not healthy: axis2 of the" in line]) == 1
 
 
 def test_tolerances_are_parameters() -> None:

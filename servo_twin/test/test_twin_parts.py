@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
+from servo_twin.lockstep.axis_tie import AxisTie
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import Replica, slow_tick
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
@@ -19,6 +22,7 @@ from servo_twin.lockstep.samples import Activity, RestWatch, SampleReader, activ
 from twin_rig import CATALOGUE, COLUMNS
 
 SECOND = round(1e9 / PERIOD_NS)
+EXPIRED = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "EXPIRED")
 
 
 def command(tick: int, variable: str = "cmd.position", raw: tuple[int, int] = (1, 2)) -> AppliedCommand:
@@ -82,6 +86,25 @@ class TestLedger:
         assert [c.tick for c in ledger.until(56)] == [8, 16, 24, 32, 40, 48, 56]
 
 
+class FarReplica:
+    """A board whose counters have just wrapped."""
+
+    raw: ClassVar = {"axis1.position": -(2**31) + 2, "axis1.position_ref": 2**31 - 1}
+
+
+@pytest.mark.parametrize("turns_of_the_counter", [-2, 0, 1, 5])
+def test_positions_of_the_twin_are_unwrapped_as_those_of_the_board_are(turns_of_the_counter: int) -> None:
+    far = turns_of_the_counter << 32
+    sample = SimpleNamespace(position=(far + 2**31 + 5, 0), labels=("STOP", "STOP"))
+    tie = AxisTie(0)
+    tie.begin(sample, FarReplica())  # type: ignore[arg-type]
+    assert tie.offset == 3
+    assert tie.in_real_frame(FarReplica(), sample) == {  # type: ignore[arg-type]
+        "axis1.position": far + 2**31 + 5,
+        "axis1.position_ref": far + 2**31 + 2,
+    }
+
+
 class TestSamples:
     @pytest.mark.parametrize(
         ("label", "kind"),
@@ -113,6 +136,19 @@ class TestSamples:
         assert sample.labels == ("FAULT", "RUN/ALIGN")
         assert (sample.applied_tick, sample.applied_count) == (9, 7)
         assert sample.stamp_ns == 1_700_000_000_999_999_999
+        assert (sample.faults, sample.expired) == ((0, 0), (False, False))
+
+    def test_reads_faults_and_expired_set_points(self) -> None:
+        others = sum(flag.mask for flag in CATALOGUE.flags["limits"]) & ~EXPIRED
+        row = self.row(axis1_faults=2.0**20, axis2_faults=5.0, axis1_limits=others, axis2_limits=EXPIRED | 1)
+        (sample,) = SampleReader(CATALOGUE).rows(COLUMNS, row)
+        assert sample.faults == (1 << 20, 5)
+        assert sample.expired == (False, True)
+
+    def test_a_telemetry_without_them_has_none(self) -> None:
+        columns = [name for name in COLUMNS if not name.endswith(("faults", "limits"))]
+        (sample,) = SampleReader(CATALOGUE).rows(columns, np.zeros((1, len(columns))))
+        assert (sample.faults, sample.expired) == ((0, 0), (False, False))
 
     def test_without_a_shaped_set_point_the_position_stands_in(self) -> None:
         columns = [name for name in COLUMNS if not name.endswith("position_ref")]
@@ -165,6 +201,23 @@ class TestReplica:
         replica.write("cmd.position", [5, 6], 3)
         replica.write("cmd.position", [7, 8], 2)
         assert replica.read("cmd.position") == pytest.approx([5 * 0.0015707963, 8 * 0.0015707963])
+
+    def test_knows_an_expired_set_point(self, replica: Replica) -> None:
+        assert not replica.expired(0)
+        replica.raw = {"axis1.limits": EXPIRED | 1, "axis2.limits": 1}
+        assert [replica.expired(axis) for axis in range(2)] == [True, False]
+
+    def test_a_set_point_that_expires_on_the_twins_board_alone_is_a_stop_too(self, replica: Replica) -> None:
+        """Once: a bit that stays does not take back what a new set-point has said."""
+        tie = AxisTie(1)
+        (sample,) = SampleReader(CATALOGUE).rows(COLUMNS, TestSamples.row())
+        said = []
+        for limits in (0, EXPIRED, EXPIRED, 0, EXPIRED):
+            replica.raw = {"axis2.limits": limits, "axis1.limits": EXPIRED}
+            tie.observe(replica, sample)
+            said.append(tie.stopping)
+            tie.stopping = False
+        assert said == [False, True, False, False, True]
 
     def test_runs_until_something_holds(self, replica: Replica) -> None:
         assert replica.run_until(lambda: replica.raw.get("axis1.state") == 2, SECOND)

@@ -18,7 +18,10 @@ from servo_twin.plant import PlantConfig
 from servo_msgs_py import topics
 
 CATALOGUE = Catalogue.load()
-AXIS_VARIABLES = ("position", "speed", "i_q", "state", "substate", "faults", "position_ref", "speed_ref", "i_q_ref")
+AXIS_VARIABLES = (
+    *("position", "speed", "i_q", "state", "substate", "faults", "limits"),
+    *("position_ref", "speed_ref", "i_q_ref"),
+)
 VARIABLES = ("tick", "applied_tick", "applied_count", *(f"axis{n}.{v}" for n in (1, 2) for v in AXIS_VARIABLES))
 COLUMNS = (*VARIABLES, *topics.STAMP_COLUMNS)
 EPOCH_NS = 1_700_000_000_000_000_123  # ROS time of tick zero

@@ -57,6 +57,7 @@ void chip_reset(chip_t *chip, reset_cause_t cause)
     sci_reset(chip);
     pins_reroute(chip);
     chip->must_boot = true;
+    chip->alive = chip->alive && core_runs(chip); /* from outside: the software that ran is gone */
     longjmp(chip->escape, ESCAPE_RESET);
 }
 
@@ -96,8 +97,6 @@ static inline const block_t *block_of(chip_t *chip, uint32_t address)
     return block;
 }
 
-CHIP_APART static void run_until(chip_t *chip, uint64_t until);
-
 CHIP_NORETURN CHIP_APART static void fail_waiting(chip_t *chip, uint32_t address)
 {
     char name[64];
@@ -119,47 +118,28 @@ static inline void write_register(chip_t *chip, uint32_t address, uint16_t value
     block_of(chip, address)->write(chip, address, value);
 }
 
-/* An access takes its time while the software boots. */
-static void take_time(chip_t *chip) { run_until(chip, chip->now + chip->core.access_clocks); }
-
-CHIP_APART static uint16_t read_booting(chip_t *chip, uint32_t address)
+/* What comes before the access takes its time, and while the software boots so does the access. */
+static inline void reach(chip_t *chip)
 {
-    take_time(chip);
-    return read_register(chip, address);
-}
-
-CHIP_APART static void write_booting(chip_t *chip, uint32_t address, uint16_t value)
-{
-    take_time(chip);
-    write_register(chip, address, value);
-}
-
-CHIP_APART static uint16_t read_behind_deferred(chip_t *chip, uint32_t address)
-{
-    const uint16_t *deferred = core_find_deferred(chip, address);
-    return (deferred != NULL) ? *deferred : read_register(chip, address);
+    core_settle(chip);
+    if (chip->core.booting) {
+        core_busy(chip, chip->core.access_clocks);
+    }
 }
 
 uint16_t chip_read(chip_t *chip, uint32_t address)
 {
-    if (chip->core.booting) { /* without interrupts nothing is deferred */
-        return read_booting(chip, address);
-    }
-    if (chip->core.deferred_count > 0) {
-        return read_behind_deferred(chip, address);
-    }
-    return read_register(chip, address);
+    reach(chip);
+    const uint16_t value = read_register(chip, address);
+    core_accessed(chip);
+    return value;
 }
 
 void chip_write(chip_t *chip, uint32_t address, uint16_t value)
 {
-    if (chip->core.booting) {
-        write_booting(chip, address, value);
-    } else if (chip->core.deferring && core_acts_last(chip, address)) {
-        core_defer(chip, address, value);
-    } else {
-        write_register(chip, address, value);
-    }
+    reach(chip);
+    write_register(chip, address, value);
+    core_accessed(chip);
 }
 
 void chip_interrupts(chip_t *chip, bool on)
@@ -182,8 +162,6 @@ static inline void serve(chip_t *chip, unsigned source)
         adc_event(chip, source - SOURCE_ADC);
     } else if (source == SOURCE_SERIAL) {
         sci_event(chip);
-    } else if (source == SOURCE_CORE) {
-        core_event(chip);
     } else {
         cop_event(chip);
     }
@@ -221,22 +199,55 @@ static inline bool step(chip_t *chip, uint64_t until)
     return true;
 }
 
-static void run_until(chip_t *chip, uint64_t until)
+static void leave(chip_t *chip)
 {
-    while (!chip->stop && step(chip, until)) {
-        const core_t *core = &chip->core;
-        if (core->changed && !core->booting && CHIP_TURN_CLOCK(chip_next_turn(chip)) > chip->now) {
-            core_step(chip); /* all that happens in one clock comes first */
-        }
-    }
+    core_pause();
+    (void)swapcontext(&chip->inside, &chip->outside);
+    core_run(chip);
 }
 
-static void boot(chip_t *chip)
+bool chip_step(chip_t *chip, uint64_t until)
 {
-    chip->must_boot = false;
-    chip->core.booting = true;
-    world_boot(chip->world);
-    chip->core.booting = false;
+    if (chip->stop) {
+        leave(chip);
+        return true;
+    }
+    if (chip->core.booting || until <= chip->limit) {
+        return step(chip, until);
+    }
+    if (!step(chip, chip->limit)) {
+        leave(chip);
+    }
+    return true;
+}
+
+/* Where the chip's life begins, with its address in two halves. */
+static void inside(unsigned upper, unsigned lower)
+{
+    chip_t *chip = (chip_t *)(uintptr_t)((uint64_t)upper << 32 | lower);
+    core_run(chip);
+    while (setjmp(chip->escape) == ESCAPE_FAILURE) {
+        leave(chip);
+    }
+    if (chip->must_boot) {
+        chip->must_boot = false;
+        core_boot(chip);
+    }
+    core_live(chip);
+}
+
+static void enter(chip_t *chip)
+{
+    if (!chip->alive) {
+        const uint64_t address = (uintptr_t)chip;
+        (void)getcontext(&chip->inside);
+        chip->inside.uc_stack.ss_sp = chip->stack;
+        chip->inside.uc_stack.ss_size = sizeof chip->stack;
+        chip->inside.uc_link = NULL;
+        makecontext(&chip->inside, (void (*)(void))inside, 2, (unsigned)(address >> 32), (unsigned)address);
+        chip->alive = true;
+    }
+    (void)swapcontext(&chip->outside, &chip->inside);
 }
 
 bool chip_run(chip_t *chip, uint64_t until)
@@ -244,37 +255,47 @@ bool chip_run(chip_t *chip, uint64_t until)
     if (chip->failed) {
         return false;
     }
-    if (setjmp(chip->escape) == ESCAPE_FAILURE) {
-        return false;
+    chip->limit = until;
+    enter(chip);
+    if (!chip->failed) {
+        qtmr_catch_up(chip);
     }
-    if (chip->must_boot) {
-        boot(chip);
-    }
-    core_step(chip);
-    run_until(chip, until);
-    qtmr_catch_up(chip);
-    return true;
+    return !chip->failed;
 }
 
+/* Errors of an access from outside end there. */
 int32_t chip_peek(chip_t *chip, uint32_t address)
 {
-    if (chip->failed || setjmp(chip->escape) != 0) {
-        return -1;
+    jmp_buf within;
+    volatile int32_t value = -1;
+    memcpy(&within, &chip->escape, sizeof within);
+    if (!chip->failed && setjmp(chip->escape) == 0) {
+        chip->core.polls = 0;
+        value = chip_read(chip, address);
     }
-    chip->core.polls = 0;
-    return chip_read(chip, address);
+    memcpy(&chip->escape, &within, sizeof within);
+    return value;
 }
 
 int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
 {
-    if (chip->failed || setjmp(chip->escape) == ESCAPE_FAILURE) {
-        return -1;
+    jmp_buf within;
+    volatile int result = chip->failed ? -1 : 0;
+    memcpy(&within, &chip->escape, sizeof within);
+    switch (setjmp(chip->escape)) {
+    case 0:
+        if (!chip->failed && !chip->must_boot) {
+            chip_write(chip, address, value);
+        }
+        break;
+    case ESCAPE_FAILURE:
+        result = -1;
+        break;
+    default:
+        break;
     }
-    if (!chip->must_boot) { /* a write that resets the chip comes back to here */
-        chip_write(chip, address, value);
-        core_step(chip);
-    }
-    return 0;
+    memcpy(&chip->escape, &within, sizeof within);
+    return result;
 }
 
 void chip_init(chip_t *chip, const chip_config_t *config, void *world)

@@ -4,10 +4,10 @@
  * says when its next one is, nothing is ticked. What is not modelled is an error that ends the run and names the
  * register; after an error the chip stands still.
  *
- * Software runs in no time of its own: a handler's body is executed when it begins, and the core is busy for as many
- * clocks as it says. Its writes to the buffered registers of the PWM, to MCTRL and (after the first) to GPIO data
- * registers take effect when it ends, being its last acts; reading them back in the handler gives what was written.
- * While the software boots each access takes a few clocks, so that it can wait for flags.
+ * The software tells by core_time.h how far it has got: an access to a register happens at its clock, and an interrupt of a
+ * higher level comes between two statements. Software without charges takes no time but what world_interrupt returns. Events
+ * and software run on a stack of their own, so that chip_run can end in the middle of a handler. While the software boots
+ * each access takes a few clocks, so that it can wait for flags.
  */
 #ifndef CHIP_CHIP_H
 #define CHIP_CHIP_H
@@ -16,6 +16,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <ucontext.h>
 
 #include "chip/adc.h"
 #include "chip/core.h"
@@ -38,7 +39,6 @@ typedef enum {
     SOURCE_TIMER,                                             /* one per module */
     SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES,                 /* one per converter */
     SOURCE_SERIAL = SOURCE_ADC + ADC_CONVERTERS,
-    SOURCE_CORE,
     SOURCE_COP,
     CHIP_SOURCES
 } chip_source_t;
@@ -60,6 +60,7 @@ typedef struct {
     chip_wiring_t wiring;
     double baud;             /* of the host */
     unsigned crossbar_clocks; /* from a trigger to the input that it is led to */
+    core_speed_t core;
 } chip_config_t;
 
 typedef struct chip {
@@ -84,11 +85,15 @@ typedef struct chip {
     sim_t sim;
     cop_t cop;
     trace_t trace;
-    bool stop;               /* end chip_run after the present event */
+    bool stop;               /* end chip_run before the next event */
     bool must_boot;
+    bool alive;              /* `inside` is suspended there */
+    uint64_t limit;          /* of this chip_run */
     bool failed;
     char error[CHIP_ERROR_SIZE];
     jmp_buf escape;          /* out of the software that made an error, or that a reset ends */
+    ucontext_t inside, outside;
+    _Alignas(16) uint8_t stack[CORE_STACK];
 } chip_t;
 
 /* Power on. The software boots in the first chip_run. */

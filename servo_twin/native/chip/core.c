@@ -1,6 +1,9 @@
 #include "chip/core.h"
 
+#include "chip/core_time.h"
 #include "chip/parts.h"
+
+#include <limits.h>
 
 #define IPR_FIRST 0xE300u
 #define VBA 0xE30Du
@@ -9,9 +12,18 @@
 #define INTC_CTRL 0xE31Bu
 #define INTC_CTRL_INT_DIS 0x0020u
 
-#define LEVEL_BACKGROUND (-1)
+#define UNITS 16.0 /* per instruction */
+#define PART_BITS 20
 
-void core_reset(chip_t *chip) { chip->core = (core_t){.masked = true, .changed = true, .access_clocks = 4}; }
+void core_reset(chip_t *chip)
+{
+    const double unit = chip->config.core.cycles_per_instruction / UNITS * (double)(1u << PART_BITS);
+    chip->core = (core_t){.masked = true,
+                          .changed = true,
+                          .access_clocks = 4,
+                          .level = CORE_BACKGROUND,
+                          .unit_clocks = (uint64_t)(unit + 0.5)};
+}
 
 /* ---- interrupt controller ----------------------------------------------------------------------------------------- */
 
@@ -94,30 +106,88 @@ static bool most_urgent(const core_t *core, int level, unsigned *vector, int *it
 
 /* ---- the core's time ---------------------------------------------------------------------------------------------- */
 
-static void schedule(chip_t *chip)
+/* The chip whose software runs in this thread. */
+static CORE_THREAD chip_t *running;
+CORE_THREAD int core_left = INT_MAX;
+
+/* From now on charges are paid from the time until the next event. */
+static void give(chip_t *chip)
 {
-    const core_t *core = &chip->core;
-    chip_schedule(chip, SOURCE_CORE, (core->depth > 0) ? core->frame[core->depth - 1].end_clock : CHIP_NEVER);
+    core_t *core = &chip->core;
+    const uint64_t event = chip_sooner(CHIP_TURN_CLOCK(chip_next_turn(chip)), world_next(chip->world));
+    const uint64_t next = chip_sooner(event, chip->limit);
+    const uint64_t clocks = (next > chip->now) ? next - chip->now : 0;
+    core->horizon = next;
+    const bool far = core->unit_clocks == 0 || clocks > UINT32_MAX;
+    const uint64_t units = far ? INT_MAX : (clocks << PART_BITS) / core->unit_clocks;
+    core->given = (units < INT_MAX) ? (int)units : INT_MAX;
+    core_left = core->given;
 }
+
+/* What has been spent since takes its time. */
+void core_settle(chip_t *chip)
+{
+    if (running != chip) {
+        return;
+    }
+    core_t *core = &chip->core;
+    core->part += (uint64_t)((int64_t)core->given - core_left) * core->unit_clocks;
+    core->given = core_left;
+    const uint64_t clocks = core->part >> PART_BITS;
+    core->part &= (1u << PART_BITS) - 1u;
+    if (clocks == 0) {
+        return;
+    }
+    if (chip->now + clocks < core->horizon && !core->changed && !chip->stop) {
+        chip_pass_time(chip, chip->now + clocks); /* almost always */
+    } else {
+        core_busy(chip, clocks);
+    }
+}
+
+void core_accessed(chip_t *chip)
+{
+    const uint64_t horizon = chip->core.horizon;
+    if (running == chip && (horizon == 0 || CHIP_TURN_CLOCK(chip_next_turn(chip)) < horizon)) {
+        give(chip);
+    }
+}
+
+void core_look(void)
+{
+    if (running == NULL) {
+        core_left = INT_MAX;
+    } else {
+        core_settle(running);
+    }
+}
+
+#if !defined(__x86_64__)
+void core_spend(int units)
+{
+    core_left -= units;
+    if (core_left < 0) {
+        core_look();
+    }
+}
+#endif
 
 CHIP_APART static void start(chip_t *chip, unsigned vector, int level)
 {
     core_t *core = &chip->core;
-    core_frame_t *frame = &core->frame[core->depth++];
-    *frame = (core_frame_t){.vector = vector, .level = level, .end_clock = 0, .deferred = core->deferred_count};
+    const int outer = core->level;
+    const uint64_t part = core->part;
+    core->level = level;
+    core->part = 0;
     chip_note(chip, TRACE_ENTER, vector, (uint32_t)level);
-    chip->pins.written = 0;
-    const bool outer = core->deferring;
-    core->deferring = true;
-    const uint32_t clocks = world_interrupt(chip->world, vector);
-    core->deferring = outer;
-    const uint64_t length = (clocks > 0) ? clocks : 1u;
-    frame->end_clock = chip->now + length;
-    for (int i = 0; i < core->depth - 1; i++) {
-        core->frame[i].end_clock += length; /* what it has interrupted goes on later */
-    }
-    core->changed = true;
-    schedule(chip);
+    core_busy(chip, chip->config.core.entry_clocks);
+    const uint32_t more = world_interrupt(chip->world, vector);
+    core_settle(chip);
+    core_busy(chip, more);
+    core->level = outer;
+    core->part = part;
+    chip_note(chip, TRACE_LEAVE, vector, 0);
+    core_wake(chip);
 }
 
 CHIP_APART static void look_for_requests(chip_t *chip)
@@ -128,92 +198,68 @@ CHIP_APART static void look_for_requests(chip_t *chip)
         if (core->booting || core->masked || (core->ctrl & INTC_CTRL_INT_DIS) != 0) {
             break;
         }
-        const int level = (core->depth > 0) ? core->frame[core->depth - 1].level : LEVEL_BACKGROUND;
         unsigned vector;
-        int its_level;
-        if (most_urgent(core, level, &vector, &its_level)) {
-            start(chip, vector, its_level);
+        int level;
+        if (most_urgent(core, core->level, &vector, &level)) {
+            start(chip, vector, level);
         }
     }
 }
 
+/* All that happens in one clock comes before a handler. */
 static inline void start_handlers(chip_t *chip)
 {
-    if (chip->core.changed) {
+    if (chip->core.changed && CHIP_TURN_CLOCK(chip_next_turn(chip)) > chip->now) {
         look_for_requests(chip);
     }
 }
 
-CHIP_APART static void run_background(chip_t *chip)
+/* The software works for so many clocks; handlers that interrupt it are not among them. */
+void core_busy(chip_t *chip, uint64_t clocks)
 {
-    chip->core.background_due = false;
-    world_background(chip->world);
-    start_handlers(chip);
-    chip->core.changed = chip->core.background_due; /* it has woken itself */
-}
-
-void core_step(chip_t *chip)
-{
-    const core_t *core = &chip->core;
-    start_handlers(chip);
-    if (core->background_due && core->depth == 0 && !core->booting) {
-        run_background(chip);
+    uint64_t end = chip->now + clocks;
+    bool on = true;
+    while (on) {
+        on = chip_step(chip, end);
+        const uint64_t begin = chip->now;
+        start_handlers(chip);
+        end += chip->now - begin;
+        on = on || chip->now > begin;
     }
+    give(chip);
 }
 
-void core_event(chip_t *chip)
+void core_live(chip_t *chip)
 {
     core_t *core = &chip->core;
-    const core_frame_t frame = core->frame[core->depth - 1];
-    for (unsigned i = frame.deferred; i < core->deferred_count; i++) {
-        const uint32_t address = core->deferred[i].address;
-        const uint16_t value = core->deferred[i].value;
-        chip_note(chip, TRACE_WRITE, address, value);
-        if (address >= 0xE600u) {
-            pwm_write(chip, address, value);
-        } else {
-            gpio_write(chip, address, value);
+    for (;;) {
+        start_handlers(chip);
+        if (core->background_due && !core->changed) {
+            core->background_due = false;
+            give(chip);
+            world_background(chip->world);
+            core_settle(chip);
+            core->changed = core->background_due; /* it has woken itself */
         }
+        (void)chip_step(chip, CHIP_NEVER);
     }
-    core->deferred_count = frame.deferred;
-    core->depth--;
-    chip_note(chip, TRACE_LEAVE, frame.vector, 0);
-    core_wake(chip);
-    schedule(chip);
 }
 
-/* ---- last acts of a handler ----------------------------------------------------------------------------------------- */
-
-bool core_acts_last(const chip_t *chip, uint32_t address)
+void core_boot(chip_t *chip)
 {
-    if (address >= 0xE600u && address < 0xE800u) {
-        return pwm_buffers(address);
-    }
-    if (address >= 0xE200u && address < 0xE270u && (address & 0xFu) == 1u) {
-        return ((chip->pins.written >> ((address - 0xE200u) >> 4)) & 1u) != 0;
-    }
-    return false;
+    chip->core.booting = true;
+    give(chip);
+    world_boot(chip->world);
+    core_settle(chip);
+    chip->core.booting = false;
 }
 
-void core_defer(chip_t *chip, uint32_t address, uint16_t value)
-{
-    core_t *core = &chip->core;
-    if (core->deferred_count == CORE_DEFERRED) {
-        chip_fail(chip, "a handler writes more than %d buffered registers", CORE_DEFERRED);
-    }
-    core->deferred[core->deferred_count].address = address;
-    core->deferred[core->deferred_count++].value = value;
-}
+void core_run(chip_t *chip) { running = chip; }
 
-const uint16_t *core_find_deferred(const chip_t *chip, uint32_t address)
+bool core_runs(const chip_t *chip) { return running == chip; }
+
+void core_pause(void)
 {
-    const core_t *core = &chip->core;
-    if (core->depth > 0 && core->deferring) {
-        for (unsigned i = core->deferred_count; i > core->frame[core->depth - 1].deferred; i--) {
-            if (core->deferred[i - 1u].address == address) {
-                return &core->deferred[i - 1u].value;
-            }
-        }
-    }
-    return NULL;
+    running = NULL;
+    core_left = INT_MAX;
 }

@@ -7,7 +7,8 @@
 
 #define CORE_VECTORS 111
 #define CORE_LEVELS 3   /* priority levels of peripherals */
-#define CORE_DEFERRED 64
+#define CORE_BACKGROUND (-1) /* the level of what every interrupt interrupts */
+#define CORE_STACK 0x40000   /* bytes of the host's stack for the software and what it calls */
 
 /* Interrupt vectors. */
 typedef enum {
@@ -27,12 +28,11 @@ typedef enum {
     VECTOR_COP = 108,
 } core_vector_t;
 
+/* How fast the core is. */
 typedef struct {
-    unsigned vector;
-    int level;
-    uint64_t end_clock;
-    unsigned deferred; /* its first deferred write */
-} core_frame_t;
+    double cycles_per_instruction;
+    unsigned entry_clocks; /* of an interrupt: vector, registers saved and restored */
+} core_speed_t;
 
 typedef struct {
     /* interrupt controller */
@@ -43,19 +43,17 @@ typedef struct {
      * would keep a processor waiting until the write is through. */
     bool changed;
     /* core */
-    core_frame_t frame[CORE_LEVELS];
-    int depth;
-    struct {
-        uint32_t address;
-        uint16_t value;
-    } deferred[CORE_DEFERRED];
-    unsigned deferred_count;
+    int level;                      /* of the handler that runs */
     bool booting;                   /* every access takes time, no interrupts */
     bool masked;                    /* all interrupts of peripherals */
     bool background_due;
-    bool deferring;                 /* software is inside a handler */
     uint32_t polls;                 /* reads since time last moved */
     uint64_t access_clocks;         /* per access while booting */
+    /* the software's time */
+    uint64_t unit_clocks;           /* of 1/16 instruction, 2^-20 clocks */
+    int given;                      /* units until the next event, when time last moved */
+    uint64_t horizon;               /* nothing happens before this clock; 0: it is not known any more */
+    uint64_t part;                  /* of a clock that has been spent since, 2^-20 */
 } core_t;
 
 #endif

@@ -128,7 +128,6 @@ static inline void chip_meet_world(chip_t *chip)
 /* ---- registers ------------------------------------------------------------------------------------------------------ */
 
 uint16_t pwm_read(chip_t *chip, uint32_t address);
-bool pwm_buffers(uint32_t address); /* INIT, a VAL or MCTRL: what a handler writes last */
 void pwm_write(chip_t *chip, uint32_t address, uint16_t value);
 uint16_t adc_read(chip_t *chip, uint32_t address);
 void adc_write(chip_t *chip, uint32_t address, uint16_t value);
@@ -166,16 +165,21 @@ void pwm_fault_event(chip_t *chip);
 CHIP_APART void adc_event(chip_t *chip, unsigned converter);
 void qtmr_event(chip_t *chip, unsigned module);
 void sci_event(chip_t *chip);
-void core_event(chip_t *chip); /* a handler ends */
 void cop_event(chip_t *chip);
 
-/* Start handlers, run the background: whatever is due. */
-void core_step(chip_t *chip);
+/* ---- the core (core.c) ------------------------------------------------------------------------------------------------ */
 
-/* Register writes of a handler that wait for its end. */
-bool core_acts_last(const chip_t *chip, uint32_t address);
-void core_defer(chip_t *chip, uint32_t address, uint16_t value);
-CHIP_APART const uint16_t *core_find_deferred(const chip_t *chip, uint32_t address); /* NULL if there is none */
+/* One event up to `until`, a pause of chip_run, or that clock itself; false then. */
+bool chip_step(chip_t *chip, uint64_t until);
+
+void core_boot(chip_t *chip);
+CHIP_NORETURN void core_live(chip_t *chip); /* handlers and background, whenever they are due */
+void core_busy(chip_t *chip, uint64_t clocks); /* the software works */
+void core_settle(chip_t *chip); /* what it has spent up to here takes its time */
+void core_accessed(chip_t *chip); /* after that of a register: the next event may have come nearer */
+void core_run(chip_t *chip); /* charges are for this chip */
+void core_pause(void); /* and for none */
+bool core_runs(const chip_t *chip);
 
 /* ---- signals --------------------------------------------------------------------------------------------------------- */
 

@@ -291,14 +291,15 @@ void gpio_write(chip_t *chip, uint32_t address, uint16_t value)
     case DR:
         changed = port->data ^ value;
         port->data = value;
-        chip->pins.written |= 1u << index;
         if ((changed & chip->pins.gates[index]) != 0) {
             pwm_pins_changed(chip);
         }
+        world_outputs(chip->world);
         break;
     case DDR:
         port->direction = value;
         pwm_pins_changed(chip);
+        world_outputs(chip->world);
         break;
     case PER:
         port->peripheral = value;

@@ -25,7 +25,6 @@ typedef struct {
     gpio_port_t port[GPIO_PORTS];
     uint16_t select[11];  /* SIM_GPSAL .. SIM_GPSGH */
     uint16_t in[GPIO_PORTS]; /* levels that the board puts on the pins */
-    unsigned written;     /* ports whose data register was, since the handler in progress began */
     /* what follows */
     uint8_t function[CHIP_PINS]; /* pin_function_t */
     uint16_t gates[GPIO_PORTS];  /* pins that gate drivers are soldered to */

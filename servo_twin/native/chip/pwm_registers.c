@@ -56,8 +56,6 @@ enum {
 static const uint8_t buffered[MODULE_SIZE] = {BUFFERED(0), BUFFERED(1), BUFFERED(2), BUFFERED(3),
                                               [MCTRL] = BUFFERED_MCTRL};
 
-bool pwm_buffers(uint32_t address) { return buffered[address & (MODULE_SIZE - 1u)] != 0; }
-
 static bool is_value(uint32_t r) { return r == INIT || (r >= VAL0 && r <= VAL5 && (r & 1u) != 0); }
 
 static bool is_fraction(uint32_t r) { return r >= FRACVAL1 && r < VAL5 && (r & 1u) == 0; }

@@ -403,7 +403,6 @@ void system_reset(chip_t *chip, reset_cause_t cause)
     for (unsigned i = 0; i < GPIO_PORTS; i++) {
         chip->pins.port[i] = (gpio_port_t){.peripheral = 0};
     }
-    chip->pins.written = 0;
     for (unsigned i = 0; i < sizeof chip->pins.select / sizeof chip->pins.select[0]; i++) {
         chip->pins.select[i] = 0;
     }

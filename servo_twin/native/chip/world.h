@@ -28,11 +28,14 @@ void world_late(void *world);
 /* Levels of a pair of gate signals from now on: bit 0 the upper switch (PWM_A), bit 1 the lower one (PWM_B). */
 void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels);
 
+/* The software has written levels of outputs. */
+void world_outputs(void *world);
+
 /* 12-bit code of an analogue pin at this instant: 0..7 ANA0-7, 8..15 ANB0-7. */
 uint16_t world_convert(void *world, unsigned channel);
 
-/* Software: after reset (memory lost); the body of an interrupt, which returns how many clocks it takes; and what runs
- * when there is nothing else to do. */
+/* Software: after reset (memory lost); the body of an interrupt, which returns for how many clocks more than it has spent
+ * (core_time.h) it keeps the core busy; and what runs when there is nothing else to do. */
 void world_boot(void *world);
 uint32_t world_interrupt(void *world, unsigned vector);
 void world_background(void *world);

@@ -1,7 +1,7 @@
 /* averaged_kernel.h - arithmetic of the averaged plant for one number type: NUM is double, or a pair of doubles that holds
  * one axis in each lane. The same expressions in the same order: a pair computes the same bits as two single axes.
  *
- * Included with NUM, KERNEL(name), LIMIT(x, low, high), SIZE(x) defined.
+ * Included with NUM, KERNEL(name), LIMIT(x, low, high) defined.
  */
 
 typedef struct {
@@ -129,12 +129,13 @@ static inline NUM KERNEL(drive_leg)(NUM current, NUM inv_i_w, NUM duty, NUM dead
     return share;
 }
 
-/* Power that the phase currents burn in the switches or diodes that they go through. */
-static inline NUM KERNEL(power)(const NUM phase[3], NUM v_drop, NUM r_on)
+/* Power that a driven leg burns, with the means of its current and of the square of it: the difference between what it takes
+ * from the bus and what it gives is its drop, and its resistance is in the motor's circuit. */
+static inline NUM KERNEL(leg_loss)(NUM before, NUM after, NUM share, NUM leg, NUM r_on, double u_dc)
 {
-    const NUM sizes = (SIZE(phase[0]) + SIZE(phase[1])) + SIZE(phase[2]);
-    const NUM squares = (phase[0] * phase[0] + phase[1] * phase[1]) + phase[2] * phase[2];
-    return v_drop * sizes + r_on * squares;
+    const NUM twice = before + after;
+    const NUM three_squares = twice * twice - before * after;
+    return (share * u_dc - leg) * (0.5 * twice) + r_on * three_squares * (1.0 / 3.0);
 }
 
 /* Voltage of a phase against the midpoint of the bus. */

@@ -171,6 +171,11 @@ typedef struct {
     double volt_seconds_0;               /* of the legs' mean [V s] */
 } bridge_t;
 
+/* Integrals of the terminals' voltages above the negative rail, while the winding's resistance is constant [V s]. */
+typedef struct {
+    double volts[3];
+} bridge_integral_t;
+
 /* All gates off, no current, shaft at rest. */
 void bridge_init(bridge_t *bridge, const plant_axis_t *config);
 
@@ -218,6 +223,9 @@ bool bridge_indifferent(bridge_t *bridge, int phase, unsigned gates, double h, d
 
 /* A segment that has taken no time is to begin anew: what it has decided about legs without current does not count. */
 void bridge_begin_again(bridge_t *bridge);
+
+/* Up to where the bridge stands; flux, angle and speed need not be brought along. */
+bridge_integral_t bridge_integral(const bridge_t *bridge);
 
 /* What the shunt of a phase carries at the beginning of the segment. */
 double bridge_shunt(const bridge_t *bridge, int phase);

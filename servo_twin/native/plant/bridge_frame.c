@@ -23,6 +23,16 @@ static inline double mean_accel(const bridge_t *b)
     return (2.0 * first / (h * h) - drag) * b->inv_inertia;
 }
 
+/* Without any current the flux is that of the magnet, where it looks by now. */
+static inline plant_vector_t magnet(const bridge_t *b)
+{
+    const double t = b->frame.time;
+    const double x = b->pole_pairs * t * (b->omega + 0.5 * t * mean_accel(b));
+    const double c = 1.0 - 0.5 * x * x;
+    const double s = x * (1.0 - SIXTH * x * x);
+    return (plant_vector_t){b->psi_m * (b->cosine * c - b->sine * s), b->psi_m * (b->sine * c + b->cosine * s)};
+}
+
 #if defined(__GNUC__) && !defined(PLANT_NO_FRAMES) /* a stator vector and its phases in one register */
 
 #include "plant/bridge_course.h"
@@ -149,17 +159,6 @@ PLANT_INLINE void settle_at_zero(bridge_t *b, segment_t *s, int k, double u)
     }
 }
 
-/* Without any current the flux is that of the magnet, where it looks by now. */
-static inline void follow_magnet(bridge_t *b)
-{
-    const double t = b->frame.time;
-    const double x = b->pole_pairs * t * (b->omega + 0.5 * t * mean_accel(b));
-    const double c = 1.0 - 0.5 * x * x;
-    const double s = x * (1.0 - SIXTH * x * x);
-    b->psi.alpha = b->psi_m * (b->cosine * c - b->sine * s);
-    b->psi.beta = b->psi_m * (b->sine * c + b->cosine * s);
-}
-
 /* A current begins within a frame: what its earlier charge has cost will come off at its end. */
 static inline void leave_magnet(bridge_t *b)
 {
@@ -177,7 +176,7 @@ PLANT_INLINE void begin_segment(bridge_t *b, segment_t *s, double u)
     b->u = u;
     b->begun = true;
     if (k == NO_CURRENT) {
-        follow_magnet(b);
+        b->psi = magnet(b);
         k = bridge_leave_one(b, u);
         if (!b->dead) {
             leave_magnet(b);
@@ -451,4 +450,23 @@ void bridge_settle(bridge_t *b)
     }
     b->frame.time = 0.0;
     bridge_count_turn(b);
+}
+
+bridge_integral_t bridge_integral(const bridge_t *b)
+{
+    plant_vector_t psi = b->psi;
+    plant_vector_t charge = b->charge;
+    if (b->framed) {
+        const plant_vector_t since = b->frame.charge;
+        psi = (leg_at_zero(b) == NO_CURRENT)
+                  ? magnet(b)
+                  : (plant_vector_t){psi.alpha - b->r * since.alpha, psi.beta - b->r * since.beta};
+        charge.alpha += since.alpha;
+        charge.beta += since.beta;
+    }
+    /* what the winding has integrated, and what its resistance has lost */
+    const double alpha = psi.alpha + b->r_s * charge.alpha;
+    const double beta = HALF_SQRT3 * (psi.beta + b->r_s * charge.beta);
+    const double mean = b->volt_seconds_0;
+    return (bridge_integral_t){{mean + alpha, mean - 0.5 * alpha + beta, mean - 0.5 * alpha - beta}};
 }

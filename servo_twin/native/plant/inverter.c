@@ -12,7 +12,6 @@
 #define NUM double
 #define KERNEL(name) single_##name
 #define LIMIT(x, low, high) plant_limit(x, low, high)
-#define SIZE(x) fabs(x)
 #include "plant/averaged_kernel.h"
 
 static inline double larger(double x, double y) { return (x > y) ? x : y; }
@@ -233,6 +232,16 @@ static void give_back(plant_inverter_t *inverter, const double mean[3], double u
     }
 }
 
+/* Power that the phase currents burn in the switches or diodes that they go through. */
+static double conduction_loss(const plant_inverter_t *inverter, const double phase[3])
+{
+    double power = 0.0;
+    for (int k = 0; k < 3; k++) {
+        power += (inverter->v_drop + inverter->r_on * fabs(phase[k])) * fabs(phase[k]);
+    }
+    return power;
+}
+
 /* Six open switches, or a wire that is broken. */
 static double limited_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
 {
@@ -273,6 +282,7 @@ static double limited_step(plant_inverter_t *inverter, plant_motor_t *motor, dou
     for (int k = 0; k < 3; k++) {
         mean[k] = 0.5 * (before[k] + motor->phase[k]);
     }
+    inverter->heat += conduction_loss(inverter, mean) * used;
     if (inverter->on) {
         for (int k = 0; k < 3; k++) {
             *charge += inverter->share[k] * mean[k] * used;
@@ -352,13 +362,10 @@ double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, dou
     const double used = plant_motor_step(motor, plant_clarke(inverter->leg), dt);
     for (int k = 0; k < 3; k++) {
         *charge += inverter->share[k] * 0.5 * (before[k] + motor->phase[k]) * used;
+        inverter->heat += used * single_leg_loss(before[k], motor->phase[k], inverter->share[k], inverter->leg[k],
+                                                 inverter->r_on, u_dc);
     }
     return used;
-}
-
-double plant_inverter_power(const plant_inverter_t *inverter, const plant_motor_t *motor)
-{
-    return single_power(motor->phase, inverter->v_drop, inverter->r_on);
 }
 
 void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc,

@@ -51,6 +51,7 @@ typedef struct {
     /* of the last step */
     double leg[3]; /* leg voltage above the negative rail, without the resistive drop [V] */
     double share[3]; /* part of each phase current that the bus delivers, 0..1 */
+    double heat; /* burnt in switches and diodes since it was taken last [J] */
 } plant_inverter_t;
 
 /* `step` is the longest step taken [s]. */
@@ -75,8 +76,7 @@ void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], doubl
  * the charge drawn from the bus to `charge` [A s]. */
 double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);
 
-/* Of the end of a step: what switches and diodes burn [W], and the phases' voltages against the midpoint of the bus [V]. */
-double plant_inverter_power(const plant_inverter_t *inverter, const plant_motor_t *motor);
+/* The phases' voltages against the midpoint of the bus at the end of a step [V]. */
 void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
                              double voltage[3]);
 

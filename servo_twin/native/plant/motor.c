@@ -7,7 +7,6 @@
 #define NUM double
 #define KERNEL(name) single_##name
 #define LIMIT(x, low, high) plant_limit(x, low, high)
-#define SIZE(x) fabs(x)
 #include "plant/averaged_kernel.h"
 
 void plant_motor_refresh(plant_motor_t *motor)

@@ -31,19 +31,9 @@ static inline pair_t limit_pair(pair_t x, double low, double high)
 #endif
 }
 
-static inline pair_t size_of(pair_t x)
-{
-#ifdef __SSE2__
-    return (pair_t)_mm_andnot_pd(_mm_set1_pd(-0.0), (__m128d)x);
-#else
-    return (pair_t){fabs(x[0]), fabs(x[1])};
-#endif
-}
-
 #define NUM pair_t
 #define KERNEL(name) pair_##name
 #define LIMIT(x, low, high) limit_pair(x, low, high)
-#define SIZE(x) size_of(x)
 #include "plant/averaged_kernel.h"
 
 /* True for a driven axis that turns or stands all along, as far as can be told beforehand; `direction` of motion, 0 for one
@@ -91,7 +81,7 @@ static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
         lane->inverter->share[k] = ends->share[k][n];
         lane->inverter->leg[k] = ends->leg[k][n];
     }
-    *lane->heat += ends->heat[n];
+    lane->inverter->heat += ends->heat[n];
     plant_motor_count_step(motor);
 }
 
@@ -144,10 +134,12 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
     ends.sine = sine * e.alpha + cosine * e.beta;
     pair_phases(ends.x.i_d, ends.x.i_q, ends.sine, ends.cosine, ends.phase);
     pair_t charge_twice = both(0.0);
+    pair_t loss = both(0.0);
     for (int k = 0; k < 3; k++) {
         charge_twice += ends.share[k] * (before[k] + ends.phase[k]);
+        loss += pair_leg_loss(before[k], ends.phase[k], ends.share[k], ends.leg[k], pair_of(pair->r_on), u_dc);
     }
-    ends.heat = pair_power(ends.phase, v_drop, pair_of(pair->r_on)) * pair->step;
+    ends.heat = loss * pair->step;
     ends.charge = charge_twice * (0.5 * pair->step);
     const pair_t onwards = ends.x.omega * direction;
     unsigned taken = 0;

@@ -23,7 +23,6 @@ typedef struct {
 typedef struct {
     plant_inverter_t *inverter;
     plant_motor_t *motor;
-    double *heat; /* sum of what switches and diodes burn [J] */
 } plant_lane_t;
 
 void plant_pair_init(plant_pair_t *pair, const plant_lane_t lane[2], double step);

@@ -1,9 +1,6 @@
 #include "plant/plant.h"
 
-static inline plant_lane_t lane_of(plant_drive_t *axis)
-{
-    return (plant_lane_t){&axis->inverter, &axis->motor, &axis->e_switch};
-}
+static inline plant_lane_t lane_of(plant_drive_t *axis) { return (plant_lane_t){&axis->inverter, &axis->motor}; }
 
 void plant_init(plant_t *plant, const board_config_t *config)
 {
@@ -51,7 +48,6 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
         /* less than a nanosecond left is only the rounding of the units */
         done = (rest - used < 0.5) ? step : done + used;
     }
-    axis->e_switch += plant_inverter_power(&axis->inverter, motor) * 1e-9 * step;
     return charge;
 }
 
@@ -72,9 +68,9 @@ static void warm_up(plant_t *plant)
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
         if (!axis->harm.heated) {
-            thermal_advance(&axis->sink, h, axis->e_switch);
+            thermal_advance(&axis->sink, h, axis->inverter.heat);
         }
-        axis->e_switch = 0.0;
+        axis->inverter.heat = 0.0;
     }
     supply_warm(&plant->bus, h);
 }

@@ -26,7 +26,6 @@ typedef struct {
     double codes_per_ampere;
     plant_harm_t harm;
     thermal_t sink;        /* heatsink of the inverter */
-    double e_switch;       /* burnt there since its temperature was worked out [J] */
 } plant_drive_t;
 
 typedef struct {

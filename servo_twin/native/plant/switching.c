@@ -11,7 +11,7 @@
 #define SPREAD 4u /* edges by which jitter, duty error and hysteresis may add to the way of the shaft */
 /* Edges are looked for as far ahead as a frame may last [s]. */
 #define EDGE_HORIZON (BRIDGE_FRAME + SWITCHING_HORIZON * CLOCK)
-#define THERMAL_STEP UINT64_C(100000) /* [clocks] */
+#define THERMAL_WINDOWS 16u /* from one step of the temperatures to the next */
 #define GLITCH 100u /* a disturbance of an encoder line lasts so long [clocks] */
 #define SLIP 100u /* from edge to edge of a disc that slips [clocks] */
 #define COPPER 3.93e-3 /* rise of its resistance [1/K] */
@@ -27,13 +27,15 @@ void switching_init(switching_t *plant, const board_config_t *config)
     plant->u_noise_whole = config->bus.u_noise;
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
     plant_random_init(&plant->noise, config->seed, 0);
-    plant->thermal_clock = THERMAL_STEP;
-    plant->rare_clock = THERMAL_STEP;
+    plant->window = (uint64_t)(SWITCHING_CLOCK_HZ / config->pwm_frequency + 0.5);
+    plant->window_clock = plant->window;
+    plant->rare_clock = plant->window;
     for (int i = 0; i < BOARD_AXES; i++) {
         const plant_axis_t *c = &config->axis[i];
         switching_axis_t *axis = &plant->axis[i];
         const double l = (c->l_d < c->l_q) ? c->l_d : c->l_q;
         bridge_init(&axis->bridge, c);
+        axis->window = bridge_integral(&axis->bridge);
         quadrature_init(&axis->encoder, c, config->seed, (uint64_t)i + 3u);
         thermal_init(&axis->winding, c->winding_capacity, c->winding_resistance, config->ambient);
         thermal_init(&axis->sink, c->sink_capacity, c->sink_resistance, config->ambient);
@@ -44,7 +46,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
         }
         axis->slip_clock = NEVER;
         axis->shown_clock = NEVER;
-        axis->turn_off = (uint64_t)(c->turn_off * SWITCHING_CLOCK_HZ + 0.5);
+        axis->dead_time_min = (uint64_t)(c->dead_time_min * SWITCHING_CLOCK_HZ + 0.5);
         axis->i_break = c->i_break;
         axis->square_break = c->i_break * c->i_break;
         const double far = c->i_break - 2.0 * config->bus.u_source / l * SWITCHING_HORIZON * CLOCK;
@@ -144,7 +146,7 @@ static inline void find_next_of_all(switching_t *plant)
 
 static void find_rare(switching_t *plant)
 {
-    plant->rare_clock = plant->thermal_clock;
+    plant->rare_clock = plant->window_clock;
     for (int i = 0; i < BOARD_AXES; i++) {
         if (plant->axis[i].short_clock > plant->now) {
             plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].short_clock);
@@ -292,11 +294,10 @@ static void advance_axis(switching_t *plant, int i)
 
 static void warm_up(switching_t *plant)
 {
-    const double h = (double)THERMAL_STEP * CLOCK;
+    const double h = (double)(THERMAL_WINDOWS * plant->window) * CLOCK;
     for (int i = 0; i < BOARD_AXES; i++) {
         switching_axis_t *axis = &plant->axis[i];
         bridge_t *b = &axis->bridge;
-        advance_axis(plant, i);
         bridge_settle(b);
         plant->stale = true;
         thermal_advance(&axis->winding, h, b->e_copper - axis->e_copper);
@@ -308,7 +309,28 @@ static void warm_up(switching_t *plant)
         bridge_set_winding(b, axis->r_s * (1.0 + COPPER * (axis->winding.t - axis->winding.ambient)));
     }
     supply_warm(&plant->supply, h);
-    plant->thermal_clock += THERMAL_STEP;
+}
+
+/* Whoever looks at the means must not change what comes after: the plant itself stops for them, always at these clocks. */
+static void end_window(switching_t *plant)
+{
+    const double per_h = SWITCHING_CLOCK_HZ / (double)plant->window;
+    for (int i = 0; i < BOARD_AXES; i++) {
+        switching_axis_t *axis = &plant->axis[i];
+        advance_axis(plant, i);
+        const bridge_integral_t now = bridge_integral(&axis->bridge);
+        for (int k = 0; k < 3; k++) {
+            axis->voltage[k] = (now.volts[k] - axis->window.volts[k]) * per_h;
+        }
+    }
+    if (++plant->windows == THERMAL_WINDOWS) {
+        plant->windows = 0;
+        warm_up(plant);
+    }
+    for (int i = 0; i < BOARD_AXES; i++) { /* with the new resistance */
+        plant->axis[i].window = bridge_integral(&plant->axis[i].bridge);
+    }
+    plant->window_clock += plant->window;
 }
 
 /* A line of an encoder changes, and somebody may wait for it. */
@@ -394,8 +416,8 @@ static void happen_rarely(switching_t *plant)
             compare(plant, i);
         }
     }
-    if (plant->thermal_clock == plant->now) {
-        warm_up(plant);
+    if (plant->window_clock == plant->now) {
+        end_window(plant);
     }
     find_rare(plant);
 }
@@ -451,7 +473,7 @@ bool switching_take_kept(switching_t *plant, int i, switching_event_t *event)
 
 /* ---- gates -------------------------------------------------------------------------------------------------------- */
 
-/* A switch conducts a little longer than its gate says: turned on against it, the leg is a short. */
+/* For the comparator: how a leg with both switches on carries the motor's current is not modelled. */
 static void begin_short(switching_t *plant, int i, uint64_t until)
 {
     plant->axis[i].short_clock = until;
@@ -490,12 +512,12 @@ static void watch_overlap(switching_t *plant, int i, int phase, switching_leg_t 
 {
     const switching_axis_t *axis = &plant->axis[i];
     if (before == SWITCHING_SHORT) {
-        begin_short(plant, i, earlier(axis->short_clock, plant->now + axis->turn_off));
+        begin_short(plant, i, plant->now);
     }
     if (leg == SWITCHING_SHORT) {
         begin_short(plant, i, NEVER);
-    } else if (leg != SWITCHING_OPEN && leg != axis->last_on[phase] && plant->now < axis->off_clock[phase]) {
-        begin_short(plant, i, axis->off_clock[phase]);
+    } else if (leg != SWITCHING_OPEN && leg != axis->last_on[phase] && plant->now < axis->safe_clock[phase]) {
+        begin_short(plant, i, axis->safe_clock[phase]);
     }
 }
 
@@ -505,10 +527,10 @@ static inline void watch_short(switching_t *plant, int i, int phase, switching_l
     const switching_leg_t before = axis->leg[phase];
     axis->leg[phase] = leg;
     if (before == SWITCHING_HIGH || before == SWITCHING_LOW) {
-        axis->off_clock[phase] = plant->now + axis->turn_off;
+        axis->safe_clock[phase] = plant->now + axis->dead_time_min;
         axis->last_on[phase] = before;
     }
-    const bool soon = leg != SWITCHING_OPEN && plant->now < axis->off_clock[phase];
+    const bool soon = leg != SWITCHING_OPEN && plant->now < axis->safe_clock[phase];
     if (soon || before == SWITCHING_SHORT || leg == SWITCHING_SHORT) {
         watch_overlap(plant, i, phase, before, leg);
     }
@@ -625,35 +647,12 @@ void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
         .e_switch = b->e_switch,
         .over_current = axis->tripped,
     };
-    const double h = seconds(axis->mean_clock, copy.now);
-    const double per_h = (h > 0.0) ? 1.0 / h : 0.0;
-    /* what the winding has integrated, and what its resistance has lost */
-    const plant_vector_t psi = {b->psi.alpha - axis->mean_psi.alpha, b->psi.beta - axis->mean_psi.beta};
-    const plant_vector_t charge = {b->charge.alpha - axis->mean_charge.alpha, b->charge.beta - axis->mean_charge.beta};
-    const double alpha = (psi.alpha + b->r_s * charge.alpha) * per_h;
-    const double beta = 0.5 * PLANT_SQRT3 * (psi.beta + b->r_s * charge.beta) * per_h;
-    const double mean = (b->volt_seconds_0 - axis->mean_volts_0) * per_h;
-    truth->voltage[0] = mean + alpha;
-    truth->voltage[1] = mean - 0.5 * alpha + beta;
-    truth->voltage[2] = mean - 0.5 * alpha - beta;
     for (int k = 0; k < 3; k++) {
+        truth->voltage[k] = axis->voltage[k];
         truth->phase[k] = b->phase[k];
         truth->shunt[k] = bridge_shunt(b, k);
         truth->amplifier[k] = b->amplifier[BRIDGE_LANE(k)];
     }
-}
-
-void switching_mean(switching_t *plant, int i)
-{
-    switching_axis_t *axis = &plant->axis[i];
-    switching_look_around(plant);
-    advance_axis(plant, i);
-    bridge_settle(&axis->bridge);
-    plant->stale = true;
-    axis->mean_clock = plant->now;
-    axis->mean_psi = axis->bridge.psi;
-    axis->mean_charge = axis->bridge.charge;
-    axis->mean_volts_0 = axis->bridge.volt_seconds_0;
 }
 
 void switching_bus(const switching_t *plant, switching_bus_t *bus)

@@ -78,7 +78,7 @@ typedef struct {
     double shown[BRIDGE_LANES]; /* .. and show this [A] */
     uint64_t look_clock; /* when a current may pass the comparator's threshold */
     uint64_t next_clock; /* the earlier of the two, or the horizon */
-    uint64_t off_clock[3]; /* when the switch of the leg that was on last no longer conducts, and which one it was */
+    uint64_t safe_clock[3]; /* until then the other switch of the leg is on too soon, and which one was on last */
     switching_leg_t last_on[3];
     switching_leg_t leg[3];
     uint64_t short_clock; /* end of a short through a leg */
@@ -87,16 +87,15 @@ typedef struct {
     int32_t slip; /* edges still to come of a disc that slips */
     uint64_t glitch_clock[QUADRATURE_LINES]; /* beginning or end of the next disturbance on a line */
     uint64_t slip_clock; /* the next of them */
-    uint64_t turn_off; /* a switch still conducts so long after its gate has gone off [clocks] */
+    uint64_t dead_time_min; /* [clocks] */
     double i_break; /* threshold [A] */
     /* Of a current vector below which no phase is beyond the threshold, or can get there within the horizon [A^2]. */
     double square_break, square_far;
     double codes_per_ampere, i_offset[3], i_noise;
     double r_s; /* at the reference temperature [ohm] */
     double e_copper, e_switch; /* that the temperatures have seen already [J] */
-    uint64_t mean_clock; /* beginning of the voltages' mean, and the integrals there */
-    plant_vector_t mean_psi, mean_charge;
-    double mean_volts_0;
+    bridge_integral_t window; /* of the terminals, where the present window began */
+    double voltage[3]; /* means of the terminals in the window before [V] */
     switching_event_t kept_back[SWITCHING_KEPT];
 } switching_axis_t;
 
@@ -112,8 +111,9 @@ typedef struct {
     /* Of each axis: current out of the bus there, and its slope; and since the axis was advanced the charge that the bus has
      * given, at this current, and the integral of its voltage [A], [A/s], [A s], [V s]. */
     double i_bus[BOARD_AXES], di_bus[BOARD_AXES], booked[BOARD_AXES], u_h[BOARD_AXES];
-    uint64_t thermal_clock; /* next step of the temperatures */
-    uint64_t rare_clock; /* that, or the end of a short */
+    uint64_t window, window_clock; /* length and end of the present window [clocks] */
+    unsigned windows; /* that are over since the last step of the temperatures */
+    uint64_t rare_clock; /* the end of the window, or of a short */
     switching_event_t event[SWITCHING_EVENTS];
     unsigned first, waiting;
 } switching_t;
@@ -187,7 +187,7 @@ typedef struct {
     double shunt[3]; /* what the shunts carry [A], sign of the phase current */
     double amplifier[3]; /* what the amplifiers show of it [A] */
     double torque; /* air gap [N m] */
-    double voltage[3]; /* mean terminal voltage above the negative rail since the last switching_mean [V] */
+    double voltage[3]; /* mean terminal voltages above the negative rail in the last full window, a PWM period [V] */
     double t_winding, t_sink; /* [deg C] */
     double e_bus; /* taken out of the bus since clock 0 [J] */
     double e_copper, e_switch; /* burnt in the windings, in switches and diodes [J] */
@@ -197,8 +197,6 @@ typedef struct {
 /* Present state of one axis. To look changes nothing. */
 void switching_truth(const switching_t *plant, int axis, switching_truth_t *truth);
 
-/* The voltages' mean begins anew. */
-void switching_mean(switching_t *plant, int axis);
 typedef struct {
     double u_dc; /* [V] */
     double e_source; /* delivered by the supply into the bus since clock 0 [J] */

@@ -17,6 +17,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
+    at_level,
     choose_mode,
     command_position,
     command_speed,
@@ -163,15 +164,18 @@ def differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
 
 
 def _first_current(plant: PlantConfig, seed: int, switch: str | None, speed: float) -> list[float]:
-    """i_q* of each axis in the tick in which its speed set-point has jumped [A]."""
-    with spinning(plant, seed) as board:
+    """i_q* of each axis in the tick in which its speed set-point has jumped [A].
+
+    At the ideal level, where a feature takes no time: at the other one it moves the instants of everything behind it.
+    """
+    with at_level("ideal"), spinning(plant, seed) as board:
         for axis in range(AXES):
-            if switch is not None:
-                features(board, axis, **{switch: True})
             set_axis(board, "param.acceleration_limit", axis, board.catalogue["param.acceleration_limit"].maximum)
             choose_mode(board, axis, "SPEED")
         watch(board, [0], 10 * TICK)
         for axis in range(AXES):
+            if switch is not None:
+                features(board, axis, **{switch: True})
             command_speed(board, axis, speed)
         both = watch(board, range(AXES), 5 * TICK)
         limited = flag_mask(board, "limits", "CURRENT")
@@ -202,12 +206,13 @@ def _parameter(plant: PlantConfig, seed: int, name: str) -> list[float]:
 
 
 def path_demands(plant: PlantConfig, seed: int) -> list[Demand]:
-    """What the path filter asks for on the way to a far target, from its own output."""
+    """What the path filter asks for on the way to a far target, by its output, without a limit of acceleration."""
     with spinning(plant, seed) as board:
         speeds, currents = board.read("param.speed_limit"), board.read("param.i_q_limit")
         assert isinstance(speeds, list)
         assert isinstance(currents, list)
         for axis in range(AXES):
+            set_axis(board, "param.acceleration_limit", axis, board.catalogue["param.acceleration_limit"].maximum)
             command_position(board, axis, position_of(board, axis) + round(10.0 * PROBE_PATH * speeds[axis] / COUNT))
         both = watch(board, range(AXES), PROBE_PATH)
     demands: list[Demand] = []

@@ -15,7 +15,8 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "path-filter"
 HELP: Final = """\
-One position step of axis 1, which the firmware turns into a ramp and the ramp into an S curve (2.6, E38 to E40).
+One position step of axis 1, which the firmware turns into a ramp and the ramp into an S curve (2.6, E38 to E40). The
+acceleration limit, which the reference design has not, is at its maximum.
 The reference design shows: position smooth at beginning and end (F23); the speed of the ramp jumps, that of the S curve
 changes evenly (F24); damping 1, hence no overshoot."""
 
@@ -67,6 +68,7 @@ def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Recording, floa
         start = position_of(board, AXIS)
         distance = round(TURNS * COUNTS_PER_TURN)
         set_axis(board, "param.speed_limit", AXIS, limit)
+        set_axis(board, "param.acceleration_limit", AXIS, board.catalogue["param.acceleration_limit"].maximum)
         limits = board.read("param.speed_limit")
         assert isinstance(limits, list)
         speed = limits[AXIS] / COUNT

@@ -18,7 +18,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 from servo_twin.board import Board, Firmware
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import AxisPlant, PlantConfig
-from servo_twin.simulation import SimulationError, enable
+from servo_twin.simulation import SimulationError, enable, keep_set_points
 
 __all__ = [
     "COUNT",
@@ -135,8 +135,10 @@ def level() -> Level:
 
 
 def fresh_board(plant: PlantConfig, seed: int, firmware: Firmware | None = None) -> Board:
-    """A board of the level of this bench, just switched on."""
-    return Board(plant, seed=seed, level=level(), firmware=firmware)
+    """A board of the level of this bench, just switched on; its set-points do not expire."""
+    board = Board(plant, seed=seed, level=level(), firmware=firmware)
+    keep_set_points(board)
+    return board
 
 
 JITTER_REACH: Final = math.sqrt(6.0)  # standard deviations of an edge's jitter, which go no further
@@ -192,6 +194,9 @@ def watch(
     """
     ticks = round(seconds / TICK)
     start = board.time_ns
+    if board.level == "registers":  # a slow loop, and the snapshot behind it, may last into the next PWM period
+        start += (PERIOD_NS - start) % TICK_NS
+        board.advance(start)
     truths: dict[int, list[tuple[float, float, float, float, float]]] = {axis: [] for axis in axes}
     rows: list[bytes] = []
     for k in range(ticks):

@@ -14,6 +14,7 @@ __all__ = ["AxisTie"]
 
 _SET_POINTS: Final = ("cmd.position", "cmd.speed", "cmd.i_q")  # by control mode
 _STOPS: Final = (("cmd.quick_stop", 1), ("cmd.enable", 0))
+_ENABLE: Final = ("cmd.enable", 1)
 _COUNTS: Final = ("position", "position_ref")
 
 
@@ -30,8 +31,8 @@ class AxisTie:
     memory : dict
         Last raw number that was written to every command variable, as far as it is known.
     stopping : bool
-        A stop was commanded, and the axis has not been told since where to go: each board ramps down from the speed
-        that it measures, so they come to rest at different places without either being wrong.
+        A stop was commanded or a set-point has expired, and the axis has not been told since where to go: each board
+        ramps down from the speed that it measures, so they come to rest at different places without either being wrong.
     apart_since : int or None
         Real tick since which the two cannot be compared; None while they can.
     """
@@ -42,12 +43,14 @@ class AxisTie:
         self.stopping = False
         self._number = number
         self._name = axis_name(number)
+        self._expired = False  # on either board, at the last sample
+        self._faulted = False  # the real axis takes no enable
         self._release()
         self._offset = 0
 
     @property
     def offset(self) -> int:
-        """Position of the real axis minus that of the twin's [counts]."""
+        """Position of the real axis minus that of the twin's [counts], modulo 2^32 as both counters wrap."""
         return self._offset
 
     def _release(self) -> None:
@@ -67,13 +70,13 @@ class AxisTie:
             Whether the real axis is under control, so that the twin's has to be enabled.
         """
         self.apart_since = None
-        self.stopping = False
+        self.stopping = self._expired = self._faulted = False
         self._offset = 0
         self._release()
         if sample is None or replica is None:
             self.memory.update({"cmd.mode": 0, "cmd.quick_stop": 0})
             return False
-        self._offset = sample.position[self._number] - replica.raw[f"{self._name}.position"]
+        self._offset = _int32(sample.position[self._number] - replica.raw[f"{self._name}.position"])
         if activity(sample.labels[self._number]) is not Activity.ACTIVE:
             return False
         self._hold = sample.position_ref[self._number]
@@ -100,16 +103,27 @@ class AxisTie:
                 # Never told, so the set-point that the board obeys has to tell.
                 self.memory["cmd.mode"] = _SET_POINTS.index(command.variable)
                 self._write(replica, "cmd.mode", self.memory["cmd.mode"])
-        self._write(replica, command.variable, command.raw[self._number])
+        wanted = command.variable, command.raw[self._number]
+        if wanted == ("cmd.clear_faults", 1):
+            self._faulted = False
+        if not (self._faulted and wanted == _ENABLE):
+            self._write(replica, command.variable, command.raw[self._number])
         self.remember(command)
         if command.variable in _SET_POINTS:
             self.stopping = False
-        elif (command.variable, command.raw[self._number]) in _STOPS:
+        elif wanted in _STOPS:
             self.stopping = True
 
     def _write(self, replica: Replica, variable: str, raw: int) -> None:
         own = _int32(raw - self._offset) if variable == "cmd.position" else raw
         replica.write(variable, [own] * AXES, 1 << self._number)
+
+    def observe(self, replica: Replica, sample: Sample) -> None:
+        """Note what the boards say of themselves: a set-point that has just expired, a fault that ignores an enable."""
+        expired = sample.expired[self._number] or replica.expired(self._number)
+        self.stopping = self.stopping or (expired and not self._expired)
+        self._expired = expired
+        self._faulted = sample.labels[self._number] == "FAULT"
 
     # ---- aligning
     def wants_to_catch_up(self, replica: Replica, sample: Sample) -> bool:
@@ -140,7 +154,7 @@ class AxisTie:
         """
         if self._hold is None or self._aligned or not self.controls(replica):
             return False
-        self._offset = self._hold - replica.raw[f"{self._name}.position_ref"]
+        self._offset = _int32(self._hold - replica.raw[f"{self._name}.position_ref"])
         self._aligned = True
         return True
 
@@ -175,6 +189,7 @@ class AxisTie:
             offset = sample.position_ref[self._number] - replica.raw[f"{self._name}.position_ref"]
         else:
             offset = sample.position[self._number] - replica.raw[f"{self._name}.position"]
+        offset = _int32(offset)
         changed, self._offset = offset != self._offset, offset
         return changed
 
@@ -183,17 +198,19 @@ class AxisTie:
         """What keeps the two from being compared, empty if nothing does, and whether that is a matter of a search."""
         real, twin = sample.labels[self._number], replica.label(self._number)
         kinds = {activity(real), activity(twin)}
-        if kinds == {Activity.IDLE} or (kinds == {Activity.ACTIVE} and self._aligned):
+        alone = twin == "FAULT" != real  # it would not follow when the real axis is enabled
+        if (kinds == {Activity.IDLE} and not alone) or (kinds == {Activity.ACTIVE} and self._aligned):
             self.apart_since = None
             return "", False
         if self.apart_since is None:
             self.apart_since = sample.tick
         return f"{self._name} is {real}, its twin {twin}", Activity.SEARCHING in kinds
 
-    def in_real_frame(self, replica: Replica) -> dict[str, int]:
-        """Positions of the twin's axis in the frame of the real board [counts], by variable name."""
+    def in_real_frame(self, replica: Replica, sample: Sample) -> dict[str, int]:
+        """Positions of the twin's axis in the unwrapped frame of the sample [counts], by variable name."""
+        near = sample.position[self._number]
         names = [f"{self._name}.{name}" for name in _COUNTS]
-        return {name: replica.raw[name] + self._offset for name in names}
+        return {name: near + _int32(replica.raw[name] + self._offset - near) for name in names}
 
 
 def _int32(value: int) -> int:

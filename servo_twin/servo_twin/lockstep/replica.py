@@ -15,6 +15,8 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name, numbers
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
+from servo_twin.lockstep.samples import expired_mask
+
 __all__ = ["ReplayBoard", "Replica", "slow_tick"]
 
 _WRAP: Final = 1 << 32
@@ -56,6 +58,7 @@ class Replica:
     def __init__(self, board: ReplayBoard) -> None:
         self._board = board
         self._catalogue = board.catalogue
+        self._expired = expired_mask(board.catalogue)
         self.tick = 0
         self.raw: Mapping[str, int] = {}
 
@@ -75,7 +78,7 @@ class Replica:
             raise ValueError(f"tick {tick} is not a multiple of {SLOW_PERIODS}")
         if tick <= self.tick:
             return
-        log = self._board.record(tick * PERIOD_NS)
+        log = self._board.record((tick + 1) * PERIOD_NS)  # the handler of the slow tick may last into the next period
         self.tick = tick
         self.raw = dict(zip(log.dtype.names or (), log[-1].tolist(), strict=True))
         assert self.raw["tick"] == tick % _WRAP
@@ -133,6 +136,10 @@ class Replica:
             return "INIT"
         prefix = axis_name(axis)
         return state_label(self._catalogue, self.raw[f"{prefix}.state"], self.raw[f"{prefix}.substate"])
+
+    def expired(self, axis: int) -> bool:
+        """Whether an axis has stopped because its set-point was not written again."""
+        return bool(self.raw.get(f"{axis_name(axis)}.limits", 0) & self._expired)
 
     def read(self, variable: str) -> Value:
         """SI value of any variable."""

@@ -15,7 +15,7 @@ from servo_msgs_py.convert import state_label
 
 from servo_msgs_py import topics
 
-__all__ = ["Activity", "RestWatch", "Sample", "SampleReader", "activity"]
+__all__ = ["Activity", "RestWatch", "Sample", "SampleReader", "activity", "expired_mask"]
 
 _COMMON: Final = ("tick", "applied_tick", "applied_count")
 _PER_AXIS: Final = ("position", "speed", "i_q", "state", "substate")
@@ -37,6 +37,11 @@ def activity(label: str) -> Activity:
     return Activity.SEARCHING if label.startswith("RUN/") and label != "RUN/FREEWHEEL" else Activity.IDLE
 
 
+def expired_mask(catalogue: Catalogue) -> int:
+    """Bit of the limits that says that a set-point has expired."""
+    return next(flag.mask for flag in catalogue.flags["limits"] if flag.name == "EXPIRED")
+
+
 @dataclass(frozen=True)
 class Sample:
     """One sample of the real board.
@@ -53,6 +58,10 @@ class Sample:
         State of every axis, such as ``STOP`` or ``RUN/SPIN``.
     position, position_ref : tuple of int
         Shaft position and shaped set-point of every axis [counts].
+    faults : tuple of int
+        Captured faults of every axis; 0 where the telemetry has none.
+    expired : tuple of bool
+        Per axis, whether it has stopped because its set-point was not written again.
     values : mapping
         Everything in the sample, SI, by column name.
     """
@@ -64,6 +73,8 @@ class Sample:
     labels: tuple[str, ...]
     position: tuple[int, ...]
     position_ref: tuple[int, ...]
+    faults: tuple[int, ...]
+    expired: tuple[bool, ...]
     values: Mapping[str, float]
 
 
@@ -81,6 +92,7 @@ class SampleReader:
         self._axes = [axis_name(axis) for axis in range(AXES)]
         self._lsb = catalogue[f"{self._axes[0]}.position"].lsb
         self._labels: dict[tuple[int, int], str] = {}
+        self._expired = expired_mask(catalogue)
 
     def rows(self, columns: Sequence[str], table: NDArray[np.float64]) -> list[Sample]:
         """One sample per row.
@@ -114,6 +126,8 @@ class SampleReader:
             labels=labels,
             position=position,
             position_ref=reference,
+            faults=tuple(int(values.get(f"{axis}.faults", 0.0)) for axis in self._axes),
+            expired=tuple(bool(int(values.get(f"{axis}.limits", 0.0)) & self._expired) for axis in self._axes),
             values=values,
         )
 

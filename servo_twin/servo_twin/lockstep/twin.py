@@ -87,6 +87,8 @@ class Pair:
         Empty when the two can be compared; otherwise what keeps them apart, for people.
     stopping : tuple of bool
         Per axis, whether it stops by itself, so that the positions say nothing; see `AxisTie.stopping`.
+    fault : str
+        Which axes of the real board have which faults, for people; empty when none has any.
     """
 
     tick: int
@@ -95,6 +97,7 @@ class Pair:
     twin: Mapping[str, float]
     difference: str
     stopping: tuple[bool, ...] = (False,) * AXES
+    fault: str = ""
 
 
 class Twin:
@@ -113,6 +116,8 @@ class Twin:
     ----------
     status : str
         Why the twin does not follow; empty while it does.
+    fault : str
+        `Pair.fault` of the last sample, whether the twin followed or not.
     synchronisations : int
         How often it has begun.
     parameters_known : bool
@@ -129,6 +134,7 @@ class Twin:
     ) -> None:
         self.settings = settings or TwinSettings()
         self.status = "no telemetry yet"
+        self.fault = ""
         self.synchronisations = 0
         self.torque_constants: list[float] = []
         self._catalogue = catalogue or Catalogue.load()
@@ -266,6 +272,7 @@ class Twin:
         if self._last is not None and sample.tick == self._last.tick:
             return None
         self._rest.add(sample.tick, sample.position)
+        self.fault = self._fault(sample)
         began = self._replica is None and self._begin(sample)
         replica = self._replica
         if replica is not None and not began:
@@ -274,13 +281,16 @@ class Twin:
         self._last = sample
         if replica is None:
             return None
+        for axis in self._axes:
+            axis.observe(replica, sample)
         self._align(replica, sample)
         self._take_over_rest(replica, sample)
         difference = self._difference(replica, sample)
         if self._replica is None:
             return None
         stopping = tuple(axis.stopping for axis in self._axes)
-        return Pair(sample.tick, sample.stamp_ns, sample.values, self._values(replica, sample), difference, stopping)
+        values = self._values(replica, sample)
+        return Pair(sample.tick, sample.stamp_ns, sample.values, values, difference, stopping, self.fault)
 
     def _settle(self, sample: Sample) -> None:
         """Everything that took effect up to this sample is dealt with."""
@@ -336,7 +346,7 @@ class Twin:
         """Give the twin's board the parameters of the real one; its positions count from elsewhere."""
         for name, raw in self._in_force.items():
             if name in _POSITIONS:
-                low, high = self._catalogue[name].raw_type.low, self._catalogue[name].raw_type.high
+                low, high = self._catalogue[name].raw_range
                 raw = [min(max(x - axis.offset, low), high) for x, axis in zip(raw, self._axes, strict=True)]
             replica.write_all(name, raw)
 
@@ -391,6 +401,16 @@ class Twin:
         )
 
     # ---- comparing
+    def _fault(self, sample: Sample) -> str:
+        """Which axes of the real board are in FAULT, or on their way there by a controlled stop, and why."""
+        parts: list[str] = []
+        for number, (label, raw) in enumerate(zip(sample.labels, sample.faults, strict=True)):
+            if label == "FAULT" or raw:
+                how = "is in FAULT" if label == "FAULT" else "stops for a fault"
+                causes = [f"{flag.name}: {flag.cause}" for flag in self._catalogue.active("faults", raw)]
+                parts.append(f"{axis_name(number)} of the board {how}" + (f" ({'; '.join(causes)})" if causes else ""))
+        return "; ".join(parts)
+
     def _difference(self, replica: Replica, sample: Sample) -> str:
         """What keeps the boards from being compared; begins anew when that lasts too long."""
         differences: list[str] = []
@@ -409,7 +429,7 @@ class Twin:
         """The twin's values under the columns of the sample."""
         raw = dict(replica.raw)
         for axis in self._axes:
-            raw.update(axis.in_real_frame(replica))
+            raw.update(axis.in_real_frame(replica, sample))
         values = {"tick": float(sample.tick)}
         for name in sample.values:
             if name in raw and name not in _OWN:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["PHASES", "START_STEPS", "VECTOR_M1", "VECTOR_M2", "VECTOR_START"]
+__all__ = ["LOOPS", "PHASES", "SLOTS", "START_STEPS", "VECTOR_M1", "VECTOR_M2", "VECTOR_START", "Loop"]
 
 PHASES: Final = ((0, 1, 2), (4, 5, 6))
 """Submodules (4 module + submodule) of the phases a, b, c of both motors."""
@@ -15,6 +16,46 @@ VECTOR_M2: Final = 30
 """ADC, end of scan."""
 VECTOR_START: Final = 87
 """PWMA SM0, compare (VAL5)."""
+
+SLOTS: Final = {
+    0: "with slow loop",
+    2: "with estimates",
+    3: "with checks",
+    4: "with current watches",
+    5: "with encoder watches",
+    6: "with supervision",
+    7: "with latch",
+}
+"""What runs behind the fast loops in the PWM periods of a slow tick (firmware/app/servo.c)."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One of the two loops.
+
+    Attributes
+    ----------
+    name : str
+    vector : int
+    phases : tuple of int
+        Its submodules.
+    sample : int
+        Number of its motor's first sample.
+    release : int
+        Address of MCTRL, whose LDOK releases the duties.
+    """
+
+    name: str
+    vector: int
+    phases: tuple[int, ...]
+    sample: int
+    release: int
+
+
+LOOPS: Final = (
+    Loop("M1", VECTOR_M1, PHASES[0], 0, 0xE6C4),
+    Loop("M2", VECTOR_M2, PHASES[1], 3, 0xE7C4),
+)
 
 _SM0_A, _SM1_A, _SM0_B = 0xE600, 0xE630, 0xE700
 _STS, _INTEN, _TCTRL = 0x12, 0x13, 0x15

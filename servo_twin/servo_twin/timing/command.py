@@ -4,49 +4,105 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
-from servo_twin.core_load import CoreLoad
-from servo_twin.experiments.outcome import Outcome
+from servo_twin.core_speed import CoreSpeed
+from servo_twin.experiments.outcome import Bound, Outcome, Row
 from servo_twin.experiments.report import summary, table
 from servo_twin.plant import PlantConfig
-from servo_twin.simulation import enable
-from servo_twin.timing.figures import circle, margins, start
+from servo_twin.simulation import SimulationError
+from servo_twin.timing import deadlines
+from servo_twin.timing.chip_map import VECTOR_M1
+from servo_twin.timing.figures import circle, start
 from servo_twin.timing.picture import draw
-from servo_twin.timing.trace import Trace
+from servo_twin.timing.scenarios import SCENARIOS, USUAL, Scenario
+from servo_twin.timing.trace import Kind, Trace
 
-__all__ = ["add_parser", "measure"]
+__all__ = ["add_parser", "counters", "everything", "measure", "record"]
 
 HELP: Final = """\
 Timing of both motors on one chip, as it emerges from the register values on the register-level board: the carriers
-180 degrees apart, the instants of the samples, the converter's sequence, the two interrupts (F33, F34, F35, F38),
-and the start of the sequence (4.3.3)."""
+180 degrees apart, the instants of the samples, the converter's sequence, the two interrupts (F33, F34, F35, F38), the
+start of the sequence (4.3.3), and the room of each kind of handler before the load of its own duties."""
 
-PERIODS: Final = 400  # of the circle: 50 slow loops
 START_TIME: Final = 3e-3  # from power-on [s]
-SPEED: Final = 100.0  # of both shafts [rad/s]
-SETTLE: Final = 0.3  # [s]
+ENTRIES: Final = 100  # of a trace, per PWM period
 
 
-def measure(
-    plant: PlantConfig, seed: int, spoil: Callable[[Board], None] = lambda board: None
-) -> tuple[Outcome, Trace, Trace]:
-    """Record the start, and the circle with both shafts turning.
+@dataclass(frozen=True)
+class Measured:
+    """A scenario and what was recorded.
+
+    Attributes
+    ----------
+    boot : Trace
+        From power-on until both loops run.
+    trace : Trace
+    first_m1 : int
+        Clock of the first M1 since reset.
+    late_loops, overruns : int
+        Counters of the board at the end.
+    """
+
+    boot: Trace
+    trace: Trace
+    first_m1: int
+    late_loops: int
+    overruns: int
+
+
+def record(
+    scenario: Scenario,
+    plant: PlantConfig,
+    seed: int,
+    core: CoreSpeed | None = None,
+    spoil: Callable[[Board], None] = lambda board: None,
+) -> Measured:
+    """Bring a fresh board into a scenario and trace it.
 
     Parameters
     ----------
+    scenario : Scenario
     plant : PlantConfig
         What is really there.
     seed : int
         Of every random number.
+    core : CoreSpeed, optional
+        The packaged one by default.
     spoil : callable
-        Done to the board before the circle is recorded.
+        Done to the board before it is traced.
+
+    Raises
+    ------
+    SimulationError
+        If the axes do not get there.
+    """
+    with Board(plant, seed=seed, level="registers", core=core, baud=scenario.baud) as board:
+        boot = Trace(board.trace(round(START_TIME * 1e9)))
+        scenario.prepare(board)
+        spoil(board)
+        scenario.during(board)
+        periods = round(scenario.seconds * 1e9 / PERIOD_NS)
+        trace = Trace(board.trace(board.time_ns + periods * PERIOD_NS, ENTRIES * periods))
+        late, overruns = (int(board.read_raw(name)[0]) for name in ("late_loops", "receiver_overruns"))
+    starts = boot.clocks(Kind.ENTER, VECTOR_M1)
+    return Measured(boot, trace, int(starts[0]) if starts.size else 0, late, overruns)
+
+
+def measure(
+    plant: PlantConfig,
+    seed: int,
+    spoil: Callable[[Board], None] = lambda board: None,
+    core: CoreSpeed | None = None,
+) -> tuple[Outcome, Trace, Trace]:
+    """Record the start, and the circle with both shafts turning; parameters as for `record`.
 
     Returns
     -------
@@ -55,20 +111,52 @@ def measure(
     Trace, Trace
         The circle, and the start.
     """
-    with Board(plant, seed=seed, level="registers") as board:
-        boot = Trace(board.trace(round(START_TIME * 1e9)))
-        enable(board)
-        board.write("cmd.mode", [1] * AXES)
-        board.write("cmd.speed", [SPEED] * AXES)
-        board.run(SETTLE)
-        spoil(board)
-        turning = Trace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
-    rows = (*circle(turning), *start(boot))
+    turning = record(USUAL, plant, seed, core, spoil)
+    trace, first = turning.trace, turning.first_m1
+    rows = (*circle(trace), *deadlines.rows(trace, first), *counters(turning), *start(turning.boot))
     notes = (
-        f"circle: {PERIODS} PWM periods, both shafts at {SPEED:g} rad/s",
-        *margins(turning, CoreLoad.load(), CoreLoad.longest()),
+        f"circle: {USUAL.seconds:g} s, both shafts at 100 rad/s; handlers in microseconds from the sample, at worst:",
+        *deadlines.lines(deadlines.handlers(trace, first)),
     )
-    return Outcome("timing", rows, (), notes), turning, boot
+    return Outcome("timing", rows, (), notes), trace, turning.boot
+
+
+def everything(
+    plant: PlantConfig, seed: int, core: CoreSpeed | None = None, say: Callable[[str], None] = lambda text: None
+) -> Outcome:
+    """Every scenario: modes, features, feedback, search, start-up, stops and faults.
+
+    Parameters
+    ----------
+    plant, seed, core
+        As for `record`.
+    say : callable
+        Gets a line before each scenario.
+    """
+    rows: list[Row] = []
+    notes: list[str] = []
+    for scenario in SCENARIOS:
+        say(scenario.name)
+        try:
+            measured = record(scenario, plant, seed, core)
+        except SimulationError as error:
+            rows.append(Row(f"{scenario.name}: gets there", "", None, "", Bound(1.0, 1.0)))
+            notes += [f"{scenario.name}: {error}"]
+            continue
+        rows += deadlines.rows(measured.trace, measured.first_m1, scenario.name)
+        rows += counters(measured, scenario.name)
+        notes += [f"{scenario.name}:", *deadlines.lines(deadlines.handlers(measured.trace, measured.first_m1))]
+    return Outcome("timing", tuple(rows), (), tuple(notes))
+
+
+def counters(measured: Measured, what: str = "") -> list[Row]:
+    """Rows about the counters that the board itself has."""
+    prefix = f"{what}: " if what else ""
+    none = Bound(0.0, 0.0)
+    return [
+        Row(f"{prefix}late loops", "never", float(measured.late_loops), "", none),
+        Row(f"{prefix}receiver overruns", "never", float(measured.overruns), "", none),
+    ]
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
@@ -89,13 +177,26 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw F34, F35, F38 and the start to this file")
+    parser.add_argument(
+        "--all", action="store_true", help="the handlers in every mode, feature set and feedback, in stops and faults"
+    )
+    parser.add_argument(
+        "--cycles-per-instruction", type=float, metavar="N", help="of the core, in the place of what core.toml says"
+    )
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    outcome, turning, boot = measure(PlantConfig.load(args.plant), args.seed)
-    if args.plot is not None:
-        draw(turning, boot, args.plot)
+    core = CoreSpeed.load()
+    if args.cycles_per_instruction is not None:
+        core = replace(core, cycles_per_instruction=args.cycles_per_instruction)
+    plant = PlantConfig.load(args.plant)
+    if args.all:
+        outcome = everything(plant, args.seed, core, lambda text: print(f"{text} ..", file=sys.stderr))
+    else:
+        outcome, turning, boot = measure(plant, args.seed, core=core)
+        if args.plot is not None:
+            draw(turning, boot, args.plot)
     if args.json:
         print(json.dumps(summary([outcome]), indent=2, allow_nan=False, ensure_ascii=False))
     else:

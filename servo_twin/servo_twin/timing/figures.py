@@ -9,12 +9,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_twin.core_load import CoreLoad
 from servo_twin.experiments.outcome import Bound, Row
 from servo_twin.timing.chip_map import PHASES, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
-__all__ = ["circle", "margins", "start"]
+__all__ = ["circle", "start"]
 
 PWM: Final = 16e3  # [Hz]
 PAIRS: Final = 3  # per motor (F35)
@@ -143,11 +142,9 @@ def _same(
 def _interrupts(trace: Trace) -> list[Row]:
     rows: list[Row] = []
     periods = trace.clocks(Kind.CYCLE, PHASES[0][0])
-    loads = [trace.clocks(Kind.LOAD, phases[0]) for phases in PHASES]
     ready = (trace.clocks(Kind.SAMPLE, PAIRS - 1), trace.clocks(Kind.SCAN_END, 0))
-    for name, vector, load, data in zip(NAMES, VECTORS, loads, ready, strict=True):
+    for name, vector, data in zip(NAMES, VECTORS, ready, strict=True):
         runs = trace.handlers(vector)
-        lengths = (runs[:, 1] - runs[:, 0]) * CLOCK
         per_period = _share(runs.shape[0], periods.size)
         about_one = Bound(1.0 - 2.0 / max(periods.size, 1), 1.0 + 2.0 / max(periods.size, 1))
         rows.append(Row(f"{name} per PWM period", "F38: once", per_period, "", about_one))
@@ -155,45 +152,11 @@ def _interrupts(trace: Trace) -> list[Row]:
         least = CONVERSION if vector == VECTOR_M1 else 0.0
         text = "t1: after three conversions" if vector == VECTOR_M1 else "t3: after the scan"
         rows.append(Row(f"{name} begins after its data, least", text, since, "us", Bound(least * 1e6, SOON * 1e6)))
-        spare = _scaled(_least(_after(runs[:, 1], load) * CLOCK))
-        text = "F38: done before half the period"
-        rows.append(Row(f"{name} done before its duties load, least", text, spare, "us", Bound(0.0, 0.5 / PWM * 1e6)))
-        longest = Bound(0.0, 0.5 / PWM * 1e6)
-        rows.append(Row(f"{name}, longest", "F38", _scaled(_most(lengths)), "us", longest))
     order = _order(trace)
     rows.append(Row("periods with t0, t1, t2, t3 in order", "F34", order, "of all", Bound(1.0, 1.0)))
     overlap = _overlap(trace.handlers(VECTOR_M1), trace.handlers(VECTOR_M2))
     rows.append(Row("M1 and M2 at the same time", "never", overlap, "times", Bound(0.0, 0.0)))
     return rows
-
-
-def margins(trace: Trace, usual: CoreLoad, longest: CoreLoad) -> list[str]:
-    """How much later each interrupt may end: as it is in the trace, and with handlers at their longest.
-
-    Parameters
-    ----------
-    trace : Trace
-        As for `circle`, of a board whose handlers last as `usual` says.
-    usual, longest : CoreLoad
-        Lengths of the handlers, and what they may become.
-    """
-    notes: list[str] = []
-    for name, vector, phases in zip(NAMES, VECTORS, PHASES, strict=True):
-        runs = trace.handlers(vector)
-        spare = _least(_after(runs[:, 1], trace.clocks(Kind.LOAD, phases[0])))
-        if spare is None:
-            continue
-        field = f"{name.lower()}_slow"
-        most = getattr(longest, field)
-        left = spare - (most - getattr(usual, field))
-        fits = (spare + getattr(usual, field)) / most
-        what = f"{left * CLOCK * 1e6:.2f} us before" if left >= 0 else f"{-left * CLOCK * 1e6:.2f} us too late for"
-        notes.append(
-            f"{name} ends {spare * CLOCK * 1e6:.2f} us before its duties load; with every feature on, at its longest"
-            f" ({most} clocks), it would end {what} them: it fits if all takes {fits:.2f} times as long as assumed"
-            " (core.toml)"
-        )
-    return notes
 
 
 def _order(trace: Trace) -> float | None:

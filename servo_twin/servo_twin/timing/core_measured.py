@@ -1,0 +1,209 @@
+"""``servo-sim core-speed``: what an instruction costs on silicon, from the widths of the pulses at the scope pins.
+
+The pins F6 and F7 are high while M1 and M2 run (DRM F38). The virtual board does the same instructions in the same
+state of the drive, so that measured widths over its instructions are the cycles of one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+
+from servo_twin.board import Board
+from servo_twin.core_speed import DEFAULT_FILE, CoreSpeed
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import enable
+from servo_twin.timing.trace import CLOCK, Trace
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["Row", "add_parser", "compare", "with_cycles"]
+
+HELP: Final = """\
+Mean widths of the pulses at the scope pins F6 (M1) and F7 (M2) on the virtual board, in states that are easily set
+up on silicon. --measured FILE takes the widths of a board in, and writes what an instruction costs there into
+core.toml. The file has a table for each measured state, with the mean widths in microseconds:
+
+  [off]       # powered up, not enabled
+  m1 = 9.8    # F6
+  m2 = 9.5    # F7
+  [hold]      # both axes enabled, at rest
+  [turning]   # both at 100 rad/s in speed mode
+
+A scope that shows a pin's duty cycle shows it as well: the width is that of 62.5 us."""
+
+STATES: Final = ("off", "hold", "turning")
+HANDLERS: Final[Mapping[str, int]] = {"m1": 85, "m2": 30}
+"""Vectors of the handlers that have a scope pin."""
+SPEED: Final = 100.0  # [rad/s]
+SETTLE: Final = 0.3  # [s]
+PERIODS: Final = 20 * SLOW_PERIODS
+SPREAD: Final = 0.15
+"""So far a width may be off what the one number says, before it is called a bad description."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One handler in one state.
+
+    Attributes
+    ----------
+    state, handler : str
+        Which.
+    instructions : float
+        Mean of the virtual board.
+    measured : float
+        Mean width of the pulse on silicon [clocks].
+    """
+
+    state: str
+    handler: str
+    instructions: float
+    measured: float
+
+    @property
+    def cycles(self) -> float:
+        """Of an instruction, by this row alone."""
+        return self.measured / self.instructions
+
+
+def compare(
+    measured: Mapping[str, Mapping[str, float]], instructions: Mapping[str, Mapping[str, float]]
+) -> tuple[list[Row], float]:
+    """What the measured widths say of the cycles per instruction.
+
+    Parameters
+    ----------
+    measured : mapping
+        Mean widths by state and handler [s].
+    instructions : mapping
+        Instructions by state and handler.
+
+    Returns
+    -------
+    list of Row, float
+        Row by row, and the number that fits all of them best (least squares of the widths).
+
+    Raises
+    ------
+    ValueError
+        If nothing has been measured, or a state, a handler or a width makes no sense.
+    """
+    rows = []
+    for state, widths in measured.items():
+        if state not in instructions:
+            raise ValueError(f"no state is called {state!r}: there are {', '.join(instructions)}")
+        for handler, width in widths.items():
+            if handler not in instructions[state]:
+                raise ValueError(
+                    f"{state}: no handler is called {handler!r}: there are {', '.join(instructions[state])}"
+                )
+            if not 0.0 < width <= PERIOD_NS * 1e-9:
+                raise ValueError(
+                    f"{state}: {handler} cannot be {1e6 * width:g} us in a period of {1e-3 * PERIOD_NS:g} us"
+                )
+            rows.append(Row(state, handler, instructions[state][handler], width / CLOCK))
+    if not rows:
+        raise ValueError("nothing has been measured")
+    products = sum(row.measured * row.instructions for row in rows)
+    return rows, products / sum(row.instructions**2 for row in rows)
+
+
+def with_cycles(text: str, cycles: float) -> str:
+    """A core file with another ``cycles_per_instruction``; everything else of it stays.
+
+    Raises
+    ------
+    ValueError
+        If it does not have that number once.
+    """
+    text, count = re.subn(r"(?m)^(cycles_per_instruction *= *)[0-9.]+", rf"\g<1>{cycles:.2f}", text)
+    if count != 1:
+        raise ValueError("the core file has to say cycles_per_instruction once")
+    return text
+
+
+def instructions(core: Path, plant: PlantConfig, seed: int) -> dict[str, dict[str, float]]:
+    """Mean instructions of the handlers in every state, of a virtual board that does one in each clock."""
+    with core.open("rb") as file:
+        numbers = {**tomllib.load(file), "cycles_per_instruction": 1.0}
+    entry = float(numbers["entry_cycles"])
+    result = {}
+    with Board(plant, seed=seed, level="registers", core=CoreSpeed.parse(numbers)) as board:
+        for state in STATES:
+            _set_up(board, state)
+            trace = Trace(board.trace(board.time_ns + PERIODS * PERIOD_NS))
+            result[state] = {
+                handler: float(np.mean(np.diff(trace.handlers(vector)))) - entry for handler, vector in HANDLERS.items()
+            }
+    return result
+
+
+def _set_up(board: Board, state: str) -> None:
+    if state == "hold":
+        enable(board)
+    elif state == "turning":
+        board.write("cmd.mode", [1] * AXES)
+        board.write("cmd.speed", [SPEED] * AXES)
+    board.run(SETTLE)
+
+
+def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
+    """Add the command to ``servo-sim``."""
+    result = verbs.add_parser(
+        "core-speed",
+        parents=[common],
+        help="widths at the scope pins; take measured ones in",
+        description=HELP,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    result.add_argument("--measured", type=Path, metavar="FILE", help="mean widths of a board (TOML)")
+    result.add_argument("--core", type=Path, default=DEFAULT_FILE, help="core file (default: the packaged one)")
+    result.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    text = args.core.read_text(encoding="utf-8")
+    counts = instructions(args.core, PlantConfig.load(args.plant), args.seed)
+    if args.measured is None:
+        each = float(tomllib.loads(text)["cycles_per_instruction"])
+        rows = [Row(s, h, count, each * count) for s, handlers in counts.items() for h, count in handlers.items()]
+        print(_table(rows, each))
+        return 0
+    rows, cycles = compare(_widths(args.measured), counts)
+    print(_table(rows, cycles))
+    args.core.write_text(with_cycles(text, cycles), encoding="utf-8")
+    print(f"cycles_per_instruction = {cycles:.2f} in {args.core}")
+    if any(abs(row.cycles / cycles - 1.0) > SPREAD for row in rows):
+        print(f"one number describes these widths badly: some are off by more than {SPREAD:.0%}")
+        return 1
+    return 0
+
+
+def _widths(path: Path) -> dict[str, dict[str, float]]:
+    """Measured widths [s] out of a file."""
+    with path.open("rb") as file:
+        states = tomllib.load(file)
+    return {state: {name: 1e-6 * float(width) for name, width in rows.items()} for state, rows in states.items()}
+
+
+def _table(rows: Sequence[Row], cycles: float) -> str:
+    lines = ["state    handler  instructions  width [us]  cycles each   off"]
+    lines += [
+        f"{r.state:8} {r.handler:7} {r.instructions:13.0f} {1e6 * CLOCK * r.measured:11.2f} {r.cycles:12.2f}"
+        f" {r.cycles / cycles - 1.0:+5.0%}"
+        for r in rows
+    ]
+    return "\n".join(lines)

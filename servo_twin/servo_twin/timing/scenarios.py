@@ -1,0 +1,132 @@
+"""What the board does while its timing is measured: modes, features, feedback, ways into motion and out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES
+
+from servo_twin.board import Board
+from servo_twin.experiments.rig import choose_mode, features
+from servo_twin.simulation import enable, keep_set_points
+
+__all__ = ["SCENARIOS", "USUAL", "Scenario"]
+
+_TURN: Final = 6.283185307179586
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A state of the board.
+
+    Attributes
+    ----------
+    name : str
+    prepare : callable
+        Brings a fresh board there.
+    seconds : float
+        How long it is looked at [s].
+    during : callable
+        What happens while it is.
+    baud : float
+        Of the serial line.
+    """
+
+    name: str
+    prepare: Callable[[Board], None]
+    seconds: float = 0.05
+    during: Callable[[Board], None] = lambda board: None
+    baud: float = 115200.0
+
+
+def _features(board: Board, every: bool) -> None:
+    if every:
+        for axis in range(AXES):
+            features(board, axis, **{flag.name: True for flag in board.catalogue.flags["features"]})
+
+
+def _mode(board: Board, name: str) -> None:
+    for axis in range(AXES):
+        choose_mode(board, axis, name)
+
+
+def _moving(every: bool, mode: str, value: float, settle: float = 0.3) -> Callable[[Board], None]:
+    def prepare(board: Board) -> None:
+        _features(board, every)
+        enable(board)
+        board.write("param.speed_limit", [419.0] * AXES)
+        board.write("param.over_speed", [500.0] * AXES)
+        _mode(board, mode)
+        signs = [value, -value]
+        if mode == "POSITION":
+            lsb = board.catalogue["cmd.position"].lsb
+            at = [lsb * board.read_raw(f"axis{axis + 1}.position")[0] for axis in range(AXES)]
+            board.write("cmd.position", [now + sign for now, sign in zip(at, signs, strict=True)])
+            settle_for = 0.02
+        else:
+            board.write("cmd.speed" if mode == "SPEED" else "cmd.i_q", signs)
+            settle_for = settle
+        board.run(settle_for)
+
+    return prepare
+
+
+def _observed(every: bool, settle: float) -> Callable[[Board], None]:
+    def prepare(board: Board) -> None:
+        _features(board, every)
+        board.write("param.feedback", [board.catalogue.enums["feedback_kind_t"]["OBSERVER"]] * AXES)
+        keep_set_points(board)
+        board.run(0.03)
+        _mode(board, "SPEED")
+        board.write("cmd.speed", [150.0, -150.0])
+        board.write("cmd.enable", [1] * AXES)
+        board.run(settle)
+
+    return prepare
+
+
+def _search(board: Board) -> None:
+    _features(board, True)
+    keep_set_points(board)
+    board.run(0.03)
+    board.write("cmd.enable", [1] * AXES)
+
+
+def _quick_stop(board: Board) -> None:
+    board.write("cmd.quick_stop", [1] * AXES)
+
+
+def _encoders_lost(board: Board) -> None:
+    for axis in range(AXES):
+        board.cut_encoder_line(axis, "A")
+
+
+def _requests(board: Board) -> None:
+    """Reads of the whole snapshot, without a pause between them."""
+    assert board.serial_in(bytes.fromhex("2B 01 04 00 70 8B") * 600)
+
+
+def _both(name: str, prepare: Callable[[bool], Callable[[Board], None]], seconds: float = 0.05) -> list[Scenario]:
+    return [Scenario(name, prepare(False), seconds), Scenario(f"{name}, every feature", prepare(True), seconds)]
+
+
+USUAL: Final = Scenario("speed", _moving(False, "SPEED", 100.0))
+"""What is measured unless everything is."""
+
+SCENARIOS: Final = (
+    Scenario("off", lambda board: board.run(0.03)),
+    *_both("hold", lambda every: _moving(every, "SPEED", 0.0)),
+    *_both("position", lambda every: _moving(every, "POSITION", 20 * _TURN), 0.3),
+    *_both("speed", lambda every: _moving(every, "SPEED", 100.0)),
+    *_both("crawl", lambda every: _moving(every, "SPEED", 0.5)),
+    *_both("torque", lambda every: _moving(every, "TORQUE", 0.3)),
+    *_both("voltage limit", lambda every: _moving(every, "SPEED", 419.0, 1.0)),
+    *_both("observer", lambda every: _observed(every, 3.0)),
+    Scenario("rotor search, every feature", _search, 1.5),
+    *_both("observer start-up", lambda every: _observed(every, 0.0), 2.0),
+    Scenario("quick stop, every feature", _moving(True, "SPEED", 300.0, 0.5), 0.3, _quick_stop),
+    Scenario("encoders lost, every feature", _moving(True, "SPEED", 100.0), 0.3, _encoders_lost),
+    Scenario("requests at 2 Mbaud", _moving(False, "SPEED", 100.0), 0.05, _requests, 2e6),
+)

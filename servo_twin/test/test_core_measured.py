@@ -1,0 +1,76 @@
+"""Widths of the pulses at the scope pins become what an instruction costs."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from servo_twin.cli import main
+from servo_twin.core_speed import DEFAULT_FILE
+from servo_twin.plant import PlantConfig
+from servo_twin.timing.core_measured import compare, instructions, with_cycles
+
+COUNTS = {"off": {"m1": 400.0, "m2": 380.0}, "hold": {"m1": 700.0, "m2": 650.0}}
+US = 1e-6
+
+
+def test_one_number_comes_back_out_of_widths_that_have_it() -> None:
+    widths = {state: {h: 2.3 * n * 10e-9 for h, n in handlers.items()} for state, handlers in COUNTS.items()}
+    rows, cycles = compare(widths, COUNTS)
+    assert cycles == pytest.approx(2.3)
+    assert [row.cycles for row in rows] == pytest.approx([2.3] * 4)
+    assert [row.measured for row in rows] == pytest.approx([920.0, 874.0, 1610.0, 1495.0])
+
+
+def test_long_handlers_count_more_where_one_number_does_not_fit() -> None:
+    _, cycles = compare({"off": {"m1": 4.0 * US}, "hold": {"m1": 14.0 * US}}, COUNTS)  # 1.0 and 2.0
+    assert cycles == pytest.approx((400.0 * 400.0 + 1400.0 * 700.0) / (400.0**2 + 700.0**2))
+
+
+@pytest.mark.parametrize(
+    ("measured", "why"),
+    [
+        ({}, "nothing has been measured"),
+        ({"off": {}}, "nothing has been measured"),
+        ({"asleep": {"m1": US}}, "no state is called 'asleep': there are off, hold"),
+        ({"off": {"F6": US}}, "off: no handler is called 'F6': there are m1, m2"),
+        ({"off": {"m1": 0.0}}, "off: m1 cannot be 0 us in a period of 62.5 us"),
+        ({"hold": {"m2": 63.0 * US}}, "hold: m2 cannot be 63 us"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(measured: dict[str, dict[str, float]], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        compare(measured, COUNTS)
+
+
+def test_only_the_one_number_of_the_file_changes() -> None:
+    text = "# why\ncycles_per_instruction = 1.5\nentry_cycles = 30  # more\n"
+    assert with_cycles(text, 2.0649) == text.replace("1.5", "2.06")
+    with pytest.raises(ValueError, match="once"):
+        with_cycles("entry_cycles = 30\n", 2.0)
+
+
+def test_measured_widths_go_into_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Those of the virtual board, a quarter longer; and what it says of itself then is what was measured."""
+    core, measured = tmp_path / "core.toml", tmp_path / "measured.toml"
+    shutil.copy(DEFAULT_FILE, core)
+    counts = instructions(core, PlantConfig.load(), seed=1)
+    lines = [f"[{s}]\n" + "\n".join(f"{h} = {0.025 * n}" for h, n in rows.items()) for s, rows in counts.items()]
+    measured.write_text("\n".join(lines), encoding="utf-8")
+    assert main(["core-speed", "--measured", str(measured), "--core", str(core)]) == 0
+    assert "cycles_per_instruction = 2.50" in capsys.readouterr().out
+    assert "cycles_per_instruction = 2.50" in core.read_text(encoding="utf-8")
+    assert main(["core-speed", "--core", str(core)]) == 0
+    said = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    assert {(row[0], row[1]) for row in said} == {(s, h) for s, rows in counts.items() for h in rows}
+    for state, handler, _, width, *_ in said:
+        assert float(width) == pytest.approx(0.025 * counts[state][handler], rel=0.02)
+
+
+def test_widths_that_no_number_fits_are_called_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    core, measured = tmp_path / "core.toml", tmp_path / "measured.toml"
+    shutil.copy(DEFAULT_FILE, core)
+    measured.write_text("[off]\nm1 = 5.0\nm2 = 30.0\n", encoding="utf-8")
+    assert main(["core-speed", "--measured", str(measured), "--core", str(core)]) == 1
+    assert "one number describes these widths badly" in capsys.readouterr().out
