@@ -1,10 +1,10 @@
-"""Who commands: the one place where a set-point is let through, refused, timed out or thrown away.
+"""Who commands: the one place where a set-point is let through, refused or thrown away.
 
 A request passes four gates: the link is up, set-points are released (only the service ``enable`` does that), every
 commanded axis is in RUN/SPIN, and every value is inside the limits of the board and of the configuration. It passes
 as a whole or not at all. What passed waits here as raw firmware integers until the dispatcher fetches it: mode
 first where it changes, then one write for all axes that move together. A newer set-point replaces one that is still
-waiting. Pure; time is handed in.
+waiting; the board itself ends a velocity or effort that is not written again. Pure.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
+from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.setpoints import Mode, Rejected, Request
 
@@ -21,6 +22,8 @@ __all__ = ["Arbiter", "AxisStatus", "CommandWrite", "JointLimits"]
 
 _TARGET = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
+_REMEDY = "send a value inside, or change the limits in the parameters of the bridge"
+_FARTHER = "one set-point may be no farther from the shaft: send it there in steps"
 _NOT_ENABLED = "outputs have not been enabled over this bridge"
 
 
@@ -91,27 +94,20 @@ class AxisStatus:
         The axis obeys set-points: RUN/SPIN; without an encoder it starts on one in RUN/READY.
     faulted : bool
         FAULT.
-    position_offset : int
-        Counts to take off a host position to get the int32 position of the board.
+    position : int
+        Where the shaft is [counts], extended past the 32 bits of the board.
     """
 
     label: str
     spinning: bool
     faulted: bool = False
-    position_offset: int = 0
+    position: int = 0
 
 
 @dataclass(frozen=True)
 class _Target:
     mode: Mode
     raw: int
-
-
-@dataclass(frozen=True)
-class _Watch:
-    mode: Mode
-    source: str
-    deadline: float
 
 
 class Arbiter:
@@ -125,24 +121,19 @@ class Arbiter:
         Joint names in the order of the axes.
     limits : sequence of JointLimits
         Per joint.
-    command_timeout : float
-        Silence after which a velocity or effort set-point becomes 0 [s].
     """
 
-    def __init__(
-        self, catalogue: Catalogue, joints: Sequence[str], limits: Sequence[JointLimits], command_timeout: float
-    ) -> None:
+    def __init__(self, catalogue: Catalogue, joints: Sequence[str], limits: Sequence[JointLimits]) -> None:
         self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in _TARGET.items()}
         self._joints = list(joints)
         self.limits = list(limits)
-        self.command_timeout = command_timeout
+        self._reach = catalogue.bits["position"]["REACH"]
         self._torque_constants: list[float] | None = None
         self._axes: list[AxisStatus] | None = None
         self._link = "the board has not been seen yet"
         self._blocked = _NOT_ENABLED
         self._modes: list[Mode | None] = [None] * AXES
         self._targets: list[_Target | None] = [None] * AXES
-        self._watches: list[_Watch | None] = [None] * AXES
 
     # ---- what the board says
     def board_seen(self, axes: Sequence[AxisStatus]) -> None:
@@ -150,7 +141,7 @@ class Arbiter:
         self._axes = list(axes)
         for axis, status in enumerate(axes):
             if not status.spinning:
-                self._drop(axis)
+                self._targets[axis] = None
 
     def set_torque_constants(self, values: Sequence[float]) -> None:
         """Torque per ampere of i_q of every axis, as the board believes it [N m/A]."""
@@ -173,8 +164,7 @@ class Arbiter:
     def block(self, reason: str) -> None:
         """Refuse set-points from now on and throw away what is waiting."""
         self._blocked = reason
-        for axis in range(AXES):
-            self._drop(axis)
+        self._targets = [None] * AXES
 
     @property
     def armed(self) -> bool:
@@ -182,15 +172,13 @@ class Arbiter:
         return self._axes is not None and not self._blocked and all(axis.spinning for axis in self._axes)
 
     # ---- commands
-    def submit(self, request: Request, now: float) -> None:
-        """Check a request and make it the waiting set-point of its axes.
+    def submit(self, request: Request) -> None:
+        """Check a request and make it the waiting set-point of its axes, also when it is the one that they have.
 
         Parameters
         ----------
         request : Request
             Well-formed command.
-        now : float
-            Steady time [s].
 
         Raises
         ------
@@ -199,24 +187,8 @@ class Arbiter:
         """
         self._check_ready(request)
         targets = {axis: _Target(request.mode, self._raw(request, axis)) for axis in request.values}
-        deadline = math.inf if request.mode is Mode.POSITION else now + self.command_timeout
         for axis, target in targets.items():
             self._targets[axis] = target
-            self._watches[axis] = _Watch(request.mode, request.source, deadline)
-
-    def expire(self, now: float) -> list[str]:
-        """Turn velocity and effort set-points that were not renewed in time into 0; returns what to tell the user."""
-        events = []
-        for axis, watch in enumerate(self._watches):
-            if watch is not None and now >= watch.deadline:
-                self._targets[axis] = _Target(watch.mode, 0)
-                self._watches[axis] = None
-                quantity = _QUANTITY[watch.mode][0]
-                events.append(
-                    f"{self._joints[axis]}: no {quantity} command on {watch.source} for {self.command_timeout:g} s; "
-                    "set-point is now 0"
-                )
-        return events
 
     def next_write(self) -> CommandWrite | None:
         """Fetch the next write: modes before set-points, both axes in one write where they share the variable."""
@@ -241,14 +213,9 @@ class Arbiter:
     def failed(self, write: CommandWrite) -> None:
         """Note that the board did not take a write: what waited for these axes is void, their mode unknown."""
         for axis in range(write.first, write.first + len(write.raw)):
-            self._drop(axis)
-            self._modes[axis] = None
+            self._targets[axis] = self._modes[axis] = None
 
     # ---- details
-    def _drop(self, axis: int) -> None:
-        self._targets[axis] = None
-        self._watches[axis] = None
-
     def _check_ready(self, request: Request) -> None:
         if self._axes is None:
             raise Rejected(f"{request.source}: not connected ({self._link}); see state and /diagnostics")
@@ -270,24 +237,27 @@ class Arbiter:
     def _raw(self, request: Request, axis: int) -> int:
         value, mode, joint = request.values[axis], request.mode, self._joints[axis]
         variable = self._variables[mode]
-        low, high = self.limits[axis].of(mode)
-        factor, offset = 1.0, 0
-        if mode is Mode.TORQUE:
-            factor = self._amperes_per_newton_metre(request.source, axis)
-        elif mode is Mode.POSITION:
+        wanted_low, wanted_high = self.limits[axis].of(mode)
+        factor = 1.0
+        if mode is Mode.POSITION:
             assert self._axes is not None
-            offset = self._axes[axis].position_offset
-        shift = offset * variable.lsb
-        low, high = max(low, variable.minimum / factor + shift), min(high, variable.maximum / factor + shift)
+            position = self._axes[axis].position
+            low, high = ((position + way) * variable.lsb for way in (-self._reach, self._reach))
+        else:
+            if mode is Mode.TORQUE:
+                factor = self._amperes_per_newton_metre(request.source, axis)
+            low, high = variable.minimum / factor, variable.maximum / factor
+        remedy = _FARTHER if mode is Mode.POSITION and wanted_low <= value <= wanted_high else _REMEDY
+        low, high = max(low, wanted_low), min(high, wanted_high)
         if not low <= value <= high:
             quantity, unit = _QUANTITY[mode]
             raise Rejected(
                 f"{request.source}: {quantity} of {joint} is {value:g} {unit}, outside {low:g} .. {high:g} {unit}; "
-                "send a value inside, or change the limits in the parameters of the bridge"
+                f"{remedy}"
             )
         if mode is Mode.POSITION:
-            # Whole counts first: far from zero a float of the shifted angle would no longer resolve one count.
-            return round(value / variable.lsb) - offset
+            # Positions of the board wrap at 32 bits, and it takes the shorter way.
+            return unwrap_u32(round(value / variable.lsb) & 0xFFFF_FFFF, 0)
         # A value at the limit itself must not fall outside by the last bit of the product.
         return variable.to_raw(min(max(value * factor, variable.minimum), variable.maximum))
 

@@ -43,7 +43,7 @@ __all__ = ["CommandError", "Commander", "main"]
 
 _STEP: Final = 0.02  # [s]
 _MATCH: Final = 0.3  # until a subscription hears what a running node publishes [s]
-_REPEAT: Final = 0.1  # between two velocity or effort set-points, which time out on silence [s]
+_REPEAT: Final = 0.05  # between two velocity or effort set-points, which expire when they are not renewed [s]
 _QUANTITIES: Final = ("position", "velocity", "effort")
 _BRIDGE: Final = "servo_bridge"  # name of the node
 _LIST: Final = "board_parameters"  # its parameter
@@ -195,7 +195,15 @@ class Commander(Node):
             raise CommandError(f"set was refused: {result.reason.removeprefix(f'parameter {_LIST}: ')}")
         if self._state().startswith(_LOST):
             return "the board is not connected; it gets them when it is"
-        self.parameters(lambda present: applied(assignments, present) == present)
+        reports: list[DiagnosticArray] = []
+        self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, topics.telemetry_qos())
+        try:
+            self.parameters(lambda present: applied(assignments, present) == present)
+        except CommandError:
+            board = _statuses(reports).get(f"{_BRIDGE}: parameters")
+            if board is None or board.level == DiagnosticStatus.OK:
+                raise
+            raise CommandError(f"set failed: {board.message}") from None
         return self.get([(assignment.variable, assignment.element) for assignment in assignments])
 
     def set_points(self, quantity: str, targets: dict[str, float], duration: float) -> None:

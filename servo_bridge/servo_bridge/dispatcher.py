@@ -68,10 +68,17 @@ class Dispatcher:
         self._count: int | None = None
         self._open = False
 
-    def open(self) -> None:
-        """Start sending: the link is up."""
+    def open(self, carried_out: CommandWrite | None = None) -> None:
+        """Start sending: the link is up.
+
+        Parameters
+        ----------
+        carried_out : CommandWrite, optional
+            What the link has had the board do before its first sample, which tells the tick.
+        """
         self._open = True
         self._count = None
+        self._under_way = None if carried_out is None else _Item(carried_out, acknowledged=True)
 
     def close(self, reason: str) -> None:
         """Stop sending and throw away everything that waits; the futures of urgent writes fail with `reason`."""

@@ -24,6 +24,7 @@ _OK: Final[bytes] = DiagnosticStatus.OK
 _WARN: Final[bytes] = DiagnosticStatus.WARN
 _ERROR: Final[bytes] = DiagnosticStatus.ERROR
 _TROUBLE: Final = ("timeouts", "crc_errors", "damaged", "refused")
+_BOARD_TROUBLE: Final = ("late_loops", "receiver_overruns")
 
 
 @dataclass
@@ -57,11 +58,12 @@ class Health:
         self._joints = list(joints)
         self._last = LinkStatistics()
         self._last_rejected = 0
+        self._last_counts: dict[str, int] = {}
 
     def link(self, status: LinkStatus, figures: LinkStatistics, baud: int, low_latency: str) -> DiagnosticStatus:
         """Status of the serial link."""
         level, message = _OK, f"{figures.sample_rate:.0f} samples/s"
-        fresh = [f"{count} {name.replace('_', ' ')}" for name in _TROUBLE if (count := self._new(name, figures))]
+        fresh = [f"{count} {_words(name)}" for name in _TROUBLE if (count := self._new(name, figures))]
         self._last = figures
         if status.state is not LinkState.CONNECTED:
             level, message = _ERROR, str(status)
@@ -100,12 +102,19 @@ class Health:
     def board(self, info: BoardInfo | None, frame: Frame | None) -> DiagnosticStatus:
         """Status of the board itself."""
         if info is None or frame is None:
+            self._last_counts = {}
             return self._status("board", _ERROR, "not connected", {})
+        counts = {name: int(frame.values.get(name, 0)) for name in _BOARD_TROUBLE}
+        fresh = {name: (count - self._last_counts.get(name, count)) & 0xFFFF for name, count in counts.items()}
+        self._last_counts = counts
+        trouble = ", ".join(f"{more} {_words(name)}" for name, more in fresh.items() if more)
+        about = f"{info.name or 'board'}, {info.description or 'no description'}"
         return self._status(
             "board",
-            _OK,
-            f"{info.name or 'board'}, {info.description or 'no description'}",
+            _WARN if trouble else _OK,
+            f"in the last second: {trouble}" if trouble else about,
             {
+                **{_words(name): count for name, count in counts.items()},
                 "name": info.name,
                 "version": info.version,
                 "build": info.build,
@@ -167,3 +176,7 @@ class Health:
 
 def _number(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.4g}"
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")

@@ -58,9 +58,8 @@ class MotionServices:
     def on_frame(self, frame: Frame) -> None:
         """Take the newest sample."""
         if self._frame is None and any(axis.spinning for axis in frame.axes):
-            # Whoever set this motion going may be gone, and a velocity would never time out.
-            self._dispatcher.urgent(_both("cmd.quick_stop", 1))
-            self._on_event("the board was still enabled: it stops and holds; call enable to go on")
+            # The link has stopped it at first contact.
+            self._on_event("the board was still enabled: it has been stopped; call enable to go on")
         self._frame = frame
         due = [entry for entry in self._rechecks if frame.tick >= entry[0]]
         for entry in due:

@@ -9,7 +9,6 @@ thread touches the rest.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
@@ -19,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from servo_msgs_py.board_parameters import RawParameters, applied
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
 from servo_msgs_py.convert import diagnostic_array, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
@@ -32,6 +32,7 @@ from servo_bridge.fault_records import FaultRecords
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health
 from servo_bridge.inbox import Inbox
+from servo_bridge.keep_alive import KeepAlive
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import error_of
 from servo_bridge.parameters import PARAMETERS, ParameterError, Settings, declare, watch
@@ -49,8 +50,10 @@ from servo_msgs_py import topics
 
 __all__ = ["BoardLink", "LinkFactory", "ServoBridge", "main"]
 
-_WATCH_PERIOD: Final = 0.02  # between two looks at the age of velocity and effort set-points [s]
 _SPIN_TIMEOUT: Final = 0.1  # how long a stop signal may go unnoticed [s]
+_COMMAND_TIMEOUT: Final = "param.command_timeout"
+_TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
+_URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
 _SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
 
 
@@ -61,8 +64,11 @@ class BoardLink(Protocol):
 
     def start(self) -> None: ...
     def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool: ...
-    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0) -> Future[WriteResult]: ...
+    def write_raw(
+        self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False
+    ) -> Future[WriteResult]: ...
     def read(self, name: str) -> Future[Value]: ...
+    def run_command(self, code: int, *, urgent: bool = False) -> Future[int]: ...
     def statistics(self) -> LinkStatistics: ...
     @property
     def board(self) -> BoardInfo | None: ...
@@ -124,7 +130,7 @@ class ServoBridge(Node):
         self._telemetry = Telemetry(self._catalogue, self._link.layout.variables)
         self._board_clock = BoardClock(minimum_delay_ns=self._link.layout.size * 10 * 1_000_000_000 // settings.baud)
         self._wall = WallClock(lambda: self.get_clock().now().nanoseconds)
-        self._arbiter = Arbiter(self._catalogue, self._joints, settings.limits, settings.command_timeout)
+        self._arbiter = Arbiter(self._catalogue, self._joints, settings.limits)
         self._dispatcher = Dispatcher(self._send, self._arbiter, self._warn)
         self._publications = Publications(
             self,
@@ -148,16 +154,18 @@ class ServoBridge(Node):
         self._epoch = 0
         self._ended = False
         self._torque_constants: list[float] | None = None
+        self._expired = next(flag.mask for flag in self._catalogue.flags["limits"] if flag.name == "EXPIRED")
         self._board_parameters = BoardParameters(
             self._catalogue,
             self._link.read,
             self._link.write_raw,
             self._inbox.post,
-            changed=lambda values: self._publications.parameters(values, self._catalogue),
+            changed=self._on_parameters,
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
         self._board_parameters.want(settings.board_parameters)
+        self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
         self._fault_records = FaultRecords(self._catalogue, self._link.read, self._inbox.post, self._on_fault_record)
         self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
         self._offer_services()
@@ -190,7 +198,8 @@ class ServoBridge(Node):
 
     def _start_timers(self) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_WATCH_PERIOD, self._watch_silence, clock=steady)
+        self._keep_alive_timer = self.create_timer(self._keep_alive.period(), self._keep_alive.send, clock=steady)
+        self._pace_keep_alive()
         self.create_timer(1.0, self._every_second, clock=steady)
         if self._settings.variables:
             self.create_timer(1.0 / self._settings.variable_rate, self._publish_variables, clock=steady)
@@ -204,7 +213,7 @@ class ServoBridge(Node):
             self._board_parameters.want(settings.board_parameters)
         self._settings = settings
         self._arbiter.limits = list(settings.limits)
-        self._arbiter.command_timeout = settings.command_timeout
+        self._pace_keep_alive()
 
     # ---- commands
     def _send(self, write: CommandWrite) -> None:
@@ -213,19 +222,24 @@ class ServoBridge(Node):
         def done(future: Future[WriteResult]) -> None:
             self._inbox.post(partial(self._dispatcher.acknowledged, write, error_of(future)))
 
-        self._link.write_raw(write.variable, write.raw, first=write.first).add_done_callback(done)
+        # A stop must not wait for parameters on a slow line, nor parameters for a stream of set-points.
+        urgent = write.variable in _URGENT
+        self._link.write_raw(write.variable, write.raw, first=write.first, urgent=urgent).add_done_callback(done)
 
-    def _watch_silence(self) -> None:
-        for event in self._arbiter.expire(time.monotonic()):
-            self._warn(event)
-        self._dispatcher.pump()
+    def _pace_keep_alive(self) -> None:
+        # What is wanted may be in force on the board long before it has been read again.
+        known = applied(self._settings.board_parameters, {}), self._board_parameters.values or {}
+        period = round(self._keep_alive.period(*known) * 1e9)
+        if period != self._keep_alive_timer.timer_period_ns:
+            self._keep_alive_timer.timer_period_ns = period
+            self._keep_alive_timer.reset()
 
     # ---- what comes from the link
     def _on_link(self, status: LinkStatus) -> None:
         self._status = status
         if status.state is LinkState.CONNECTED:
             self._log.info(str(status))
-            self._dispatcher.open()
+            self._dispatcher.open(_TAKE_OVER)
             self._read_torque_constants()
             self._board_parameters.connected()
         else:
@@ -253,6 +267,7 @@ class ServoBridge(Node):
             self._board_clock.reset()
         stamp = self._wall.wall_ns(self._board_clock.update(frame.tick, frame.response_ns))
         self._log_faults(frame)
+        self._log_expired(frame)
         self._fault_records.on_frame(frame.tick, frame.faults)
         self._frame = frame
         self._arbiter.board_seen(frame.axes)
@@ -269,6 +284,23 @@ class ServoBridge(Node):
             before = self._frame.faults[axis] if self._frame is not None else 0
             for text in flag_texts(self._catalogue, "faults", word & ~before):
                 self._log.error(f"{self._joints[axis]}: {text}")
+
+    def _log_expired(self, frame: Frame) -> None:
+        for axis, joint in enumerate(self._joints):
+            column = f"{axis_name(axis)}.limits"
+            before, now = (int(f.values.get(column, 0)) & self._expired if f else 0 for f in (self._frame, frame))
+            if now and not before:
+                self._warn(f"{joint}: no velocity or effort set-point for {self._command_timeout()}; the axis stops")
+
+    def _command_timeout(self) -> str:
+        values = self._board_parameters.values
+        if values is None:
+            return _COMMAND_TIMEOUT
+        return f"{values[_COMMAND_TIMEOUT][0] * self._catalogue[_COMMAND_TIMEOUT].lsb:g} s"
+
+    def _on_parameters(self, values: RawParameters) -> None:
+        self._publications.parameters(values, self._catalogue)
+        self._pace_keep_alive()
 
     def _on_fault_record(self, record: FaultRecord) -> None:
         self._log.error(f"{self._joints[record.axis]}: {record.summary()}")

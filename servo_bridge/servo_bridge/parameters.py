@@ -24,6 +24,9 @@ __all__ = ["PARAMETERS", "ParameterError", "Settings", "Spec", "declare", "setti
 
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
+_NO_LIMIT = 1.0e15
+"""Farther than any shaft comes [rad]. Infinity, and what Python writes with an exponent, is a string to some of the
+tools through whose YAML a parameter goes."""
 
 PARAMETERS: Mapping[str, Spec] = {
     "port": Spec(
@@ -48,18 +51,11 @@ PARAMETERS: Mapping[str, Spec] = {
     "snapshot_period": Spec(
         0.02, "shortest time between two snapshot messages, which carry all samples since the last one [s]", 0.0, 1.0
     ),
-    "command_timeout": Spec(
-        0.5,
-        "silence after which a velocity or effort set-point becomes 0 [s]; positions hold",
-        0.02,
-        60.0,
-        read_only=False,
-    ),
     "position_min": Spec(
-        [-1.5e6, -1.5e6], "lowest position set-point per joint [rad], inside the board's own limit", read_only=False
+        [-_NO_LIMIT, -_NO_LIMIT], "lowest position set-point per joint [rad]; -1.0e+15 is none", read_only=False
     ),
     "position_max": Spec(
-        [1.5e6, 1.5e6], "highest position set-point per joint [rad], inside the board's own limit", read_only=False
+        [_NO_LIMIT, _NO_LIMIT], "highest position set-point per joint [rad]; 1.0e+15 is none", read_only=False
     ),
     "velocity_max": Spec(
         [419.0, 419.0], "largest velocity set-point per joint [rad/s], inside the board's own limit", read_only=False
@@ -72,8 +68,8 @@ PARAMETERS: Mapping[str, Spec] = {
     "board_parameters": Spec(
         [""],
         "parameters that the board gets at every connection and whenever this list changes, each as NAME=VALUE such as "
-        "param.features[0]=ANTI_WINDUP+POSITION_LIMITS or param.i_q_limit=1.0,1.5; what is taken out of the list stays "
-        "on the board until its reset",
+        "param.features[0]=ANTI_WINDUP+POSITION_LIMITS, param.i_q_limit=1.0,1.5 or param.command_timeout=1.0; what is "
+        "taken out of the list stays on the board until its reset",
         read_only=False,
     ),
 }
@@ -92,7 +88,6 @@ class Settings:
     variable_rate: float
     joint_states_rate: float
     snapshot_period: float
-    command_timeout: float
     limits: tuple[JointLimits, ...]
     board_parameters: tuple[Assignment, ...]
 
@@ -132,7 +127,6 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         variable_rate=values["variable_rate"],
         joint_states_rate=values["joint_states_rate"],
         snapshot_period=values["snapshot_period"],
-        command_timeout=values["command_timeout"],
         limits=_limits(values),
         board_parameters=_board_parameters(values["board_parameters"], catalogue),
     )

@@ -68,13 +68,12 @@ class SetPointTopics:
         self._take(topic, lambda: from_single(topic, axis, message.data))
 
     def _take(self, source: str, parse: Callable[[], Request]) -> None:
-        now = time.monotonic()
         try:
-            self._arbiter.submit(parse(), now)
+            self._arbiter.submit(parse())
         except Rejected as error:
             self.figures.rejected += 1
             self.figures.last_rejection = str(error)
-            held = self._throttle.admit(source, now)
+            held = self._throttle.admit(source, time.monotonic())
             if held is not None:
                 more = f" ({held} more rejections before this one)" if held else ""
                 self._warn(f"rejected, nothing moves because of it: {error}{more}")

@@ -143,7 +143,7 @@ class Telemetry:
                 row[at.position_ref] = unwrap_u32(raw[at.position_ref] & 0xFFFF_FFFF, counts) * self._lsb
             label = state_label(self._catalogue, raw[at.state], raw[at.substate])
             obeys = label in _OBEYS or self._waits(axis, label, sample.tick)
-            axes.append(AxisStatus(label, obeys, label == "FAULT", counts - raw[at.position]))
+            axes.append(AxisStatus(label, obeys, label == "FAULT", counts))
         return Frame(
             sample.tick,
             sample.epoch,

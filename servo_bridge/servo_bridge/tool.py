@@ -15,7 +15,7 @@ from servo_msgs_py.catalogue import Catalogue
 
 from servo_bridge import tool_commands, tool_faults
 from servo_bridge.freemaster.client import Client
-from servo_bridge.freemaster.errors import FreemasterError
+from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError
 from servo_bridge.freemaster.line import Line
 from servo_bridge.parameter_file import ParameterFileError
 from servo_bridge.tool_values import UnknownVariableError, UsageError
@@ -148,6 +148,9 @@ def _run(args: argparse.Namespace) -> int:
             session = connect(client, catalogue)
             connected = True
             return run(tool_commands.Context(args, catalogue, session, port, baud, serial_port.low_latency))
+    except OutOfRangeError as error:  # nothing is wrong with the link
+        print(f"servo-tool: {error}", file=sys.stderr)
+        return 1
     except FreemasterError as error:
         print(f"servo-tool: {status_of(error, port, baud, connected=connected)}", file=sys.stderr)
         return 1

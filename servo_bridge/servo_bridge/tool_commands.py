@@ -228,7 +228,7 @@ def load(context: Context) -> int:
     names = parameter_file.changes(session.variables, wanted, found)
     for name in names:
         variable = session.variables[name]
-        session.client.write_memory(variable.address, wanted[name])
+        session.write_bytes(variable, wanted[name])
         now = session.client.read_memory(variable.address, variable.size)
         print(_change_text(context, variable, found[name], now))
         if now != wanted[name]:

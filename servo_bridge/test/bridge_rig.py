@@ -56,6 +56,8 @@ class FakeLink:
         self.layout = ScopeLayout([catalogue[name] for name in config.telemetry])
         self.written: list[tuple[str, int, tuple[int, ...]]] = []
         self.reads: list[str] = []
+        self.commands: list[tuple[float, int]] = []  # application commands: when [s], code
+        self.mute = False  # application commands are never answered
         self.final: list[Any] = []
         self.deaf = False
         self.connected = False
@@ -82,7 +84,7 @@ class FakeLink:
         self.final = list(final_writes)
         return self.connected
 
-    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0) -> Future[WriteResult]:
+    def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False) -> Future[WriteResult]:
         done: Future[WriteResult] = Future()
         if not self.connected:
             done.set_exception(LinkDownError("no link"))
@@ -108,6 +110,16 @@ class FakeLink:
             done.set_result(self.blocks[name])
         else:
             done.set_result(KT.get(name, 1.5))
+        return done
+
+    def run_command(self, code: int, *, urgent: bool = False) -> Future[int]:
+        done: Future[int] = Future()
+        if not self.connected:
+            done.set_exception(LinkDownError("no link"))
+            return done
+        self.commands.append((time.monotonic(), code))
+        if not self.mute:
+            done.set_result(0)
         return done
 
     def statistics(self) -> LinkStatistics:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
 
 import recorded_fault
 from fake_target import CONST, ENUM, NONE, RO, RW, FakeEntry, FakeTarget
@@ -14,16 +16,35 @@ CATALOGUE = Catalogue.load()
 
 
 class FakeServo(FakeTarget):
-    """Board whose telemetry shows a running clock; a written command takes effect at the next slow tick."""
+    """Board whose telemetry shows a running clock; a written command takes effect at the next slow tick.
+
+    Like the firmware it counts how long its host has been silent: only commands and keep-alives are signs of life, and
+    only to a board that was commanded before. What an enabled axis would do then is left to the tests.
+
+    Attributes
+    ----------
+    signs : list
+        Every sign of life: when [ns], and the variable that was written or the application command.
+    silence_ns : int
+        Longest time between two signs of life, or since the last one.
+    """
 
     def __init__(
-        self, catalogue: Catalogue = CATALOGUE, ticks: Callable[[], int] | None = None, **options: object
+        self,
+        catalogue: Catalogue = CATALOGUE,
+        ticks: Callable[[], int] | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+        **options: object,
     ) -> None:
         super().__init__(mtu=254, scope_limit=24, config={"NM": b"servo\0"}, **options)  # type: ignore[arg-type]
         self.catalogue = catalogue
-        self.start_ns = time.monotonic_ns()
+        self.clock = clock
+        self.start_ns = clock()
         self.first_tick = 0
-        self.ticks = ticks or (lambda: self.first_tick + (time.monotonic_ns() - self.start_ns) // 62_500)
+        self.ticks = ticks or (lambda: self.first_tick + (clock() - self.start_ns) // 62_500)
+        self.signs: list[tuple[int, str]] = []
+        for name, code in catalogue.bits["command"].items():
+            self.commands[code] = partial(self._command_ran, name)
         self.addresses: dict[str, int] = {}
         self.written: list[tuple[str, int, bytes]] = []  # variable, offset, bytes
         self._fresh = False
@@ -51,6 +72,7 @@ class FakeServo(FakeTarget):
         ):
             self.poke(self.addresses[name], catalogue[name].encode([value, value]))
         self.poke(self.addresses["param.host_timeout"], catalogue["param.host_timeout"].encode(0.5))
+        self.accepts = self._in_range
         self.on_write = self._note
         self.before_scope = self._snapshot
 
@@ -66,14 +88,45 @@ class FakeServo(FakeTarget):
     def restart(self) -> None:
         """Reset the board."""
         self.reset()
-        self.start_ns, self.first_tick = time.monotonic_ns(), 0
+        self.start_ns, self.first_tick = self.clock(), 0
+        self.signs.clear()
         self.put("applied_tick", 0)
         self.put("applied_count", 0)
 
+    def _name(self, address: int) -> str:
+        return max((n for n, a in self.addresses.items() if a <= address), key=self.addresses.__getitem__)
+
+    def _in_range(self, address: int, data: bytes) -> bool:
+        """Whether the board takes whole elements with these numbers."""
+        name = self._name(address)
+        v, offset = self.catalogue[name], address - self.addresses[name]
+        low, high = v.raw_range
+        for axis, raw in enumerate(v.elements(data), offset // v.element_size):
+            if not low <= raw <= high:
+                return False
+            if name == "cmd.position":
+                away = (raw - self.get(f"axis{axis + 1}.position")[0] + 2**31) % 2**32 - 2**31
+                if abs(away) > self.catalogue.bits["position"]["REACH"]:
+                    return False
+        return True
+
     def _note(self, address: int, data: bytes) -> None:
-        name = max((n for n, a in self.addresses.items() if a <= address), key=self.addresses.__getitem__)
+        name = self._name(address)
         self.written.append((name, address - self.addresses[name], data))
-        self._fresh = self._fresh or name.startswith("cmd.")
+        if name.startswith("cmd."):
+            self._fresh = True
+            self.signs.append((self.clock(), name))
+
+    def _command_ran(self, name: str, _: bytes) -> tuple[int, bytes]:
+        if name != "IDENTIFY":
+            self.signs.append((self.clock(), name))
+        self._fresh = self._fresh or name in ("QUICK_STOP", "CLEAR_FAULTS")
+        return 0, b""
+
+    @property
+    def silence_ns(self) -> int:
+        times = [moment for moment, _ in self.signs] + [self.clock()]
+        return max((later - earlier for earlier, later in pairwise(times)), default=0)
 
     def _snapshot(self) -> None:
         tick = self.ticks() // 8 * 8

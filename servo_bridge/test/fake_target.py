@@ -93,6 +93,7 @@ class FakeTarget:
     password: bool = False
     config: dict[str, bytes] = field(default_factory=dict)
     tables: list[list[FakeEntry]] = field(default_factory=lambda: [[]])
+    accepts: Callable[[int, bytes], bool] | None = None
     on_write: Callable[[int, bytes], None] | None = None
     before_scope: Callable[[], None] | None = None
     commands: dict[int, Callable[[bytes], tuple[int, bytes]]] = field(default_factory=dict)
@@ -112,6 +113,7 @@ class FakeTarget:
         self.scope: list[tuple[int, int] | None] = []
         self._command_status = 0xFF
         self._command_data = b""
+        self._command: tuple[int, bytes] | None = None
         values = {
             "MTU": uleb(self.mtu), "VS": b"fake 1.0\0", "NM": b"fake\0", "DS": b"test target\0", "BD": b"today\0",
             "F1": bytes([0x02 | self.big_endian | (0x10 if self.password else 0)]), "RC": b"\0",
@@ -239,6 +241,10 @@ class FakeTarget:
             case 0x30:
                 return self._start_command(r)
             case 0x31:
+                # As our firmware does it: a command runs when its result is asked for.
+                if self._command is not None:
+                    self._command_status, self._command_data = self._run(*self._command)
+                    self._command = None
                 return 0, bytes([self._command_status])
             case 0x32:
                 size, offset = r.uleb(), r.uleb()
@@ -263,6 +269,8 @@ class FakeTarget:
             data = bytes(
                 (o & ~m & 0xFF) | (d & m) for o, d, m in zip(self.peek(address, size), data, mask, strict=True)
             )
+        if self.accepts is not None and not self.accepts(address, data):
+            raise Refused(0x97)
         self.poke(address, data)
         if self.on_write is not None:
             self.on_write(address, data)
@@ -307,8 +315,9 @@ class FakeTarget:
     def _start_command(self, r: Reader) -> tuple[int, bytes]:
         if not r.data:
             raise Refused(0x86)
-        code = r.u8()
-        self._command_status, self._command_data = self._run(code, r.data[1:])
+        if self._command_status == 0xFE:
+            raise Refused(0x87)
+        self._command, self._command_status = (r.u8(), r.data[1:]), 0xFE
         return 0, b""
 
     def _run(self, code: int, arguments: bytes) -> tuple[int, bytes]:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 
 import pytest
 from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
+from sensor_msgs.msg import JointState
 from servo_bridge.command import main
 from servo_bridge.wire.link_state import LinkState
 from servo_msgs_py.end_with_parent import bound_to_us
+
+from servo_msgs_py import topics
 
 pytestmark = pytest.mark.realtime
 
@@ -81,7 +85,7 @@ def test_state_names_faults_and_limits(rig: Rig) -> None:
     assert status == 0
     lines = out.splitlines()
     assert lines[0] == "axis1=FAULT axis2=RUN/SPIN"
-    assert lines[2].startswith("    fault HOST_SILENT: no valid frame from the host within the time-out (restore")
+    assert lines[2].startswith("    fault HOST_SILENT: no command and no keep-alive from the host within")
     assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
 
 
@@ -94,6 +98,17 @@ def test_state_names_parameters_that_the_board_does_not_take(rig: Rig) -> None:
     rig.link.stubborn = ""
     assert status == 0
     assert out.splitlines()[-1].startswith("  parameters: param.over_speed is 1.0")
+
+
+def test_a_parameter_that_the_board_refuses_is_named(rig: Rig) -> None:
+    """The bridge checks the ranges itself, so this takes a board with other ones."""
+    rig.up(STOP, STOP)
+    rig.link.stubborn = "param.over_speed"
+    status, _, err = command(rig, "set", "param.over_speed=310,310")
+    rig.link.stubborn = ""
+    assert status == 1
+    assert err.startswith("servo-command: set failed: param.over_speed is ")
+    assert "and not 310, 310 rad/s" in err
 
 
 def test_without_a_board(rig: Rig) -> None:
@@ -127,3 +142,19 @@ def test_wrong_command_lines(arguments: list[str], text: str, capsys: pytest.Cap
         main(arguments)
     assert caught.value.code == 2
     assert text in capsys.readouterr().err
+
+
+def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(rig: Rig) -> None:
+    rig.ready()
+    times: list[float] = []
+
+    def taken(message: JointState) -> None:
+        assert list(message.velocity) == [50.0]
+        times.append(time.monotonic())
+
+    rig.user.create_subscription(JointState, topics.JOINT_COMMANDS, taken, topics.command_qos())
+    status, out, err = command(rig, "velocity", "axis1=50", "--for", "1")
+    assert (status, out.strip()) == (0, "took effect"), err
+    assert len(times) >= 12
+    assert times[-1] - times[0] == pytest.approx(1.0, abs=0.15)
+    assert rig.link.written[-1] == ("cmd.speed", 0, (rig.link.catalogue["cmd.speed"].to_raw(50.0),))

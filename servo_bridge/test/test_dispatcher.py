@@ -52,6 +52,14 @@ class Rig:
         return self
 
 
+def test_write_before_the_first_sample_is_reported_with_the_tick_that_the_sample_tells() -> None:
+    rig = Rig()
+    stop = CommandWrite("cmd.quick_stop", 0, (1, 1))
+    rig.dispatcher.open(stop)
+    assert rig.dispatcher.on_sample(1000, 904, 1) == AppliedCommand("cmd.quick_stop", 904, (1, 1), 3)
+    assert rig.dispatcher.on_sample(1008, 904, 1) is None
+
+
 def test_nothing_is_sent_before_the_link_is_up_and_a_sample_was_seen() -> None:
     rig = Rig(position(1))
     rig.dispatcher.pump()

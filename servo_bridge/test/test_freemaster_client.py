@@ -9,7 +9,7 @@ from fake_transport import FakeTransport, client_on
 from hypothesis import given
 from hypothesis import strategies as st
 from servo_bridge.freemaster.client import Client
-from servo_bridge.freemaster.commands import ScopeSlot
+from servo_bridge.freemaster.commands import Command, ScopeSlot, send_command
 from servo_bridge.freemaster.errors import (
     AnswerTimeoutError,
     CodecError,
@@ -176,3 +176,35 @@ def test_a_command_that_does_not_end() -> None:
     client = connected(FakeTarget(commands={1: lambda _: (0xFE, b"")}))
     with pytest.raises(CommandUnfinishedError, match=r"still runs after 0\.5 s"):
         client.run_command(1, timeout=0.5)
+
+
+class Noting:
+    """A target that notes which commands ran; like our firmware it runs one when its result is asked for."""
+
+    def __init__(self) -> None:
+        self.ran: list[int] = []
+        self.target = FakeTarget(commands={1: lambda _: self._run(1), 2: lambda _: self._run(2)})
+
+    def _run(self, code: int) -> tuple[int, bytes]:
+        self.ran.append(code)
+        return code, b""
+
+    def lose_answer(self, request: bytes) -> bytes:
+        self.target.feed(request)
+        return b""
+
+
+def test_a_command_whose_answer_is_lost_runs_now_and_not_at_the_next_command() -> None:
+    noting = Noting()
+    with pytest.raises(AnswerTimeoutError, match="SENDAPPCMD"):
+        client_on(FakeTransport(noting.lose_answer)).run_command(1)
+    assert noting.ran == [1]
+    assert [command for command, _ in noting.target.requests] == [Command.SENDAPPCMD, Command.GETAPPCMDSTS]
+
+
+def test_a_pending_command_of_somebody_else_is_brought_to_its_end_first() -> None:
+    noting = Noting()
+    client = connected(noting.target)
+    client.exchange(send_command(1))
+    assert client.run_command(2) == 2
+    assert noting.ran == [1, 2]

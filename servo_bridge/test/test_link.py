@@ -11,7 +11,7 @@ from fake_port import FakePort
 from fake_servo import FakeServo
 from fake_target import RO
 from link_watcher import PATIENCE, StartLink, Watcher
-from servo_bridge.freemaster.errors import StatusError
+from servo_bridge.freemaster.errors import OutOfRangeError, StatusError
 from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkStatus
 
 pytestmark = pytest.mark.realtime
@@ -68,12 +68,14 @@ def test_a_job_does_not_wait_for_a_slow_telemetry(fake_port: FakePort, start_lin
 # ---- jobs ---------------------------------------------------------------------------------------------------------
 def test_a_write_arrives_and_its_effect_is_seen(connected: Watcher, fake_board: FakeServo) -> None:
     connected.wait_samples(1)
+    count = connected.samples[-1].applied_count
+    assert count is not None
     result = connected.link.write("cmd.position", [6.283185307179586], first=1).result(PATIENCE)
     assert fake_board.written == [("cmd.position", 4, (4000).to_bytes(4, "little"))]
     assert result.variable == "cmd.position"
     assert result.request_ns < result.response_ns
-    connected.wait(lambda: connected.samples[-1].applied_count == 1)
-    effect = next(s for s in connected.samples if s.applied_count == 1)
+    connected.wait(lambda: connected.samples[-1].applied_count == count + 1)
+    effect = next(s for s in connected.samples if s.applied_count == count + 1)
     assert effect.applied_tick is not None
     assert result.last_tick <= effect.applied_tick <= effect.tick
     assert connected.link.statistics().writes == 1
@@ -120,6 +122,25 @@ def test_a_refusal_of_the_board_does_not_break_the_link(connected: Watcher, fake
         connected.link.write("cmd.enable", [1.0, 1.0]).result(PATIENCE)
     connected.wait_samples(5)
     assert connected.states[-1].state is LinkState.CONNECTED
+
+
+@pytest.mark.parametrize(
+    ("name", "raw", "first", "text"),
+    [
+        ("cmd.mode", [0, 9], 0, r"cmd.mode\[1\]: 9 is outside 0 .. 2"),
+        ("param.host_timeout", [60001], 0, "param.host_timeout: 30.0005 is outside 0.05 .. 30 s"),
+        ("param.i_q_limit", [0], 1, r"param.i_q_limit\[1\]: 0 is outside 0.1 .. 4 A"),
+        ("cmd.position", [2**30 + 1], 1, r"cmd.position\[1\]: 1.68663e\+06 rad is more than"),
+    ],
+)
+def test_a_value_that_the_board_refuses_is_named_with_its_range(
+    connected: Watcher, fake_board: FakeServo, name: str, raw: list[int], first: int, text: str
+) -> None:
+    with pytest.raises(OutOfRangeError, match=text):
+        connected.link.write_raw(name, raw, first=first).result(PATIENCE)
+    connected.wait_samples(3)
+    assert connected.states[-1].state is LinkState.CONNECTED
+    assert fake_board.written == []
 
 
 def test_without_a_link_jobs_fail_at_once(start_link: StartLink) -> None:

@@ -111,6 +111,18 @@ def test_a_reset_of_the_board(connected: Watcher, fake_board: FakeServo) -> None
     assert connected.link.statistics().resets == 1
 
 
+def test_a_board_is_stopped_at_every_connection_before_anything_else(connected: Watcher, fake_board: FakeServo) -> None:
+    connected.wait_samples(5)
+    first = fake_board.requests[:]
+    fake_board.requests.clear()
+    fake_board.restart()
+    connected.wait(lambda: connected.states[-1].state is LinkState.CONNECTED and connected.samples[-1].epoch == 1)
+    again = fake_board.requests[[command for command, _ in fake_board.requests].index(0x20) :]
+    for requests in (first, again):
+        assert [command for command, _ in requests[:3]] == [0x20, 0x20, 0x30]
+        assert requests[2][1] == bytes([CATALOGUE.bits["command"]["QUICK_STOP"]])
+
+
 def test_a_reset_that_only_the_lost_set_up_betrays(connected: Watcher, fake_board: FakeServo) -> None:
     connected.wait_samples(5)
     fake_board.scope = []
@@ -179,13 +191,13 @@ def test_a_command_without_answer_is_not_repeated_and_costs_no_link(
 ) -> None:
     fake_port.mangle = lambda answer: b"" if fake_board.requests[-1][0] == 0x30 else answer
     with pytest.raises(AnswerTimeoutError):
-        connected.link.run_command(1).result(PATIENCE)
-    fake_board.commands[2] = lambda _: (0xFE, b"")
+        connected.link.run_command(0x11).result(PATIENCE)
+    fake_board.commands[0x12] = lambda _: (0xFE, b"")
     fake_port.mangle = lambda answer: answer
     with pytest.raises(CommandUnfinishedError):
-        connected.link.run_command(2).result(PATIENCE)
+        connected.link.run_command(0x12).result(PATIENCE)
     connected.wait_samples(5)
-    assert [command for command, _ in fake_board.requests].count(0x30) == 2
+    assert fake_board.requests.count((0x30, b"\x11")) == 1
     assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
 
 

@@ -160,12 +160,36 @@ def test_effort_uses_the_torque_constant_of_the_board(rig: Rig) -> None:
     assert writes(rig, 2)[1] == ("cmd.i_q", 0, (raw, raw))
 
 
-def test_a_silent_velocity_command_becomes_zero() -> None:
-    with Rig(command_timeout=0.1) as rig:
-        rig.ready()
-        rig.joint_commands.publish(JointState(name=["axis1"], velocity=[50.0]))
-        assert writes(rig, 3)[2] == ("cmd.speed", 0, (0,))
-        rig.until(lambda: any("no velocity command on joint_commands for 0.1 s" in text for text in rig.logs()))
+@pytest.mark.parametrize(("field", "variable"), [("velocity", "cmd.speed"), ("effort", "cmd.i_q")])
+def test_the_same_message_again_renews_the_set_point_and_silence_writes_nothing(
+    rig: Rig, field: str, variable: str
+) -> None:
+    rig.ready()
+    message = JointState(name=["axis1", "axis2"])
+    setattr(message, field, [0.05, 0.05])
+    for count in (2, 3, 4):  # the mode first
+        rig.joint_commands.publish(message)
+        assert writes(rig, count)[-1] == rig.link.written[1]
+    assert [name for name, _, _ in rig.link.written] == ["cmd.mode"] + 3 * [variable]
+    end = time.monotonic() + 0.7
+    rig.until(lambda: time.monotonic() > end)
+    rig.settle()
+    assert len(rig.link.written) == 4
+
+
+def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: Rig) -> None:
+    expired = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "EXPIRED")
+    rig.link.parameters["param.command_timeout"] = [CATALOGUE["param.command_timeout"].to_raw(0.25)]
+    rig.ready()
+    rig.until(lambda: rig.messages[topics.PARAMETERS])
+    for limits in (0, 1, expired, expired | 1, expired, 0, expired):
+        rig.link.values["axis2.limits"] = limits
+        rig.link.sample()
+    text = "axis2: no velocity or effort set-point for 0.25 s; the axis stops"
+    rig.until(lambda: rig.logs().count(text) == 2)
+    rig.settle()
+    assert rig.logs().count(text) == 2
+    assert "EXPIRED" in rig.diagnosis("axis2").message
 
 
 WRONG = [
@@ -177,7 +201,7 @@ WRONG = [
     (JointState(name=["axis1", "axis1"], position=[1.0, 2.0]), "named twice"),
     (JointState(name=["axis1"], position=[math.nan]), "position of axis1 is nan"),
     (JointState(name=["axis2"], velocity=[math.inf]), "velocity of axis2 is inf"),
-    (JointState(name=["axis1"], position=[1e9]), "outside -1.5e+06 .. 1.5e+06 rad"),
+    (JointState(name=["axis1"], position=[1e9]), "outside -1.68663e+06 .. 1.68663e+06 rad"),
     (JointState(name=["axis1"], velocity=[-1000.0]), "outside -419 .. 419 rad/s"),
     (JointState(name=["axis1"], effort=[9.0]), "effort of axis1 is 9 N m, outside"),
 ]
@@ -211,7 +235,7 @@ def test_set_points_before_enable_are_refused(rig: Rig) -> None:
     rig.until(rig.rejections)
     assert "axis2/position: outputs have not been enabled" in rig.rejections()[0]
     rig.settle()
-    assert rig.link.written == [("cmd.quick_stop", 0, (1, 1))]
+    assert rig.link.written == []
 
 
 def test_a_stream_of_wrong_commands_does_not_flood_the_log(rig: Rig) -> None:
@@ -315,7 +339,7 @@ def test_link_loss_throws_set_points_away_and_nothing_rearms(rig: Rig) -> None:
     rig.commands.publish(Float64MultiArray(data=[3.0, 3.0]))
     rig.until(lambda: len(rig.rejections()) >= 2)
     assert "the link to the board was lost; call the service enable" in rig.rejections()[1]
-    assert rig.link.written == [("cmd.quick_stop", 0, (1, 1))]  # what still moved is stopped
+    assert rig.link.written == []
     assert not rig.armed()
     assert rig.enable(True)[0]
     rig.until(rig.armed)
@@ -386,7 +410,7 @@ def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
         ({"effort_max": [1.0]}, "one per joint"),
         ({"baud": "fast"}, "parameter baud"),
         ({"baud": 3}, "parameter baud"),
-        ({"command_timeout": 1000.0}, "parameter command_timeout"),
+        ({"variable_rate": 1000.0}, "parameter variable_rate"),
         ({"port": ""}, "parameter port is empty"),
     ],
 )
@@ -421,7 +445,7 @@ def test_limits_change_at_run_time_and_the_port_does_not(rig: Rig) -> None:
     assert change("position_max", [1.0, 1.0])[0]
     rig.commands.publish(Float64MultiArray(data=[0.0, 1.5]))
     rig.until(rig.rejections)
-    assert "position of axis2 is 1.5 rad, outside -1.5e+06 .. 1 rad" in rig.rejections()[0]
+    assert "position of axis2 is 1.5 rad, outside -1.68663e+06 .. 1 rad" in rig.rejections()[0]
     assert not change("port", "/dev/other")[0]
     refused = change("position_min", [2.0, 2.0])
     assert not refused[0]

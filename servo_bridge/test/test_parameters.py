@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
+from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from servo_bridge.parameters import PARAMETERS, ParameterError, settings_from
 from servo_msgs_py.catalogue import Catalogue
 
@@ -16,23 +17,21 @@ FILE = Path(__file__).resolve().parents[1] / "config" / "servo_bridge.yaml"
 DEFAULTS = {name: spec.default for name, spec in PARAMETERS.items()}
 
 
-class _Yaml12(yaml.SafeLoader):
-    """Reads 1.5e6 as a number, as the parser of ROS does."""
-
-
-_NUMBER = re.compile(r"[-+]?\d+(\.\d*)?([eE][-+]?\d+)?$")
-_Yaml12.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER, list("-+.0123456789"))
-
-
 def test_the_file_lists_every_parameter_with_its_default_and_a_comment() -> None:
     text = FILE.read_text(encoding="utf-8")
-    values = yaml.load(text, Loader=_Yaml12)["/**"]["ros__parameters"]
+    values = yaml.safe_load(text)["/**"]["ros__parameters"]
     assert values == DEFAULTS
     assert {name: type(value) for name, value in values.items()} == {n: type(v) for n, v in DEFAULTS.items()}
     lines = text.splitlines()
     for name in PARAMETERS:
         number = next(k for k, line in enumerate(lines) if line.startswith(f"    {name}:"))
         assert lines[number - 1].lstrip().startswith("#") or lines[number - 1].startswith("    position_min"), name
+
+
+def test_ros2_param_load_reads_every_value_of_the_file_as_what_it_is() -> None:
+    """It writes each value as Python does and reads that text as YAML once more."""
+    loaded = parameter_dict_from_yaml_file(str(FILE), use_wildcard=True)
+    assert {name: parameter_value_to_python(parameter.value) for name, parameter in loaded.items()} == DEFAULTS
 
 
 def test_the_file_names_what_can_only_be_set_at_the_start() -> None:
@@ -48,7 +47,7 @@ def test_descriptors_carry_text_range_and_access() -> None:
         assert len(descriptor.description) > 10, name
         assert descriptor.read_only == spec.read_only
     assert PARAMETERS["baud"].descriptor().integer_range[0].to_value == 4_000_000
-    assert PARAMETERS["command_timeout"].descriptor().floating_point_range[0].from_value == 0.02
+    assert PARAMETERS["variable_rate"].descriptor().floating_point_range[0].from_value == 0.1
 
 
 def test_defaults_make_sense_and_reach_the_settings() -> None:

@@ -61,6 +61,14 @@ def test_info(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str])
     assert "FAULT" in out
 
 
+@pytest.mark.parametrize("arguments", [("info",), ("get", "axis1.position"), ("set", "param.brake", "1")])
+def test_whoever_looks_at_a_running_board_does_not_stop_it(
+    fake_port: FakePort, fake_board: FakeServo, run: Run, arguments: tuple[str, ...]
+) -> None:
+    assert run(*arguments) == 0
+    assert fake_board.signs == []
+
+
 def test_vars(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("vars", "cmd.*") == 0
     lines = capsys.readouterr().out.splitlines()
@@ -152,8 +160,8 @@ def test_set(fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytes
     assert [r / 2**31 * 523.5987756 for r in fake_board.get("cmd.speed")] == pytest.approx([4.0, -1.0], abs=1e-6)
     assert run("set", "cmd.mode", "speed,TORQUE") == 0
     assert fake_board.get("cmd.mode") == [1, 2]
-    assert run("set", "--raw", "cmd.i_q", "0.5,-0.25") == 0
-    assert fake_board.get("cmd.i_q") == [16384, -8192]
+    assert run("set", "--raw", "cmd.i_q", "0.25,-0.25") == 0
+    assert fake_board.get("cmd.i_q") == [8192, -8192]
     assert [(name, offset) for name, offset, _ in fake_board.written] == [
         ("cmd.speed", 0), ("cmd.speed", 4), ("cmd.speed", 0), ("cmd.mode", 0), ("cmd.i_q", 0),
     ]  # fmt: skip
@@ -202,6 +210,46 @@ def test_set_refuses(
     assert text in err
     assert err.count("\n") == 1
     assert fake_board.written == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--raw", "cmd.mode", "1,9"], "cmd.mode[1]: 9 is outside 0 .. 2"),
+        (["--raw", "cmd.enable[1]", "2"], "cmd.enable[1]: 2 is outside 0 .. 1"),
+        (["--raw", "param.monitor[0]", "99"], "param.monitor[0]: 99 is outside 0 .. 15"),
+        (["--raw", "param.features[0]", "0x1000"], "param.features[0]: 4096 is outside 0 .. 4095"),
+        (["--raw", "param.host_timeout", "0"], "param.host_timeout: 0 is outside 0.05 .. 30 s"),
+        (["--raw", "param.i_q_limit[0]", "-0.5"], "param.i_q_limit[0]: -4.125 is outside 0.1 .. 4 A"),
+        (
+            ["cmd.position[1]", "2e6"],
+            "cmd.position[1]: 2e+06 rad is more than 1.68663e+06 rad away from the shaft; go there in steps",
+        ),
+    ],
+)
+def test_a_value_that_the_board_refuses_is_named_with_its_range(
+    fake_port: FakePort,
+    run: Run,
+    fake_board: FakeServo,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    text: str,
+) -> None:
+    assert run("set", *arguments) == 1
+    assert capsys.readouterr().err == f"servo-tool: {text}\n"
+    assert fake_board.written == []
+
+
+def test_load_names_the_value_that_the_board_refuses(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Positions are the only ones that it can refuse: the tool itself looks at the ranges."""
+    file = str(tmp_path / "x.toml")
+    assert run("save", file, "--match", "cmd.*") == 0
+    fake_board.put("axis1.position", 2**30 + 1)
+    fake_board.put("cmd.position", 1, 0)
+    assert run("load", file) == 1
+    assert "cmd.position: 0, 0 rad is more than 1.68663e+06 rad away from the shaft" in capsys.readouterr().err
 
 
 def test_set_what_the_board_refuses(
@@ -374,8 +422,8 @@ def test_a_servo_board_of_another_version_is_not_written(
     assert run("load", file) == 1
     assert fake_board.written == []
     assert run("get", "axis1.position") == 0
-    assert run("set", "--raw", "param.host_timeout", "77") == 0
-    assert fake_board.get("param.host_timeout") == [77]
+    assert run("set", "--raw", "param.host_timeout", "777") == 0
+    assert fake_board.get("param.host_timeout") == [777]
 
 
 # ---- trouble ------------------------------------------------------------------------------------------------------

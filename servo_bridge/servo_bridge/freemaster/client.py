@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,6 +11,7 @@ from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.codec import MAX_ANSWER_DATA, decode_uleb
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.errors import (
+    AnswerTimeoutError,
     CodecError,
     CommandUnfinishedError,
     DamagedAnswerError,
@@ -61,10 +63,16 @@ class Client:
     ----------
     line : Line
         The way to the target.
+
+    Attributes
+    ----------
+    before_exchange : callable or None
+        Called before every exchange; may exchange something itself while it has taken itself out of here.
     """
 
     def __init__(self, line: Line) -> None:
         self.line = line
+        self.before_exchange: Callable[[], None] | None = None
         self.mtu = _DEFAULT_MTU
 
     @property
@@ -79,6 +87,8 @@ class Client:
 
     def exchange(self, request: Request, *, retries: int | None = None) -> Exchange:
         """Send any request; see `Line.exchange`."""
+        if self.before_exchange is not None:
+            self.before_exchange()
         return self.line.exchange(request, retries=retries)
 
     def _ask(self, request: Request) -> bytes:
@@ -230,14 +240,30 @@ class Client:
         Raises
         ------
         AnswerTimeoutError
-            If its answer was lost, so that it is not known whether it ran.
+            If its answer was lost, so that it is not known whether it ran. It does not run later.
         CommandUnfinishedError
-            If it does not end in time.
+            If it, or one before it, does not end in time.
         StatusError
-            If another one is still running.
+            If the target refuses it.
         """
-        self._ask(commands.send_command(code, arguments))
         limit = self.line.clock() + round(timeout * 1e9)
+        request = commands.send_command(code, arguments)
+        try:
+            self._ask(request)
+        except (AnswerTimeoutError, DamagedAnswerError):
+            # It may have arrived, and may run only when its result is asked for: now, and not at the next command.
+            with suppress(FreemasterError):
+                self.exchange(commands.get_command_status(), retries=0)
+            raise
+        except StatusError as error:
+            if error.code != Status.BUSY:
+                raise
+            # One is pending whose sender has gone before it asked for the result.
+            self._command_result(code, limit, timeout)
+            self._ask(request)
+        return self._command_result(code, limit, timeout)
+
+    def _command_result(self, code: int, limit: int, timeout: float) -> int:
         while True:
             result = self._ask(commands.get_command_status())[0]
             if result != commands.COMMAND_RUNNING:

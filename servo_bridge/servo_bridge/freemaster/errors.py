@@ -13,6 +13,7 @@ __all__ = [
     "DiscoveryError",
     "DisturbedRequestError",
     "FreemasterError",
+    "OutOfRangeError",
     "Status",
     "StatusError",
     "TransportError",
@@ -37,6 +38,8 @@ class Status:
     ACCESS_DENIED: Final = 0x89
     PASSWORD_NEEDED: Final = 0x91
     BAD_INSTANCE: Final = 0x94
+    OUT_OF_RANGE: Final = 0x97
+    """What the servo board says of a value; other targets have it for recorders that are not built in."""
     DEBUG_FRAME: Final = 0xA9
 
     ERROR_BIT: Final = 0x80
@@ -66,7 +69,7 @@ STATUS_TEXT: Final = {
     0x94: "bad scope, recorder or pipe index",
     0x95: "bad operation code",
     0x96: "bad instance",
-    0x97: "configuration not possible",
+    0x97: "value outside the range of the variable, or configuration not possible",
 }
 """Meaning of the error status bytes."""
 
@@ -129,6 +132,14 @@ class StatusError(FreemasterError):
         self.code = code
         self.meaning = status_text(code)
         super().__init__(f"{request}: the board answers {code:02X}, {self.meaning}")
+
+
+class OutOfRangeError(StatusError):
+    """The board has refused a value; the text says which one, and what it takes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(Status.OUT_OF_RANGE, text)
+        self.args = (text,)
 
 
 class CommandUnfinishedError(FreemasterError):

@@ -2,7 +2,7 @@
 
 Jobs go in through a queue and come back through futures; samples and changes of state come out through callbacks, in
 the thread of the link. A lost link fails everything that waits and is set up again by itself; no command is ever sent
-twice because of that, and none to a board that does not match the catalogue.
+twice because of that, and none but a stop to a board that does not match the catalogue.
 """
 
 from __future__ import annotations
@@ -31,10 +31,12 @@ from servo_bridge.wire.link_config import TICK, FinalWrite, LinkConfig, Port, Wr
 from servo_bridge.wire.link_queue import Job, JobQueue, LinkBusyError, LinkDownError
 from servo_bridge.wire.link_state import LinkState, LinkStatus, status_of
 from servo_bridge.wire.link_statistics import LinkStatistics, StatisticsCollector
+from servo_bridge.wire.refusal import explained
 from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_bridge.wire.scope_reader import BoardResetError, ScopeReader
 from servo_bridge.wire.serial_port import LowLatency, SerialPort
 from servo_bridge.wire.session import BoardVariable, Session, connect, element_bytes
+from servo_bridge.wire.take_over import taken_over
 
 __all__ = [
     "FinalWrite",
@@ -181,7 +183,8 @@ class Link:
         Returns
         -------
         Future
-            Completes when the board has acknowledged. Fails with `LinkDownError`, `LinkBusyError` or `StatusError`.
+            Completes when the board has acknowledged. Fails with `LinkDownError`, `LinkBusyError` or `StatusError`,
+            which is an `OutOfRangeError` for a value that the board does not take.
 
         Raises
         ------
@@ -196,11 +199,13 @@ class Link:
         self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False, latest_wins: bool = False
     ) -> Future[WriteResult]:
         """Write neighbouring elements of a variable as firmware integers; see `write`."""
-        offset, data = element_bytes(self._known(name), raw, first)
+        variable = self._known(name)
+        offset, data = element_bytes(variable, raw, first)
 
         def run(client: Client) -> WriteResult:
             assert self._reader is not None
-            exchange = client.write_memory(self._variable(name).address + offset, data)
+            with explained(self._catalogue, variable, data, offset):
+                exchange = client.write_memory(self._variable(name).address + offset, data)
             self._statistics.wrote()
             return WriteResult(name, exchange.request_ns, exchange.response_ns, self._reader.last_tick)
 
@@ -284,11 +289,12 @@ class Link:
             statistics=self._statistics.counters,
         )
         client = Client(line)
-        session = connect(client, self._catalogue)
-        if session.mismatch is not None:
-            raise session.mismatch
-        reader = ScopeReader(client, self.layout, session.variables, self._extender)
-        first = reader.first()
+        with taken_over(client, self._catalogue):
+            session = connect(client, self._catalogue)
+            if session.mismatch is not None:
+                raise session.mismatch
+            reader = ScopeReader(client, self.layout, session.variables, self._extender)
+            first = reader.first()
         line.before_request = None  # from here on the last words have to get through
         self._session, self._reader = session, reader
         self._connected_once = True

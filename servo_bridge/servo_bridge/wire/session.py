@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,6 +13,7 @@ from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.discovery import Progress, discover
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.freemaster.tsa import Number, TargetVariable, TypeKind, parse_type
+from servo_bridge.wire.refusal import explained
 
 __all__ = ["BoardMismatchError", "BoardVariable", "Session", "check_contract", "connect", "element_bytes"]
 
@@ -166,6 +168,8 @@ class Session:
     ----------
     client : Client
         The line to it.
+    catalogue : Catalogue
+        What its variables mean if it is one of ours.
     info : BoardInfo
         What it says about itself.
     variables : mapping
@@ -175,6 +179,7 @@ class Session:
     """
 
     client: Client
+    catalogue: Catalogue
     info: BoardInfo
     variables: Mapping[str, BoardVariable]
     mismatch: BoardMismatchError | None
@@ -184,9 +189,21 @@ class Session:
         return variable.decode(self.client.read_memory(variable.address, variable.size))
 
     def write(self, variable: BoardVariable, values: Sequence[Number], first: int = 0) -> None:
-        """Write neighbouring elements of one variable in one frame; see `BoardVariable.encode`."""
+        """Write neighbouring elements of one variable in one frame; see `BoardVariable.encode` and `write_bytes`."""
         address, data = variable.encode(values, first)
-        self.client.write_memory(address, data)
+        self.write_bytes(variable, data, address - variable.address)
+
+    def write_bytes(self, variable: BoardVariable, data: bytes, offset: int = 0) -> None:
+        """Write whole neighbouring elements, so many bytes behind the address of a variable, in one frame.
+
+        Raises
+        ------
+        OutOfRangeError
+            If the board refuses a value of a variable that the catalogue knows.
+        """
+        contract = self.variables[variable.name].contract  # also of a variable whose numbers are taken as raw
+        with nullcontext() if contract is None else explained(self.catalogue, contract, data, offset):
+            self.client.write_memory(variable.address + offset, data)
 
 
 def connect(client: Client, catalogue: Catalogue, progress: Progress | None = None) -> Session:
@@ -208,7 +225,7 @@ def connect(client: Client, catalogue: Catalogue, progress: Progress | None = No
         mismatch = error
     contracts = catalogue.variables if mismatch is None else {}
     variables = {name: BoardVariable(target, contracts.get(name)) for name, target in targets.items()}
-    return Session(client, info, variables, mismatch)
+    return Session(client, catalogue, info, variables, mismatch)
 
 
 def check_contract(

@@ -1,0 +1,47 @@
+"""A write that the board refuses because of its value, in the words of the catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from servo_msgs_py.catalogue import Catalogue, Variable
+
+from servo_bridge.freemaster.errors import OutOfRangeError, Status, StatusError
+
+__all__ = ["explained", "refusal_text"]
+
+
+@contextmanager
+def explained(catalogue: Catalogue, variable: Variable, data: bytes, offset: int = 0) -> Iterator[None]:
+    """Around a write of whole neighbouring elements, so many bytes behind the address of a variable.
+
+    Raises
+    ------
+    OutOfRangeError
+        In place of the `StatusError` with which the board refuses the value.
+    """
+    try:
+        yield
+    except StatusError as error:
+        if error.code != Status.OUT_OF_RANGE:
+            raise
+        first = offset // variable.element_size
+        raise OutOfRangeError(refusal_text(catalogue, variable, variable.elements(data), first)) from error
+
+
+def refusal_text(catalogue: Catalogue, variable: Variable, raw: Sequence[int], first: int) -> str:
+    """Which variable, which value, and what the board takes."""
+    low, high = variable.raw_range
+    for element, number in enumerate(raw, first):
+        if not low <= number <= high:
+            return variable.outside_text(variable.scale(number), element)
+    values = ", ".join(f"{variable.scale(number):g}" for number in raw)
+    name = f"{variable.name}[{first}]" if len(raw) < variable.count else variable.name
+    if variable.name == "cmd.position":
+        reach = variable.scale(catalogue.bits["position"]["REACH"])
+        return (
+            f"{name}: {values} {variable.unit} is more than {reach:g} {variable.unit} away from the shaft; "
+            "go there in steps"
+        )
+    return f"{name}: the board does not take {values} {variable.unit}".rstrip()

@@ -1,0 +1,31 @@
+"""What /diagnostics says about the board."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from servo_bridge.freemaster.client import BoardInfo
+from servo_bridge.health import Health
+from servo_bridge.telemetry import Frame
+from servo_msgs_py.catalogue import Catalogue
+
+
+def status(health: Health, late: int, overruns: int) -> DiagnosticStatus:
+    values = {"late_loops": float(late), "receiver_overruns": float(overruns), "u_dc": 24.0}
+    return health.board(BoardInfo(name="servo"), Frame(8, 0, 0, values, 0, 0, (), ()))
+
+
+def test_a_late_loop_and_a_lost_byte_are_warnings_when_they_are_new() -> None:
+    health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
+    assert status(health, 3, 0).level == DiagnosticStatus.OK, "what was there before the connection is no news"
+    late = status(health, 5, 0)
+    assert (late.level, late.message) == (DiagnosticStatus.WARN, "in the last second: 2 late loops")
+    assert {value.key: value.value for value in late.values}["late loops"] == "5"
+    lost = status(health, 5, 1)
+    assert (lost.level, lost.message) == (DiagnosticStatus.WARN, "in the last second: 1 receiver overruns")
+    assert status(health, 5, 1).level == DiagnosticStatus.OK
+
+
+def test_counters_wrap() -> None:
+    health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
+    status(health, 0xFFFF, 0)
+    assert status(health, 1, 0).message == "in the last second: 2 late loops"
