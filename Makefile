@@ -22,7 +22,7 @@ REALTIME := -n 1 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 90 + 10 )))
 
 NATIVE := $(shell find firmware servo_twin/native -name '*.[ch]') servo_twin/setup.py \
-          $(wildcard servo_twin/servo_twin/_build_native.py)
+          $(wildcard servo_twin/servo_twin/_*.py servo_twin/servo_twin/core_weights.toml)
 METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
               pyproject.toml setup.py setup.cfg package.xml resource/* scripts/* config/* launch/*)))
 # For processors that know AVX2, like the one at hand: 7 % fewer instructions, the same bits (hence without FMA). ARCH= for any
@@ -59,7 +59,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-firmware bench-twin targets test lint format build fast generate tune clean
+.PHONY: help setup demo up experiments bench bench-firmware chip-budget bench-twin targets test lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -83,6 +83,9 @@ bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; r
 
 bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)
+
+chip-budget: ## stack and RAM of the chip, estimated with arm-none-eabi-gcc and avr-gcc
+	@python3 firmware/port/chip_budget.py
 
 bench-twin: $(VENV)/.fast ## how fast a virtual board is, at both levels; where its time goes; against other simulators
 	@PYTHONPATH=tests $(BIN)/python tests/bench/twin.py
@@ -162,6 +165,7 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 	@echo "[3/4] servo_bridge"
 	@$(INSTALL) --editable ./servo_bridge
 	@echo "[4/4] servo_twin: rerun, matplotlib, and the C of firmware and virtual board"
+	@rm -f servo_twin/servo_twin/*.so # an older one would be taken as it is
 	@SERVO_TWIN_FLAGS='$(ARCH)' $(INSTALL) --editable './servo_twin[viewer]'
 	@# An editable install leaves data files out: the ament index, launch files and what `ros2 run` starts.
 	@for package in $(PACKAGES); do \

@@ -32,6 +32,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot_table
 from servo_msgs_py.end_with_parent import bound_to_us
 from servo_msgs_py.units import PERIOD_NS
+from servo_twin.level import Level, chosen_level
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -40,6 +41,10 @@ from servo_msgs_py import topics
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() * 37 % 100
 MARK = "SERVO_TEST_MARK"
 BOARD, BRIDGE, TWIN, TOOL = "servo_twin.virtual_board", "servo_bridge.node", "servo_twin.node", "servo_bridge.tool"
+
+
+def _ros_arguments(parameters: Mapping[str, object]) -> list[str]:
+    return ["--ros-args", *(f for k, v in parameters.items() for f in ("-p", f"{k}:={v}"))] if parameters else []
 
 
 class Process:
@@ -166,18 +171,28 @@ class Chain:
             pytest.skip(f"{name} is not installed beside {sys.executable}")
         return self._launch(name, [str(path), *arguments])
 
-    def board(self, seed: int = 5) -> Process:
-        """Start a board and wait for its port."""
-        board = self._start(BOARD, "--link", str(self.port), "--baud", str(self.baud), "--seed", str(seed))
+    def board(self, seed: int = 5, level: Level | None = None) -> Process:
+        """Start a board, of the chosen level unless one is given, and wait for its port."""
+        options = ["--link", str(self.port), "--baud", str(self.baud), "--seed", str(seed)]
+        board = self._start(BOARD, *options, "--level", level or chosen_level())
         wait_for(self.port.exists, 10.0, board.text)
         return board
 
-    def bridge(self, port: str | None = None, **parameters: object) -> Process:
-        values = {"port": port or self.port, "baud": self.baud, **parameters}
-        return self._start(BRIDGE, "--ros-args", *(f for k, v in values.items() for f in ("-p", f"{k}:={v}")))
+    def bridge(self, port: str | None = None, *, hangs: float = 0.0, **parameters: object) -> Process:
+        """Start a bridge; SIGUSR1 makes its executor hang for `hangs` seconds, not the thread of its link."""
+        arguments = _ros_arguments({"port": port or self.port, "baud": self.baud, **parameters})
+        if not hangs:
+            return self._start(BRIDGE, *arguments)
+        # Handlers of signals run in the main thread, which is that of the executor.
+        code = (
+            "import runpy, signal, time; "
+            f"signal.signal(signal.SIGUSR1, lambda *_: time.sleep({hangs})); "
+            f"runpy.run_module({BRIDGE!r}, run_name='__main__')"
+        )
+        return self._launch(BRIDGE, [sys.executable, "-c", code, *arguments])
 
-    def twin(self) -> Process:
-        return self._start(TWIN)
+    def twin(self, **parameters: object) -> Process:
+        return self._start(TWIN, *_ros_arguments(parameters))
 
     def processes(self) -> dict[int, str]:
         """Everything that descends from what was started here and still lives: command lines by process id."""
@@ -262,15 +277,15 @@ class User:
             assert time.monotonic() < deadline, f"{what or 'not'} within {timeout} s: {self.states()}"
             self.executor.spin_once(timeout_sec=0.01)
 
-    def connected(self) -> bool:
-        """Bridge there and everything matched, board there."""
+    def matched(self) -> bool:
+        """Bridge there and everything matched."""
         publishers = (self.joint_commands, self.commands, *self.position)
         clients = (self._enable, self._quick_stop, self._clear)
-        return (
-            all(p.get_subscription_count() for p in publishers)
-            and all(c.service_is_ready() for c in clients)
-            and "=" in self.last("/servo/state")
-        )
+        return all(p.get_subscription_count() for p in publishers) and all(c.service_is_ready() for c in clients)
+
+    def connected(self) -> bool:
+        """Bridge there and everything matched, board there."""
+        return self.matched() and "=" in self.last("/servo/state")
 
     def call(self, client: Any, request: Any) -> tuple[bool, str]:
         future = client.call_async(request)

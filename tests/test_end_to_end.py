@@ -8,6 +8,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from chain import DOMAIN, Cable, Chain, Process, User, user, wait_for
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin.level import chosen_level
+from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
 from std_msgs.msg import Float64, Float64MultiArray
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
@@ -259,6 +260,32 @@ class TestParameters:
         assert len(residuals) > 50
         assert np.max(np.abs([m.position for m in residuals])) < 0.05
         assert me.last("/twin/healthy") is True
+
+
+class TestTwinOfTheSameBoard:
+    """Both boards have the same noise: any difference is of what the line, or the split of the runs, does to one."""
+
+    @pytest.fixture(autouse=True, params=get_args(Level))
+    def _level(self, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv(LEVEL_VARIABLE, request.param)
+
+    def test_the_residual_is_exactly_zero(self, chain: Chain) -> None:
+        with user() as me:
+            chain.twin(seed=5)
+            chain.bridge()
+            me.until(lambda: me.matched() and me.last("/twin/state"), 30.0)
+            chain.board(seed=5)  # last, so that its twin can follow it from its reset on
+            me.until(me.connected, 30.0)
+            me.until(lambda: me.last("/twin/healthy") is True, 30.0)
+            me.spinning()
+            start = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
+            for turns in ((2.0, -3.0), (-1.0, 0.25)):
+                go(me, *(x * TURN for x in turns))
+            end = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
+            residuals = me.messages["/twin/residual"]
+            me.until(lambda: residuals and from_stamp(residuals[-1].header.stamp) >= end)
+            assert all([*m.position, *m.velocity, *m.effort] == [0.0] * 6 for m in residuals)
+            assert len([m for m in residuals if from_stamp(m.header.stamp) >= start]) > 20
 
 
 class TestTrouble:

@@ -14,9 +14,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from firmware_cost.calibration import weights_text
 from firmware_cost.measurement import measure, plain
 from firmware_cost.programs import TARGET
 from firmware_cost.table import compiler_of, table
+from servo_twin._core_time import WEIGHTS
 from targets.machines import missing_text
 from targets.sources import ROOT, Sources
 from targets.toolchain import TargetError
@@ -34,7 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Return 0 unless something could not be measured; a difference is for its reader to judge."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench" / "firmware.json", metavar="FILE")
-    parser.add_argument("--update", action="store_true", help=f"write {TABLE.relative_to(ROOT)}")
+    parser.add_argument(
+        "--update", action="store_true", help=f"write {TABLE.relative_to(ROOT)} and {WEIGHTS.relative_to(ROOT)}"
+    )
     options = parser.parse_args(arguments)
     if not TARGET.available():
         print(missing_text(TARGET), file=sys.stderr)
@@ -51,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.json.write_text(json.dumps(plain(measurement), indent=1) + "\n", encoding="utf-8")
     if options.update:
         TABLE.write_text(text, encoding="utf-8")
+        WEIGHTS.write_text(weights_text(measurement.weights), encoding="utf-8")
     _tell(text)
     return 0
 

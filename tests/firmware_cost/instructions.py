@@ -38,17 +38,21 @@ OBSERVED_PHASE: Final = "speed"
 """The phase that can run without encoders."""
 
 
-class Kind(IntEnum):
-    """What is counted: cost_kind_t of tests/bench/native/cost.h."""
+PERIODS: Final = 8
+"""PWM periods of a slow tick."""
 
-    M1 = 0
-    M2 = 1
-    M1_SLOW = 2
-    M2_SLOW = 3
-    M1_WATCH = 4
-    M2_WATCH = 5
-    FAST = 6
-    SLOW = 7
+Kind = int
+"""What is counted (tests/bench/native/cost.h): M1 is 2 * period, M2 is 2 * period + 1, then the loops."""
+
+FAST: Final[Kind] = 2 * PERIODS
+SLOW: Final[Kind] = FAST + 1
+KINDS: Final[tuple[Kind, ...]] = tuple(range(SLOW + 1))
+
+
+def name_of(kind: Kind) -> str:
+    """As in ``M1, period 3``."""
+    loops = {FAST: "fast loop", SLOW: "slow loop"}
+    return loops.get(kind) or f"M{kind % 2 + 1}, period {kind // 2}"
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ def count(programs: Programs, setup: Setup = Setup.CONFIGURED) -> Counts:
         phases = 1 << PHASES.index(OBSERVED_PHASE) if setup == Setup.WITHOUT_ENCODERS else EVERY_PHASE
         text = QemuProgram(cost_program(programs, loops=loops), COUNTING).run(image(setup=setup, phases=phases))
         for (phase, kind), value in parse(text).items():
-            if (kind in (Kind.FAST, Kind.SLOW)) == loops:
+            if (kind in (FAST, SLOW)) == loops:
                 result[phase, kind] = value
     return result
 
@@ -124,7 +128,7 @@ def parse(text: str) -> Counts:
             continue
         phase, kind, number, least, most, total = (int(word, 16) for word in words)
         if number:
-            result[PHASES[phase], Kind(kind)] = Count(number, least, most, total)
+            result[PHASES[phase], kind] = Count(number, least, most, total)
     if axes == 0:
         raise TargetError(f"the run did not come to its end:\n{text[-1000:]}")
     return result

@@ -9,7 +9,8 @@ from typing import Any
 
 from targets.sources import Sources
 
-from firmware_cost.instructions import Counts, Setup, count
+from firmware_cost.calibration import Charging, charges, fit
+from firmware_cost.instructions import Counts, Setup, count, name_of
 from firmware_cost.programs import OPTIMISATIONS, Programs, compiler
 from firmware_cost.sizes import Size, Sizes, sizes
 from firmware_cost.stages import Stages, stages
@@ -33,6 +34,10 @@ class Measurement:
     sensorless : mapping
         Counts of one phase without encoders.
     stages : Stages
+    weights : mapping
+        Of the price list of the virtual core, fitted to these counts.
+    charged : mapping
+        Units that the virtual core charges with them, by setup.
     """
 
     compiler: str
@@ -41,6 +46,17 @@ class Measurement:
     all_features: Counts
     sensorless: Counts
     stages: Stages
+    weights: Mapping[str, float]
+    charged: Mapping[Setup, Counts]
+
+    @property
+    def by_setup(self) -> dict[Setup, Counts]:
+        """Instructions of `REFERENCE`."""
+        return {
+            Setup.CONFIGURED: self.counts[REFERENCE],
+            Setup.ALL_FEATURES: self.all_features,
+            Setup.WITHOUT_ENCODERS: self.sensorless,
+        }
 
 
 def measure(sources: Sources, folder: Path) -> Measurement:
@@ -59,13 +75,22 @@ def measure(sources: Sources, folder: Path) -> Measurement:
         If a tool fails, or the axes do not do what is to be measured.
     """
     programs = {level: Programs.compile(sources, folder / level.strip("-"), level) for level in OPTIMISATIONS}
+    counts = {level: count(one) for level, one in programs.items()}
+    others: dict[Setup, Counts] = {
+        setup: count(programs[REFERENCE], setup) for setup in Setup if setup != Setup.CONFIGURED
+    }
+    by_setup: dict[Setup, Counts] = {Setup.CONFIGURED: counts[REFERENCE], **others}
+    weights = fit(charges(Charging.build(sources, folder / "charges")), by_setup)
+    charging = Charging.build(sources, folder / "charged", weights)
     return Measurement(
         compiler(),
-        {level: count(one) for level, one in programs.items()},
+        counts,
         {level: sizes(one) for level, one in programs.items()},
-        count(programs[REFERENCE], Setup.ALL_FEATURES),
-        count(programs[REFERENCE], Setup.WITHOUT_ENCODERS),
+        others[Setup.ALL_FEATURES],
+        others[Setup.WITHOUT_ENCODERS],
         stages(programs[REFERENCE]),
+        weights,
+        {setup: charging.count(setup) for setup in Setup},
     )
 
 
@@ -85,7 +110,7 @@ def _counts(counts: Counts) -> dict[str, dict[str, dict[str, float]]]:
     result: dict[str, dict[str, dict[str, float]]] = {}
     for (phase, kind), one in counts.items():
         numbers = {"number": one.number, "least": one.least, "mean": one.mean, "most": one.most}
-        result.setdefault(phase, {})[kind.name.lower()] = numbers
+        result.setdefault(phase, {})[name_of(kind)] = numbers
     return result
 
 

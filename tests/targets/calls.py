@@ -23,6 +23,7 @@ _OUTPUTS: Final = (
     ("watchdog", 0),
     ("brake", 1),
     ("monitor", 1),
+    ("done", 0),
 )
 """Names of ``out_t``, and how many words follow the head."""
 

@@ -95,7 +95,7 @@ class Rig:
             if condition():
                 return
             if not silent and self._now_ns() - self._spoken_ns > _HEARTBEAT * 1e9:
-                self.request(commands.read_memory(self.address("tick"), 4))
+                self.command("KEEP_ALIVE")
             self.run(_STEP)
         axes = "; ".join(f"axis{k + 1} {place} {self.faults(k)}" for k, place in enumerate(self.places()))
         raise RigError(f"not within {within:g} s: {what}; {axes}")
@@ -117,13 +117,18 @@ class Rig:
         """Send one FreeMASTER request."""
         self.send(request.frame)
 
+    def command(self, name: str) -> None:
+        """Run an application command."""
+        self.request(commands.send_command(self._catalogue.bits["command"][name]))
+        self.request(commands.get_command_status())
+
     def set(self, name: str, *values: float) -> None:
         """Write a variable in SI units: one value per element, or one for all."""
         variable = self._catalogue[name]
         self.set_raw(name, *map(variable.to_raw, values * variable.count if len(values) == 1 else values))
 
     def set_raw(self, name: str, *raw: int) -> None:
-        """Write the raw numbers of a variable, whatever its limits are."""
+        """Write the raw numbers of a variable; the board refuses those outside its range."""
         self.request(commands.write_memory(self.address(name), self._catalogue[name].encode_raw(raw)))
         self.written.append((name, raw))
 

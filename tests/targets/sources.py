@@ -10,7 +10,7 @@ from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 
-ROOMS: Final = ("math", "control", "sensing", "drive", "app", "comm", "config")
+ROOMS: Final = ("math", "control", "sensing", "diagnosis", "drive", "app", "comm", "config")
 """Folders of the firmware that make up the core."""
 
 STRICT: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")

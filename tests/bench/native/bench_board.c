@@ -205,6 +205,18 @@ void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
+void hal_duties_done(hal_t *hal, uint16_t axis)
+{
+    (void)hal;
+    (void)axis;
+}
+
+uint16_t hal_receiver_overruns(hal_t *hal)
+{
+    (void)hal;
+    return 0;
+}
+
 uint16_t hal_late_loops(hal_t *hal)
 {
     (void)hal;

@@ -10,6 +10,7 @@
 
 #include "app/servo.h"
 #include "bench_board.h"
+#include "drive/estimate.h"
 #include "drive/motion.h"
 #include "machine.h"
 #include "text.h"
@@ -135,12 +136,11 @@ static void run_period(void)
 {
     bench_board_step(&hal);
     const uint32_t m1 = measured(servo_m1_isr);
-    const bool slow = servo.slow_tick;
-    const bool watch = servo.watch_tick;
     const uint32_t m2 = measured(servo_m2_isr);
     servo_background(&servo);
-    cost_add(slow ? COST_M1_SLOW : (watch ? COST_M1_WATCH : COST_M1), m1);
-    cost_add(slow ? COST_M2_SLOW : (watch ? COST_M2_WATCH : COST_M2), m2);
+    const uint16_t period = (uint16_t)(servo.tick % SERVO_SLOW_PERIODS);
+    cost_add(COST_INTERRUPT(period, 0U), m1);
+    cost_add(COST_INTERRUPT(period, 1U), m2);
 }
 
 int main(void)
@@ -155,7 +155,7 @@ int main(void)
         if (machine_image(0) == ALL_FEATURES) {
             servo.parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX;
         }
-        servo.parameter.speed_limit[i] = RAD_PER_S(500); /* more than the voltage allows */
+        servo.parameter.speed_limit[i] = RAD_PER_S(419); /* more than the voltage allows */
         servo.parameter.over_speed[i] = RAD_PER_S(520);
     }
     const uint16_t wanted = machine_image(1);
@@ -186,7 +186,7 @@ int main(void)
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         text_word("axis ", i, " ");
         text_word("", (uint16_t)servo.axis[i].substate, " ");
-        text_long("", servo.axis[i].faults, " ");
+        text_long("", servo.axis[i].latch.captured, " ");
         text_long("", (uint32_t)servo.axis[i].feedback.speed, " ");
         text_long("", (uint32_t)servo.axis[i].feedback.position, "\n");
     }

@@ -4,18 +4,14 @@
 
 #include <stdint.h>
 
-/* What is counted. */
-typedef enum {
-    COST_M1,       /* interrupt M1 with nothing but the fast loop */
-    COST_M2,
-    COST_M1_SLOW,  /* with commands, supervision of the host and the slow loop of motor 2 */
-    COST_M2_SLOW,  /* with the slow loop of motor 1 and the snapshot */
-    COST_M1_WATCH, /* with what watches motor 2 */
-    COST_M2_WATCH, /* with what watches motor 1 */
-    COST_FAST,     /* axis_fast */
-    COST_SLOW,     /* axis_slow */
-    COST_KINDS,
-} cost_kind_t;
+#include "app/servo.h"
+
+/* What is counted: both interrupts in each PWM period of a slow tick, axis_fast and axis_slow. */
+typedef uint16_t cost_kind_t;
+#define COST_INTERRUPT(period, second) ((cost_kind_t)(2U * (period) + (second)))
+#define COST_FAST COST_INTERRUPT(SERVO_SLOW_PERIODS, 0U)
+#define COST_SLOW COST_INTERRUPT(SERVO_SLOW_PERIODS, 1U)
+#define COST_KINDS (COST_SLOW + 1U)
 
 void cost_add(cost_kind_t kind, uint32_t instructions);
 

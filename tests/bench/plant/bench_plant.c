@@ -207,7 +207,7 @@ static plant_axis_t motor(void)
         .dead_time = 1e-6,
         .v_drop = 0.7,
         .r_on = 0.03,
-        .turn_off = 0.25e-6,
+        .dead_time_min = 0.25e-6,
         .i_settle = 0.2e-6,
         .encoder_jitter = 0.02,
         .encoder_duty_error = 0.02,

@@ -6,6 +6,7 @@
 #include "control/path.h"
 #include "digest.h"
 #include "drive/current_sense.h"
+#include "math/root.h"
 #include "math/trig.h"
 #include "sensing/encoder.h"
 #include "sensing/mt_speed.h"
@@ -273,25 +274,41 @@ static void current_control(run_t *run)
     }
 }
 
+static void root(run_t *run)
+{
+    for (uint16_t i = 0; i < STEPS; i++) {
+        const unsigned shift = (unsigned)(draw(run) % 64U);
+        const uint64_t x = ((uint64_t)draw(run) << 32 | draw(run)) >> shift;
+        take(run, (int32_t)u64_sqrt(x));
+        take(run, (int32_t)u64_sqrt(x * x));
+    }
+    take(run, (int32_t)u64_sqrt(0));
+    take(run, (int32_t)u64_sqrt(UINT64_MAX));
+}
+
 static void path_filter(run_t *run)
 {
     uint16_t omega = (uint16_t)(1000U + draw(run) % 5000U);
-    const path_position_t most = INT64_C(1) << 32; /* 256 counts per slow tick */
+    const path_position_t most = INT64_C(1) << 31; /* 128 counts per slow tick */
+    const unsigned small = 4U + (unsigned)(draw(run) % 16U);
+    const path_position_t acceleration = (int64_t)(draw(run) >> small) + 1; /* up to 16 counts */
     path_t path;
     const int32_t start = draw32(run);
     path_reset(&path, start, (int64_t)draw32(run) * 2, omega);
     for (uint16_t i = 0; i < STEPS; i++) {
-        const int32_t target = draw32(run);
+        const int32_t target = i32_add_wrap(path_position(&path), draw32(run) / 2); /* within POSITION_REACH */
         if ((draw(run) & 7U) == 0U) {
             const uint16_t before = omega;
             omega = (uint16_t)(1000U + draw(run) % 5000U);
-            path_retune(&path, target, before, omega);
+            path_retune(&path, target, acceleration, before, omega);
         }
-        path_step(&path, target, (int64_t)draw(run) % most, omega);
+        path_step(&path, target, (int64_t)draw(run) % most, acceleration, omega);
         take64(run, path.ramp);
+        take64(run, path.speed);
         take64(run, path.filter);
         take64(run, path.output);
         take(run, path_position(&path));
+        take(run, path_stop(&path, acceleration));
         take(run, path_at_rest(&path, target) ? 1 : 0);
     }
 }
@@ -367,7 +384,7 @@ static void speed(run_t *run)
             take(run, state.speed);
         }
         if ((kind & 4U) != 0U) {
-            mt_speed_slow(&state, draw(run) % (HAL_EDGE_AGE_OVERFLOW + 1U));
+            mt_speed_slow(&state, draw(run) % (HAL_EDGE_AGE_OVERFLOW + 1U), (kind & 0x100U) != 0U);
         }
         take(run, state.speed);
         take(run, state.primed ? 1 : 0);
@@ -473,6 +490,7 @@ static const group_t groups[] = {
     {"dead-time compensation", dead_time},
     {"PI controller", controller},
     {"current control", current_control},
+    {"root", root},
     {"path filter", path_filter},
     {"friction", friction},
     {"encoder", encoder},

@@ -31,6 +31,7 @@ typedef enum {
     OUT_WATCHDOG,
     OUT_BRAKE,   /* on */
     OUT_MONITOR, /* value */
+    OUT_DONE,    /* the fast loop is through */
 } out_t;
 
 #define EXCHANGE_IN_MAX 64

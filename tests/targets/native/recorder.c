@@ -271,9 +271,11 @@ void __real_hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 void __real_hal_capture_arm(hal_t *hal, uint16_t axis);
 bool __real_hal_serial_put(hal_t *hal, uint8_t byte);
 void __real_hal_watchdog_service(hal_t *hal);
+void __real_hal_duties_done(hal_t *hal, uint16_t axis);
 uint16_t __real_hal_adc_temperature(hal_t *hal, uint16_t axis);
 bool __real_hal_reset_by_watchdog(hal_t *hal);
 uint16_t __real_hal_late_loops(hal_t *hal);
+uint16_t __real_hal_receiver_overruns(hal_t *hal);
 void __real_hal_brake(hal_t *hal, bool on);
 void __real_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value);
 
@@ -359,6 +361,13 @@ uint16_t __wrap_hal_late_loops(hal_t *hal)
     const uint16_t loops = __real_hal_late_loops(hal);
     in(loops);
     return loops;
+}
+
+uint16_t __wrap_hal_receiver_overruns(hal_t *hal)
+{
+    const uint16_t overruns = __real_hal_receiver_overruns(hal);
+    in(overruns);
+    return overruns;
 }
 
 bool __wrap_hal_reset_by_watchdog(hal_t *hal)
@@ -488,6 +497,12 @@ void __wrap_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
 {
     out1(OUT_MONITOR, channel, value);
     __real_hal_monitor(hal, channel, value);
+}
+
+void __wrap_hal_duties_done(hal_t *hal, uint16_t axis)
+{
+    out_head(&recorder.out, OUT_DONE, axis);
+    __real_hal_duties_done(hal, axis);
 }
 
 void __wrap_hal_watchdog_service(hal_t *hal)

@@ -124,6 +124,10 @@ uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
 
 uint16_t hal_late_loops(hal_t *hal) { return take(hal); }
 
+uint16_t hal_receiver_overruns(hal_t *hal) { return take(hal); }
+
+void hal_duties_done(hal_t *hal, uint16_t axis) { out_head(&hal->out, OUT_DONE, axis); }
+
 bool hal_reset_by_watchdog(hal_t *hal) { return take(hal) != 0U; }
 
 void hal_brake(hal_t *hal, bool on)

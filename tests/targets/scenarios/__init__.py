@@ -43,6 +43,7 @@ SCENARIOS: Final = (
     Scenario("wrong-offset", plant(i_offset=(0.0, 2.0, 0.0)), faults.wrong_offset),
     Scenario("forward", plant(), moves.forward),
     Scenario("soft-limits", plant(), moves.soft_limits),
+    Scenario("expired", plant(), moves.expired),
     Scenario("sensorless", plant(capacitance=0.05), observers.sensorless),
     Scenario("sensorless-lost", plant(i_noise=0.0).with_bus(u_noise=0.0), observers.sensorless_lost),
     Scenario("slipped-encoder", plant(capacitance=0.05), observers.slipped),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from targets.rig import Rig
-from targets.scenarios.parts import INT16, INT32, POSITION, SPEED, TORQUE, features, ready, spin, stop
+from targets.scenarios.parts import FAR, POSITION, SPEED, TORQUE, ends, features, ready, spin, stop
 
 
 def start_to_stop(rig: Rig) -> None:
@@ -59,24 +59,26 @@ def once_more(rig: Rig) -> None:
 
 
 def extremes(rig: Rig) -> None:
-    """Top speed both ways, set-points and limits at the ends of their numbers, limits that change on the way."""
+    """Top speed both ways, set-points and limits at the ends of their ranges, limits that change on the way."""
     spin(rig)
+    speed, current, current_limit = ends("cmd.speed"), ends("cmd.i_q"), ends("param.i_q_limit")
     rig.set("param.acceleration_limit", 50_000.0)
-    rig.set_raw("param.speed_limit", INT32[1], INT32[1])
+    rig.set("param.speed_limit", 419.0)
     rig.set("cmd.mode", SPEED)
-    rig.set_raw("cmd.speed", INT32[1], INT32[0])
+    rig.set_raw("cmd.speed", *reversed(speed))
     rig.run(0.05)
-    rig.set_raw("cmd.speed", INT32[0], INT32[1])
+    rig.set_raw("cmd.speed", *speed)
     rig.run(0.06)
     rig.set_raw("cmd.mode", TORQUE, POSITION)
-    rig.set_raw("cmd.i_q", INT16[0], INT16[1])
-    rig.set_raw("cmd.position", INT32[1], INT32[0])
+    rig.set_raw("cmd.i_q", *current)
+    rig.set_raw("cmd.position", FAR, -FAR)
     rig.run(0.02)
-    rig.set_raw("param.i_q_limit", 0, INT16[1])
+    rig.set_raw("param.i_q_limit", *current_limit)
     rig.set("param.speed_limit", 50.0)
     rig.run(0.02)
-    rig.set_raw("cmd.position", 0, INT32[1])
-    rig.set_raw("param.i_q_limit", INT16[1], 1000)
+    rig.set_raw("cmd.position", 0, 2**31 - 1)  # refused: out of reach
+    rig.set_raw("cmd.position", 0, FAR)
+    rig.set_raw("param.i_q_limit", current_limit[1], 1000)
     rig.run(0.02)
 
 
@@ -99,13 +101,38 @@ def forward(rig: Rig) -> None:
     rig.set("cmd.speed", 0.0, 200.0)
     rig.until("left behind", lambda: "FOLLOWING_ERROR" in rig.faults(0))
     rig.until("too fast", lambda: "OVER_SPEED" in rig.faults(1))
-    rig.set_raw("param.following_error", *INT32)
-    rig.set_raw("param.over_speed", *INT32)
+    rig.set_raw("param.following_error", *ends("param.following_error"))
+    rig.set_raw("param.over_speed", *ends("param.over_speed"))
     rig.run(0.001)
 
 
+def expired(rig: Rig) -> None:
+    """Set-points that are not written again, with an encoder and without; a limit that widens without a set-point."""
+    ready(rig)
+    rig.set_raw("param.feedback", 0, 1)
+    rig.set("cmd.enable", 1)
+    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.set("param.command_timeout", 0.01)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 50.0, 5.0)  # too slow for the observer: it waits
+    rig.run(0.005)
+    rig.set("param.speed_limit", 10.0)
+    rig.run(0.002)
+    rig.set("param.speed_limit", 100.0)
+    rig.run(0.03)
+    rig.set("cmd.mode", TORQUE)
+    rig.set("cmd.i_q", 0.3, 0.0)
+    rig.run(0.03)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 50.0, 0.0)
+    rig.run(0.008)
+    rig.set("cmd.mode", POSITION)
+    rig.set("cmd.position", 50.0)  # far enough ahead to go on
+    rig.run(0.002)
+
+
 def soft_limits(rig: Rig) -> None:
-    """Both soft limits, reached in each mode, and limits at the ends of their numbers."""
+    """Both soft limits, reached in each mode, and limits at the ends of their ranges."""
     spin(rig)
     rig.set("param.features", features("POSITION_LIMITS"))
     rig.set("param.position_min", -0.5)
@@ -120,9 +147,15 @@ def soft_limits(rig: Rig) -> None:
     rig.set("cmd.mode", POSITION)
     rig.set("cmd.position", -1.0, 1.0)
     rig.run(0.03)
-    rig.set_raw("param.position_min", *INT32)
-    rig.set_raw("param.position_max", *reversed(INT32))
+    rig.set_raw("param.position_min", *ends("param.position_min"))
+    rig.set_raw("param.position_max", *reversed(ends("param.position_max")))
     rig.set("cmd.position", 0.2)
     rig.run(0.02)
+    rig.set("cmd.mode", SPEED)
+    for limit in (30.0, 5.0, -5.0):  # far ahead, ahead, behind
+        rig.set("param.position_min", -10.0)
+        rig.set("param.position_max", limit)
+        rig.set("cmd.speed", 20.0)
+        rig.run(0.002)
     rig.set("param.features", features())
     rig.run(0.002)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from servo_twin.harm import CurrentNoise
+
 from targets.rig import Rig
 from targets.scenarios.parts import POSITION, SPEED, TORQUE, features, ready, spin, stop
 
@@ -71,10 +73,12 @@ def sensorless_lost(rig: Rig) -> None:
     _sensorless(rig, -80.0, 0.0)
     rig.until("axis 1 spins", lambda: rig.places()[0] == "SPIN")
     rig.run(0.02)
+    rig.inject(CurrentNoise(0, 0.02))  # without noise a converter of a shaft that stands repeats its code
     rig.lock(0)
     rig.until("stall seen", lambda: rig.faults(0) == ["SPEED_FEEDBACK"])
     rig.set("cmd.clear_faults", 1, 0)
     rig.until("axis 1 cleared", lambda: rig.places()[0] == "STOP")
+    rig.heal(CurrentNoise(0, 0.02))
     rig.set("cmd.enable", 1, 0)
     rig.until("axis 1 waits", lambda: rig.places()[0] == "READY")
     rig.motor(0, False)  # what does not change makes a short recording

@@ -19,8 +19,8 @@ SHORT: Final = 1
 RAMP: Final = 2
 HOLD: Final = 3
 
-INT16: Final = (-(2**15), 2**15 - 1)
-INT32: Final = (-(2**31), 2**31 - 1)
+FAR: Final = 2**30 - 2**20
+"""A position, in counts, almost as far away as the board lets an axis be sent."""
 
 _FEATURES: Final = {flag.name: flag.mask for flag in Catalogue.load().flags["features"]}
 _REFERENCE_DESIGN: Final = sum(
@@ -45,13 +45,19 @@ def plant(theta: tuple[float, float] = _QUICK, capacitance: float = 4.7e-3, **ax
     return quiet
 
 
+def ends(name: str) -> tuple[int, int]:
+    """Lowest and highest raw number that may be written."""
+    return Catalogue.load()[name].raw_range
+
+
 def features(*names: str) -> int:
     """Features of the reference design and those named."""
     return _REFERENCE_DESIGN + sum(_FEATURES[name] for name in names)
 
 
 def ready(rig: Rig) -> None:
-    """Wait for the end of the start."""
+    """Wait for the end of the start; set-points stand until the next one."""
+    rig.set("param.command_timeout", 0.0)
     rig.until("STOP after reset", lambda: rig.places() == ["STOP", "STOP"])
 
 

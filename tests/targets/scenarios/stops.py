@@ -36,7 +36,8 @@ def shorted(rig: Rig) -> None:
     ready(rig)
     rig.set("cmd.enable", 1, 0)
     rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
-    rig.set_raw("param.on_disable", SHORT, 4)
+    rig.set_raw("param.on_disable", SHORT, 4)  # refused
+    rig.set_raw("param.on_disable", SHORT, RAMP)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 20.0)
     rig.run(0.01)
@@ -51,7 +52,7 @@ def overloaded(rig: Rig) -> None:
     ready(rig)
     rig.set("cmd.enable", 1, 0)
     rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
-    rig.set_raw("param.on_quick_stop", SHORT, 65535)
+    rig.set_raw("param.on_quick_stop", SHORT, HOLD)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", -100.0)
     rig.run(0.03)

@@ -1,0 +1,183 @@
+"""The price list of the virtual core against counted instructions, and the weights of the files that come of it.
+
+The cost program runs once more, on the host, with the charges that the virtual core has (`servo_twin._core_time`), and
+adds them up per file; the inputs are the same, bit for bit. The weights are a least-squares fit of the mean
+instructions of each interrupt and loop, drawn a little towards one common factor, so that a file that no run singles
+out gets a sensible weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_twin._core_time import COMMON, UNITS, charged, preprocessed, weight_of
+from targets.machines import HostProgram
+from targets.sources import ROOMS, Sources
+from targets.toolchain import run
+
+from firmware_cost.instructions import (
+    EVERY_PHASE,
+    FAST,
+    OBSERVED_PHASE,
+    PHASES,
+    SLOW,
+    Counts,
+    Kind,
+    Setup,
+    image,
+    parse,
+)
+
+__all__ = ["Charges", "Charging", "charges", "fit", "weights_text"]
+
+_PULL: Final = 0.1
+"""Of a weight towards the common one, against a relative error of a row."""
+_WEIGHT_MIN: Final = 0.1
+_HOST: Final = ("gcc", "-std=gnu99", "-O1", "-w")
+_WRAPPED: Final = ("axis_fast", "axis_slow")
+
+Label = tuple[Setup, str, Kind]
+
+_HEAD: Final = """\
+# Instructions of a Cortex-M3 (-O2) for each one of the price list in _core_time.py, per file of the firmware: a fit of
+# counted interrupts and loops. `make bench-firmware UPDATE=1` writes this file.
+
+"""
+
+
+@dataclass(frozen=True)
+class Charging:
+    """The cost program for the host, with charges in place of counted instructions.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Of the firmware, such as ``control/pi``.
+    interrupts, loops : HostProgram
+        The two programs that count.
+    """
+
+    files: tuple[str, ...]
+    interrupts: HostProgram
+    loops: HostProgram
+
+    @classmethod
+    def build(cls, sources: Sources, folder: Path, weights: Mapping[str, float] | None = None) -> Charging:
+        """Compile the program.
+
+        Parameters
+        ----------
+        sources : Sources
+        folder : Path
+            For what is compiled.
+        weights : mapping, optional
+            Of the files: all are charged to one account then. Without, each has its own, without a weight.
+
+        Raises
+        ------
+        TargetError
+            If the compiler refuses.
+        """
+        paths = sources.core(ROOMS)
+        names = tuple(f"{path.parent.name}/{path.stem}" for path in paths)
+        written: list[Path] = []
+        for number, (path, name) in enumerate(zip(paths, names, strict=True)):
+            account, weight = (number, 1.0) if weights is None else (0, weight_of(weights, name))
+            body = charged(preprocessed(path, [sources.firmware]), str(path), _adder(account, weight))
+            output = folder / f"{name.replace('/', '_')}.c"
+            output.parent.mkdir(parents=True, exist_ok=True)
+            output.write_text(f"extern unsigned core_units[];\n{body}", encoding="utf-8")
+            written.append(output)
+        return cls(names, _link(sources, folder, written, loops=False), _link(sources, folder, written, loops=True))
+
+    def count(self, setup: Setup, account: int = 0) -> Counts:
+        """Units (1/16 instruction) charged to an account, as `instructions.count`."""
+        phases = 1 << PHASES.index(OBSERVED_PHASE) if setup == Setup.WITHOUT_ENCODERS else EVERY_PHASE
+        data = image(setup=setup, phases=phases) + bytes([account])
+        inner = {label: value for label, value in parse(self.loops.run(data)).items() if label[1] in _LOOPS}
+        outer = {label: value for label, value in parse(self.interrupts.run(data)).items() if label[1] not in _LOOPS}
+        return {**outer, **inner}
+
+
+_LOOPS: Final = (FAST, SLOW)
+
+
+def _adder(account: int, weight: float) -> Callable[[float], str]:
+    return lambda price: f"(core_units[{account}] += {round(UNITS * weight * price)}U)"
+
+
+def _link(sources: Sources, folder: Path, charged_files: Sequence[Path], *, loops: bool) -> HostProgram:
+    bench = sources.root / "tests" / "bench" / "native"
+    names = ["cost.c", "bench_board.c", "units.c", *(["cost_loops.c"] if loops else [])]
+    machine = sources.native / "host"
+    include = [f"-I{path}" for path in (bench / "host", bench, sources.firmware, sources.native, machine)]
+    wrap = [f"-Wl,--wrap={name}" for name in (_WRAPPED if loops else ())]
+    files = [*charged_files, *(bench / name for name in names), machine / "machine.c", sources.native / "text.c"]
+    output = folder / ("loops" if loops else "interrupts")
+    run([*_HOST, *include, *wrap, *files, "-o", output])
+    return HostProgram(output)
+
+
+@dataclass(frozen=True)
+class Charges:
+    """What the price list says, without weights.
+
+    Attributes
+    ----------
+    files : tuple of str
+    mean : mapping
+        By setup, phase and kind: instructions per file, shape (files,).
+    """
+
+    files: tuple[str, ...]
+    mean: Mapping[Label, NDArray[np.float64]]
+
+
+def charges(charging: Charging) -> Charges:
+    """Run the program once for each file and setup."""
+    mean: dict[Label, list[float]] = {}
+    for setup in Setup:
+        for account in range(len(charging.files)):
+            for (phase, kind), count in charging.count(setup, account).items():
+                mean.setdefault((setup, phase, kind), []).append(count.mean / UNITS)
+    return Charges(charging.files, {label: np.array(values) for label, values in mean.items()})
+
+
+def fit(charge: Charges, counts: Mapping[Setup, Counts]) -> dict[str, float]:
+    """Weight of each file, and the common one of all others under `COMMON`.
+
+    Parameters
+    ----------
+    charge : Charges
+    counts : mapping
+        Counted instructions, by setup; what is missing there does not take part.
+    """
+    labels = [label for label in charge.mean if label[1:] in counts.get(label[0], {})]
+    counted = np.array([counts[setup][phase, kind].mean for setup, phase, kind in labels])
+    relative = np.array([charge.mean[label] for label in labels]) / counted[:, np.newaxis]
+    common = 1.0 / float(np.mean(relative.sum(axis=1)))
+    taking_part = relative.max(axis=0) > 0.0
+    free = taking_part.copy()
+    weight = np.full(len(charge.files), common)
+    while True:
+        size = int(free.sum())
+        system = np.vstack([relative[:, free], _PULL * np.eye(size)])
+        rest = 1.0 - relative[:, ~free] @ weight[~free]
+        weight[free] = np.linalg.lstsq(system, np.concatenate([rest, np.full(size, _PULL * common)]), rcond=None)[0]
+        low = free & (weight < _WEIGHT_MIN)
+        if not low.any():
+            break
+        weight[low], free = _WEIGHT_MIN, free & ~low
+    known = zip(charge.files, weight, taking_part, strict=True)
+    return {COMMON: round(common, 3), **{name: round(float(value), 3) for name, value, part in known if part}}
+
+
+def weights_text(weights: Mapping[str, float]) -> str:
+    """The committed file."""
+    entries = "".join(f'"{name}" = {value:.3f}\n' for name, value in weights.items() if name != COMMON)
+    return f"{_HEAD}{COMMON} = {weights[COMMON]:.3f} # of files that no run is in\n\n[weights]\n{entries}"

@@ -1,0 +1,232 @@
+"""A virtual board and the clients on its serial line, all of it in simulated time. For tests."""
+
+from __future__ import annotations
+
+import bisect
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.errors import AnswerTimeoutError, DamagedAnswerError
+from servo_bridge.freemaster.line import Line
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_twin.board import Board
+from servo_twin.level import Level
+
+BAUDS: Final = (19_200, 115_200, 1_000_000)
+STEP_NS: Final = 2_000_000
+"""Between two entries of the log of both shafts."""
+
+Actor = Callable[[], object]
+"""What a client does once; called again and again."""
+
+
+@dataclass
+class Log:
+    """Truth of both shafts, one entry per 2 ms."""
+
+    time: list[float] = field(default_factory=list)
+    theta: list[tuple[float, ...]] = field(default_factory=list)
+    omega: list[tuple[float, ...]] = field(default_factory=list)
+
+
+class SimulatedLine:
+    """Transport of a FreeMASTER client whose waiting is what makes simulated time pass.
+
+    Attributes
+    ----------
+    plugged : bool
+        Bytes get through in both directions.
+    log : Log
+        What the shafts have done.
+    """
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self.plugged = True
+        self.log = Log()
+
+    def clock(self) -> int:
+        return self.board.time_ns
+
+    def advance(self, until_ns: int) -> None:
+        """Let time pass and keep what the shafts do."""
+        while self.board.time_ns < until_ns:
+            self.board.advance(min(until_ns, (self.board.time_ns // STEP_NS + 1) * STEP_NS))
+            truths = [self.board.truth(axis) for axis in range(AXES)]
+            self.log.time.append(self.board.time_ns * 1e-9)
+            self.log.theta.append(tuple(t.theta_m for t in truths))
+            self.log.omega.append(tuple(t.omega_m for t in truths))
+
+    def write(self, data: bytes) -> None:
+        while data and self.plugged:
+            data = data[self.board.serial_in(data) :]
+            if data:
+                self.advance(self.board.time_ns + STEP_NS)
+
+    def read(self, deadline: int) -> bytes:
+        while True:
+            data = self.board.serial_out()
+            if data and self.plugged:
+                return data
+            now = self.board.time_ns
+            if now >= deadline:
+                return b""
+            following = self.board.serial_next_ns()
+            self.advance(min(deadline, now + STEP_NS if following is None else max(following, now + 1)))
+
+
+class Host:
+    """One client of the board."""
+
+    def __init__(self, line: SimulatedLine, baud: int) -> None:
+        self._line = line
+        self.client = Client(Line(line, baud=baud, clock=line.clock, latency=0.02, retries=0))
+        self.client.mtu = 254
+
+    def write(self, name: str, *values: float, first: int = 0) -> None:
+        """Write neighbouring elements of a variable, SI."""
+        variable = self._line.board.catalogue[name]
+        data = b"".join(variable.raw_type.pack(variable.to_raw(value)) for value in values)
+        self.client.write_memory(self._line.board.address(name) + first * variable.element_size, data)
+
+    def write_raw(self, name: str, *raw: int, first: int = 0) -> None:
+        """Write neighbouring elements of a variable, firmware integers."""
+        variable = self._line.board.catalogue[name]
+        data = b"".join(variable.raw_type.pack(value) for value in raw)
+        self.client.write_memory(self._line.board.address(name) + first * variable.element_size, data)
+
+    def command(self, name: str) -> None:
+        """Run an application command."""
+        self.client.run_command(self._line.board.catalogue.bits["command"][name])
+
+    def keep_alive(self) -> None:
+        self.command("KEEP_ALIVE")
+
+    def look(self) -> None:
+        """Read the telemetry, as a client does that only watches."""
+        self.client.read_memory(self._line.board.address("snapshot"), 40)
+
+
+class World:
+    """A board with both axes, and what its clients do.
+
+    Parameters
+    ----------
+    level : {"ideal", "registers"}
+        Of the board.
+    baud : int
+        Line speed.
+    reader : bool
+        Whether a second client reads all the time.
+    """
+
+    def __init__(self, level: Level, baud: int, *, reader: bool = False, seed: int = 7) -> None:
+        self._level: Level = level
+        self._baud, self._seed = float(baud), seed
+        self.board = self._new()
+        self.line = SimulatedLine(self.board)
+        self.host = Host(self.line, baud)
+        self._readers: list[Actor] = [Host(self.line, baud).look] if reader else []
+
+    def _new(self) -> Board:
+        return Board(level=self._level, baud=self._baud, seed=self._seed)
+
+    def close(self) -> None:
+        self.board.close()
+
+    def restart(self) -> None:
+        """Switch the board off and on; the log of the shafts begins anew."""
+        self.board.close()
+        self.board = self.line.board = self._new()
+        self.line.log = Log()
+
+    # ---- time
+    @property
+    def now(self) -> float:
+        """Simulated time [s]."""
+        return self.board.time_ns * 1e-9
+
+    def run(self, seconds: float, *actors: Actor, period: float = 0.05) -> None:
+        """Let time pass while clients act, one after the other, once per period or as fast as the line carries it."""
+        end = self.board.time_ns + round(seconds * 1e9)
+        while self.board.time_ns < end:
+            due = self.board.time_ns + round(period * 1e9)
+            for actor in (*actors, *self._readers):
+                with contextlib.suppress(AnswerTimeoutError, DamagedAnswerError):
+                    actor()
+            self.line.advance(min(due, end))
+
+    def until(self, condition: Callable[[], bool], within: float, *actors: Actor) -> None:
+        """Let time pass until a condition holds; fails when it does not in time."""
+        end = self.now + within
+        while not condition():
+            assert self.now < end, f"not within {within} s: {self.states()}"
+            self.run(0.05, *actors)
+
+    # ---- the board
+    def states(self) -> list[str]:
+        """State of every axis: ``SPIN``, ``STOP``, ``FAULT HOST_SILENT`` ..."""
+        texts = []
+        for axis in range(AXES):
+            state, substate, faults = (
+                self.board.read_raw(f"{axis_name(axis)}.{name}")[0] for name in ("state", "substate", "faults")
+            )
+            label = self.board.catalogue.label("state_t", state)
+            if label == "RUN":
+                label = self.board.catalogue.label("substate_t", substate)
+            names = [flag.name for flag in self.board.catalogue.active("faults", faults)]
+            texts.append(" ".join([label, *names]))
+        return texts
+
+    def limits(self, axis: int) -> list[str]:
+        """Names of the active limits of an axis."""
+        word = self.board.read_raw(f"{axis_name(axis)}.limits")[0]
+        return [flag.name for flag in self.board.catalogue.active("limits", word)]
+
+    def enable(self) -> None:
+        """Switch both axes on over the line and wait until they hold."""
+        self.until(lambda: self.states() == ["STOP"] * AXES, 1.0)
+        self.host.write("cmd.enable", 1, 1)
+        self.until(lambda: self.states() == ["SPIN"] * AXES, 6.0, self.host.keep_alive)
+        self.run(0.1, self.host.keep_alive)
+
+    def turn(self, speed: float, mode: str = "SPEED", within: float = 1.0) -> Actor:
+        """Bring both shafts to a speed by set-points that go on; returns what keeps it up."""
+        modes = self.board.catalogue.enums["control_mode_t"]
+        self.host.write("cmd.mode", *[modes[mode]] * AXES)
+        renew = self.renew(speed)
+        self.until(lambda: all(abs(w - speed) < 0.1 * abs(speed) for w in self.line.log.omega[-1]), within, renew)
+        return renew
+
+    def renew(self, speed: float) -> Actor:
+        """What a commander does who asks both shafts for a speed [rad/s]."""
+        return lambda: self.host.write("cmd.speed", *[speed] * AXES)
+
+    # ---- the shafts
+    def since(self, start: float, values: Sequence[tuple[float, ...]]) -> tuple[NDArray[np.float64], ...]:
+        """Times since `start` and the values of both axes from there on, shape (entries, axes)."""
+        first = bisect.bisect_left(self.line.log.time, start)
+        return np.asarray(self.line.log.time[first:]) - start, np.asarray(values[first:])
+
+    def fastest(self, start: float, end: float = np.inf) -> float:
+        """Largest speed of either shaft between two times [rad/s]."""
+        time, omega = self.since(start, self.line.log.omega)
+        return float(np.abs(omega[time <= end - start]).max())
+
+    def travel(self, start: float) -> float:
+        """How far either shaft has gone since a time, at most [rad]."""
+        _, theta = self.since(start, self.line.log.theta)
+        return float(np.abs(theta - theta[0]).max())
+
+    def rests_from(self, start: float, speed: float = 2.0) -> float:
+        """Time after `start` from which on both shafts are slower than `speed` [s]; infinite if one is not."""
+        time, omega = self.since(start, self.line.log.omega)
+        fast = np.nonzero(np.abs(omega).max(axis=1) > speed)[0]
+        if fast.size == 0:
+            return 0.0
+        return float(time[fast[-1] + 1]) if fast[-1] + 1 < time.size else np.inf

@@ -1,0 +1,105 @@
+"""What the drive does by itself spares a motor that bears less than the others: measured in the plant."""
+
+from __future__ import annotations
+
+import copy
+import math
+import sys
+from collections.abc import Callable
+from typing import Any, Final
+
+import pytest
+from servo_msgs_py.convert import state_label
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.board import Board
+from servo_twin.experiments.rig import choose_mode, command_speed, fresh_board, set_axis
+from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
+from servo_twin.plant import PlantConfig
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+LIMIT: Final = 1.0
+"""Of the motor of axis 1 [A]."""
+
+RIPPLE: Final = 0.06
+"""Of the current that the loop controls: noise of a sample, dead time, its answer to a step [A]."""
+
+
+def small_motor() -> str:
+    """The committed configuration with a motor for 1 A on axis 1."""
+    table: dict[str, Any] = copy.deepcopy(tomllib.loads(SERVO_TOML.read_text(encoding="utf-8")))
+    table["axis1"].setdefault("limits", {})["current"] = LIMIT
+    table["axis1"].setdefault("rotor_search", {})["current"] = LIMIT
+    return as_toml(table)
+
+
+@pytest.fixture(scope="module")
+def firmware() -> Any:
+    return build_firmware(small_motor())
+
+
+def label(board: Board) -> str:
+    state, substate = (board.read_raw(f"axis1.{name}")[0] for name in ("state", "substate"))
+    return state_label(board.catalogue, state, substate)
+
+
+def largest(board: Board, seconds: float, end: Callable[[], bool]) -> float:
+    """Largest current of axis 1 until the end, seen twice per period [A]."""
+    current, start = 0.0, board.time_ns
+    while board.time_ns - start < seconds * 1e9:
+        for _ in range(16):
+            board.advance(board.time_ns + PERIOD_NS // 2)
+            truth = board.truth(0)
+            current = max(current, math.hypot(truth.i_d, truth.i_q))
+        if end():
+            return current
+    raise AssertionError(f"not within {seconds} s: {label(board)}")
+
+
+@pytest.mark.parametrize("start", [0.0, 0.4, math.pi / 2.0, 2.5])
+def test_the_rotor_search_stays_within_the_limit_of_the_motor(firmware: Any, start: float) -> None:
+    plant = PlantConfig.load().with_axis(0, theta_start=start)
+    with fresh_board(plant, 3, firmware) as board:
+        board.run(0.1)
+        set_axis(board, "cmd.enable", 0, 1)
+        current = largest(board, 5.0, lambda: label(board) == "RUN/SPIN")
+    assert 0.5 * LIMIT < current <= LIMIT + RIPPLE
+
+
+def test_a_search_that_nothing_follows_stays_within_it_too(firmware: Any) -> None:
+    """Every phase: pulls from the front and both sides, and the turn of the vector, at full current."""
+    with fresh_board(PlantConfig.load(), 3, firmware) as board:
+        board.lock_shaft(0)
+        board.run(0.1)
+        set_axis(board, "cmd.enable", 0, 1)
+        current = largest(board, 5.0, lambda: label(board) == "FAULT")
+    assert LIMIT - RIPPLE < current <= LIMIT + RIPPLE
+
+
+def test_the_test_of_a_stall_stays_within_it(firmware: Any) -> None:
+    with fresh_board(PlantConfig.load(), 3, firmware) as board:
+        board.run(0.1)
+        set_axis(board, "cmd.enable", 0, 1)
+        largest(board, 5.0, lambda: label(board) == "RUN/SPIN")
+        board.write("param.command_timeout", 0.0)
+        board.lock_shaft(0)
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, 100.0)
+        current = largest(board, 5.0, lambda: label(board) == "FAULT")
+    assert LIMIT - RIPPLE < current <= LIMIT + RIPPLE
+
+
+def test_the_start_without_an_encoder_stays_within_it(firmware: Any) -> None:
+    with fresh_board(PlantConfig.load(), 3, firmware) as board:
+        board.write("param.command_timeout", 0.0)
+        board.write_raw("param.feedback", [1, 0])
+        board.run(0.1)
+        set_axis(board, "cmd.enable", 0, 1)
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, 150.0)
+        current = largest(board, 5.0, lambda: label(board) == "RUN/SPIN")
+        current = max(current, largest(board, 0.5, lambda: board.truth(0).omega_m > 140.0))
+    assert 0.25 * LIMIT < current <= LIMIT + RIPPLE
