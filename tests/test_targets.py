@@ -33,6 +33,9 @@ NOT_ON_A_TARGET = {
     "stop_init",
     # 25 s of waiting are too long for a recording.
     "wait_for_rest",
+    # With an encoder READY lasts one tick, but for after those 25 s.
+    "encoder_monitor_suspect",
+    "watch_short",
     # No limit can be written that is wider than the configured one.
     "omega_n_ts_under",
     # Refuse what the table of variables and the number of scope slots rule out.

@@ -173,6 +173,7 @@ static void fractions32(run_t *run)
     take(run, f32_abs(a));
     take(run, f32_limit(wide, limit));
     take(run, f32_gain(a, b));
+    take(run, i32_gain(a, b));
     take(run, i32_add_wrap(a, b));
     take(run, i32_sub_wrap(a, b));
     take(run, asr32(a, shift));

@@ -25,7 +25,7 @@
 
 #define TRACE_SHAPES 63
 #define TRACE_SHAPE_BITS 6
-#define TRACE_WORDS 600      /* of all shapes together */
+#define TRACE_WORDS 480      /* of all shapes together */
 #define TRACE_ESCAPE 14      /* ones of a Rice code; so many mean that 16 plain bits follow */
 #define TRACE_SUCCESSOR_NONE 255
 

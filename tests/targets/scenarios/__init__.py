@@ -38,6 +38,7 @@ SCENARIOS: Final = (
     Scenario("backlash", plant(), faults.backlash),
     Scenario("slipped-discs", plant(friction=0.04), faults.slipped_discs),
     Scenario("silent-encoder", plant(), faults.silent_encoder),
+    Scenario("quiet-losses", plant(), faults.quiet_losses),
     Scenario("lost-index", plant(), faults.lost_index),
     Scenario("over-current", plant(i_break=4.5), faults.over_current),
     Scenario("wrong-offset", plant(i_offset=(0.0, 2.0, 0.0)), faults.wrong_offset),

@@ -179,6 +179,32 @@ def silent_encoder(rig: Rig) -> None:
     rig.until("told", lambda: "ENCODER_LOST" in rig.faults(1))
 
 
+def quiet_losses(rig: Rig) -> None:
+    """A slow shaft whose encoder has one line left; a motor cable off at a small current at rest, and in motion."""
+    spin(rig)
+    rig.set("cmd.mode", SPEED, TORQUE)
+    rig.set("cmd.speed", 20.0, 0.0)
+    rig.run(0.03)
+    rig.lock(1)
+    rig.motor(1, False)
+    rig.set("cmd.mode", TORQUE)
+    rig.set("cmd.i_q", 0.0, 0.1)
+    rig.inject(StuckLine(0, "A"))
+    rig.until("toggles", lambda: rig.faults(0) == ["ENCODER_LOST"])
+    rig.until("small current missed", lambda: rig.faults(1) == ["PHASE_LOST"])
+    rig.heal(StuckLine(0, "A"))
+    rig.lock(1, locked=False)
+    rig.motor(1, True)
+    rig.set("cmd.clear_faults", 1)
+    rig.until("axis 2 cleared", lambda: rig.places()[1] == "STOP")
+    rig.set("cmd.enable", 0, 1)
+    rig.until("SPIN on axis 2", lambda: rig.places()[1] == "SPIN")
+    rig.set("cmd.i_q", 0.0, 1.0)
+    rig.run(0.03)
+    rig.motor(1, False)
+    rig.until("current missed in motion", lambda: rig.faults(1) == ["PHASE_LOST"])
+
+
 def lost_index(rig: Rig) -> None:
     """Quick stop and again, with and without the features of the reference design; then the index is gone."""
     spin(rig)
