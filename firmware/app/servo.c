@@ -10,6 +10,17 @@
 #define MOTOR_1 0
 #define MOTOR_2 1
 
+/* The timing diagram (DRM F34). The fast loop comes first in each interrupt. Everything else runs behind it, in slots of
+ * the eight PWM periods of a slow tick: one slot is short enough that the next fast loop begins with its data. All of it is
+ * one interrupt level: a slot sees what the fast loops have left, and no part of it changes under the other's hands. */
+#define SLOT_SLOW 0U
+#define SLOT_PUBLISH 1U
+#define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
+#define SLOT_CHECK (SLOT_ESTIMATE + 1U)
+#define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
+#define SLOT_SUPERVISE (SERVO_SLOW_PERIODS - 2U)
+#define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the slow tick that follows */
+
 /* ---- the host's requests ------------------------------------------------------------------------------------------ */
 
 static void hold(void *context, bool on)
@@ -256,13 +267,14 @@ static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
     view->reliable = estimate->reliable ? 1U : 0U;
 }
 
+/* Position, speed and set-points are those of the slow loops; currents and voltages those of this period. */
 static void publish_snapshot(servo_t *servo)
 {
     if (servo->held) {
         return;
     }
     snapshot_t *snapshot = &servo->snapshot;
-    snapshot->tick = servo->tick;
+    snapshot->tick = servo->tick - SLOT_PUBLISH; /* of the slow loops, whose results these are */
     snapshot->applied_tick = servo->applied_tick;
     snapshot->applied_count = servo->applied_count;
     snapshot->u_dc = servo->axis[MOTOR_1].u_dc;
@@ -308,17 +320,7 @@ static void supervise_loops(servo_t *servo)
     }
 }
 
-/* ---- the timing diagram (DRM F34) --------------------------------------------------------------------------------------- */
-
-/* The fast loop comes first in each interrupt. Everything else runs behind it, in slots of the eight PWM periods of a slow
- * tick: one slot is short enough that the next fast loop begins with its data. All of it is one interrupt level: a slot
- * sees what the fast loops have left, and no part of it changes under the other's hands. */
-#define SLOT_SLOW 0U      /* slow loops; then the snapshot */
-#define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
-#define SLOT_CHECK (SLOT_ESTIMATE + 1U)
-#define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
-#define SLOT_SUPERVISE (SERVO_SLOW_PERIODS - 2U)
-#define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the slow tick that follows */
+/* ---- slots and interrupts ----------------------------------------------------------------------------------------------- */
 
 static void run_axis_slot(axis_t *axis, uint16_t period)
 {
@@ -347,7 +349,7 @@ static void run_axis_slot(axis_t *axis, uint16_t period)
 static void run_board_slot(servo_t *servo, uint16_t period)
 {
     switch (period) {
-    case SLOT_SLOW:
+    case SLOT_PUBLISH:
         publish_snapshot(servo);
         break;
     case SLOT_SUPERVISE:

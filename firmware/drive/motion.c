@@ -266,7 +266,6 @@ static frac32_t position_controller(axis_t *axis)
     motion_state_t *m = &axis->motion;
     confine_target(axis);
     follow_path(axis);
-    follow_model(axis);
     if (rests(axis)) {
         return 0;
     }
@@ -410,10 +409,11 @@ int32_t motion_position_ref(const axis_t *axis)
     return (axis->motion.motion == MOTION_POSITION) ? path_position(&axis->motion.path) : axis->feedback.position;
 }
 
-int32_t motion_following_error(const axis_t *axis)
+int32_t motion_following_error(axis_t *axis)
 {
     if (axis->motion.motion != MOTION_POSITION) {
         return 0;
     }
+    follow_model(axis);
     return i32_sub_wrap(path_whole(axis->motion.model), axis->feedback.position);
 }

@@ -28,7 +28,8 @@ bool motion_stopped(const axis_t *axis);
 /* Position that the shaft is meant to have now [counts]. */
 int32_t motion_position_ref(const axis_t *axis);
 
-/* How far the shaft is from where a shaft would be that obeys [counts]; 0 unless a position is followed. */
-int32_t motion_following_error(const axis_t *axis);
+/* Once per slow tick, after motion_step: how far the shaft is from where a shaft would be that obeys [counts]; 0 unless a
+ * position is followed. */
+int32_t motion_following_error(axis_t *axis);
 
 #endif

@@ -342,9 +342,9 @@ static finding_set_t watch_shaft(axis_t *axis)
         .speed_limit = axis->limits.speed,
         .braked = saturated && !axis->motion.held_back && opposed,
         .stands = saturated && axis->feedback.still,
+        .following_error = motion_following_error(axis),
     };
     if ((seen.features & (FEATURE_FOLLOWING_ERROR | FEATURE_OVER_SPEED)) != 0U) {
-        seen.following_error = motion_following_error(axis);
         seen.following_error_max = axis->following_error;
         seen.over_speed_max = axis->over_speed;
     }

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from servo_twin.board import TRACE_ENTRY as ENTRY
 from servo_twin.experiments.outcome import Row
 from servo_twin.timing import deadlines
-from servo_twin.timing.chip_map import SLOTS, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
+from servo_twin.timing.chip_map import LOOPS, SLOTS, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
 from servo_twin.timing.figures import circle, start
 from servo_twin.timing.trace import Kind, Trace
 
@@ -162,6 +162,26 @@ def test_a_loop_that_begins_late_has_less_room() -> None:
     marks = {VECTOR_M2, MCTRL[1]}
     entries = [(c + 1400 if a in marks and k != Kind.SAMPLE else c, k, a, b) for c, k, a, b in ideal()]
     assert "M2, least room" in wrong(deadlines.rows(trace(entries), M1_BEGIN))
+
+
+def without_duties(entries: list[Entry]) -> list[Entry]:
+    """No release in any M1, which lasts beyond the load in one kind of handler."""
+    return at_period(4, longer(VECTOR_M1, HALF))(without(Kind.WRITE, MCTRL[0])(entries))
+
+
+def test_duties_that_are_never_released_are_late() -> None:
+    assert "M1 with current watches, least room" in wrong(deadlines.rows(trace(without_duties(ideal())), M1_BEGIN))
+
+
+def test_a_loop_without_outputs_has_no_deadline() -> None:
+    """Once they are off, and as long as others of its kind have one."""
+    outputs = LOOPS[0].outputs
+    entries = [entry for entry in ideal() if entry[0] < 16 * PERIOD]
+    later = [(c + 16 * PERIOD, k, a, b) for c, k, a, b in without_duties(entries)]
+    off = (16 * PERIOD, int(Kind.WRITE), outputs, 0)
+    on = (16 * PERIOD, int(Kind.WRITE), outputs, 0x770)
+    assert wrong(deadlines.rows(trace([*entries, off, *later]), M1_BEGIN)) == set()
+    assert "M1 with current watches, least room" in wrong(deadlines.rows(trace([*entries, on, *later]), M1_BEGIN))
 
 
 def test_what_interrupts_a_handler_is_counted_once() -> None:

@@ -19,6 +19,7 @@ VECTOR_START: Final = 87
 
 SLOTS: Final = {
     0: "with slow loop",
+    1: "with snapshot",
     2: "with estimates",
     3: "with checks",
     4: "with current watches",
@@ -43,6 +44,8 @@ class Loop:
         Number of its motor's first sample.
     release : int
         Address of MCTRL, whose LDOK releases the duties.
+    outputs : int
+        Address of OUTEN.
     """
 
     name: str
@@ -50,11 +53,12 @@ class Loop:
     phases: tuple[int, ...]
     sample: int
     release: int
+    outputs: int
 
 
 LOOPS: Final = (
-    Loop("M1", VECTOR_M1, PHASES[0], 0, 0xE6C4),
-    Loop("M2", VECTOR_M2, PHASES[1], 3, 0xE7C4),
+    Loop("M1", VECTOR_M1, PHASES[0], 0, 0xE6C4, 0xE6C0),
+    Loop("M2", VECTOR_M2, PHASES[1], 3, 0xE7C4, 0xE7C0),
 )
 
 _SM0_A, _SM1_A, _SM0_B = 0xE600, 0xE630, 0xE700

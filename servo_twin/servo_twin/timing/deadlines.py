@@ -25,6 +25,8 @@ ROOM_MIN: Final = 0.20
 """Of the time from sample to load."""
 LDOK: Final = 0x7
 """Bits of MCTRL that release the duties of the three phases."""
+OUTPUTS: Final = 0x770
+"""Bits of OUTEN that let the gate signals of the three phases out."""
 BUSY_MAX: Final = 0.75
 """Share of the core that all handlers may take."""
 
@@ -41,7 +43,8 @@ class Handler:
     begin, end : float
         Latest begin and end, from the sample [s].
     written : float
-        Latest release of the loop's duties, from the sample; the latest end where none were written [s].
+        Latest release of the loop's duties, from the sample; the latest end where none were written [s]. Without duties
+        because the outputs are off nothing is late: such runs count only if there are no others.
     deadline : float
         Load of the duties, from the sample [s].
     room : float
@@ -88,7 +91,9 @@ def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handl
         return []
     load = cycles[cycle] + PERIOD // 2
     writes = trace.of(Kind.WRITE, loop.release)
-    released = _first_within(writes["clock"][writes["b"] & LDOK == LDOK].astype(np.int64), runs)
+    releases = writes["clock"][writes["b"] & LDOK == LDOK].astype(np.int64)
+    released, has_released = _first_within(releases, runs)
+    has_deadline = has_released | ~_outputs_off(trace, loop, runs)
     # M2 is half a period behind its M1, either may begin a little late, and M1 a few clocks early.
     slots = (1 + (runs[:, 0] - first_m1 + PERIOD // 8) // PERIOD) % SLOW_PERIODS
     names = np.array([SLOTS.get(int(slot), "") for slot in slots])
@@ -97,9 +102,10 @@ def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handl
         chosen = names == name
         if not chosen.any():
             continue
+        judged = chosen & has_deadline if (chosen & has_deadline).any() else chosen
         begins, ends = runs[chosen, 0], runs[chosen, 1]
-        begun, due = begins - sample[chosen], load[chosen] - sample[chosen]
-        written = released[chosen] - sample[chosen]
+        begun, due = begins - sample[chosen], load[judged] - sample[judged]
+        written = released[judged] - sample[judged]
         result.append(
             Handler(
                 f"{loop.name} {name}".strip(),
@@ -115,12 +121,23 @@ def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handl
     return result
 
 
-def _first_within(instants: NDArray[np.int64], runs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The first of some instants within each run, or its end: a change of state writes others behind the loop."""
+def _first_within(instants: NDArray[np.int64], runs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The first of some instants within each run, or its end, and whether there was one: a change of state writes others
+    behind the loop."""
     if instants.size == 0:
-        return np.asarray(runs[:, 1])
+        return runs[:, 1], np.zeros(runs.shape[0], np.bool_)
     first = instants[np.clip(np.searchsorted(instants, runs[:, 0]), None, instants.size - 1)]
-    return np.where((first >= runs[:, 0]) & (first <= runs[:, 1]), first, runs[:, 1])
+    within = (first >= runs[:, 0]) & (first <= runs[:, 1])
+    return np.where(within, first, runs[:, 1]), within
+
+
+def _outputs_off(trace: Trace, loop: Loop, runs: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether a motor's outputs are known to be off when a run begins."""
+    writes = trace.of(Kind.WRITE, loop.outputs)
+    if writes.size == 0:
+        return np.zeros(runs.shape[0], np.bool_)
+    last = np.searchsorted(writes["clock"].astype(np.int64), runs[:, 0], side="right") - 1
+    return np.asarray((last >= 0) & (writes["b"][np.clip(last, 0, None)] & OUTPUTS == 0))
 
 
 def busy(trace: Trace) -> float:
