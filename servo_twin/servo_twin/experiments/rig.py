@@ -48,7 +48,7 @@ TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
 """One slow tick [ns]."""
 
 SNAPSHOT_NS: Final = 2 * PERIOD_NS
-"""From a slow tick until its snapshot is there: it is taken one period later, by a handler that may last into the next."""
+"""From a slow tick until its snapshot is there: one period later, by a handler that may last into the next one."""
 
 TICK: Final = TICK_NS * 1e-9
 """One slow tick [s]."""

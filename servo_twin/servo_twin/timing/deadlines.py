@@ -122,8 +122,10 @@ def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handl
 
 
 def _first_within(instants: NDArray[np.int64], runs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The first of some instants within each run, or its end, and whether there was one: a change of state writes others
-    behind the loop."""
+    """The first of some instants within each run, or its end; and whether there was one.
+
+    Only the first: a change of state writes others behind the loop.
+    """
     if instants.size == 0:
         return runs[:, 1], np.zeros(runs.shape[0], np.bool_)
     first = instants[np.clip(np.searchsorted(instants, runs[:, 0]), None, instants.size - 1)]
