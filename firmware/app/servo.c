@@ -13,8 +13,7 @@
 /* The timing diagram (DRM F34). The fast loop comes first in each interrupt. Everything else runs behind it, in slots of
  * the eight PWM periods of a slow tick: one slot is short enough that the next fast loop begins with its data. All of it is
  * one interrupt level: a slot sees what the fast loops have left, and no part of it changes under the other's hands. */
-#define SLOT_SLOW 0U
-#define SLOT_PUBLISH 1U
+#define SLOT_SLOW 0U      /* slow loops; then the snapshot */
 #define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
 #define SLOT_CHECK (SLOT_ESTIMATE + 1U)
 #define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
@@ -267,14 +266,13 @@ static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
     view->reliable = estimate->reliable ? 1U : 0U;
 }
 
-/* Position, speed and set-points are those of the slow loops; currents and voltages those of this period. */
 static void publish_snapshot(servo_t *servo)
 {
     if (servo->held) {
         return;
     }
     snapshot_t *snapshot = &servo->snapshot;
-    snapshot->tick = servo->tick - SLOT_PUBLISH; /* of the slow loops, whose results these are */
+    snapshot->tick = servo->tick;
     snapshot->applied_tick = servo->applied_tick;
     snapshot->applied_count = servo->applied_count;
     snapshot->u_dc = servo->axis[MOTOR_1].u_dc;
@@ -295,13 +293,13 @@ static void publish_snapshot(servo_t *servo)
 /* One loop that is late, or left out, is made up for by the next one; a port starts its sequence anew after a lost
  * trigger. More than two within 32 ms are a fault. */
 #define LATE UINT16_C(64)
-#define LATENESS_MOST UINT16_C(128)
+#define LATENESS_MAX UINT16_C(128)
 
 static void come_late(servo_t *servo, uint16_t loops)
 {
     servo->lateness =
-        (loops > LATENESS_MOST) ? (uint16_t)(LATENESS_MOST + 1U) : (uint16_t)(servo->lateness + loops * LATE);
-    if (servo->lateness <= LATENESS_MOST) {
+        (loops > LATENESS_MAX) ? (uint16_t)(LATENESS_MAX + 1U) : (uint16_t)(servo->lateness + loops * LATE);
+    if (servo->lateness <= LATENESS_MAX) {
         return;
     }
     servo->lateness = 0;
@@ -349,7 +347,7 @@ static void run_axis_slot(axis_t *axis, uint16_t period)
 static void run_board_slot(servo_t *servo, uint16_t period)
 {
     switch (period) {
-    case SLOT_PUBLISH:
+    case SLOT_SLOW:
         publish_snapshot(servo);
         break;
     case SLOT_SUPERVISE:

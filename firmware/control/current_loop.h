@@ -47,7 +47,7 @@ void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, fr
 
 /* A quarter of the full scale (9 V): below it the inverter is off for under-voltage anyway, and the division of the
  * ripple compensation stays in range. */
-#define U_DC_LEAST INT16_C(8192)
+#define U_DC_MIN INT16_C(8192)
 
 /* DC-bus ripple compensation: the voltage as a part of the bus that is there now, u / (2/3 u_dc). */
 static inline frac16_t current_loop_over_bus(frac16_t u, int32_t reciprocal)
@@ -79,7 +79,7 @@ static inline sin_cos_t current_loop_ahead(const current_loop_t *loop, sin_cos_t
 static inline svm_t current_loop_step(current_loop_t *loop, const current_loop_config_t *config, abc_t current,
                                       dq_t reference, frac16_t theta_e, frac16_t u_dc)
 {
-    const int32_t bus = (u_dc < U_DC_LEAST) ? U_DC_LEAST : u_dc;
+    const int32_t bus = (u_dc < U_DC_MIN) ? U_DC_MIN : u_dc;
     const sin_cos_t at = sin_cos(theta_e);
     const ab_t measured = clarke(current);
     const dq_t i = park(measured, at);

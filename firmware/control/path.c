@@ -12,15 +12,15 @@ static path_position_t scaled(path_position_t x, uint16_t omega_n_ts)
 
 static path_position_t lower(path_position_t a, path_position_t b) { return (a < b) ? a : b; }
 
-static path_position_t within(path_position_t x, path_position_t most)
+static path_position_t within(path_position_t x, path_position_t max)
 {
-    return (x > most) ? most : ((x < -most) ? -most : x);
+    return (x > max) ? max : ((x < -max) ? -max : x);
 }
 
-path_position_t braking_speed(path_position_t distance, path_position_t acceleration, path_position_t most)
+path_position_t braking_speed(path_position_t distance, path_position_t acceleration, path_position_t max)
 {
     if (distance <= acceleration) {
-        return lower(distance, most); /* one step, and then rest */
+        return lower(distance, max); /* one step, and then rest */
     }
     /* The speed v is followed by v - a, v - 2 a, ... With v = sqrt(2 a d) - a / 2 the root falls by a in every tick, and
      * the first step that is not longer than a fits between the speed before it and rest. */
@@ -28,12 +28,12 @@ path_position_t braking_speed(path_position_t distance, path_position_t accelera
     const uint32_t half = (uint32_t)(acceleration + 1) >> 1;
     const uint64_t far = (uint64_t)twice * (uint32_t)((uint64_t)distance >> 32);
     if (far >= UINT64_C(1) << 31) {
-        return most; /* beyond the root's range, which is above all speeds */
+        return max; /* beyond the root's range, which is above all speeds */
     }
     const uint64_t square = (far << 32) + (uint64_t)twice * (uint32_t)((uint64_t)distance & UINT32_C(0xFFFFFFFF));
-    const uint32_t enough = (uint32_t)most + half;
+    const uint32_t enough = (uint32_t)max + half;
     if (square >= (uint64_t)enough * enough) {
-        return most; /* almost always, and without a root */
+        return max; /* almost always, and without a root */
     }
     return (path_position_t)(u64_sqrt(square) - half);
 }
@@ -107,8 +107,8 @@ void path_retune(path_t *path, int32_t target, path_position_t acceleration, uin
     const path_position_t step = scaled(path->filter, from_omega_n_ts);
     /* The output's acceleration in the next tick is (omega_n Ts)^2 of this. */
     const path_position_t excess = path->ramp + path->speed - path->output - 2 * path->filter;
-    const path_position_t most = i64_over_u16(i64_over_u16(acceleration << 32, to_omega_n_ts), to_omega_n_ts);
-    const path_position_t pull = within(i64_over_u16(excess * from_omega_n_ts, to_omega_n_ts), most);
+    const path_position_t max = i64_over_u16(i64_over_u16(acceleration << 32, to_omega_n_ts), to_omega_n_ts);
+    const path_position_t pull = within(i64_over_u16(excess * from_omega_n_ts, to_omega_n_ts), max);
     const path_position_t next = scaled(scaled(pull, to_omega_n_ts), to_omega_n_ts);
     /* By what the ramp's speed exceeds that of the output the acceleration grows afterwards. */
     const path_position_t even = step + next + i64_over_u16(next * 65536, to_omega_n_ts);

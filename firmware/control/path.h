@@ -42,7 +42,7 @@ void path_step(path_t *path, int32_t target, path_position_t step_limit, path_po
 int32_t path_stop(const path_t *path, path_position_t acceleration);
 
 /* The highest speed up to `most` from which `distance` suffices to stop, the step at that speed included. */
-path_position_t braking_speed(path_position_t distance, path_position_t acceleration, path_position_t most);
+path_position_t braking_speed(path_position_t distance, path_position_t acceleration, path_position_t max);
 
 /* Counts as a position. */
 static inline path_position_t path_counts(int32_t counts)

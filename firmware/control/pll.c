@@ -1,7 +1,7 @@
 #include "control/pll.h"
 
 #define TICK_BITS 3 /* a slow tick has eight periods */
-#define BIAS_MOST (INT32_C(1) << 22) /* half of the full scale: nothing below overflows */
+#define BIAS_MAX (INT32_C(1) << 22) /* half of the full scale: nothing below overflows */
 
 void pll_reset(pll_t *pll, uint32_t angle, int32_t step)
 {
@@ -17,7 +17,7 @@ void pll_reset(pll_t *pll, uint32_t angle, int32_t step)
 
 void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf)
 {
-    pll->root = f16_sqrt(f32_from_f16((emf > config->e_least) ? emf : config->e_least));
+    pll->root = f16_sqrt(f32_from_f16((emf > config->e_min) ? emf : config->e_min));
     const int32_t over = (INT32_C(1) << 30) / ((pll->root > 0) ? pll->root : 1); /* 15 fraction bits */
     pll->kp = sat32(asr64((int64_t)config->kp * over, 15));
 }
@@ -26,10 +26,10 @@ void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside,
 {
     const int32_t error = (pll->backwards ? beside.d : -(int32_t)beside.d) * (int32_t)pll->root; /* 30 fraction bits */
     const int32_t size = beside.q * (INT32_C(1) << 8) - pll->bias;
-    pll->bias = f32_clip(pll->bias + f32_gain(pll->integral - asr32(turned, TICK_BITS), config->forget), BIAS_MOST);
+    pll->bias = f32_clip(pll->bias + f32_gain(pll->integral - asr32(turned, TICK_BITS), config->forget), BIAS_MAX);
     pll->load =
         sat32(pll->load + asr64((int64_t)error * config->load, 30) + (int64_t)f32_gain(size, config->follow_load));
     const int64_t gained =
         asr64((int64_t)i_q * config->acceleration, 15) + pll->load + (int64_t)f32_gain(size, config->follow);
-    pll->integral = f32_limit(pll->integral + gained, config->step_most);
+    pll->integral = f32_limit(pll->integral + gained, config->step_max);
 }

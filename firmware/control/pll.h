@@ -16,8 +16,8 @@
 typedef struct {
     gain_t kp;         /* step per error, for a back-EMF of the full scale; errors have 14 + F2 fraction bits */
     gain_t ki;         /* step per error and period */
-    frac16_t e_least;  /* below this back-EMF the proportional gain grows no further */
-    int32_t step_most; /* largest step */
+    frac16_t e_min;  /* below this back-EMF the proportional gain grows no further */
+    int32_t step_max; /* largest step */
     int32_t speed_per_step;  /* speed fraction (31 bits) of a step, 22 fraction bits */
     int32_t step_per_speed;  /* step at full-scale speed */
     int32_t counts_per_turn; /* encoder counts of an electrical turn, 16 fraction bits */
@@ -81,8 +81,8 @@ static inline void pll_step(pll_t *pll, const pll_config_t *config, observer_ab_
     const sin_cos_t at = sin_cos(pll_upper(pll->angle + (uint32_t)asr32(pll->step, 1)));
     const int32_t across = (int32_t)asr64((int64_t)e.alpha * at.cos + (int64_t)e.beta * at.sin, 16);
     const int32_t error = pll->backwards ? across : -across;
-    pll->integral = f32_clip(pll->integral + f32_gain(error, config->ki), config->step_most);
-    pll->step = f32_clip(f32_add(pll->integral, f32_gain(error, pll->kp)), config->step_most);
+    pll->integral = f32_clip(pll->integral + f32_gain(error, config->ki), config->step_max);
+    pll->step = f32_clip(f32_add(pll->integral, f32_gain(error, pll->kp)), config->step_max);
     pll_coast(pll);
 }
 

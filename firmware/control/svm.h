@@ -28,41 +28,41 @@ static inline svm_t svm(ab_t modulation)
     const int32_t b_over_a = beta_by_sqrt3 - alpha;
 
     uint16_t sector;
-    int32_t most, least;
+    int32_t max, min;
     if (b >= 0) {
         if (b_over_a < 0) {
             sector = 1;
-            most = a;
-            least = 0;
+            max = a;
+            min = 0;
         } else if (a >= 0) {
             sector = 2;
-            most = b;
-            least = 0;
+            max = b;
+            min = 0;
         } else {
             sector = 3;
-            most = b;
-            least = a;
+            max = b;
+            min = a;
         }
     } else if (b_over_a >= 0) {
         sector = 4;
-        most = 0;
-        least = a;
+        max = 0;
+        min = a;
     } else if (a < 0) {
         sector = 5;
-        most = 0;
-        least = b;
+        max = 0;
+        min = b;
     } else {
         sector = 6;
-        most = a;
-        least = b;
+        max = a;
+        min = b;
     }
-    const int32_t active = most - least;
+    const int32_t active = max - min;
     if (active > SVM_FULL) {
-        return (svm_t){{svm_shortened(most - a, active), svm_shortened(most - b, active), svm_shortened(most, active)},
+        return (svm_t){{svm_shortened(max - a, active), svm_shortened(max - b, active), svm_shortened(max, active)},
                        sector};
     }
     /* E30: the zero time is shared between O000 and O111, which centres the pulses. */
-    const int32_t c = (int32_t)((uint32_t)(SVM_FULL - active) / 2U) - least;
+    const int32_t c = (int32_t)((uint32_t)(SVM_FULL - active) / 2U) - min;
     return (svm_t){{c + a, c + b, c}, sector};
 }
 

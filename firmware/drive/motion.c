@@ -219,8 +219,8 @@ static bool rests(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const int32_t off = i32_sub_wrap(m->target, axis->feedback.position);
-    const int32_t most = m->resting ? REST_LEFT : REST_COUNTS;
-    m->resting = off <= most && off >= -most && path_at_rest(&m->path, m->target);
+    const int32_t max = m->resting ? REST_LEFT : REST_COUNTS;
+    m->resting = off <= max && off >= -max && path_at_rest(&m->path, m->target);
     if (!m->resting) {
         return false;
     }
@@ -367,9 +367,9 @@ void motion_listen(axis_t *axis)
 
 frac32_t motion_wanted_speed(const axis_t *axis)
 {
-    const frac32_t least = axis->config->startup.minimum_speed;
+    const frac32_t min = axis->config->startup.minimum_speed;
     const frac32_t speed = soft_limits_confined(axis, axis->motion.speed_target);
-    return (speed < least && speed > -least) ? 0 : speed;
+    return (speed < min && speed > -min) ? 0 : speed;
 }
 
 bool motion_too_slow(const axis_t *axis)

@@ -44,8 +44,8 @@ speed_range_t soft_limits_speed(const axis_t *axis)
     speed_range_t range = {-axis->limits.speed, axis->limits.speed};
     if (soft_limits_given(axis)) {
         const int64_t here = axis->feedback.position;
-        range.most = approach_speed(axis, axis->limits.position_max - here);
-        range.least = -approach_speed(axis, here - axis->limits.position_min);
+        range.max = approach_speed(axis, axis->limits.position_max - here);
+        range.min = -approach_speed(axis, here - axis->limits.position_min);
     }
     return range;
 }

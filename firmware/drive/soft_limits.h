@@ -9,8 +9,8 @@
 #include "drive/axis_data.h"
 
 typedef struct {
-    frac32_t least;
-    frac32_t most;
+    frac32_t min;
+    frac32_t max;
 } speed_range_t;
 
 /* What follows from limits, with this omega_n Ts of the path filter. */

@@ -91,21 +91,21 @@ frac16_t torque_control(axis_t *axis)
     const speed_range_t range = soft_limits_speed(axis);
     frac32_t above = (m->resistance < 0) ? m->resistance : 0;
     frac32_t below = (m->resistance > 0) ? -m->resistance : 0;
-    const frac32_t most =
-        room(axis, f32_sub(range.most, feedback->speed), f32_sub(range.most, feedback->mean_speed), &above);
+    const frac32_t max =
+        room(axis, f32_sub(range.max, feedback->speed), f32_sub(range.max, feedback->mean_speed), &above);
     const frac32_t back =
-        room(axis, f32_sub(feedback->speed, range.least), f32_sub(feedback->mean_speed, range.least), &below);
-    const frac32_t least = f32_sub(0, back);
+        room(axis, f32_sub(feedback->speed, range.min), f32_sub(feedback->mean_speed, range.min), &below);
+    const frac32_t min = f32_sub(0, back);
     m->resistance = above - below;
     const frac16_t wanted = f16_limit(m->i_q_target, axis->limits.i_q);
     if (wanted != m->i_q_target) {
         axis_report(axis, LIMIT_CURRENT);
     }
     frac32_t i_q = f32_from_f16(wanted);
-    if (i_q > most || i_q < least) {
-        const bool soft = (i_q > most) ? range.most < axis->limits.speed : range.least > -axis->limits.speed;
+    if (i_q > max || i_q < min) {
+        const bool soft = (i_q > max) ? range.max < axis->limits.speed : range.min > -axis->limits.speed;
         axis_report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
-        i_q = (i_q > most) ? most : least;
+        i_q = (i_q > max) ? max : min;
     }
     const frac16_t limit = current_limit(axis, i_q < 0);
     const frac16_t result = f16_limit(f16_from_f32(i_q), limit);

@@ -67,8 +67,8 @@ frac16_t f16_angle(frac16_t x, frac16_t y)
     const int32_t across = (x < 0) ? -(int32_t)x : x;
     const int32_t up = (y < 0) ? -(int32_t)y : y;
     const bool steep = up > across;
-    const int32_t most = steep ? up : across;
-    const int32_t ratio = (steep ? across : up) * INT32_C(32768) / ((most > 0) ? most : 1);
+    const int32_t max = steep ? up : across;
+    const int32_t ratio = (steep ? across : up) * INT32_C(32768) / ((max > 0) ? max : 1);
     int32_t angle = asr32(ratio * (EIGHTH + asr32(BULGE * (32768 - ratio), 15)), 15);
     if (steep) {
         angle = 2 * EIGHTH - angle;

@@ -30,12 +30,12 @@ bool emf_check_lacks(const emf_check_t *check, const emf_check_config_t *config,
     return emf_check_deviates(config, 0, deviation, expected, 0);
 }
 
-bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t most)
+bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t max)
 {
     if (deviates) {
         check->ticks++;
     } else if (check->ticks > 0U) {
         check->ticks--;
     }
-    return check->ticks > most;
+    return check->ticks > max;
 }

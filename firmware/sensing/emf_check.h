@@ -41,6 +41,6 @@ dq_t emf_check_filter(emf_check_t *check, dq_t deviation);
 bool emf_check_lacks(const emf_check_t *check, const emf_check_config_t *config, frac16_t expected);
 
 /* One slow tick: true after `most` ticks of deviation, less those without. */
-bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t most);
+bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t max);
 
 #endif

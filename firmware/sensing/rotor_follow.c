@@ -25,5 +25,5 @@ bool rotor_follow_step(rotor_follow_t *follow, const rotor_follow_config_t *conf
 
 bool rotor_follow_seen(const rotor_follow_t *follow, const rotor_follow_config_t *config)
 {
-    return (int64_t)follow->high - follow->low >= config->flux_least;
+    return (int64_t)follow->high - follow->low >= config->flux_min;
 }

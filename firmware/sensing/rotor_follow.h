@@ -14,7 +14,7 @@ typedef struct {
     uint16_t ticks;     /* slow ticks of the way there, and again of the way back */
     uint16_t step;      /* angle per slow tick, 2^16 is a turn */
     frac16_t inductive; /* omega L I */
-    int32_t flux_least; /* span of the flux linkage that only a moving rotor makes: voltage summed over PWM periods */
+    int32_t flux_min; /* span of the flux linkage that only a moving rotor makes: voltage summed over PWM periods */
 } rotor_follow_config_t;
 
 typedef struct {

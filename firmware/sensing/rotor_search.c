@@ -2,10 +2,10 @@
 
 #define HALF_TURN UINT16_C(32768)
 #define QUARTER_TURN UINT16_C(16384)
-#define GROWTH_MOST UINT16_C(4)
+#define GROWTH_MAX UINT16_C(4)
 #define HELD_OVER_HOLD UINT16_C(4)  /* an edge that dithers is no reason to pull for ever */
 #define CALM_OVER_REST UINT16_C(10) /* nor to wait; so dithers an encoder with a dead line, too */
-#define STARVED_MOST UINT16_C(64)   /* PWM periods: 4 ms */
+#define STARVED_MAX UINT16_C(64)   /* PWM periods: 4 ms */
 
 /* The first count comes after one count of movement at most, the twitch after two or more. With a torque that is constant
  * or grows from zero, the time in between is more than a quarter of the movement's; the brake takes no longer than that,
@@ -17,8 +17,8 @@
 
 /* So often the shaft may run away from where it was found: once, a knock may have led the search astray. And so often it
  * may not follow there: twice, the search may have begun too close to an end stop. */
-#define ESCAPES_MOST UINT16_C(2)
-#define REFUSALS_MOST UINT16_C(3)
+#define ESCAPES_MAX UINT16_C(2)
+#define REFUSALS_MAX UINT16_C(3)
 
 /* What the shaft has moved since the start of this pull, electrical, wrapped as all angles are. */
 static frac16_t shift_of(const rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
@@ -49,7 +49,7 @@ static frac32_t growth(const rotor_search_t *search, const rotor_search_config_t
 {
     int64_t step = config->current_step;
     if (search->side == 0 && search->reach < QUARTER_TURN) {
-        step *= (search->reach >= QUARTER_TURN / GROWTH_MOST) ? QUARTER_TURN / search->reach : GROWTH_MOST;
+        step *= (search->reach >= QUARTER_TURN / GROWTH_MAX) ? QUARTER_TURN / search->reach : GROWTH_MAX;
     }
     return (step < config->current_slew) ? (frac32_t)step : config->current_slew;
 }
@@ -112,9 +112,9 @@ static void verify(rotor_search_t *search, int32_t position)
 /* What was believed is not true, and nothing else is known: look from the side, or give up. */
 static void doubt(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->escapes >= ESCAPES_MOST) {
+    if (search->escapes >= ESCAPES_MAX) {
         finish(search, ROTOR_SEARCH_REVERSED);
-    } else if (search->refusals >= REFUSALS_MOST) {
+    } else if (search->refusals >= REFUSALS_MAX) {
         finish(search, ROTOR_SEARCH_HELD);
     } else {
         search->reach = HALF_TURN;
@@ -328,7 +328,7 @@ void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *con
 
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->starved >= STARVED_MOST) {
+    if (search->starved >= STARVED_MAX) {
         finish(search, ROTOR_SEARCH_STARVED);
         return;
     }

@@ -43,7 +43,7 @@ class Diagnosis:
             {
                 "move_counts": 3,
                 "current_limit": 15888,
-                "follow": {"ticks": 200, "step": 109, "inductive": 52, "flux_least": 209631},
+                "follow": {"ticks": 200, "step": 109, "inductive": 52, "flux_min": 209631},
             },
         )
 

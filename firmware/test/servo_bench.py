@@ -89,7 +89,6 @@ class Bench:
         self.kept: list[Any] = []  # what the firmware has been given pointers to
         core.lib.fake_hal_init(self.hal)
         core.lib.servo_init(self.servo, self.hal)
-        core.lib.probe_run(self.servo, 1)  # a snapshot is taken in period 1 of a slow tick
         self.servo.parameter.command_timeout = 0  # set-points stand until the next one
         for axis in range(2):
             # No current flows on this board, whatever the voltage: a lost phase, if anybody looked.
@@ -104,11 +103,7 @@ class Bench:
             self.ticks += 1
             for i in range(2):
                 self._move(i)
-            self.core.lib.probe_run(self.servo, PERIODS - 1)
-            for i in range(2):
-                if self._search_drives[i]:
-                    self._flow(i)  # along the vector that the slow loop has just set
-            self.core.lib.probe_run(self.servo, 1)
+            self.core.lib.probe_run(self.servo, PERIODS)
 
     def until(self, condition: Callable[[], bool], ticks: int) -> int:
         """Run until a condition holds; returns the ticks it took, fails after `ticks`."""

@@ -22,7 +22,7 @@ def parts(calls: list[tuple[str, int, int]]) -> list[tuple[str, int]]:
 
 def test_m1_runs_the_fast_loop_of_motor_1_then_the_slow_loop_of_motor_2(bench: Bench, core: Core) -> None:
     bench.to_spin(M1, M2)
-    core.lib.probe_run(bench.servo, 6)
+    core.lib.probe_run(bench.servo, 7)
     bench.log()
     core.lib.servo_m1_isr(bench.servo)
     assert parts(bench.calls()) == [("fast", M1), ("slow", M2)]
@@ -30,7 +30,7 @@ def test_m1_runs_the_fast_loop_of_motor_1_then_the_slow_loop_of_motor_2(bench: B
 
 def test_m2_runs_the_fast_loop_of_motor_2_then_the_slow_loop_of_motor_1(bench: Bench, core: Core) -> None:
     bench.to_spin(M1, M2)
-    core.lib.probe_run(bench.servo, 6)
+    core.lib.probe_run(bench.servo, 7)
     core.lib.servo_m1_isr(bench.servo)
     bench.log()
     core.lib.servo_m2_isr(bench.servo)
@@ -43,7 +43,7 @@ def test_other_slots_run_behind_the_fast_loops_too(bench: Bench, core: Core) -> 
     Each in the other one's interrupt, where its offsets have just been sampled.
     """
     bench.to_spin(M1, M2)
-    for period in range(2, 8):
+    for period in range(1, 8):
         bench.log()
         core.lib.servo_m1_isr(bench.servo)
         core.lib.servo_m2_isr(bench.servo)
@@ -62,7 +62,7 @@ def test_a_fast_loop_says_when_its_duties_are_written(bench: Bench, core: Core) 
 def test_captured_edge_is_read_before_the_next_is_armed(bench: Bench, core: Core) -> None:
     """Clearing the flags first would throw away a capture whose interrupt is still pending."""
     bench.to_spin(M1)
-    core.lib.probe_run(bench.servo, 6)
+    core.lib.probe_run(bench.servo, 7)
     bench.log()
     core.lib.probe_run(bench.servo, 1)
     order = [
@@ -74,7 +74,7 @@ def test_captured_edge_is_read_before_the_next_is_armed(bench: Bench, core: Core
 def test_counter_is_read_before_the_index(bench: Bench, core: Core) -> None:
     """The other way round, the pulse of a wrap that the count already shows could be missed."""
     bench.to_spin(M1)
-    core.lib.probe_run(bench.servo, 6)
+    core.lib.probe_run(bench.servo, 7)
     core.lib.servo_m1_isr(bench.servo)
     bench.log()
     core.lib.servo_m2_isr(bench.servo)
@@ -138,12 +138,12 @@ def test_watchdog_starves_when_one_of_the_interrupts_dies(core: Core, phase: int
 def test_snapshot_counts_pwm_periods(bench: Bench) -> None:
     for k in range(1, 20):
         bench.slow()
-        assert bench.servo.snapshot.tick == 8 * k == bench.servo.tick - 1
+        assert bench.servo.snapshot.tick == 8 * k == bench.servo.tick
 
 
 def test_tick_wraps(bench: Bench, core: Core) -> None:
     bench.to_spin(M1)
-    bench.servo.tick = 2**32 - 15
+    bench.servo.tick = 2**32 - 16
     bench.slow(4)
     assert bench.servo.snapshot.tick == 16
     assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
@@ -155,11 +155,10 @@ def test_snapshot_is_taken_after_both_slow_loops(bench: Bench, core: Core) -> No
     bench.shaft[M1].move(12)
     bench.shaft[M2].move(-7)
     before = [bench.view(i).position for i in range(2)]
-    core.lib.probe_run(bench.servo, 6)
+    core.lib.probe_run(bench.servo, 7)
     assert [bench.view(i).position for i in range(2)] == before
     for i in range(2):
         bench.hal.axis[i].count = (bench.hal.axis[i].count + (12, -7)[i]) & 0xFFFF
-    core.lib.probe_run(bench.servo, 1)
     core.lib.servo_m1_isr(bench.servo)
     assert [bench.view(i).position for i in range(2)] == before
     core.lib.servo_m2_isr(bench.servo)

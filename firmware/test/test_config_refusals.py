@@ -238,7 +238,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("search finer than a count", {"axis1__rotor_search__interval": 0.1}, "axis1.rotor_search.interval = 0.1", "0.18"),
     ("large twitch", {"axis1__rotor_search__move_counts": 250}, "axis1.rotor_search.move_counts = 250", "no twitch"),
     ("dithering twitch", {"axis1__rotor_search__move_counts": 2}, "axis1.rotor_search.move_counts = 2", "dithers"),
-    ("hasty search", {"axis1__rotor_search__time_most": 0.5}, "axis1.rotor_search.time_most = 0.5", "8 vectors"),
+    ("hasty search", {"axis1__rotor_search__time_max": 0.5}, "axis1.rotor_search.time_max = 0.5", "8 vectors"),
     # without an encoder: K1, K2 and the poles
     ("K1 of the wrong sign", K | {"axis1__observer__k_1": 100.0}, "axis1.observer.k_1 = 100", "not below 0"),
     ("no K1", K | {"axis1__observer__k_1": 0.0}, "axis1.observer.k_1 = 0", "too small"),
@@ -277,9 +277,9 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("heavy shaft", HEAVY, "axis1.start_up.speed_time = 0.25", "correct motor.inertia"),
     ("start-up friction", {"axis1__friction__coulomb": 0.08}, "axis1.start_up.current_first (in", "0.0693 N m"),
     ("minimum speed", {"axis1__start_up__minimum_speed": 0.3}, "axis1.start_up.minimum_speed = 0.3", "94.2 rad/s"),
-    ("upper bound of the mean", {"axis1__start_up__mean_most": 1.0}, "axis1.start_up.mean_most = 1", "chance"),
-    ("lower bound of the mean", {"axis1__start_up__mean_least": 1.0}, "axis1.start_up.mean_least = 1", "perfectly"),
-    ("no time", {"axis1__reliability__period": 60}, "axis1.start_up.wait_most (in [defaults.start_up])", "64 speeds"),
+    ("upper bound of the mean", {"axis1__start_up__mean_max": 1.0}, "axis1.start_up.mean_max = 1", "chance"),
+    ("lower bound of the mean", {"axis1__start_up__mean_min": 1.0}, "axis1.start_up.mean_min = 1", "perfectly"),
+    ("no time", {"axis1__reliability__period": 60}, "axis1.start_up.wait_max (in [defaults.start_up])", "64 speeds"),
     # gains and scales that do not fit
     ("speed gain", {"axis1__motor__inertia": 4e-4}, "axis1: speed controller Kp = 2", "does not fit gain_t"),
     ("current gain", {"axis1__motor__l_q": 0.1}, "axis1: current controller q Kp = 214.", "does not fit gain_t"),
@@ -304,8 +304,8 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("search ramp", {"axis1__rotor_search__ramp_time": 1e-4}, "axis1.rotor_search.ramp_time: current", "frac32_t"),
     ("friction slope", {"axis1__friction__smooth": 0.01}, "axis1.friction.smooth", "raise it"),
     # times
-    ("longest time", {"axis1__timing__stall_most": 32.7675}, "axis1.timing.stall_most = 32.7675", "65534"),
-    ("long time", {"axis1__timing__stall_most": 40.0}, "axis1.timing.stall_most = 40", "0.0005 .. 32.767"),
+    ("longest time", {"axis1__timing__stall_max": 32.7675}, "axis1.timing.stall_max = 32.7675", "65534"),
+    ("long time", {"axis1__timing__stall_max": 40.0}, "axis1.timing.stall_max = 40", "0.0005 .. 32.767"),
     ("no time", {"axis1__timing__settle": 1e-4}, "axis1.timing.settle = 0.0001", "vanish"),
     ("host time-out", {"board__host_timeout": 60.0}, "board.host_timeout = 60", "0.05 .. 30 s"),
     ("command time-out", {"board__command_timeout": 60.0}, "board.command_timeout = 60", "0 .. 30 s"),
@@ -320,7 +320,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("small resistor", FITTED | {"board__brake__energy": 0.9}, "board.brake.energy = 0.9", "0.986 J"),
     ("mighty resistor", FITTED | {"board__brake__power": 200.0}, "board.brake.power = 200", "167 W"),
     ("blind short", {"axis1__stop__short_current": 9.0}, "axis1.stop.short_current = 9", "8.25 A"),
-    ("hasty stop", {"axis1__stop__time_most": 0.5}, "axis1.stop.time_most = 0.5", "0.579 s"),
+    ("hasty stop", {"axis1__stop__time_max": 0.5}, "axis1.stop.time_max = 0.5", "0.579 s"),
     # loops that sampling makes unstable
     (
         "unstable current loop",

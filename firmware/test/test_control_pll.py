@@ -173,7 +173,7 @@ def test_steps_stay_within_their_bound(
 ) -> None:
     estimator = Estimator(core)
     config = core.ffi.addressof(estimator.config, "pll")
-    most = config.step_most
+    most = config.step_max
     core.lib.pll_reset(estimator.pll, 0, max(min(step, most), -most))
     for _ in range(40):
         core.lib.pll_adapt(estimator.pll, config, emf)

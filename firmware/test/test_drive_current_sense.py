@@ -228,7 +228,6 @@ def test_every_bit_of_the_bus_filter(core: Core, codes: list[int]) -> None:
     """Q1.31 of the full scale; a 16th of the difference, towards minus infinity; the first code goes in as it is."""
     bench = Bench(core)
     axis = core.ffi.addressof(bench.servo.axis[0])
-    axis.u_dc_filter = 0
     filtered = 0
     for code in codes:
         bench.hal.bus_code = code

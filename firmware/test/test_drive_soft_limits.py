@@ -324,5 +324,5 @@ def test_allowed_speeds_over_every_limit(
             return min(most, math.sqrt(2.0 * a * (distance - 0.5 * a / k**2)) - 0.5 * a * TICK)
         return min(most, k * distance)
 
-    assert rad_s(allowed.most) == pytest.approx(expected(high - here), rel=1e-3, abs=0.1 * acceleration * TICK)
-    assert rad_s(allowed.least) == pytest.approx(-expected(here - low), rel=1e-3, abs=0.1 * acceleration * TICK)
+    assert rad_s(allowed.max) == pytest.approx(expected(high - here), rel=1e-3, abs=0.1 * acceleration * TICK)
+    assert rad_s(allowed.min) == pytest.approx(-expected(here - low), rel=1e-3, abs=0.1 * acceleration * TICK)

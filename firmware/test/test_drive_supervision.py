@@ -59,7 +59,7 @@ def test_full_current_without_movement_is_a_stall(bench: Bench, target: dict[str
     bench.write(0, **target)
     ticks = bench.until(lambda: bench.view(0).state == FAULT, 2000)
     assert bench.view(0).faults == STALLED
-    # servo.toml: timing.stall_most, rotor_search.turn_time there and back, and the way to the limit
+    # servo.toml: timing.stall_max, rotor_search.turn_time there and back, and the way to the limit
     assert 0.7 <= ticks * 0.5e-3 <= 0.95
     assert not bench.hal.axis[0].outputs_on
 
@@ -167,7 +167,7 @@ def test_stops_obey_the_acceleration_limit(bench: Bench, stop: dict[str, int]) -
 
 
 def test_stop_of_a_withdrawn_drive_ends_in_time_however_gentle_it_is(bench: Bench) -> None:
-    """At 1 rad/s2 it would take minutes: after stop.time_most, 5 s, the outputs go off."""
+    """At 1 rad/s2 it would take minutes: after stop.time_max, 5 s, the outputs go off."""
     bench.write(0, mode=SPEED, speed=speed(200.0))
     bench.follow(300)
     bench.set_parameter("acceleration_limit", 1.0)
@@ -250,7 +250,7 @@ def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
     assert (bench.view(0).state, bench.view(0).substate) == (RUN, wait)
     assert bench.axis(0).requested
     times_on = bench.hal.axis[0].times_on
-    bench.core.lib.probe_run(bench.servo, 26 * 16000)  # servo.toml: timing.rest_most; the edges stay young
+    bench.core.lib.probe_run(bench.servo, 26 * 16000)  # servo.toml: timing.rest_max; the edges stay young
     assert not bench.axis(0).requested
     bench.turn(0, 0.0)
     bench.until(lambda: bench.view(0).state == STOP, 300)
@@ -436,7 +436,7 @@ def test_over_speed_is_a_fault_within_milliseconds(bench: Bench, direction: int)
     ticks = bench.until(lambda: bench.view(0).state == FAULT, 20)
     assert bench.view(0).faults == FAULT_OVER_SPEED
     assert not bench.hal.axis[0].outputs_on
-    assert 4 <= ticks <= 8  # servo.toml: timing.over_speed_most, 2 ms
+    assert 4 <= ticks <= 8  # servo.toml: timing.over_speed_max, 2 ms
 
 
 def test_without_the_feature_there_is_no_over_speed(bench: Bench) -> None:

@@ -230,7 +230,7 @@ def compile_errors(tmp_path: Path, defines: Sequence[str]) -> str:
         ("DEAD_TIME_NS=25000UL", "dead_time_fits_its_counter"),
         ("DEAD_TIME_NS=0UL", "dead_time_is_not_zero"),
         ("DEAD_TIME_NS=8000UL", "dead_time_leaves_a_pulse"),
-        ("HALF_PULSE_LEAST_CLOCKS=1", "shortest_pulse_is_swallowed"),
+        ("HALF_PULSE_MIN_CLOCKS=1", "shortest_pulse_is_swallowed"),
         ("FAULT_FILTER_NS=20UL", "fault_filter_can_be_set"),
         ("ADC_CLOCK_HZ=25000000UL", "adc_clock_within_the_chips_limit"),
         ("ADC_CLOCK_HZ=15000000UL", "adc_clock_divides_the_bus_clock"),

@@ -56,7 +56,7 @@ def test_constants_are_those_of_the_motor(core: Core, axis: int) -> None:
     assert config.ticks * PERIODS * PERIOD == pytest.approx(0.1)
     assert angle == pytest.approx(120.0, rel=0.01)
     least = 0.3 * PSI[axis] * math.radians(120.0) / FULL_VOLTAGE * 32768 / PERIOD
-    assert config.flux_least == pytest.approx(least, abs=1)
+    assert config.flux_min == pytest.approx(least, abs=1)
     omega = math.radians(120.0) / 0.1
     assert config.inductive == pytest.approx(omega * INDUCTANCE[axis] * CURRENT / FULL_VOLTAGE * 32768, abs=1)
 
@@ -98,7 +98,7 @@ def test_margins(core: Core, axis: int, sign: float) -> None:
 def test_inductance_is_taken_away(core: Core) -> None:
     """What any rotor needs leaves less than a fiftieth of what a rotor that follows would."""
     follow = turn(core, 0, 0.0)
-    assert follow.high - follow.low < config_of(core).flux_least / 15
+    assert follow.high - follow.low < config_of(core).flux_min / 15
 
 
 @given(st.lists(st.tuples(FRAC16, st.booleans()), max_size=120))
@@ -113,7 +113,7 @@ def test_sum_and_extremes_are_exact(core: Core, periods: list[tuple[int, bool]])
         assert (follow.flux, follow.low, follow.high) == (total, low, high)
         if tick:
             core.lib.rotor_follow_step(follow, config)
-    assert core.lib.rotor_follow_seen(follow, config) == (high - low >= config.flux_least)
+    assert core.lib.rotor_follow_seen(follow, config) == (high - low >= config.flux_min)
 
 
 @pytest.mark.parametrize("voltage", [-32768, 32767])

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 
 import pytest
 from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
@@ -153,8 +154,13 @@ def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(rig: Rig) -> Non
         times.append(time.monotonic())
 
     rig.user.create_subscription(JointState, topics.JOINT_COMMANDS, taken, topics.command_qos())
+    begin = time.monotonic()
     status, out, err = command(rig, "velocity", "axis1=50", "--for", "1")
     assert (status, out.strip()) == (0, "took effect"), err
-    assert len(times) >= 12
-    assert times[-1] - times[0] == pytest.approx(1.0, abs=0.15)
+    assert time.monotonic() - begin >= 1.0
+    # The command waits for the bridge, not for this subscriber, which may miss the first messages.
+    assert len(times) >= 4
+    assert times[-1] - times[0] <= 1.15
+    assert max(later - sooner for sooner, later in pairwise(times)) < 0.25  # half of the board's timeout
+    assert len([name for name, *_ in rig.link.written if name == "cmd.speed"]) >= 12
     assert rig.link.written[-1] == ("cmd.speed", 0, (rig.link.catalogue["cmd.speed"].to_raw(50.0),))

@@ -172,7 +172,7 @@ class TestCore:
 
     def test_a_core_that_is_too_slow_is_late(self) -> None:
         """The counter tells, and the fault keeps the switches open."""
-        for cycles in (2.0, 9.0):
+        for cycles in (2.0, 7.0):
             with Board(level="registers", core=CoreSpeed(cycles, 30)) as board:
                 board.run(0.02)
                 assert (board.read_raw("late_loops")[0] > 0) == (cycles > 2.0)

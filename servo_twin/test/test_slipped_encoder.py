@@ -18,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("level")
 
 PLANT = PlantConfig.load()
 STALL = 0.5
-"""Time at full current without movement before the vector turns [s] (timing.stall_most)."""
+"""Time at full current without movement before the vector turns [s] (timing.stall_max)."""
 
 PROOF = 0.4
 """Time of its turns to both sides and back [s] (rotor_search.turn_time)."""

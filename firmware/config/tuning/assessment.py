@@ -35,7 +35,7 @@ INERTIAS: Final = (0.5, 1.0, 2.0, 3.0)
 SPEEDS: Final = (100.0, 10.0, 5.0, 3.0, 2.0, 1.0)
 """Speeds at which the delay of the M/T method is tried [rad/s]."""
 
-_TICKS_MOST: Final = 12_000
+_TICKS_MAX: Final = 12_000
 
 
 @dataclass(frozen=True)
@@ -264,11 +264,11 @@ def design_rule(it: Tuned, speed: Margins) -> DesignRule:
 
 def _ticks(it: Tuned, *rates: float) -> int:
     """Slow ticks until transients of these rates [1/s] are over."""
-    return min(math.ceil(12.0 / min(rates) / it.board.tick), _TICKS_MOST)
+    return min(math.ceil(12.0 / min(rates) / it.board.tick), _TICKS_MAX)
 
 
 def _bare_overshoot(position: System, k_v: float) -> float:
-    ticks = min(math.ceil(12.0 / k_v / position.dt), _TICKS_MOST)
+    ticks = min(math.ceil(12.0 / k_v / position.dt), _TICKS_MAX)
     u = np.zeros((ticks, len(In)))
     u[:, In.SET_POINT] = 1.0
     return max(float(position.simulate(u)[:, Out.ANGLE].max()) - 1.0, 0.0)
@@ -330,7 +330,7 @@ def _top_speed(it: Tuned, current: float) -> float:
     """Where (R i + p psi w)^2 + (p L_q i w)^2 reaches the square of the voltage [rad/s]."""
     p = it.axis("motor.pole_pairs")
     flux, coupling = p * it.axis("motor.psi_m"), p * it.axis("motor.l_q") * current
-    drop, most = it.axis("motor.r_s") * current, it.board.voltage_most
+    drop, most = it.axis("motor.r_s") * current, it.board.voltage_max
     square, half = flux**2 + coupling**2, drop * flux
     rest = half**2 + square * (most**2 - drop**2)
     return max((math.sqrt(rest) - half) / square, 0.0) if rest > 0.0 else 0.0

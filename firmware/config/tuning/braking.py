@@ -46,7 +46,7 @@ def stop_constants(to: Converter) -> dict[str, Field]:
         **{f"stop.{field}": FaultSet(stops.answered(category)) for field, category in names.items()},
         "stop.short_speed": to.of(FRAC32, "speed of the short", min(short_speed(axis) / s.speed, most), _MOTOR),
         "stop.short_current": to.at(FRAC16, "stop.short_current", 1.0 / s.i * (1.0 - 2.0**-15)),
-        "stop.ticks_max": to.ticks("stop.time_most"),
+        "stop.ticks_max": to.ticks("stop.time_max"),
         "stop.hold_ticks": to.ticks("stop.hold_time"),
         "regeneration_speed": to.of(
             FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, most), _MOTOR

@@ -92,7 +92,7 @@ def _axis(axis: Axis) -> None:
 
 
 def _voltage(axis: Axis, board: Board) -> None:
-    most = board.voltage_most / (axis("motor.pole_pairs") * axis("motor.psi_m"))
+    most = board.voltage_max / (axis("motor.pole_pairs") * axis("motor.psi_m"))
     if axis("limits.speed") > most:
         reason = f"{board('nominal_voltage'):g} V reach {most:.4g} rad/s without load"
         remedy = "lower it, or correct motor.psi_m, motor.pole_pairs or board.nominal_voltage"
@@ -137,9 +137,9 @@ def _search(axis: Axis) -> None:
     halvings = math.ceil(math.log2(360.0 / axis("rotor_search.interval")))
     longest = halvings * sum(axis(f"rotor_search.{key}_time") for key in ("ramp", "hold", "rest"))
     longest += 4.0 * axis("rotor_search.verify_time")  # to one side, to the other one, and back
-    if axis("rotor_search.time_most") < longest:
+    if axis("rotor_search.time_max") < longest:
         reason = f"{halvings} vectors and the verification may take {longest:.3g} s"
-        raise axis.refused("rotor_search.time_most", reason, "write more than that, or shorter times")
+        raise axis.refused("rotor_search.time_max", reason, "write more than that, or shorter times")
 
 
 def _bus(configuration: Configuration) -> None:
@@ -184,7 +184,7 @@ def _stops(axis: Axis, scales: Scales) -> None:
     if axis("stop.short_current") > scales.i:
         reason = f"the shunts end at {scales.i:g} A and could not tell"
         raise axis.refused("stop.short_current", reason, "stay within it")
-    ramp = axis("limits.speed") / axis("limits.acceleration") + axis("timing.stop_most")
-    if axis("stop.time_most") < ramp:
-        reason = f"a ramp from the speed limit at limits.acceleration and timing.stop_most take {ramp:.3g} s"
-        raise axis.refused("stop.time_most", reason, "write more than that")
+    ramp = axis("limits.speed") / axis("limits.acceleration") + axis("timing.stop_max")
+    if axis("stop.time_max") < ramp:
+        reason = f"a ramp from the speed limit at limits.acceleration and timing.stop_max take {ramp:.3g} s"
+        raise axis.refused("stop.time_max", reason, "write more than that")

@@ -84,7 +84,7 @@ class Board:
         return self("slow_divider") * self.period
 
     @property
-    def voltage_most(self) -> float:
+    def voltage_max(self) -> float:
         """Longest stator voltage at the nominal bus [V]: what the modulation is allowed of u_dc / sqrt 3."""
         return self("nominal_voltage") / math.sqrt(3.0) * self("voltage_use")
 

@@ -146,7 +146,7 @@ def _follow(to: Converter) -> dict[str, Field]:
             TURN_STEP, "turn of the vector per slow tick", turn * board.tick / time / 2 / math.pi, slower
         ),
         f"{follow}.inductive": to.of(FRAC16, "inductive voltage of the turning vector", inductive, slower),
-        f"{follow}.flux_least": to.of(FLUX, "flux of a rotor that follows", flux, "correct motor.psi_m"),
+        f"{follow}.flux_min": to.of(FLUX, "flux of a rotor that follows", flux, "correct motor.psi_m"),
     }
 
 
@@ -219,14 +219,14 @@ def _limits(to: Converter) -> dict[str, Field]:
 def _supervision(to: Converter) -> dict[str, Field]:
     s = to.s
     times = {
-        "shaft.following_ticks_max": "timing.following_most",
-        "shaft.over_speed_ticks_max": "timing.over_speed_most",
+        "shaft.following_ticks_max": "timing.following_max",
+        "shaft.over_speed_ticks_max": "timing.over_speed_max",
         "settle_ticks": "timing.settle",
-        "shaft.runaway_ticks_max": "timing.runaway_most",
-        "rest_ticks_max": "timing.rest_most",
-        "shaft.stall_ticks_max": "timing.stall_most",
-        "search_ticks_max": "rotor_search.time_most",
-        "stop_ticks_max": "timing.stop_most",
+        "shaft.runaway_ticks_max": "timing.runaway_max",
+        "rest_ticks_max": "timing.rest_max",
+        "shaft.stall_ticks_max": "timing.stall_max",
+        "search_ticks_max": "rotor_search.time_max",
+        "stop_ticks_max": "timing.stop_max",
     }
     return {
         "offset_tolerance": to.at(UINT16, "sensing.offset_tolerance", 1.0),

@@ -13,34 +13,34 @@ from tuning.tuned import Tuned
 
 __all__ = ["findings"]
 
-PHASE_LEAST: Final = 45.0
+PHASE_MIN: Final = 45.0
 """Phase margin that current and speed loop should have [degrees]."""
 
-GAIN_LEAST: Final = 2.0
+GAIN_MIN: Final = 2.0
 """Gain margin that they should have."""
 
-K_V_T_MOST: Final = 0.25
+K_V_T_MAX: Final = 0.25
 """K_v T up to which a first-order speed loop gives a position loop that does not overshoot."""
 
-OVERSHOOT_MOST: Final = 0.01
+OVERSHOOT_MAX: Final = 0.01
 """Of a bare position step."""
 
-ARRIVAL_MOST: Final = 2.0
+ARRIVAL_MAX: Final = 2.0
 """Overshoot of a shaped move at the speed limit [counts]."""
 
-ROUNDING_MOST: Final = 0.01
+ROUNDING_MAX: Final = 0.01
 """Part of a gain that may be lost by rounding it to an integer."""
 
 SIGN: Final = 1.33
 """Current from which on its direction counts as certain, over what it changes by in a dead time."""
 
-TORQUE_MOST: Final = 0.8
+TORQUE_MAX: Final = 0.8
 """Part of the start-up current's torque that the ramp and the friction should take."""
 
-BLIND_MOST: Final = 0.2
+BLIND_MAX: Final = 0.2
 """Part of the speed limit below which an axis without an encoder may be blind while it brakes."""
 
-SIZE_MOST: Final = 4.0
+SIZE_MAX: Final = 4.0
 """`observer.pll_size` [Hz] times the part of the speed limit by which `emf_check.floor` lets the size of the back-EMF
 be off: the speed loop answers to that. With twice as much the observed speed of a light shaft was too restless to be
 believed."""
@@ -48,14 +48,14 @@ believed."""
 SIZE: Final = 2.0
 """What may be written without trying."""
 
-UNEXPLAINED_MOST: Final = 1.25
+UNEXPLAINED_MAX: Final = 1.25
 """Speed that dead time and switches look like, over `start_up.minimum_speed`. On the switching plant a tiny motor was
 always lost at 2.7 and 1.2 and often at 0.91, without a warning there: heavier ones were not at 1.1."""
 
 UNEXPLAINED: Final = 0.68
 """What may be written without trying: the tiny one was not lost then."""
 
-FOLLOWS_LEAST: Final = 0.03
+FOLLOWS_MIN: Final = 0.03
 """Mean voltage that tells a rotor that follows the search's turn from one that is held [V]. On the switching plant
 0.019 V were lost in drops and dead time, 0.036 V were not."""
 
@@ -94,10 +94,10 @@ def _margins(it: Tuned, figures: Assessment) -> Iterator[str]:
             continue
         what = f"{_entry(it, _ENTRIES[loop.name])}: the {loop.name} loop has a"
         phase, gain = loop.margins.phase, loop.margins.gain
-        if phase is not None and phase < PHASE_LEAST:
-            yield f"{what} phase margin of {phase:.1f} deg, less than {PHASE_LEAST:g}; lower it"
-        if gain is not None and gain < GAIN_LEAST:
-            yield f"{what} gain margin of {gain:.2f}, less than {GAIN_LEAST:g}; lower it"
+        if phase is not None and phase < PHASE_MIN:
+            yield f"{what} phase margin of {phase:.1f} deg, less than {PHASE_MIN:g}; lower it"
+        if gain is not None and gain < GAIN_MIN:
+            yield f"{what} gain margin of {gain:.2f}, less than {GAIN_MIN:g}; lower it"
 
 
 def _inertias(it: Tuned, figures: Assessment) -> Iterator[str]:
@@ -109,11 +109,11 @@ def _inertias(it: Tuned, figures: Assessment) -> Iterator[str]:
 
 def _position(it: Tuned, figures: Assessment) -> Iterator[str]:
     entry, rule, arrival = _entry(it, "control.position_gain"), figures.rule, figures.arrival
-    if rule.k_v_t > K_V_T_MOST:
-        yield f"{entry}: K_v T = {rule.k_v_t:.2f} > {K_V_T_MOST:g}, the shaft may overshoot; lower it"
-    if arrival.bare > OVERSHOOT_MOST:
+    if rule.k_v_t > K_V_T_MAX:
+        yield f"{entry}: K_v T = {rule.k_v_t:.2f} > {K_V_T_MAX:g}, the shaft may overshoot; lower it"
+    if arrival.bare > OVERSHOOT_MAX:
         yield f"{entry}: a step that nothing shapes overshoots by {100.0 * arrival.bare:.1f} %; lower it"
-    if arrival.shaped > ARRIVAL_MOST:
+    if arrival.shaped > ARRIVAL_MAX:
         yield f"{entry}: a shaped move overshoots by {arrival.shaped:.1f} counts; lower it or control.path_current_use"
 
 
@@ -132,7 +132,7 @@ def _reach(it: Tuned, figures: Assessment) -> Iterator[str]:
 def _rounding(it: Tuned) -> Iterator[str]:
     for row in it.rows():
         lost = abs(row.used / row.designed - 1.0)
-        if lost > ROUNDING_MOST:
+        if lost > ROUNDING_MAX:
             value = f"{it.axis.name}: {row.name} = {row.designed:g} {row.unit}".rstrip()
             yield f"{value}: rounded to an integer it is off by {100.0 * lost:.0f} %; choose it larger"
 
@@ -150,7 +150,7 @@ def _follows(it: Tuned) -> Iterator[str]:
     axis = it.axis
     flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * math.radians(axis("rotor_search.turn_angle"))
     seen = flux / axis("rotor_search.turn_time")
-    if seen < FOLLOWS_LEAST:
+    if seen < FOLLOWS_MIN:
         what = f"a rotor that follows the turn shows in {1e3 * seen:.2g} mV, less than dead time and switches hide"
         yield f"{_entry(it, 'rotor_search.turn_time')}: {what}; write some {flux / FOLLOWS:.2g}"
 
@@ -160,7 +160,7 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
     if found.trouble is not None:
         yield f"{it.axis.name}.feedback: cannot do without its encoder: {found.trouble}"
         return
-    if start_up.torque > TORQUE_MOST:
+    if start_up.torque > TORQUE_MAX:
         entry = _entry(it, "start_up.current_first")
         share = f"{100.0 * start_up.torque:.0f} % of the current's torque"
         yield f"{entry}: the start-up takes {share}; raise start_up.swings"
@@ -175,16 +175,16 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
 
 def _back_emf(it: Tuned, found: SensorlessFigures) -> Iterator[str]:
     limit = it.axis("limits.speed")
-    if found.blind_speed > BLIND_MOST * limit:
+    if found.blind_speed > BLIND_MAX * limit:
         hidden = (
             f"below {found.blind_speed:.3g} rad/s limits.current in a warm winding hides the back-EMF while it brakes"
         )
         yield f"{_entry(it, 'motor.r_s')}: without its encoder {hidden}; lower the limit, or keep the encoder"
     part = found.unexplained_speed / limit
-    if it.axis("observer.pll_size") * part > SIZE_MOST:
+    if it.axis("observer.pll_size") * part > SIZE_MAX:
         what = f"dead time and switches make the back-EMF look like {found.unexplained_speed:.3g} rad/s more or less"
         yield f"{_entry(it, 'observer.pll_size')}: {what}; write some {SIZE / part:.2g}"
-    if found.unexplained_speed > UNEXPLAINED_MOST * it.sensorless.start_up.minimum_speed:
+    if found.unexplained_speed > UNEXPLAINED_MAX * it.sensorless.start_up.minimum_speed:
         what = f"dead time and switches look like {found.unexplained_speed:.3g} rad/s without an encoder"
         yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; write some {part / UNEXPLAINED:.2g}"
 
@@ -192,9 +192,9 @@ def _back_emf(it: Tuned, found: SensorlessFigures) -> Iterator[str]:
 def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
     for lock in figures.sensorless.locks:
         phase = lock.speed_margins.phase
-        if phase is not None and phase < PHASE_LEAST:
+        if phase is not None and phase < PHASE_MIN:
             what = f"at {lock.speed:.3g} rad/s the speed loop has a phase margin of {phase:.1f} deg"
-            yield f"{_entry(it, 'observer.speed_part')}: {what}, less than {PHASE_LEAST:g}; lower it"
+            yield f"{_entry(it, 'observer.speed_part')}: {what}, less than {PHASE_MIN:g}; lower it"
     lock = figures.sensorless.locks[0]
     if lock.back_emf < it.axis("emf_check.spin_floor"):
         what = f"{lock.speed:.3g} rad/s give {lock.back_emf:.2g} V, less than emf_check.spin_floor leaves unexplained"

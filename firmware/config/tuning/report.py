@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from tuning.assessment import Assessment, assess
 from tuning.configuration import Configuration
-from tuning.findings import K_V_T_MOST, findings
+from tuning.findings import K_V_T_MAX, findings
 from tuning.layout import factor, hertz, notes, phase, table
 from tuning.sensorless_report import sensorless_text
 from tuning.tuned import Tuned, tuned
@@ -143,8 +143,8 @@ def _poles(figures: Assessment, name: str) -> Iterator[str]:
 
 def _rule(figures: Assessment) -> Iterator[str]:
     rule = figures.rule
-    verdict = "no overshoot" if rule.k_v_t <= K_V_T_MOST else "will overshoot"
-    most = f"at most {K_V_T_MOST / rule.t_n_tuned:.4g} 1/s keep K_v T <= {K_V_T_MOST:g}"
+    verdict = "no overshoot" if rule.k_v_t <= K_V_T_MAX else "will overshoot"
+    most = f"at most {K_V_T_MAX / rule.t_n_tuned:.4g} 1/s keep K_v T <= {K_V_T_MAX:g}"
     rows = [
         ("T_N of E43, rotor alone", f"{1e3 * rule.t_n_rotor:.2f} ms", "speed from 0 to rated at rated torque"),
         ("T_N of E43, whole shaft", f"{1e3 * rule.t_n_shaft:.2f} ms", ""),

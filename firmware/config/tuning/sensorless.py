@@ -188,7 +188,7 @@ class StartUp:
         Mechanical, at the end of the ramp of the speed [rad/s].
     speed_time : float
         Of that ramp [s].
-    time_most : float
+    time_max : float
         Until the start-up has failed [s].
     minimum_speed : float
         Mean of the observed speed that it takes [rad/s].
@@ -205,7 +205,7 @@ class StartUp:
     current_time: float
     speed_final: float
     speed_time: float
-    time_most: float
+    time_max: float
     minimum_speed: float
     swing: float
     damping: float
@@ -236,7 +236,7 @@ class StartUp:
             current_time=current_time,
             speed_final=speed,
             speed_time=ramp,
-            time_most=ramp + axis("start_up.wait_most"),
+            time_max=ramp + axis("start_up.wait_max"),
             minimum_speed=axis("limits.speed") * axis("start_up.minimum_speed"),
             swing=swing,
             damping=2.0 * axis("start_up.swing_damping") * swing * inertia / (p * k_t * axis("motor.psi_m")),

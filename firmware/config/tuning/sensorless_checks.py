@@ -17,7 +17,7 @@ SPEEDS: Final = 64
 FASTER: Final = 2.0
 """Times the phase-locked loop that the observer before it has to be as fast."""
 
-LAG_MOST: Final = math.radians(30.0)
+LAG_MAX: Final = math.radians(30.0)
 """By which the phase-locked loop may trail the ramp of the start-up."""
 
 
@@ -119,7 +119,7 @@ def _pll(axis: Axis, board: Board, pll: Pll, start_up: StartUp) -> None:
         raise axis.refused("observer.pll_load", reason, "write 0.125")
     p = axis("motor.pole_pairs")
     lag = p * start_up.acceleration / pll.omega_n(p * start_up.speed_final) ** 2
-    if lag > LAG_MOST:
+    if lag > LAG_MAX:
         reason = f"the loop would trail the start-up by {math.degrees(min(lag, 1e3)):.3g} degrees"
         raise axis.refused("observer.pll_i", reason, "raise it, or start_up.swings")
 
@@ -155,17 +155,17 @@ def _ramps(axis: Axis, it: StartUp) -> None:
 
 def _criterion(axis: Axis, board: Board, it: StartUp) -> None:
     """Its conditions must not contradict each other."""
-    if axis("start_up.mean_most") <= 1.0:
+    if axis("start_up.mean_max") <= 1.0:
         reason = "the mean of a rotor that follows lies at 1, and so it would pass by chance"
-        raise axis.refused("start_up.mean_most", reason, "write some 1.2")
-    if axis("start_up.mean_least") >= 1.0:
+        raise axis.refused("start_up.mean_max", reason, "write some 1.2")
+    if axis("start_up.mean_min") >= 1.0:
         reason = "a rotor that follows perfectly would not pass"
-        raise axis.refused("start_up.mean_least", reason, "write 0.8, the slide's")
-    if axis("start_up.minimum_speed") >= axis("start_up.mean_least") * axis("start_up.speed_final"):
-        passing = axis("start_up.mean_least") * it.speed_final
+        raise axis.refused("start_up.mean_min", reason, "write 0.8, the slide's")
+    if axis("start_up.minimum_speed") >= axis("start_up.mean_min") * axis("start_up.speed_final"):
+        passing = axis("start_up.mean_min") * it.speed_final
         reason = f"{it.minimum_speed:.4g} rad/s, but the ramp's end lets a mean of {passing:.4g} rad/s pass"
         raise axis.refused("start_up.minimum_speed", reason, "lower it, or raise start_up.speed_final")
     whole = (SPEEDS + axis("start_up.consecutive_tests")) * axis("reliability.period") * board.tick
-    if whole > it.time_most:
-        reason = f"{SPEEDS} speeds and the tests take {whole:.3g} s, and the start-up fails after {it.time_most:.3g} s"
-        raise axis.refused("start_up.wait_most", reason, "raise it, or lower reliability.period")
+    if whole > it.time_max:
+        reason = f"{SPEEDS} speeds and the tests take {whole:.3g} s, and the start-up fails after {it.time_max:.3g} s"
+        raise axis.refused("start_up.wait_max", reason, "raise it, or lower reliability.period")

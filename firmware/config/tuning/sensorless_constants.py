@@ -17,7 +17,7 @@ __all__ = ["F2", "needs_observer", "sensorless_constants", "used_observer", "use
 
 F2: Final = 11
 """Fraction bits of the observed back-EMF beyond 15; F1 of the observed current is at most the same."""
-F1_LEAST: Final = 6
+F1_MIN: Final = 6
 
 LOSS: Final = Format("1 - a below 1/2, 32 fraction bits", 32, 1, 2**31 - 1)
 DRIVE: Final = Format("int32_t with 32 fraction bits", 32, 1, 2**31 - 1)
@@ -83,7 +83,7 @@ def _observer(to: Converter, it: BackEmfObserver) -> dict[str, Field]:
     admittance = to.s.u_s / to.s.i
     loss = to.of(LOSS, "R T / L of the observer", 1.0 - it.a, f"the current is gone between two samples: {_WINDING}")
     f1 = min(F2, math.ceil(F2 - 1 - math.log2(it.b * admittance)) - 1)  # the largest that leaves the factor below 1/2
-    if f1 < F1_LEAST:
+    if f1 < F1_MIN:
         name = f"{to.axis.name}: current of full voltage in a period"
         raise ConfigError(f"{name} = {it.b * admittance:g} full scales: the observer cannot follow; {_WINDING}")
     return {
@@ -103,7 +103,7 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     turn = p * s.speed * board.period / (2.0 * math.pi)  # at full-scale speed
     quicker = "raise observer.pll_i"
     acceleration = pll.acceleration * s.i * p * board.tick * board.period / (2.0 * math.pi)
-    e_least = 0.5 * p * axis("motor.psi_m") * design.start_up.minimum_speed / s.u_s
+    e_min = 0.5 * p * axis("motor.psi_m") * design.start_up.minimum_speed / s.u_s
     per_emf = _step_per_emf(axis, board, s)
     follow, follow_load = pll.size_gains(board.tick)
     slower = "lower observer.pll_size"
@@ -113,10 +113,8 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
         "pll.forget": to.of(GAIN, "back-EMF per step of the PLL", board.tick / FORGET / per_emf, _MOTOR),
         "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), "lower observer.pll_i"),
         "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), quicker),
-        "pll.e_least": to.of(
-            FRAC16, "half the back-EMF at start_up.minimum_speed", e_least, f"raise that, or {_MOTOR}"
-        ),
-        "pll.step_most": to.of(STEP, "turn per period beyond the full speed", 1.25 * turn, "fewer motor.pole_pairs"),
+        "pll.e_min": to.of(FRAC16, "half the back-EMF at start_up.minimum_speed", e_min, f"raise that, or {_MOTOR}"),
+        "pll.step_max": to.of(STEP, "turn per period beyond the full speed", 1.25 * turn, "fewer motor.pole_pairs"),
         "pll.speed_per_step": to.of(SPEED_PER_STEP, "speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
         "pll.step_per_speed": to.of(STEP, "turn per period at full speed", turn, "fewer motor.pole_pairs"),
         "pll.counts_per_turn": to.of(TURN_COUNTS, "counts per electrical turn", axis.counts / p, _MOTOR),
@@ -187,11 +185,11 @@ def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
         ),
         "startup.final_speed": to.of(FRAC32, "start_up.speed_final", it.speed_final / s.speed, "correct limits.speed"),
         "startup.speed_step": to.of(FRAC32, "change of the forced speed per slow tick", speed_step, ramp),
-        "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", it.time_most / board.tick, ramp),
+        "startup.duration_ticks": to.of(SOME_TICKS, "slow ticks of the start-up", it.time_max / board.tick, ramp),
         "startup.tests": to.at(UINT16, "start_up.consecutive_tests", 1.0),
         "startup.minimum_speed": to.of(FRAC32, "start_up.minimum_speed", it.minimum_speed / s.speed, "raise it"),
-        "startup.mean_min": to.at(UINT16_Q14, "start_up.mean_least", 1.0),
-        "startup.mean_max": to.at(UINT16_Q14, "start_up.mean_most", 1.0),
+        "startup.mean_min": to.at(UINT16_Q14, "start_up.mean_min", 1.0),
+        "startup.mean_max": to.at(UINT16_Q14, "start_up.mean_max", 1.0),
         "startup.damping": to.of(GAIN, "damping of the swing", it.damping * s.u_s / s.i, gentler),
         "startup.damping_limit": to.of(FRAC16, "start_up.swing_current", across, "write a part of the final current"),
         "startup.catch_ticks": to.ticks("start_up.catch_time"),
@@ -201,10 +199,7 @@ def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
 
 FIELDS: Final = (
     *(f"observer.{key}" for key in ("f1", "f2", "loss", "drive", "k1", "k2")),
-    *(
-        f"pll.{key}"
-        for key in ("kp", "ki", "e_least", "step_most", "speed_per_step", "step_per_speed", "counts_per_turn")
-    ),
+    *(f"pll.{key}" for key in ("kp", "ki", "e_min", "step_max", "speed_per_step", "step_per_speed", "counts_per_turn")),
     "pll.acceleration",
     "pll.load",
     "pll.follow",

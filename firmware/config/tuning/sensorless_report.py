@@ -103,7 +103,7 @@ def _locks(figures: SensorlessFigures) -> Iterator[str]:
 def _start_up(it: Tuned) -> Iterator[str]:
     s = it.sensorless.start_up
     share = f"with friction {100.0 * s.torque:.0f} % of the current's torque at most"
-    mean = [it.axis(f"start_up.mean_{key}") * s.speed_final for key in ("least", "most")]
+    mean = [it.axis(f"start_up.mean_{key}") * s.speed_final for key in ("min", "max")]
     fifo = 64.0 * it.axis("reliability.period") * it.board.tick
     tests = f"{it.axis('start_up.consecutive_tests'):g} tests in a row"
     return notes(
@@ -114,6 +114,6 @@ def _start_up(it: Tuned) -> Iterator[str]:
             ("swing of the rotor", hertz(s.swing / 2.0 / math.pi), f"damped by {s.damping:.3g} A/V across the current"),
             ("passes at", f"{mean[0]:.4g} .. {mean[1]:.4g} rad/s", f"above {s.minimum_speed:.4g} rad/s, {tests}"),
             ("mean and variance of", f"{1e3 * fifo:.4g} ms", "64 speeds"),
-            ("fails after", f"{s.time_most:.3g} s", ""),
+            ("fails after", f"{s.time_max:.3g} s", ""),
         ]
     )

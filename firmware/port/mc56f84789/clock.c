@@ -1,12 +1,12 @@
 /* clock.c - crystal, PLL, and the way to them in an order in which the core never loses its clock. */
 #include "port/mc56f84789/drivers.h"
 
-#define POLLS_MOST 60000U
+#define POLLS_MAX 60000U
 #define SWITCH_NOPS 6U /* that a change of the reference takes */
 
 bool wait_for(hal_t *hal, uint16_t address, uint16_t mask, uint16_t value)
 {
-    for (uint16_t polls = 0; polls < POLLS_MOST; polls++) {
+    for (uint16_t polls = 0; polls < POLLS_MAX; polls++) {
         if ((REG_READ(hal, address) & mask) == value) {
             return true;
         }

@@ -5,7 +5,7 @@
 
 /* Losses are forgotten by one per period, so that more than four in 16 ms are too many. */
 #define LOSS 64U
-#define LOSSES_MOST 256U
+#define LOSSES_MAX 256U
 
 /* ---- sequence --------------------------------------------------------------------------------------------------- */
 
@@ -45,7 +45,7 @@ static void sequence_lost(hal_t *hal)
     sequence_stop(hal);
     hal->restarts++;
     hal->losses = (uint16_t)(hal->losses + LOSS);
-    if (hal->losses <= LOSSES_MOST) {
+    if (hal->losses <= LOSSES_MAX) {
         sequence_arm(hal);
         return;
     }

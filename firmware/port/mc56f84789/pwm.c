@@ -90,9 +90,9 @@ static int16_t half_pulse(int16_t duty)
  * under way when the values are loaded. */
 static void write_pulse(hal_t *hal, uint16_t submodule, int16_t half)
 {
-    if (half < HALF_PULSE_LEAST_CLOCKS) {
+    if (half < HALF_PULSE_MIN_CLOCKS) {
         REG_WRITE(hal, submodule + PWM_VAL2, SET_PWM_NEVER);
-        REG_WRITE(hal, submodule + PWM_VAL3, WORD(HALF_PULSE_LEAST_CLOCKS));
+        REG_WRITE(hal, submodule + PWM_VAL3, WORD(HALF_PULSE_MIN_CLOCKS));
     } else {
         REG_WRITE(hal, submodule + PWM_VAL2, WORD(-half));
         REG_WRITE(hal, submodule + PWM_VAL3, WORD(half));

@@ -12,9 +12,9 @@ static uint16_t rate(uint32_t baud)
         return SET_QSCI_RATE;
     }
     const uint32_t eighths = (uint32_t)SERIAL_RATE_OF(baud);
-    return (eighths < SERIAL_RATE_LEAST)  ? (uint16_t)SERIAL_RATE_LEAST
-           : (eighths > SERIAL_RATE_MOST) ? (uint16_t)SERIAL_RATE_MOST
-                                          : (uint16_t)eighths;
+    return (eighths < SERIAL_RATE_MIN)   ? (uint16_t)SERIAL_RATE_MIN
+           : (eighths > SERIAL_RATE_MAX) ? (uint16_t)SERIAL_RATE_MAX
+                                         : (uint16_t)eighths;
 }
 
 void serial_init(hal_t *hal)

@@ -28,8 +28,8 @@
 #ifndef DEAD_TIME_NS
 #define DEAD_TIME_NS 1000UL
 #endif
-#ifndef HALF_PULSE_LEAST_CLOCKS
-#define HALF_PULSE_LEAST_CLOCKS 2 /* VAL2 = VAL3 is not defined; shorter pulses are none */
+#ifndef HALF_PULSE_MIN_CLOCKS
+#define HALF_PULSE_MIN_CLOCKS 2 /* VAL2 = VAL3 is not defined; shorter pulses are none */
 #endif
 #ifndef SYNC_LATENCY_CLOCKS
 #define SYNC_LATENCY_CLOCKS 0 /* VAL0 of PWMA to INIT of PWMB through the crossbar: measure it */
@@ -104,9 +104,9 @@
 
 /* ---- clock: crystal -> PLL -> /2 -> postscaler -> /2 ------------------------------------------------------------ */
 
-#define PLL_LEAST_HZ 240000000UL
-#define PLL_MOST_HZ 400000000UL
-#define PLL_POSTSCALE (4UL * BUS_CLOCK_HZ >= PLL_LEAST_HZ ? 0U : 8UL * BUS_CLOCK_HZ >= PLL_LEAST_HZ ? 1U : 2U)
+#define PLL_MIN_HZ 240000000UL
+#define PLL_MAX_HZ 400000000UL
+#define PLL_POSTSCALE (4UL * BUS_CLOCK_HZ >= PLL_MIN_HZ ? 0U : 8UL * BUS_CLOCK_HZ >= PLL_MIN_HZ ? 1U : 2U)
 #define PLL_HZ ((4UL * BUS_CLOCK_HZ) << PLL_POSTSCALE)
 #define PLL_MULTIPLIER (PLL_HZ / CRYSTAL_HZ)
 #define LOSS_OF_REFERENCE_TRIP 2U /* as after reset */
@@ -119,7 +119,7 @@
 
 SETTINGS_CHECK(bus_clock_within_the_chips_limit, BUS_CLOCK_HZ <= 100000000UL);
 SETTINGS_CHECK(crystal_within_the_chips_limits, CRYSTAL_HZ >= 4000000UL && CRYSTAL_HZ <= 16000000UL);
-SETTINGS_CHECK(pll_in_range, PLL_HZ >= PLL_LEAST_HZ && PLL_HZ <= PLL_MOST_HZ);
+SETTINGS_CHECK(pll_in_range, PLL_HZ >= PLL_MIN_HZ && PLL_HZ <= PLL_MAX_HZ);
 SETTINGS_CHECK(pll_is_a_multiple_of_the_crystal, PLL_HZ % CRYSTAL_HZ == 0UL);
 SETTINGS_CHECK(pll_multiplier_fits, PLL_MULTIPLIER >= 1UL && PLL_MULTIPLIER <= 64UL);
 SETTINGS_CHECK(bus_clock_is_whole_megahertz, BUS_CLOCK_HZ % 1000000UL == 0UL);
@@ -148,7 +148,7 @@ SETTINGS_CHECK(dead_time_fits_its_counter, DEAD_TIME_CLOCKS <= (uint32_t)PWM_DTC
 SETTINGS_CHECK(dead_time_is_not_zero, DEAD_TIME_CLOCKS >= 1UL);
 SETTINGS_CHECK(dead_time_leaves_a_pulse, 8UL * DEAD_TIME_CLOCKS <= PWM_PERIOD);
 SETTINGS_CHECK(shortest_pulse_is_swallowed,
-               HALF_PULSE_LEAST_CLOCKS >= 2 && 2UL * HALF_PULSE_LEAST_CLOCKS <= DEAD_TIME_CLOCKS);
+               HALF_PULSE_MIN_CLOCKS >= 2 && 2UL * HALF_PULSE_MIN_CLOCKS <= DEAD_TIME_CLOCKS);
 
 /* Master, its followers, and the module that an event of the master starts (DRM F33). Reload at VAL0 only: a new duty is
  * in force half a period after the sample that it answers. */
@@ -310,8 +310,8 @@ SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(T
 
 #define SERIAL_CLOCK_HZ (SERIAL_CLOCK_DOUBLE ? 2UL * BUS_CLOCK_HZ : BUS_CLOCK_HZ)
 #define SERIAL_RATE_OF(baud) ((SERIAL_CLOCK_HZ + (baud)) / (2UL * (baud))) /* eighths of 1/16 bit */
-#define SERIAL_RATE_LEAST 8UL
-#define SERIAL_RATE_MOST 0xFFFFUL
+#define SERIAL_RATE_MIN 8UL
+#define SERIAL_RATE_MAX 0xFFFFUL
 #define SERIAL_RATE SERIAL_RATE_OF(SERIAL_BAUD)
 #define SERIAL_EXACT (2UL * SERIAL_RATE * SERIAL_BAUD) /* the clock at which the rate is exact */
 #define SERIAL_DEVIATION                                                                                               \
@@ -323,8 +323,8 @@ SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(T
 #define SET_QSCI_CTRL1 (QSCI_CTRL1_TE | QSCI_CTRL1_RE | QSCI_CTRL1_RFIE) /* 8 data bits, no parity, 1 stop bit */
 #define SET_QSCI_CTRL2 (QSCI_CTRL2_FIFO_EN | QSCI_CTRL2_RFWM(SERIAL_TOGETHER - 1U))
 
-SETTINGS_CHECK(baud_rate_is_not_too_low, SERIAL_RATE <= SERIAL_RATE_MOST);
-SETTINGS_CHECK(baud_rate_is_not_too_high, SERIAL_RATE >= SERIAL_RATE_LEAST);
+SETTINGS_CHECK(baud_rate_is_not_too_low, SERIAL_RATE <= SERIAL_RATE_MAX);
+SETTINGS_CHECK(baud_rate_is_not_too_high, SERIAL_RATE >= SERIAL_RATE_MIN);
 SETTINGS_CHECK(baud_rate_deviates_less_than_1_6_percent, SERIAL_DEVIATION <= SERIAL_CLOCK_HZ / 64UL);
 
 /* ---- watchdog: on the internal oscillator, which outlives the crystal ------------------------------------------- */

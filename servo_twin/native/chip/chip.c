@@ -8,7 +8,7 @@
 
 #define ESCAPE_FAILURE 1
 #define ESCAPE_RESET 2
-#define POLLS_MOST 20000u /* reads at one instant: software that waits for time, which stands still */
+#define POLLS_MAX 20000u /* reads at one instant: software that waits for time, which stands still */
 
 /* ---- errors ------------------------------------------------------------------------------------------------------- */
 
@@ -106,7 +106,7 @@ CHIP_NORETURN CHIP_APART static void fail_waiting(chip_t *chip, uint32_t address
 
 static inline uint16_t read_register(chip_t *chip, uint32_t address)
 {
-    if (++chip->core.polls > POLLS_MOST) {
+    if (++chip->core.polls > POLLS_MAX) {
         fail_waiting(chip, address);
     }
     return block_of(chip, address)->read(chip, address);

@@ -47,9 +47,6 @@ __all__ = [
 TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
 """One slow tick [ns]."""
 
-SNAPSHOT_NS: Final = 2 * PERIOD_NS
-"""From a slow tick until its snapshot is there: one period later, by a handler that may last into the next one."""
-
 TICK: Final = TICK_NS * 1e-9
 """One slow tick [s]."""
 
@@ -196,19 +193,19 @@ def watch(
         If an axis ends in a fault and may not: nothing that is measured afterwards would mean anything.
     """
     ticks = round(seconds / TICK)
-    start = board.time_ns + (SNAPSHOT_NS - board.time_ns) % TICK_NS
-    board.advance(start)
+    start = board.time_ns
+    if board.level == "registers":  # a slow loop, and the snapshot behind it, may last into the next PWM period
+        start += (PERIOD_NS - start) % TICK_NS
+        board.advance(start)
     truths: dict[int, list[tuple[float, float, float, float, float]]] = {axis: [] for axis in axes}
     rows: list[bytes] = []
     for k in range(ticks):
         if act is not None:
             act(k)
-        end = start + (k + 1) * TICK_NS
-        board.advance(end - SNAPSHOT_NS)
+        rows.append(board.record(start + (k + 1) * TICK_NS).tobytes())
         for axis, kept in truths.items():
             t = board.truth(axis)
             kept.append((t.theta_m, t.omega_m, t.i_q, t.torque_e, t.u_dc))
-        rows.append(board.record(end).tobytes())
     log = np.frombuffer(b"".join(rows), board.snapshot_dtype)  # concatenate() compares all fields of every row
     if log.size != ticks:
         raise SimulationError(f"{log.size} snapshots in {ticks} slow ticks")

@@ -307,9 +307,9 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
     errors: list[Curve] = []
     times: list[Curve] = []
     degrees = np.arange(-180, 180, EVERY, dtype=np.float64)
-    for condition, (changed, time_most) in conditions.items():
+    for condition, (changed, time_max) in conditions.items():
         by_axis = everywhere(changed, seed)
-        rows.extend(_rows_of(condition, changed, by_axis, time_most))
+        rows.extend(_rows_of(condition, changed, by_axis, time_max))
         for axis, searches in enumerate(by_axis):
             label = f"{axis_name(axis)} {condition}"
             errors.append(
@@ -356,7 +356,7 @@ def _rows_f16(plant: PlantConfig, searches: Sequence[Search]) -> list[Row]:
 
 
 def _rows_of(
-    condition: str, plant: PlantConfig, by_axis: Sequence[Sequence[Search]], time_most: float = TIME_F16
+    condition: str, plant: PlantConfig, by_axis: Sequence[Sequence[Search]], time_max: float = TIME_F16
 ) -> list[Row]:
     """Worst figures of each axis."""
     rows: list[Row] = []
@@ -367,7 +367,7 @@ def _rows_of(
         bound = error_bound(plant.axes[axis], max(s.current for s in searches))
         rows.append(Row(f"{what}, error", "F16: theta_M is the rotor's angle", worst, "deg el", Bound(most=bound)))
         time = max(s.time for s in searches)
-        rows.append(Row(f"{what}, time", "F16: within 1.2 s", time, "s", Bound(most=time_most)))
+        rows.append(Row(f"{what}, time", "F16: within 1.2 s", time, "s", Bound(most=time_max)))
         # The longest movement; but if one is too long for the number of its vectors, that one.
         longest = max(searches, key=lambda s: (s.movement > movement_bound(s.searches), s.movement))
         gentle = Bound(most=movement_bound(longest.searches))

@@ -78,7 +78,7 @@ class Replica:
             raise ValueError(f"tick {tick} is not a multiple of {SLOW_PERIODS}")
         if tick <= self.tick:
             return
-        log = self._board.record((tick + 2) * PERIOD_NS)  # the snapshot is taken a period later, at its end
+        log = self._board.record((tick + 1) * PERIOD_NS)  # the handler of the slow tick may last into the next period
         self.tick = tick
         self.raw = dict(zip(log.dtype.names or (), log[-1].tolist(), strict=True))
         assert self.raw["tick"] == tick % _WRAP
