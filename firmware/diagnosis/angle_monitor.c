@@ -12,7 +12,6 @@
 
 void angle_monitor_start(angle_monitor_t *monitor)
 {
-    monitor->current = (dq_t){0, 0};
     monitor->beyond = (dq_t){0, 0};
     monitor->ticks = 0;
 }
@@ -33,14 +32,14 @@ static void filter(angle_monitor_t *m, gain_t resistance, const current_loop_con
  * for: 29 degrees of it, or its size. Along the current half of the resistance may be added; much more is no back-EMF. Of a
  * small current neither the direction is certain nor what a dead time does to it. */
 static bool contradicts(const angle_monitor_t *m, const winding_config_t *config, const current_loop_config_t *loop,
-                        const observation_t *o, int32_t changed)
+                        const observation_t *o)
 {
     const int32_t size = o->current_size;
     const int32_t emf = i32_abs(o->emf);
     const int32_t turned = i32_gain(asr32(i32_abs(o->omega_e) * size, 15), loop->omega_l_q);
     const bool certain = size >= 2 * (int32_t)config->silent;
     const int32_t lost = certain ? config->emf_floor / 4 : 2 * (int32_t)config->emf_floor;
-    const int32_t known = sat16(lost + turned / 4 + i32_gain(changed, config->inductance) + emf / 2);
+    const int32_t known = sat16(lost + turned / 4 + i32_gain(o->current_change, config->inductance) + emf / 2);
     const int32_t along = o->drop / 2;
     const int32_t length = length_about(m->beyond.d, m->beyond.q);
     const int32_t across =
@@ -52,17 +51,14 @@ static bool contradicts(const angle_monitor_t *m, const winding_config_t *config
 void angle_monitor_step(angle_monitor_t *m, const winding_config_t *config, const current_loop_config_t *loop,
                         const observation_t *o, evidence_t *evidence)
 {
-    const dq_t before = m->current;
     const bool moves = o->calm == 0U; /* else it is the count that is in doubt */
-    m->current = o->current;
     if (!moves || (o->features & NEEDED) != NEEDED || o->current_size < (int32_t)config->silent) {
         m->beyond = (dq_t){0, 0};
         m->ticks = 0;
         return;
     }
-    const int32_t changed = length_about(f16_sub(o->current.d, before.d), f16_sub(o->current.q, before.q));
     filter(m, config->resistance, loop, o);
-    if (i32_abs(o->emf) > config->emf_floor / 4 && contradicts(m, config, loop, o, changed)) {
+    if (i32_abs(o->emf) > config->emf_floor / 4 && contradicts(m, config, loop, o)) {
         m->ticks++;
     } else if (m->ticks > 0U) {
         m->ticks--;

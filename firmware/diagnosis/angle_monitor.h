@@ -13,7 +13,6 @@
 #include "diagnosis/observation.h"
 
 typedef struct {
-    dq_t current;        /* of the last tick */
     dq_t beyond;         /* voltage that nothing explains, filtered */
     uint16_t ticks;      /* slow ticks of too much of it, less those without */
     uint16_t conducting; /* phases that have carried current since it began, a bit each */

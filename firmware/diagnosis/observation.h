@@ -61,6 +61,7 @@ typedef struct {
     frac16_t emf; /* that belongs to this speed */
     int32_t current_size; /* length of `current`, and the resistance's voltage for it */
     int32_t drop;
+    int32_t current_change; /* length of its change since the last slow tick */
 
     /* what one monitor has to tell the next */
     uint16_t calm; /* slow ticks since the count has moved by more than two */

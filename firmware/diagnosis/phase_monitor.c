@@ -125,9 +125,10 @@ static void forget(phase_monitor_t *m)
 static bool current_not_following(const winding_config_t *config, const observation_t *o)
 {
     const int32_t emf = o->emf;
+    const int32_t windings = o->drop + i32_gain(o->current_change, config->inductance);
     return (o->sensorless || o->calm < CALM_TICKS) &&
            length_about(o->voltage.d, o->voltage.q - emf) >
-               2 * (int32_t)config->emf_floor + i32_abs(emf) / 2 + 2 * o->drop;
+               2 * ((int32_t)config->emf_floor + windings) + i32_abs(emf) / 2;
 }
 
 /* As a suspicion it is forgotten slowly: an observer that has lost its rotor asks for anything. */

@@ -41,7 +41,8 @@ static void observe_frame(axis_t *axis)
     }
 }
 
-static void observe_currents(axis_t *axis)
+/* `before` is the current of the last slow tick. */
+static void observe_currents(axis_t *axis, dq_t before)
 {
     observation_t *o = &axis->observation;
     const current_loop_t *loop = &axis->current_loop;
@@ -57,6 +58,7 @@ static void observe_currents(axis_t *axis)
     o->omega_e = f16_from_f32(loop->omega_e);
     o->current_size = length_about(o->current.d, o->current.q);
     o->drop = i32_gain(o->current_size, axis->config->winding.resistance);
+    o->current_change = length_about(f16_sub(o->current.d, before.d), f16_sub(o->current.q, before.q));
     o->calm = axis->diagnosis.encoder.calm;
     o->stop_unconfirmed = encoder_monitor_stop_unconfirmed(&axis->diagnosis.encoder);
 }
@@ -90,6 +92,7 @@ void watch_currents(axis_t *axis)
 {
     diagnosis_t *d = &axis->diagnosis;
     observation_t *o = &axis->observation;
+    const dq_t before = o->current;
     d->evidence = (evidence_t){0};
     axis_observe(axis);
     observe_frame(axis);
@@ -104,7 +107,7 @@ void watch_currents(axis_t *axis)
     const finding_set_t now = d->evidence.confirmed | (possible ? watch_bus_now(axis) : 0U);
     axis->latch.pending = (now != 0U) ? fault_names(now) : 0U;
     if (axis->sm.state != STATE_FAULT) {
-        observe_currents(axis);
+        observe_currents(axis, before);
         phase_monitor_step(&d->phase, &axis->config->winding, o, &d->evidence);
         d->angle.conducting = (uint16_t)(d->angle.conducting | o->conducting);
     }

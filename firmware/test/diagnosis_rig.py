@@ -24,6 +24,12 @@ def _cdef() -> str:
         return declarations(Path(folder), _HEADERS)
 
 
+def _length(x: int, y: int) -> int:
+    """Length of a vector, as the firmware estimates it."""
+    a, b = abs(x), abs(y)
+    return max(a, b) + min(a, b) // 2
+
+
 class Diagnosis:
     """One set of monitors, an observation to fill in, and what comes of it."""
 
@@ -60,13 +66,14 @@ class Diagnosis:
     def _step(self, step: Any, monitor: str, *config: object) -> set[str]:
         self.evidence[0] = self.ffi.new("evidence_t *")[0]
         step(self.ffi.addressof(self.monitors, monitor), *config, self.seen, self.evidence)
+        self.seen.current_change = 0
         return self.names()
 
     def current(self, d: int, q: int) -> None:
-        """A current flows."""
+        """A current flows from the next step on."""
+        self.seen.current_change = _length(d - self.seen.current.d, q - self.seen.current.q)
         self.seen.current = (d, q)
-        a, b = abs(d), abs(q)
-        self.seen.current_size = max(a, b) + min(a, b) // 2
+        self.seen.current_size = _length(d, q)
         self.seen.drop = int(self.seen.current_size * RESISTANCE)
 
     def sensor(self, phase: int, code: int, *, zero: int = 2048) -> set[str]:

@@ -202,6 +202,19 @@ def test_voltage_without_current_for_forty_ticks(driven: Diagnosis, change: dict
     assert first_tick(lambda _: driven.phase(), "CURRENT_NOT_FOLLOWING", 60) == tick
 
 
+@pytest.mark.parametrize(("change", "tick"), [(1000, 0), (0, 40)])
+def test_a_voltage_that_the_inductance_takes_is_no_missing_current(driven: Diagnosis, change: int, tick: int) -> None:
+    """The speed loop alternates: the current follows each set-point until the next one turns it round."""
+
+    def step(number: int) -> set[str]:
+        sign = (-1) ** number
+        driven.seen.voltage, driven.seen.current_ref = (0, 3000 * sign), (0, 2000 * sign)
+        driven.current(0, change * sign // 2)
+        return driven.phase()
+
+    assert first_tick(step, "CURRENT_NOT_FOLLOWING", 100) == tick
+
+
 def test_a_current_that_does_not_follow_is_suspected_after_eight_ticks_and_fades_at_a_quarter_of_that(
     driven: Diagnosis,
 ) -> None:
