@@ -18,13 +18,14 @@ from servo_bridge.telemetry import Frame
 from servo_bridge.wire.link_state import LinkState, LinkStatus
 from servo_bridge.wire.link_statistics import LinkStatistics
 
-__all__ = ["CommandFigures", "Health"]
+__all__ = ["BOARD_COUNTERS", "CommandFigures", "Health"]
 
 _OK: Final[bytes] = DiagnosticStatus.OK
 _WARN: Final[bytes] = DiagnosticStatus.WARN
 _ERROR: Final[bytes] = DiagnosticStatus.ERROR
 _TROUBLE: Final = ("timeouts", "crc_errors", "damaged", "refused")
-_BOARD_TROUBLE: Final = ("late_loops", "receiver_overruns")
+BOARD_COUNTERS: Final = ("late_loops", "receiver_overruns")
+"""Variables of the board that count what should never happen, modulo 65536."""
 
 
 @dataclass
@@ -99,14 +100,25 @@ class Health:
     def _new(self, counter: str, figures: LinkStatistics) -> int:
         return int(getattr(figures, counter)) - int(getattr(self._last, counter))
 
-    def board(self, info: BoardInfo | None, frame: Frame | None) -> DiagnosticStatus:
-        """Status of the board itself."""
+    def board(
+        self, info: BoardInfo | None, frame: Frame | None, counts: Mapping[str, int] | None = None
+    ) -> DiagnosticStatus:
+        """Status of the board itself.
+
+        Parameters
+        ----------
+        info : BoardInfo, optional
+        frame : Frame, optional
+            The newest sample; None without a board.
+        counts : mapping of str to int, optional
+            `BOARD_COUNTERS` as last read; None as long as they have not been.
+        """
         if info is None or frame is None:
             self._last_counts = {}
             return self._status("board", _ERROR, "not connected", {})
-        counts = {name: int(frame.values.get(name, 0)) for name in _BOARD_TROUBLE}
+        counts = counts or {}
         fresh = {name: (count - self._last_counts.get(name, count)) & 0xFFFF for name, count in counts.items()}
-        self._last_counts = counts
+        self._last_counts = dict(counts)
         trouble = ", ".join(f"{more} {_words(name)}" for name, more in fresh.items() if more)
         about = f"{info.name or 'board'}, {info.description or 'no description'}"
         return self._status(
@@ -114,7 +126,7 @@ class Health:
             _WARN if trouble else _OK,
             f"in the last second: {trouble}" if trouble else about,
             {
-                **{_words(name): count for name, count in counts.items()},
+                **{_words(name): counts.get(name, "unknown") for name in BOARD_COUNTERS},
                 "name": info.name,
                 "version": info.version,
                 "build": info.build,

@@ -30,7 +30,7 @@ from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.freemaster.client import BoardInfo
-from servo_bridge.health import Health
+from servo_bridge.health import BOARD_COUNTERS, Health
 from servo_bridge.inbox import Inbox
 from servo_bridge.keep_alive import KeepAlive
 from servo_bridge.motion_services import MotionServices
@@ -154,6 +154,8 @@ class ServoBridge(Node):
         self._epoch = 0
         self._ended = False
         self._torque_constants: list[float] | None = None
+        self._counts: dict[str, int] | None = None
+        self._counting = False
         self._expired = next(flag.mask for flag in self._catalogue.flags["limits"] if flag.name == "EXPIRED")
         self._board_parameters = BoardParameters(
             self._catalogue,
@@ -250,6 +252,7 @@ class ServoBridge(Node):
             self._publications.flush()
             self._frame = None
             self._torque_constants = None
+            self._counts = None
             self._board_parameters.link_lost()
             self._variables.link_lost()
             self._arbiter.link_lost(status.reason)
@@ -265,6 +268,7 @@ class ServoBridge(Node):
         if frame.epoch != self._epoch:
             self._epoch = frame.epoch
             self._board_clock.reset()
+            self._counts = None  # they began anew
         stamp = self._wall.wall_ns(self._board_clock.update(frame.tick, frame.response_ns))
         self._log_faults(frame)
         self._log_expired(frame)
@@ -318,6 +322,21 @@ class ServoBridge(Node):
         # The link works in order: when the last one is done, all are.
         futures[-1].add_done_callback(lambda _: self._inbox.post(take))
 
+    def _read_counters(self) -> None:
+        """Once a second; they would take room in every sample."""
+        if self._counting or self._status.state is not LinkState.CONNECTED:
+            return
+        futures = [self._link.read(name) for name in BOARD_COUNTERS]
+        self._counting = True
+
+        def take() -> None:
+            self._counting = False
+            if self._status.state is LinkState.CONNECTED and all(error_of(future) is None for future in futures):
+                values = (int(_scalar(future.result())) for future in futures)
+                self._counts = dict(zip(BOARD_COUNTERS, values, strict=True))
+
+        futures[-1].add_done_callback(lambda _: self._inbox.post(take))
+
     # ---- what goes out regularly
     def _publish_state(self) -> None:
         frame = self._frame
@@ -338,12 +357,13 @@ class ServoBridge(Node):
         health, frame = self._health, self._frame
         statuses = [
             health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
-            health.board(self._link.board, frame),
+            health.board(self._link.board, frame, self._counts),
             *(health.axis(axis, frame, self._fault_records.records[axis]) for axis in range(AXES)),
             health.commands(self._set_points.figures, armed=self._arbiter.armed),
             health.parameters(self._board_parameters.values, self._board_parameters.trouble),
         ]
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))
+        self._read_counters()
 
     def _warn(self, text: str) -> None:
         self._log.warning(text)

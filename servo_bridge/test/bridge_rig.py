@@ -109,7 +109,7 @@ class FakeLink:
         elif name in self.blocks:
             done.set_result(self.blocks[name])
         else:
-            done.set_result(KT.get(name, 1.5))
+            done.set_result(KT.get(name, self.values.get(name, 1.5)))
         return done
 
     def run_command(self, code: int, *, urgent: bool = False) -> Future[int]:

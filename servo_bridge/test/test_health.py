@@ -8,10 +8,12 @@ from servo_bridge.health import Health
 from servo_bridge.telemetry import Frame
 from servo_msgs_py.catalogue import Catalogue
 
+FRAME = Frame(8, 0, 0, {"u_dc": 24.0}, 0, 0, (), ())
+
 
 def status(health: Health, late: int, overruns: int) -> DiagnosticStatus:
-    values = {"late_loops": float(late), "receiver_overruns": float(overruns), "u_dc": 24.0}
-    return health.board(BoardInfo(name="servo"), Frame(8, 0, 0, values, 0, 0, (), ()))
+    counts = {"late_loops": late, "receiver_overruns": overruns}
+    return health.board(BoardInfo(name="servo"), FRAME, counts)
 
 
 def test_a_late_loop_and_a_lost_byte_are_warnings_when_they_are_new() -> None:
@@ -23,6 +25,11 @@ def test_a_late_loop_and_a_lost_byte_are_warnings_when_they_are_new() -> None:
     lost = status(health, 5, 1)
     assert (lost.level, lost.message) == (DiagnosticStatus.WARN, "in the last second: 1 receiver overruns")
     assert status(health, 5, 1).level == DiagnosticStatus.OK
+
+
+def test_counters_that_have_not_been_read_are_unknown() -> None:
+    found = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).board(BoardInfo(name="servo"), FRAME)
+    assert {value.key: value.value for value in found.values}["late loops"] == "unknown"
 
 
 def test_counters_wrap() -> None:

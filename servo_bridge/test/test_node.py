@@ -361,6 +361,15 @@ def test_every_change_of_the_link_is_one_line_and_an_error_in_diagnostics(rig: R
     assert rig.logs(40) == ["another table of variables; flash the firmware of this release"]
 
 
+def test_late_loops_of_the_board_are_a_warning_without_being_in_the_telemetry(rig: Rig) -> None:
+    rig.link.values["late_loops"] = rig.link.values["receiver_overruns"] = 7
+    rig.up()
+    rig.until(lambda: {v.key: v.value for v in rig.diagnosis("board").values}["late loops"] == "7")
+    rig.link.values["late_loops"] = 9
+    rig.until(lambda: rig.diagnosis("board").message == "in the last second: 2 late loops")
+    assert rig.diagnosis("board").level == b"\x00"
+
+
 def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
     rig.up()
     rig.link.axes(FAULT, STOP)
