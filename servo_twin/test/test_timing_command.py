@@ -39,6 +39,12 @@ def test_agrees_and_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert picture.stat().st_size > 50_000
 
 
+def test_all_draws_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["timing", "--all", "--plot", str(tmp_path / "timing.png")]) != 0
+    assert "leave out --all" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_late_trigger_shows() -> None:
     """1.5 us after the centre the converter still samples before M1, but no longer where the current is the mean."""
     names = wrong(poke(PWMA_SM1_VAL4, lambda value: value + 100))

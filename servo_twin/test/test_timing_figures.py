@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.board import TRACE_ENTRY as ENTRY
 from servo_twin.experiments.outcome import Row
-from servo_twin.timing import deadlines
+from servo_twin.timing import deadlines, picture
 from servo_twin.timing.chip_map import LOOPS, SLOTS, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
 from servo_twin.timing.figures import circle, start
 from servo_twin.timing.trace import Kind, Trace
 
+FIRMWARE = Path(__file__).parents[2] / "firmware"
 PERIOD = 6250
 HALF = PERIOD // 2
 COUNT = 40  # periods
@@ -135,6 +138,29 @@ def test_room_is_what_is_left_from_sample_to_load() -> None:
             assert rooms(ideal())[f"{name}{kind}, least room"] == pytest.approx(100.0 * left / due), name + kind
     assert rooms(ideal())["core busy"] == pytest.approx(100.0 * 2 * LENGTH / PERIOD, abs=1.0)
     assert wrong(deadlines.rows(trace(ideal()), M1_BEGIN)) == set()
+
+
+def test_the_picture_shows_the_room_of_each_loop() -> None:
+    """And of a miss how much too late it is: bars that go back."""
+    for loop, begin in zip(LOOPS, (M1_BEGIN, 232), strict=True):
+        drawn = picture.rooms(trace(ideal()), loop)
+        assert drawn.shape[0] >= COUNT - 2
+        assert set(np.diff(drawn)[:, 0]) == {HALF - begin - RELEASE}
+    late = shift(Kind.WRITE, {MCTRL[0]}, HALF - M1_BEGIN - RELEASE + 1)(longer(VECTOR_M1, HALF)(ideal()))
+    assert set(np.diff(picture.rooms(trace(late), LOOPS[0]))[:, 0]) == {-1}
+
+
+def test_slots_are_those_of_the_firmware() -> None:
+    """By the cases of its two tables."""
+    text = (FIRMWARE / "app" / "servo.c").read_text()
+    values = {"SERVO_SLOW_PERIODS": "8"} | dict(re.findall(r"#define (SLOT_\w+) (\w+|\(.*?\))(?: |$)", text, re.M))
+
+    def value(expression: str) -> int:
+        while names := re.findall(r"[A-Z]\w+", expression):
+            expression = expression.replace(names[0], values[names[0]])
+        return int(eval(re.sub(r"(\d)U", r"\1", expression).replace("/", "//")))
+
+    assert {value(case) for case in re.findall(r"case (SLOT_\w+(?: \+ 1U)?):", text)} == set(SLOTS)
 
 
 def at_period(slot: int, mistake: Mistake) -> Mistake:

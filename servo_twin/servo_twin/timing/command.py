@@ -176,7 +176,9 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         description=HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw F34, F35, F38 and the start to this file")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw F34 with the deadlines, F35, F38 and the start to this file"
+    )
     parser.add_argument(
         "--all", action="store_true", help="the handlers in every mode, feature set and feedback, in stops and faults"
     )
@@ -190,6 +192,8 @@ def _run(args: argparse.Namespace) -> int:
     core = CoreSpeed.load()
     if args.cycles_per_instruction is not None:
         core = replace(core, cycles_per_instruction=args.cycles_per_instruction)
+    if args.all and args.plot is not None:
+        raise SimulationError("--plot draws the usual run: leave out --all")
     plant = PlantConfig.load(args.plant)
     if args.all:
         outcome = everything(plant, args.seed, core, lambda text: print(f"{text} ..", file=sys.stderr))

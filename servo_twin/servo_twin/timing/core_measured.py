@@ -22,6 +22,7 @@ from servo_twin.board import Board
 from servo_twin.core_speed import DEFAULT_FILE, CoreSpeed
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
+from servo_twin.timing.chip_map import VECTOR_M1, VECTOR_M2
 from servo_twin.timing.trace import CLOCK, Trace
 
 if sys.version_info >= (3, 11):
@@ -45,7 +46,7 @@ core.toml. The file has a table for each measured state, with the mean widths in
 A scope that shows a pin's duty cycle shows it as well: the width is that of 62.5 us."""
 
 STATES: Final = ("off", "hold", "turning")
-HANDLERS: Final[Mapping[str, int]] = {"m1": 85, "m2": 30}
+HANDLERS: Final[Mapping[str, int]] = {"m1": VECTOR_M1, "m2": VECTOR_M2}
 """Vectors of the handlers that have a scope pin."""
 SPEED: Final = 100.0  # [rad/s]
 SETTLE: Final = 0.3  # [s]

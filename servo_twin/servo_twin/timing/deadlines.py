@@ -18,7 +18,7 @@ from servo_twin.experiments.outcome import Bound, Row
 from servo_twin.timing.chip_map import LOOPS, SLOTS, Loop
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
-__all__ = ["BUSY_MAX", "ROOM_MIN", "Handler", "busy", "handlers", "lines", "rows"]
+__all__ = ["BUSY_MAX", "ROOM_MIN", "Handler", "Runs", "busy", "handlers", "lines", "rows", "runs_of"]
 
 PERIOD: Final = round(PERIOD_NS * 1e-9 / CLOCK)  # of the PWM [clocks]
 ROOM_MIN: Final = 0.20
@@ -78,7 +78,32 @@ def handlers(trace: Trace, first_m1: int) -> list[Handler]:
     return [handler for loop in LOOPS for handler in _of_loop(trace, loop, first_m1, span)]
 
 
-def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handler]:
+@dataclass(frozen=True)
+class Runs:
+    """Runs of one loop's handler, an element each [clocks].
+
+    Attributes
+    ----------
+    begin, end : ndarray
+        Of the handler.
+    sample, load : ndarray
+        Sample that it answers; load of its duties, which is its deadline.
+    released : ndarray
+        When it released the duties; its end if it did not.
+    judged : ndarray of bool
+        False where it released none because the outputs were off: there is no deadline then.
+    """
+
+    begin: NDArray[np.int64]
+    end: NDArray[np.int64]
+    sample: NDArray[np.int64]
+    load: NDArray[np.int64]
+    released: NDArray[np.int64]
+    judged: NDArray[np.bool_]
+
+
+def runs_of(trace: Trace, loop: Loop) -> Runs:
+    """Runs of a loop's handler whose sample is in the trace."""
     runs = trace.handlers(loop.vector)
     cycles = trace.clocks(Kind.CYCLE, loop.phases[0])
     samples = trace.clocks(Kind.SAMPLE, loop.sample)
@@ -87,32 +112,33 @@ def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handl
     sample = samples[index]
     cycle = np.searchsorted(cycles, sample, side="right") - 1
     runs, sample, cycle = runs[cycle >= 0], sample[cycle >= 0], cycle[cycle >= 0]
-    if runs.shape[0] == 0:
-        return []
     load = cycles[cycle] + PERIOD // 2
     writes = trace.of(Kind.WRITE, loop.release)
     releases = writes["clock"][writes["b"] & LDOK == LDOK].astype(np.int64)
     released, has_released = _first_within(releases, runs)
-    has_deadline = has_released | ~_outputs_off(trace, loop, runs)
+    return Runs(runs[:, 0], runs[:, 1], sample, load, released, has_released | ~_outputs_off(trace, loop, runs))
+
+
+def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handler]:
+    runs = runs_of(trace, loop)
     # M2 is half a period behind its M1, either may begin a little late, and M1 a few clocks early.
-    slots = (1 + (runs[:, 0] - first_m1 + PERIOD // 8) // PERIOD) % SLOW_PERIODS
+    slots = (1 + (runs.begin - first_m1 + PERIOD // 8) // PERIOD) % SLOW_PERIODS
     names = np.array([SLOTS.get(int(slot), "") for slot in slots])
     result = []
     for name in ("", *SLOTS.values()):
         chosen = names == name
         if not chosen.any():
             continue
-        judged = chosen & has_deadline if (chosen & has_deadline).any() else chosen
-        begins, ends = runs[chosen, 0], runs[chosen, 1]
-        begun, due = begins - sample[chosen], load[judged] - sample[judged]
-        written = released[judged] - sample[judged]
+        judged = chosen & runs.judged if (chosen & runs.judged).any() else chosen
+        begins, ends, sample = runs.begin[chosen], runs.end[chosen], runs.sample[chosen]
+        due, written = (runs.load - runs.sample)[judged], (runs.released - runs.sample)[judged]
         result.append(
             Handler(
                 f"{loop.name} {name}".strip(),
                 int(chosen.sum()),
-                float(begun.max()) * CLOCK,
+                float((begins - sample).max()) * CLOCK,
                 float(written.max()) * CLOCK,
-                float((ends - sample[chosen]).max()) * CLOCK,
+                float((ends - sample).max()) * CLOCK,
                 float(due.min()) * CLOCK,
                 float(((due - written) / due).min()),
                 float((ends - begins).sum()) / span,

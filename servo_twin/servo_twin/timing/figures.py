@@ -196,7 +196,7 @@ def start(trace: Trace) -> list[Row]:
     wanted = [(address, value) for _, address, value in START_STEPS]
     done = _in_order(steps, wanted)
     everything = Bound(float(len(wanted)), float(len(wanted)))
-    rows.append(Row("steps of the start in order", "4.3.3: list of five", float(done), "", everything))
+    rows.append(Row("steps of the start in order", "4.3.3", float(done), "", everything))
     samples = trace.of(Kind.SAMPLE)
     first = float(samples["a"][0] % 8) if samples.size else None
     rows.append(Row("first pair that is sampled", "t0: motor 1", first, "", Bound(0.0, 0.0)))

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_twin.simulation import SimulationError
-from servo_twin.timing.chip_map import PHASES, VECTOR_M1, VECTOR_M2, VECTOR_START
+from servo_twin.timing.chip_map import LOOPS, PHASES, VECTOR_M1, VECTOR_M2, VECTOR_START, Loop
+from servo_twin.timing.deadlines import runs_of
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
-__all__ = ["draw"]
+__all__ = ["draw", "rooms"]
 
 _US: Final = CLOCK * 1e6
 _COLOURS: Final = ("tab:blue", "tab:orange")
@@ -47,14 +48,31 @@ def draw(circle: Trace, start: Trace, path: Path) -> None:
     if periods.size < 6:
         raise SimulationError("the trace is shorter than six PWM periods")
     begin, period = int(periods[1]), int(periods[2] - periods[1])
-    figure = Figure(figsize=(12.0, 15.0), dpi=110, layout="constrained")
-    plots = figure.subplots(4, 1, height_ratios=(9, 6, 5, 5))
+    figure = Figure(figsize=(12.0, 16.0), dpi=110, layout="constrained")
+    plots = figure.subplots(4, 1, height_ratios=(11, 6, 5, 5))
     _timing(plots[0], circle, begin, begin + 2 * period)
     _scan(plots[1], circle, begin, begin + period + period // 2)
     _scope(plots[2], circle, begin, begin + 4 * period)
     _start(plots[3], start)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
+
+
+def rooms(trace: Trace, loop: Loop) -> NDArray[np.int64]:
+    """From the release of the duties to their own load, which is before the release where that was missed.
+
+    Parameters
+    ----------
+    trace : Trace
+    loop : Loop
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Clocks of both, for each run that releases duties.
+    """
+    runs = runs_of(trace, loop)
+    return np.column_stack([runs.released, runs.load])[runs.judged]
 
 
 # ---- parts -----------------------------------------------------------------------------------------------------------
@@ -104,6 +122,15 @@ class _Channels:
             self._plot.plot([time, time], [base, base + 0.75], colour, linewidth=1.2)
             self._plot.text(time, base + 0.4, f" {text}", fontsize="xx-small", color=colour, clip_on=True)
 
+    def rooms(self, name: str, intervals: NDArray[np.int64], colour: str) -> None:
+        """Bars with their lengths."""
+        base = self._next(name)
+        for first, last in intervals[(intervals[:, 1] > self._begin) & (intervals[:, 0] < self._end)]:
+            left, right = self._time(np.asarray([first, last]))
+            bar = {"color": colour if last > first else "tab:red", "alpha": 0.4}
+            self._plot.fill_between([left, right], base, base + 0.75, **bar)
+            self._plot.text(left, base + 0.4, f" {right - left:.1f} us", fontsize="xx-small", clip_on=True)
+
     def finish(self) -> None:
         self._plot.set_yticks([0.35 - k for k in range(1, len(self._names) + 1)], self._names, fontsize="small")
         self._plot.set_ylim(-len(self._names) - 0.3, 0.1)
@@ -126,6 +153,7 @@ def _timing(plot: Any, trace: Trace, begin: int, end: int) -> None:
         channels.levels(f"M{motor} ({text})", runs, colour)
         loads = trace.clocks(Kind.LOAD, PHASES[motor - 1][0])
         channels.marks(f"duties of motor {motor} load", loads, [""] * loads.size, colour)
+        channels.rooms(f"room of M{motor} to its load", rooms(trace, LOOPS[motor - 1]), colour)
     channels.finish()
 
 
