@@ -21,7 +21,6 @@ Needs = Callable[[Target], None]
 
 NOT_ON_A_TARGET = {
     # The replay is one thread: no interrupt comes while the server copies.
-    "latch_skip",
     "latch_commands",
     "publish_snapshot",
     # For hosts that have no serial line.

@@ -97,7 +97,6 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
     const latch_marks_t written = *marks;
     latch_reset(marks);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        axes[i].command.fresh = 0;
         if (written.fresh[i] != 0U) {
             apply_command(written.fresh[i], block, &axes[i]);
         }
@@ -106,11 +105,4 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
         }
     }
     return written.commands;
-}
-
-void latch_skip(axis_t *axes)
-{
-    for (uint16_t i = 0; i < HAL_AXES; i++) {
-        axes[i].command.fresh = 0;
-    }
 }

@@ -30,7 +30,4 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
 /* Take over what belongs to no axis. */
 void latch_board(const parameter_block_t *parameter, board_settings_t *settings);
 
-/* A tick in which the block must not be read: the last commands go on, nothing is fresh. */
-void latch_skip(axis_t *axes);
-
 #endif

@@ -186,7 +186,6 @@ void servo_init(servo_t *servo, hal_t *hal)
 static void latch_commands(servo_t *servo)
 {
     if (servo->held) {
-        latch_skip(servo->axis);
         return;
     }
     if (servo->marks.parameters) {

@@ -14,6 +14,7 @@ void angle_monitor_start(angle_monitor_t *monitor)
 {
     monitor->beyond = (dq_t){0, 0};
     monitor->ticks = 0;
+    monitor->conducting = 0;
 }
 
 static frac16_t filtered(frac16_t beyond, int32_t x) { return sat16(beyond + asr32(x - beyond, FILTER_SHIFT)); }
@@ -55,6 +56,7 @@ void angle_monitor_step(angle_monitor_t *m, const winding_config_t *config, cons
     if (!moves || (o->features & NEEDED) != NEEDED || o->current_size < (int32_t)config->silent) {
         m->beyond = (dq_t){0, 0};
         m->ticks = 0;
+        m->conducting = 0;
         return;
     }
     filter(m, config->resistance, loop, o);

@@ -54,12 +54,14 @@ fault_set_t fault_latch_capture(fault_latch_t *latch, const evidence_t *evidence
     }
     if (latch->captured == 0U) {
         record_first(latch, observation, verdict.first);
+        latch->first = latch->record->code;
     } else {
         const fault_revision_t revision = fault_revise(fresh, latch->captured, *latch->clock - latch->record->tick);
-        latch->record->code = (revision.first != 0U) ? fault_code(revision.first) : latch->record->code;
+        if (revision.first != 0U) {
+            latch->first = latch->record->code = fault_code(revision.first);
+        }
         latch->captured &= ~revision.voids;
     }
-    latch->first = latch->record->code;
     latch->captured |= fresh;
     return verdict.faults;
 }

@@ -168,6 +168,7 @@ void axis_slow(axis_t *axis)
     }
     axis->loop = LOOP_SLOW;
     sm_step(&axis->sm, axis);
+    axis->command.fresh = 0; /* here: the latch may be left out */
 }
 
 void axis_estimate(axis_t *axis)

@@ -13,6 +13,8 @@ from servo_bench import OVER_CURRENT, SPEED, TORQUE, Bench
 FIELDS = ("position", "speed", "i_q", "mode", "enable", "quick_stop", "clear_faults")
 """In the order of their bits in `axis_command_t.fresh`."""
 FRESH_POSITION = 1
+TO_LATCH = 7
+"""PWM periods from the snapshot to the latch; one more to the slow loops."""
 
 
 @pytest.fixture
@@ -62,10 +64,10 @@ def test_element_write_touches_one_axis(bench: Bench) -> None:
 
 def test_freshness_lasts_one_tick(bench: Bench) -> None:
     bench.write(0, position=100)
-    bench.slow()
+    bench.core.lib.probe_run(bench.servo, TO_LATCH)
     assert bench.axis(0).command.fresh & FRESH_POSITION
     assert not bench.axis(1).command.fresh & FRESH_POSITION
-    bench.slow()
+    bench.core.lib.probe_run(bench.servo, 1)
     assert not bench.axis(0).command.fresh & FRESH_POSITION
     assert bench.axis(0).command.position == 100
 
@@ -116,10 +118,11 @@ def test_writes_between_two_slow_ticks_take_effect_together(bench: Bench, core: 
     bench.write(0, position=7)
     core.lib.probe_run(bench.servo, 3)
     bench.write(1, position=8)
-    core.lib.probe_run(bench.servo, 5)
+    core.lib.probe_run(bench.servo, TO_LATCH - 3)
+    assert all(bench.axis(i).command.fresh & FRESH_POSITION for i in range(2))
+    core.lib.probe_run(bench.servo, 1)
     assert bench.servo.snapshot.applied_count == count + 1
     assert [bench.axis(i).command.position for i in range(2)] == [7, 8]
-    assert all(bench.axis(i).command.fresh & FRESH_POSITION for i in range(2))
 
 
 def test_held_block_is_not_read_and_not_lost(bench: Bench) -> None:
@@ -156,12 +159,22 @@ def test_held_parameters_of_the_board_are_not_read_and_pending_faults_not_publis
     assert (settings.host_timeout, settings.monitor[0], settings.brake_fitted) == (before + 1, 1, True)
 
 
+def test_a_latch_that_is_left_out_does_not_repeat_a_fresh_write(bench: Bench) -> None:
+    """An old `clear_faults` must not clear a fault that came after it."""
+    bench.write(0, clear_faults=1)
+    bench.slow()
+    bench.core.lib.probe_run(bench.servo, TO_LATCH - 1)
+    bench.core.lib.servo_m1_isr(bench.servo)  # and no M2, which carries the latch
+    assert bench.axis(0).command.fresh == 0
+
+
 def test_held_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
     bench.to_spin(0)
     bench.write(0, enable=1, mode=SPEED, position=1, speed=2, i_q=3, quick_stop=1, clear_faults=1)
-    bench.slow()
+    bench.core.lib.probe_run(bench.servo, TO_LATCH)
     command = bench.axis(0).command
     assert command.fresh == (1 << len(FIELDS)) - 1
+    bench.core.lib.probe_run(bench.servo, 1)
     bench.servo.held = True
     bench.slow()
     assert command.quick_stop

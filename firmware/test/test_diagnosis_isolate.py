@@ -240,6 +240,16 @@ def test_what_is_not_enabled_is_not_captured(rig: Diagnosis) -> None:
     assert (latch.latch.captured, latch.first, latch.latch.findings, latch.record.size) == (0, 0, 0, 0)
 
 
+def test_a_fault_after_a_partial_clear_keeps_the_name_of_what_remained(rig: Diagnosis) -> None:
+    latch = Latch(rig)
+    latch.capture("TOO_FAST")
+    latch.capture("HOT")
+    rig.lib.fault_latch_clear(latch.latch, BITS["OVER_TEMPERATURE"])
+    latch.capture("PHASE_SILENT")
+    assert latch.first == BITS["OVER_TEMPERATURE"]
+    assert latch.latch.captured == BITS["OVER_TEMPERATURE"] | BITS["PHASE_LOST"]
+
+
 def test_clearing_keeps_what_remains_and_lets_the_record_go_on(rig: Diagnosis) -> None:
     latch = Latch(rig)
     latch.capture("TOO_FAST")

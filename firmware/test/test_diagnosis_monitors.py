@@ -553,6 +553,15 @@ def test_all_phases_have_to_carry_current_since_the_contradiction_began(turning:
     assert first_tick(lambda _: turning.angle(), "EMF_ELSEWHERE", 20) == 0
 
 
+def test_phases_that_carried_current_before_a_rest_count_no_more(turning: Diagnosis) -> None:
+    turning.seen.voltage = (5000, 3000)
+    turning.angle()
+    turning.seen.calm, turning.seen.conducting = 1, 0
+    turning.angle()
+    turning.seen.calm, turning.seen.conducting = 0, 3
+    assert first_tick(lambda _: turning.angle(), "EMF_ELSEWHERE", 20) == 0
+
+
 @pytest.mark.parametrize(("beyond", "suspected"), [(3000 + EMF_FLOOR // 4, False), (3001 + EMF_FLOOR // 4, True)])
 def test_a_back_emf_missed_by_more_than_its_size_makes_the_angle_suspect(
     turning: Diagnosis, beyond: int, suspected: bool

@@ -352,7 +352,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
 void board_stats(const board_t *board, board_stats_t *stats)
 {
     *stats = (board_stats_t){
-        .serial_overruns = board->chip.line.overruns + board->hal.overruns,
+        .serial_overruns = board->chip.line.overruns,
         .serial_lost = board->chip.line.lost,
         .breaks = board->breaks,
         .watchdog_services = board->chip.cop.services,
