@@ -519,6 +519,23 @@ def test_what_is_no_evidence_of_another_angle(turning: Diagnosis, change: dict[s
     assert first_tick(lambda _: turning.angle(), "EMF_ELSEWHERE", 50) == 0
 
 
+@pytest.mark.parametrize(("less", "found"), [(1, True), (0, False)])
+def test_a_back_emf_elsewhere_is_missed_by_three_times_its_size_at_most(
+    turning: Diagnosis, less: int, found: bool
+) -> None:
+    """And by what else is not known: twice its size it would be turned by 180 degrees, and half of it may be wrong."""
+    unknown = EMF_FLOOR // 4 + turning.seen.emf // 2 + turning.seen.drop // 2
+    beyond = unknown + 3 * turning.seen.emf - less
+    turning.seen.voltage = (beyond, turning.seen.emf + int(RESISTANCE * turning.seen.current.q))
+
+    def step(_: int) -> set[str]:
+        turning.monitors.angle.beyond = (beyond, 0)
+        return turning.angle()
+
+    turning.seen.current_change = 0
+    assert bool(first_tick(step, "EMF_ELSEWHERE", 50)) == found
+
+
 @pytest.mark.parametrize("omega", [10000, -10000])
 @pytest.mark.parametrize("current", [(16000, 0), (-16000, 0), (0, 16000), (0, -16000)])
 def test_the_voltage_of_a_sound_motor_contradicts_nothing(
