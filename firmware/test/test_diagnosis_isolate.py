@@ -188,6 +188,11 @@ def test_a_late_loop_counted_after_the_over_current_is_its_cause(rig: Diagnosis,
     assert rig.lib.fault_revise(BITS["LATE_LOOP"], BITS[captured], 16).first == 0
 
 
+def test_of_two_causes_found_at_once_the_broken_converter_is_the_first(rig: Diagnosis) -> None:
+    revision = rig.lib.fault_revise(BITS["LATE_LOOP"] | BITS["CURRENT_SENSE"], BITS["OVER_CURRENT"], 15)
+    assert revision.first == BITS["CURRENT_SENSE"]
+
+
 def test_other_faults_found_later_are_consequences(rig: Diagnosis) -> None:
     for fresh in set(BITS) - {"CURRENT_SENSE", "LATE_LOOP"}:
         assert rig.lib.fault_revise(BITS[fresh], ALL, 0).first == 0
