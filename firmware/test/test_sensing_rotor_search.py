@@ -592,6 +592,160 @@ def test_push_from_outside_leads_to_no_wrong_angle(core: Core, degrees: float, a
     assert abs(result.error) < 0.5
 
 
+# ---- each limit, to the tick and to the count
+class Stepped:
+    """A search by itself, with the configuration of the first axis."""
+
+    def __init__(self, core: Core) -> None:
+        self.lib = core.lib
+        self.config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+        self.state: Any = core.ffi.new("rotor_search_t *")
+        self.lib.rotor_search_start(self.state, 0)
+
+    def step(self, *positions: int) -> None:
+        for position in positions:
+            self.lib.rotor_search_step(self.state, self.config, position)
+
+    def until(self, phase: int, position: int = 0) -> None:
+        """Slow ticks at one position."""
+        for _ in range(2000):
+            if self.state.phase == phase:
+                return
+            self.step(position)
+        pytest.fail(f"no phase {phase}")
+
+    def to_full_current(self, position: int = 0) -> None:
+        while self.state.current < self.config.current_limit << 16:
+            self.step(position)
+
+    def ticks(self, positions: Callable[[int], int]) -> int:
+        """Slow ticks that the phase lasts."""
+        phase = self.state.phase
+        for tick in range(2000):
+            if self.state.phase != phase:
+                return tick
+            self.step(positions(tick))
+        return -1
+
+
+@pytest.fixture
+def stepped(core: Core) -> Stepped:
+    return Stepped(core)
+
+
+def test_the_full_current_pulls_for_its_ticks(stepped: Stepped) -> None:
+    stepped.to_full_current()
+    assert stepped.ticks(lambda _: 0) == stepped.config.hold_ticks
+
+
+def test_the_full_current_pulls_four_times_as_long_at_an_edge_that_dithers(stepped: Stepped) -> None:
+    stepped.to_full_current()
+    assert stepped.ticks(lambda tick: 1 - tick % 2) == 4 * stepped.config.hold_ticks
+
+
+@pytest.mark.parametrize(("side", "counts"), [(0, 3), (1, 6), (-1, 6)])
+def test_a_twitch_is_so_many_counts(stepped: Stepped, side: int, counts: int) -> None:
+    stepped.state.side = side
+    stepped.step(counts - 1)
+    assert stepped.state.phase == PULL
+    stepped.step(counts)
+    assert stepped.state.phase == BRAKE
+
+
+def test_only_the_movement_that_ends_in_the_twitch_counts_for_the_brake(stepped: Stepped) -> None:
+    """Neither what has dithered before nor the twitch before."""
+    stepped.step(0, 1, 1, 0, 1, 2, 3)
+    assert (stepped.state.phase, stepped.state.moving) == (BRAKE, 3)
+    stepped.until(REST, 3)
+    stepped.until(PULL, 3)
+    stepped.step(0)
+    assert (stepped.state.phase, stepped.state.moving) == (BRAKE, 1)
+
+
+def test_the_brake_reverses_the_full_current_in_four_steps_and_holds_it_as_long_as_the_pull(stepped: Stepped) -> None:
+    stepped.to_full_current()
+    stepped.step(1, 1, 1, 1, 1, 3)
+    full = stepped.state.current * 2
+    currents: list[int] = []
+    while stepped.state.phase == BRAKE and len(currents) < 10:
+        currents.append(stepped.state.current)
+        stepped.step(3)
+    reversal = [full // 2, 0, -full // 2, -full]
+    assert full == stepped.config.current_limit << 16
+    assert currents == [*reversal, *[-full] * 5, -full + stepped.config.current_step]
+
+
+@pytest.mark.parametrize(("reach", "times"), [(32768, 1), (16384, 1), (8192, 2), (4096, 4), (2048, 4)])
+def test_the_current_grows_faster_within_narrower_bounds(stepped: Stepped, reach: int, times: int) -> None:
+    stepped.state.reach = reach
+    stepped.step(0)
+    assert stepped.state.current == times * stepped.config.current_step
+
+
+@pytest.mark.parametrize(("periods", "phase"), [(63, PULL), (64, STARVED)])
+def test_no_current_for_64_periods_in_a_row(stepped: Stepped, periods: int, phase: int) -> None:
+    stepped.to_full_current()
+    for current, times in ((0, 63), (stepped.config.current_limit, 1), (0, periods)):
+        for _ in range(times):
+            stepped.lib.rotor_search_watch(stepped.state, stepped.config, current, 0)
+    stepped.step(0)
+    assert stepped.state.phase == phase
+
+
+def test_two_counts_of_dither_are_no_rest(stepped: Stepped) -> None:
+    stepped.step(3)
+    stepped.until(REST, 3)
+    for tick in range(12 * stepped.config.rest_ticks):
+        stepped.step(3 + 2 * (tick % 2))
+    assert stepped.state.phase == REST
+
+
+def test_a_verified_shaft_that_coasts_is_taken_over_beyond_six_counts(stepped: Stepped) -> None:
+    stepped.state.phase, stepped.state.verified = REST, True
+    stepped.step(2, 4, 6)
+    assert stepped.state.phase == REST
+    stepped.step(7)
+    assert stepped.state.phase == FOUND
+
+
+def test_verification_turns_when_the_full_current_has_flown_for_its_ticks(stepped: Stepped) -> None:
+    stepped.state.reach = 128
+    stepped.step(3)
+    stepped.until(VERIFY, 3)
+    stepped.to_full_current(3)
+    ticks = 0
+    while stepped.state.vector == stepped.state.theta_m:
+        stepped.step(3)
+        ticks += 1
+    assert ticks == stepped.config.hold_ticks + 1
+
+
+@pytest.mark.parametrize(("counts", "follows"), [(2, False), (3, True)])
+def test_a_shaft_follows_the_vector_by_three_counts(core: Core, counts: int, follows: bool) -> None:
+    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+    s = verifying(core, config)
+    core.lib.rotor_search_step(s, config, counts)
+    assert (s.phase, s.follows) == (VERIFY, follows)
+
+
+@pytest.mark.parametrize(("before", "phase"), [(1, REST), (2, HELD)])
+def test_a_shaft_that_does_not_follow_three_times_is_held(core: Core, before: int, phase: int) -> None:
+    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
+    s = verifying(core, config)
+    s.refusals = before
+    while s.phase == VERIFY:
+        core.lib.rotor_search_step(s, config, 0)
+    assert (s.phase, s.refusals) == (phase, before + 1)
+
+
+def test_a_shaft_comes_free_by_three_counts(stepped: Stepped) -> None:
+    stepped.until(TURN)
+    stepped.step(2)
+    assert (stepped.state.phase, stepped.state.refusals) == (TURN, 0)
+    stepped.step(3)
+    assert (stepped.state.phase, stepped.state.refusals) == (REST, 1)
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400))
 def test_any_positions_keep_the_search_in_range(core: Core, seed: int, ticks: int) -> None:
     """Whatever the counter does, jumps by half its range among it: defined, within the current limit, a known phase."""
