@@ -267,6 +267,19 @@ def test_an_edge_from_before_a_reset_says_nothing_about_the_speed(bench: Bench) 
     assert speeds == {0}
 
 
+@pytest.mark.parametrize("waits", [False, True])
+def test_the_edge_behind_an_alignment_is_skipped_and_the_one_behind_a_reset_is_not(bench: Bench, waits: bool) -> None:
+    """The edge that waits was captured before; it is not the one that is skipped."""
+    axis = bench.axis(0)
+    encoder, pointer = axis.encoder, bench.core.ffi.addressof(axis)
+    encoder.edge_waits, encoder.skip_edge = waits, False
+    axis.source.align(pointer, 0)
+    assert (encoder.edge_waits, encoder.skip_edge) == (False, True)
+    encoder.edge_waits = waits
+    axis.source.reset(pointer)
+    assert (encoder.edge_waits, encoder.skip_edge) == (False, False)
+
+
 # ---- what may stop an axis
 def test_hardware_faults_cannot_be_switched_off(bench: Bench) -> None:
     bench.to_spin(0)
