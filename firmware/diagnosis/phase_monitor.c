@@ -131,14 +131,15 @@ static bool current_not_following(const winding_config_t *config, const observat
                2 * ((int32_t)config->emf_floor + windings) + i32_abs(emf) / 2;
 }
 
-/* As a suspicion it is forgotten slowly: an observer that has lost its rotor asks for anything. */
+/* Only where the back-EMF is that of the frame: a start-up and a search turn the frame themselves. As a suspicion it is forgotten slowly: an observer that has lost its rotor asks for anything. */
 static void note_nothing(phase_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t largest)
 {
     const dq_t wanted = o->current_ref;
     const int32_t missing = length_about((int32_t)o->current.d - wanted.d, (int32_t)o->current.q - wanted.q);
     const bool enough = 4 * missing > 3 * (int32_t)config->silent || missing > config->direction_min;
     const bool not_following = enough && current_not_following(config, o);
-    m->nothing = (not_following && 4 * missing > 3 * (int32_t)config->silent) ? (uint16_t)(m->nothing + 1U) : 0U;
+    m->nothing =
+        (o->spins && not_following && 4 * missing > 3 * (int32_t)config->silent) ? (uint16_t)(m->nothing + 1U) : 0U;
     const bool missed = not_following && 2 * largest < config->silent && missing > config->direction_min;
     if (missed && m->missed < NOTHING_TICKS) {
         m->missed++;
@@ -169,7 +170,7 @@ void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, obse
     if (m->lost) {
         evidence->confirmed |= FOUND(FINDING_PHASE_SILENT);
     }
-    if (m->nothing >= NOTHING_TICKS && o->spins) { /* the other states search */
+    if (m->nothing >= NOTHING_TICKS) {
         evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
     }
 }

@@ -202,6 +202,15 @@ def test_voltage_without_current_for_forty_ticks(driven: Diagnosis, change: dict
     assert first_tick(lambda _: driven.phase(), "CURRENT_NOT_FOLLOWING", 60) == tick
 
 
+def test_what_a_start_up_lacks_is_not_counted_when_the_shaft_spins(driven: Diagnosis) -> None:
+    """Its frame is not that of the rotor, whose back-EMF the voltage then contains."""
+    driven.seen.voltage, driven.seen.current_ref, driven.seen.spins = (0, 4000), (0, 2000), False
+    for _ in range(100):
+        assert driven.phase() == NOTHING
+    driven.seen.spins = True
+    assert first_tick(lambda _: driven.phase(), "CURRENT_NOT_FOLLOWING", 60) == 40
+
+
 @pytest.mark.parametrize(("change", "tick"), [(1000, 0), (0, 40)])
 def test_a_voltage_that_the_inductance_takes_is_no_missing_current(driven: Diagnosis, change: int, tick: int) -> None:
     """The speed loop alternates: the current follows each set-point until the next one turns it round."""
