@@ -40,7 +40,7 @@ struct hal {
     volatile uint8_t ring[PORT_RING];
     volatile uint16_t ring_in; /* bytes ever put in and taken out, modulo 65536 */
     volatile uint16_t ring_out;
-    uint16_t overruns; /* received bytes lost in the interface or in the ring */
+    volatile uint16_t overruns; /* received bytes lost in the interface or in the ring */
 };
 
 #endif

@@ -35,6 +35,7 @@ static bool waiting(hal_t *hal) { return (REG_READ(hal, REG(QSCI_CTRL2)) & QSCI_
 void port_receive(hal_t *hal)
 {
     const uint16_t stat = REG_READ(hal, REG(QSCI_STAT));
+    REG_WRITE(hal, REG(QSCI_CTRL2), SET_QSCI_CTRL2);
     while (waiting(hal)) {
         const uint16_t data = REG_READ(hal, REG(QSCI_DATA));
         const uint16_t in = hal->ring_in;
@@ -53,24 +54,18 @@ void port_receive(hal_t *hal)
     }
 }
 
-/* The end of a request may be too short for an interrupt. */
-static void fetch(hal_t *hal)
-{
-    REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1 & (uint16_t)~QSCI_CTRL1_RFIE);
-    port_receive(hal);
-    REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1);
-}
-
 uint16_t hal_receiver_overruns(hal_t *hal) { return hal->overruns; }
 
+/* The end of a request may be below the watermark: one byte is enough for the interrupt then. Only the interrupt reads
+ * the FIFO, because M1 and M2 may interrupt the background for longer than the FIFO takes to fill. */
 bool hal_serial_get(hal_t *hal, uint8_t *byte)
 {
     const uint16_t out = hal->ring_out;
     if (out == hal->ring_in) {
-        if (!waiting(hal)) {
-            return false;
+        if (waiting(hal)) {
+            REG_WRITE(hal, REG(QSCI_CTRL2), SET_QSCI_CTRL2_REST);
         }
-        fetch(hal);
+        return false;
     }
     *byte = hal->ring[out & RING_MASK];
     hal->ring_out = (uint16_t)(out + 1U);

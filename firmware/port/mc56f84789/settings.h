@@ -318,9 +318,10 @@ SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(T
     (SERIAL_EXACT > SERIAL_CLOCK_HZ ? SERIAL_EXACT - SERIAL_CLOCK_HZ : SERIAL_CLOCK_HZ - SERIAL_EXACT)
 
 #define SET_SIM_PCR (SERIAL_CLOCK_DOUBLE ? SIM_PCR_SCI0_CR : 0U)
-#define SERIAL_TOGETHER 3U /* bytes that an interrupt fetches; the background fetches what is less */
+#define SERIAL_TOGETHER 3U /* bytes that raise an interrupt while more are expected */
 #define SET_QSCI_RATE (QSCI_RATE_SBR(SERIAL_RATE / 8UL) | QSCI_RATE_FRAC_SBR(SERIAL_RATE % 8UL))
 #define SET_QSCI_CTRL1 (QSCI_CTRL1_TE | QSCI_CTRL1_RE | QSCI_CTRL1_RFIE) /* 8 data bits, no parity, 1 stop bit */
+#define SET_QSCI_CTRL2_REST QSCI_CTRL2_FIFO_EN /* one byte raises the interrupt */
 #define SET_QSCI_CTRL2 (QSCI_CTRL2_FIFO_EN | QSCI_CTRL2_RFWM(SERIAL_TOGETHER - 1U))
 
 SETTINGS_CHECK(baud_rate_is_not_too_low, SERIAL_RATE <= SERIAL_RATE_MAX);
