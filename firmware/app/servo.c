@@ -148,7 +148,8 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->tick = 0;
     servo->m2_awaited = false;
     servo->lateness = 0;
-    servo->late_loops = hal_late_loops(hal);
+    servo->late_loops = 0;
+    servo->hal_late_loops = hal_late_loops(hal);
     servo->monitoring = false;
     servo->applied_tick = 0;
     servo->applied_count = 0;
@@ -296,6 +297,7 @@ static void publish_snapshot(servo_t *servo)
 
 static void come_late(servo_t *servo, uint16_t loops)
 {
+    servo->late_loops = (uint16_t)(servo->late_loops + loops);
     servo->lateness =
         (loops > LATENESS_MAX) ? (uint16_t)(LATENESS_MAX + 1U) : (uint16_t)(servo->lateness + loops * LATE);
     if (servo->lateness <= LATENESS_MAX) {
@@ -309,8 +311,8 @@ static void come_late(servo_t *servo, uint16_t loops)
 static void supervise_loops(servo_t *servo)
 {
     const uint16_t loops = hal_late_loops(servo->hal);
-    const uint16_t fresh = (uint16_t)(loops - servo->late_loops);
-    servo->late_loops = loops;
+    const uint16_t fresh = (uint16_t)(loops - servo->hal_late_loops);
+    servo->hal_late_loops = loops;
     servo->lateness = (uint16_t)(servo->lateness - ((servo->lateness > 0U) ? 1U : 0U));
     if (fresh != 0U) {
         come_late(servo, fresh);

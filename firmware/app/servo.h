@@ -32,7 +32,8 @@ typedef struct servo {
     uint32_t tick; /* PWM periods since reset */
     bool m2_awaited;     /* M1 has run, M2 has not */
     uint16_t lateness;   /* of the loops, forgotten with time */
-    uint16_t late_loops; /* hal_late_loops() of the last slow tick */
+    uint16_t late_loops;     /* late or left out since reset, modulo 65536 */
+    uint16_t hal_late_loops; /* of the last slow tick */
     int16_t monitor[HAL_MONITORS]; /* what the monitor outputs show */
     bool monitoring;     /* a monitor output shows something */
     uint32_t applied_tick;

@@ -113,7 +113,8 @@ bool hal_serial_put(hal_t *hal, uint8_t byte);
 /* The fast loop of `axis` is through. A loop whose duties come after the instant at which they should be loaded is late. */
 void hal_duties_done(hal_t *hal, uint16_t axis);
 
-/* Late loops since reset, and those that were left out, modulo 65536. */
+/* Loops since reset whose duties were late, and pairs of loops (M1 and M2 in turn) that were left out, two for each pair;
+ * modulo 65536. A single loop left out is not counted: the application finds it by the order of its entry points. */
 uint16_t hal_late_loops(hal_t *hal);
 
 /* Received bytes lost since reset, modulo 65536. */

@@ -41,6 +41,7 @@ uint16_t hal_adc_bus(hal_t *hal);
 void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c);
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on);
 bool hal_break_active(hal_t *hal, uint16_t axis);
+uint16_t hal_late_loops(hal_t *hal);
 void hal_break_clear(hal_t *hal, uint16_t axis);
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis);
 void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);

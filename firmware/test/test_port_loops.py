@@ -12,6 +12,7 @@ START, ISR_M1, ISR_M2, FAULT = 87, 85, 30, (77, 63)
 FIRST, SECOND = 0x0707, 0x3838
 TAKEN = 0x0105 | 0x0828  # currents and bus; the others are read where they are used
 RDY = 0xE50A
+TIME_STAMP = 0xE155  # counter of channel 1 of TMRA
 
 
 @pytest.fixture
@@ -197,6 +198,39 @@ def test_seldom_losses_are_forgiven(board: FakeBoard) -> None:
             run_m1(board)
             run_m2(board)
     assert board[0xE6C0] == 0x0770
+
+
+# ---- loops that were left out ---------------------------------------------------------------------------------------
+
+PERIOD_STAMPS = 6250 / 128
+
+
+@pytest.mark.parametrize(
+    ("periods", "m2_runs", "pairs"),
+    [
+        (1, 1, 0),
+        (1, 0, 0),  # the servo notices that M2 has been left out
+        (2, 2, 0),  # and M1
+        (2, 1, 1),
+        (2, 0, 1),
+        (3, 2, 1),
+        (3, 1, 2),
+        (640, 1, 639),
+    ],
+)
+def test_pairs_of_loops_left_out_are_counted(board: FakeBoard, periods: int, m2_runs: int, pairs: int) -> None:
+    """The next M1 comes so many periods after the last one, 0.3 early or late."""
+    now = 65500.0
+    board[TIME_STAMP] = round(now)
+    run_m1(board)
+    for early in (0.0, -0.3, 0.3):
+        before = board.lib.hal_late_loops(board.hal)
+        for _ in range(m2_runs):
+            run_m2(board)
+        now += (periods + early) * PERIOD_STAMPS
+        board[TIME_STAMP] = round(now) & 0xFFFF
+        run_m1(board)
+        assert board.lib.hal_late_loops(board.hal) - before == 2 * pairs
 
 
 # ---- duties ---------------------------------------------------------------------------------------------------------

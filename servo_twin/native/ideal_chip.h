@@ -40,7 +40,8 @@ struct hal {
     uint32_t scans;      /* M2 interrupts so far */
     uint32_t breaks;     /* times an over-current latch has tripped */
     uint16_t monitor[HAL_MONITORS];
-    uint16_t late;       /* loops that came too late */
+    uint16_t late;       /* hal_late_loops() */
+    unsigned left_out;   /* loops in a row */
     uint64_t stalled_ns; /* until then the core does nothing */
     uint64_t served_ns;  /* last service of the watchdog */
     bool bitten;         /* the watchdog has reset the board */

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import TRACE_ENTRY, Board, BoardError, ChipError, SimulationError
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.experiments.named_faults import faults
+from servo_twin.harm import StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable, move
@@ -19,6 +21,7 @@ LEVELS: tuple[Level, ...] = ("registers", "ideal")
 ENTER, LEAVE, LOAD, WRITE = 8, 9, 2, 10
 M1, M2, START = 85, 30, 87
 PERIOD = 6250
+HALF_PERIOD_US = PERIOD_NS / 2000
 ADC_GC1, SIM_RSTAT, PWMA_MCTRL, INTC_IPR9 = 0xE550, 0xE401, 0xE6C4, 0xE309
 
 
@@ -177,6 +180,20 @@ class TestCore:
                 board.run(0.02)
                 assert (board.read_raw("late_loops")[0] > 0) == (cycles > 2.0)
                 assert [faults(board, axis) for axis in range(2)] == [{"LATE_LOOP"} if cycles > 2.0 else set()] * 2
+
+    @pytest.mark.parametrize("level", LEVELS)
+    @pytest.mark.parametrize("stall_us", [60, 80, 300, 990])
+    def test_each_loop_that_a_stall_leaves_out_is_counted_once(self, level: Level, stall_us: int) -> None:
+        """At level registers up to two more loops are left out until the sequence begins anew."""
+        begin = int(stall_us // HALF_PERIOD_US)
+        for k in range(12):
+            with Board(level=level) as board:
+                board.run(0.02)
+                board.advance(board.time_ns + k * PERIOD_NS // 12)
+                board.inject(StalledCore(stall_us * 1e-6))
+                board.run(0.01)
+                late = board.read_raw("late_loops")[0]
+                assert begin <= late <= begin + (2 if level == "registers" else 1)
 
     def test_refusals(self) -> None:
         with pytest.raises(ValueError, match="the values are"):

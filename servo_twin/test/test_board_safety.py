@@ -10,7 +10,6 @@ from servo_msgs_py.catalogue import numbers
 from servo_msgs_py.units import SLOW_PERIODS
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import fault_record, faults
-from servo_twin.experiments.undelivered import swerve
 from servo_twin.simulation import enable, move, record
 
 pytestmark = pytest.mark.usefixtures("level")
@@ -150,8 +149,8 @@ def test_less_current_makes_moves_slower_and_never_overshoot(board: Board, i_q: 
     board.write("param.i_q_limit", [i_q, i_q])
     board.run(0.01)
     results, log = move(board, {0: 20000, 1: -20000}, 4.0)
-    for axis, result in enumerate(results):
-        most = 2 + (0 if board.level == "ideal" else swerve(board.plant.axes[axis]))
+    most = 2 if board.level == "ideal" else 5  # of 32 boards with 0.3 A one came 4 counts off
+    for result in results:
         assert result.overshoot <= most
         assert result.steady_state <= most
     assert np.abs(board.si(log)["axis1.i_q_ref"]).max() <= i_q + 1e-3

@@ -227,6 +227,8 @@ def test_a_lost_interrupt_or_trigger_starts_the_sequence_anew(board: Board, regi
     assert after[0] == M1
     assert after in ([M1, M2] * (len(after) // 2), [*[M1, M2] * (len(after) // 2), M1])
     assert len(after) >= 14
+    board.run(0.002)
+    assert 1 <= board.read_raw("late_loops")[0] <= 4
     assert not resets_by_watchdog(board)
 
 

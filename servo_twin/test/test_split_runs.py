@@ -42,12 +42,12 @@ def breaks(harm: Harm) -> Callable[[Board], object]:
     return lambda board: board.inject(harm)
 
 
-# Both axes are under control after 510 ms.
+# Both axes are under control after 540 ms.
 BEGIN: Final[list[Input]] = [
     (20 * MS, lambda board: board.write("param.command_timeout", 0.0)),
     (30 * MS, sends("cmd.enable", 1, 1)),
 ]
-MOVE: Final[list[Input]] = [*BEGIN, (520 * MS, sends("cmd.position", 12.0, -7.0))]
+MOVE: Final[list[Input]] = [*BEGIN, (570 * MS, sends("cmd.position", 12.0, -7.0))]
 SENSORLESS: Final[list[Input]] = [
     (10 * MS, sends("param.feedback", 1, 1)),
     *BEGIN,
@@ -58,8 +58,8 @@ RUNS: Final[dict[str, list[Input]]] = {
     "move": MOVE,
     "loads": [
         *MOVE,
-        (571_234_567, lambda board: board.set_load(0, 0.05)),
-        (600 * MS, lambda board: board.lock_shaft(1)),
+        (591_234_567, lambda board: board.set_load(0, 0.05)),
+        (620 * MS, lambda board: board.lock_shaft(1)),
         (650 * MS, lambda board: board.lock_shaft(1, False)),
         (700 * MS, lambda board: board.obstruct_shaft(0, 2.0, 3.0)),
         (800 * MS, lambda board: board.set_supply(21.0)),
@@ -67,12 +67,12 @@ RUNS: Final[dict[str, list[Input]]] = {
     "host": [*MOVE, *((t * MS, lambda board: board.serial_in(3 * GET_TABLE)) for t in range(100, 900, 7))],
     "sensorless": SENSORLESS,
     "sensorless, loads": [*SENSORLESS, (600 * MS, lambda board: board.set_load(0, 0.04))],
-    "open phase": [*MOVE, (560 * MS, breaks(OpenPhase(0, "b")))],
+    "open phase": [*MOVE, (610 * MS, breaks(OpenPhase(0, "b")))],
     "bad encoder": [
         *MOVE,
-        (600 * MS, breaks(EncoderGlitches(1, "A", 500.0))),
-        (610 * MS, breaks(SlippedEncoder(0, 90))),
-        (630 * MS, breaks(StuckLine(1, "B"))),
+        (650 * MS, breaks(EncoderGlitches(1, "A", 500.0))),
+        (660 * MS, breaks(SlippedEncoder(0, 90))),
+        (680 * MS, breaks(StuckLine(1, "B"))),
     ],
     "reset by the watchdog": [*MOVE, (700 * MS, breaks(StalledCore(0.1))), (900 * MS, sends("cmd.enable", 1, 1))],
     "noise and a dip": [

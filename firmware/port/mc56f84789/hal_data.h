@@ -31,9 +31,9 @@ struct hal {
     uint16_t bus;
     bool watchdog_reset;     /* the last reset was that of the watchdog */
     uint16_t losses; /* of triggers, forgotten with time */
-    uint32_t restarts; /* of the sequence, since reset */
-    uint16_t late;     /* loops that came after the load of their duties, modulo 65536 */
+    uint16_t late;     /* hal_late_loops() */
     uint16_t last;     /* time stamp of the last M1, TIME_STAMP_DIVIDER clocks */
+    uint16_t m2_runs;  /* M2 since then */
     bool running;      /* M1 has run before */
     bool monitoring;   /* the monitor outputs run */
 

@@ -7,6 +7,8 @@
 #define LOSS 64U
 #define LOSSES_MAX 256U
 
+#define LOOPS 2U /* M1 and M2 */
+
 /* ---- sequence --------------------------------------------------------------------------------------------------- */
 
 /* Neither motor samples, M1 does not run; the scan begins anew with the first pair. */
@@ -43,7 +45,6 @@ void port_start(hal_t *hal)
 static void sequence_lost(hal_t *hal)
 {
     sequence_stop(hal);
-    hal->restarts++;
     hal->losses = (uint16_t)(hal->losses + LOSS);
     if (hal->losses <= LOSSES_MAX) {
         sequence_arm(hal);
@@ -58,15 +59,19 @@ static void sequence_lost(hal_t *hal)
 
 static void scope(hal_t *hal, uint16_t pins) { REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DR, pins); }
 
-/* Periods without M1, on the encoder's time stamps, which nothing holds up. */
+/* Pairs of loops that were left out since the last M1, on the encoder's time stamps, which count whatever the core does.
+ * The servo notices a single one. */
 static void note_gap(hal_t *hal)
 {
     const uint16_t now = REG_READ(hal, TMRA_BASE + TMR_CHANNEL(1U) + TMR_CNTR);
     const uint16_t gap = (uint16_t)(now - hal->last);
     hal->last = now;
-    if (gap > LATE_TIME_STAMPS && hal->running) {
-        hal->late = (uint16_t)(hal->late + gap / PERIOD_TIME_STAMPS);
+    if (gap >= GAP_TIME_STAMPS && hal->running) {
+        const uint16_t periods = (uint16_t)((gap * TIME_STAMP_DIVIDER + PWM_PERIOD / 2UL) / PWM_PERIOD);
+        const uint16_t paired = (hal->m2_runs > 1U) ? hal->m2_runs : 1U; /* periods with an M2 */
+        hal->late = (uint16_t)(hal->late + ((periods > paired) ? LOOPS * (periods - paired) : 0U));
     }
+    hal->m2_runs = 0;
     hal->running = true;
 }
 
@@ -82,8 +87,8 @@ void port_m1(hal_t *hal)
 {
     scope(hal, PIN_SCOPE_M1);
     REG_WRITE(hal, PWMA_BASE + PWM_SM(1U) + PWM_STS, PWM_STS_CMPF(M1_VAL));
-    note_gap(hal);
     if (adc_take_first(hal)) {
+        note_gap(hal);
         hal->axis[0].behind = false;
         servo_m1_isr(hal->servo);
     } else {
@@ -96,6 +101,7 @@ void port_m2(hal_t *hal)
 {
     scope(hal, PIN_SCOPE_M2);
     if (adc_take_second(hal)) {
+        hal->m2_runs++;
         hal->losses = (uint16_t)(hal->losses - ((hal->losses > 0U) ? 1U : 0U));
         hal->axis[1].behind = false;
         servo_m2_isr(hal->servo);
@@ -128,9 +134,9 @@ static void state_init(hal_t *hal, servo_t *servo)
     hal->bus = 0;
     hal->watchdog_reset = (REG_READ(hal, SIM_RSTAT) & (SIM_RSTAT_COP_LOR | SIM_RSTAT_COP_CPU)) != 0U;
     hal->losses = 0;
-    hal->restarts = 0;
     hal->late = 0;
     hal->last = 0;
+    hal->m2_runs = 0;
     hal->running = false;
     hal->monitoring = false;
 }

@@ -301,8 +301,7 @@ SETTINGS_CHECK(start_interrupt_has_time, PWM_HALF_PERIOD - START_COUNT >= (int32
 SETTINGS_CHECK(encoder_counts_fit_the_timer, ENCODER_COUNTS >= 4L && ENCODER_COUNTS <= 0x7FFFL);
 SETTINGS_CHECK(encoder_filter_can_be_set, ENCODER_FILTER_PERIOD >= 1UL && ENCODER_FILTER_PERIOD <= 255UL);
 SETTINGS_CHECK(encoder_filter_passes_the_speed, 4UL * ENCODER_FILTER_NS <= ENCODER_QUARTER_NS);
-#define PERIOD_TIME_STAMPS (PWM_PERIOD / TIME_STAMP_DIVIDER)
-#define LATE_TIME_STAMPS (PERIOD_TIME_STAMPS + PERIOD_TIME_STAMPS / 2UL)
+#define GAP_TIME_STAMPS (3UL * PWM_PERIOD / 2UL / TIME_STAMP_DIVIDER) /* between two M1: one is left out */
 
 SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(TIME_STAMP_DIVIDER));
 
@@ -321,8 +320,8 @@ SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(T
 #define SERIAL_TOGETHER 3U /* bytes that raise an interrupt while more are expected */
 #define SET_QSCI_RATE (QSCI_RATE_SBR(SERIAL_RATE / 8UL) | QSCI_RATE_FRAC_SBR(SERIAL_RATE % 8UL))
 #define SET_QSCI_CTRL1 (QSCI_CTRL1_TE | QSCI_CTRL1_RE | QSCI_CTRL1_RFIE) /* 8 data bits, no parity, 1 stop bit */
-#define SET_QSCI_CTRL2_REST QSCI_CTRL2_FIFO_EN /* one byte raises the interrupt */
 #define SET_QSCI_CTRL2 (QSCI_CTRL2_FIFO_EN | QSCI_CTRL2_RFWM(SERIAL_TOGETHER - 1U))
+#define SET_QSCI_CTRL2_REST QSCI_CTRL2_FIFO_EN /* one byte raises the interrupt */
 
 SETTINGS_CHECK(baud_rate_is_not_too_low, SERIAL_RATE <= SERIAL_RATE_MAX);
 SETTINGS_CHECK(baud_rate_is_not_too_high, SERIAL_RATE >= SERIAL_RATE_MIN);

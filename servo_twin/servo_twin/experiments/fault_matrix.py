@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import (
@@ -192,8 +192,8 @@ class Damage:
     provoked : bool
         It has to be found when the axis moves.
     apart : float or None
-        Part of the time until it shows by itself by which the levels of a board may differ; None: it is not the same
-        twice.
+        Part of the time until it shows by itself by which the levels of a board may differ, beside the slow tick that
+        the supervision may come later; None: it is not the same twice.
     """
 
     name: str
@@ -355,7 +355,7 @@ def _times(damage: Damage, mine: Sequence[Case]) -> list[Row]:
     shown = [c.periods for c in mine if c.periods is not None]
     if damage.apart is not None and shown:
         latest, within = float(max(shown)), Bound(0.0, round(WAIT * 1e9 / PERIOD_NS))
-        name, apart = f"{damage.name}: latest by itself", damage.apart * latest
+        name, apart = f"{damage.name}: latest by itself", damage.apart * latest + SLOW_PERIODS
         rows.append(Row(name, BEYOND, latest, "PWM periods", within, apart=apart))
     return rows
 
