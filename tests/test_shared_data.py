@@ -13,24 +13,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_bridge.freemaster.codec import AnswerParser, encode_request
-from servo_bridge.freemaster.commands import Request, ScopeSlot, read_scope, set_scope, write_memory
+from servo_bridge.freemaster.commands import Request, ScopeSlot, read_memory, read_scope, set_scope, write_memory
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board import Board
 from servo_twin.simulation import enable
 
 TICK_NS: Final = SLOW_PERIODS * PERIOD_NS
-BAUD: Final = 2_000_000
-"""The highest rate: the receiver's FIFO is full 20 us after its first byte."""
+BAUDS: Final = (300_000, 2_000_000)
+"""One at which the background fetches bytes, too, and the highest: the FIFO is full 20 us after its first byte."""
 SPEED: Final = 20_000_000  # raw, 5 rad/s
 SLOTS: Final = ("tick", "axis1.position", "axis1.i_q", "axis1.u_q", "axis2.position", "axis2.i_q", "axis2.u_q", "tick")
 """Of the scope: values that change from one slow tick to the next, and the tick before and behind them."""
 
 
-@pytest.fixture
-def board() -> Iterator[Board]:
+@pytest.fixture(params=BAUDS)
+def board(request: pytest.FixtureRequest) -> Iterator[Board]:
     """A board that controls the speed of both axes."""
-    with Board(level="registers", baud=BAUD, seed=2) as board:
+    with Board(level="registers", baud=request.param, seed=2) as board:
         enable(board)
         board.write("cmd.mode", [board.catalogue.enums["control_mode_t"]["SPEED"]] * AXES)
         board.run(0.02)
@@ -109,3 +109,26 @@ def test_what_the_scope_reads_is_of_one_tick_whenever_it_is_read(board: Board) -
         row = log[log["tick"] == read[0]]
         assert row.size == 1, f"instant {k}: of no tick"
         assert read == [int(row[name][0]) for name in SLOTS], f"instant {k}: not of one tick"
+
+
+def test_a_host_that_reads_does_not_disturb_the_control() -> None:
+    """Bytes at any instant, on the line as it comes: what the loops read and do stays the same, bit for bit."""
+    logs = []
+    for reads in (False, True):
+        with Board(level="registers", seed=6) as board:
+            request = read_memory(board.address("snapshot"), 120)
+            steps = np.random.default_rng(1).integers(9_000_000, 11_000_000, 180)
+            log = []
+            for k, step in enumerate(steps):
+                if k == 2:
+                    board.write("cmd.enable", [1] * AXES)
+                elif k == 90:
+                    board.write("cmd.position", [12.0, -18.0])
+                if reads:
+                    send(board, request)
+                    board.serial_out()
+                log.append(board.record(board.time_ns + int(step)))
+            logs.append(np.concatenate(log))
+    silent, read = logs
+    assert np.ptp(silent["axis1.position"]) > 1000
+    assert silent.tobytes() == read.tobytes()

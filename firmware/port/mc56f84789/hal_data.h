@@ -37,6 +37,7 @@ struct hal {
     bool running;      /* M1 has run before */
     bool monitoring;   /* the monitor outputs run */
 
+    bool slow_line; /* the background fetches received bytes, too */
     volatile uint8_t ring[PORT_RING];
     volatile uint16_t ring_in; /* bytes ever put in and taken out, modulo 65536 */
     volatile uint16_t ring_out;

@@ -8,9 +8,6 @@
 /* Divider in eighths of 1/16 bit. */
 static uint16_t rate(uint32_t baud)
 {
-    if (baud == 0U) {
-        return SET_QSCI_RATE;
-    }
     const uint32_t eighths = (uint32_t)SERIAL_RATE_OF(baud);
     return (eighths < SERIAL_RATE_MIN)   ? (uint16_t)SERIAL_RATE_MIN
            : (eighths > SERIAL_RATE_MAX) ? (uint16_t)SERIAL_RATE_MAX
@@ -19,11 +16,13 @@ static uint16_t rate(uint32_t baud)
 
 void serial_init(hal_t *hal)
 {
+    const uint32_t baud = (hal->baud != 0U) ? hal->baud : SERIAL_BAUD;
     REG_WRITE(hal, REG(QSCI_CTRL1), 0U);
-    REG_WRITE(hal, REG(QSCI_RATE), rate(hal->baud));
+    REG_WRITE(hal, REG(QSCI_RATE), rate(baud));
     REG_WRITE(hal, REG(QSCI_CTRL3), 0U);
     REG_WRITE(hal, REG(QSCI_CTRL2), SET_QSCI_CTRL2);
     REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1);
+    hal->slow_line = baud <= SERIAL_FETCHED_MAX;
     hal->ring_in = 0;
     hal->ring_out = 0;
     hal->overruns = 0;
@@ -56,16 +55,31 @@ void port_receive(hal_t *hal)
 
 uint16_t hal_receiver_overruns(hal_t *hal) { return hal->overruns; }
 
-/* The end of a request may be below the watermark: one byte is enough for the interrupt then. Only the interrupt reads
- * the FIFO, because M1 and M2 may interrupt the background for longer than the FIFO takes to fill. */
+/* What is below the watermark. On a slow line the background takes it: an interrupt for every byte would delay M1 and M2.
+ * On a fast one M1 and M2 may interrupt the background for longer than the FIFO takes to fill: one byte is enough for the
+ * interrupt then. */
+static void fetch_rest(hal_t *hal)
+{
+    if (hal->slow_line) {
+        REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1 & (uint16_t)~QSCI_CTRL1_RFIE);
+        port_receive(hal);
+        REG_WRITE(hal, REG(QSCI_CTRL1), SET_QSCI_CTRL1);
+    } else {
+        REG_WRITE(hal, REG(QSCI_CTRL2), SET_QSCI_CTRL2_REST);
+    }
+}
+
 bool hal_serial_get(hal_t *hal, uint8_t *byte)
 {
     const uint16_t out = hal->ring_out;
     if (out == hal->ring_in) {
-        if (waiting(hal)) {
-            REG_WRITE(hal, REG(QSCI_CTRL2), SET_QSCI_CTRL2_REST);
+        if (!waiting(hal)) {
+            return false;
         }
-        return false;
+        fetch_rest(hal);
+        if (out == hal->ring_in) {
+            return false; /* the interrupt is on its way */
+        }
     }
     *byte = hal->ring[out & RING_MASK];
     hal->ring_out = (uint16_t)(out + 1U);

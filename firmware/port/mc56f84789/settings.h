@@ -322,6 +322,8 @@ SETTINGS_CHECK(time_stamp_divider_exists, TIME_STAMP_DIVIDER == 1UL << LOG2_OF(T
 #define SET_QSCI_CTRL1 (QSCI_CTRL1_TE | QSCI_CTRL1_RE | QSCI_CTRL1_RFIE) /* 8 data bits, no parity, 1 stop bit */
 #define SET_QSCI_CTRL2 (QSCI_CTRL2_FIFO_EN | QSCI_CTRL2_RFWM(SERIAL_TOGETHER - 1U))
 #define SET_QSCI_CTRL2_REST QSCI_CTRL2_FIFO_EN /* one byte raises the interrupt */
+/* Up to this rate the FIFO takes two PWM periods to fill, and M1 and M2 never last so long at a stretch. */
+#define SERIAL_FETCHED_MAX (QSCI_FIFO_WORDS * 10UL * PWM_FREQUENCY_HZ / 2UL)
 
 SETTINGS_CHECK(baud_rate_is_not_too_low, SERIAL_RATE <= SERIAL_RATE_MAX);
 SETTINGS_CHECK(baud_rate_is_not_too_high, SERIAL_RATE >= SERIAL_RATE_MIN);
