@@ -22,6 +22,10 @@ typedef struct {
     uint16_t substate;
     uint16_t limits;
     uint16_t first_fault;
+    uint16_t points_waiting;
+    uint16_t points_taken;
+    uint16_t points_late;
+    uint16_t unused; /* the size is the same on every machine */
 } axis_snapshot_t;
 
 /* All of it from one slow tick. */
@@ -33,8 +37,13 @@ typedef struct {
     int16_t monitor[HAL_MONITORS];
     uint16_t late_loops;        /* since reset, modulo 65536 */
     uint16_t receiver_overruns; /* the same */
+    uint16_t points_refused;    /* writes of them, the same */
+    uint16_t point_refusal;     /* point_refusal_t of the last one */
     axis_snapshot_t axis[HAL_AXES];
 } snapshot_t;
+
+#define POINTS_TOGETHER 8 /* timed points that are written at once */
+#define POINT_WORDS 4
 
 /* Written by the host at any time; latched right before a slow tick. */
 typedef struct {
@@ -45,6 +54,7 @@ typedef struct {
     uint16_t enable[HAL_AXES];
     uint16_t quick_stop[HAL_AXES];
     uint16_t clear_faults[HAL_AXES];
+    int32_t points[POINTS_TOGETHER * POINT_WORDS]; /* app/points.c */
 } command_block_t;
 
 typedef struct {

@@ -1,5 +1,7 @@
 #include "app/latch.h"
 
+#include "app/points.h"
+
 #include <stddef.h>
 
 typedef struct {
@@ -26,6 +28,11 @@ void latch_reset(latch_marks_t *marks) { *marks = (latch_marks_t){0}; }
 
 void latch_mark(latch_marks_t *marks, uint16_t offset, uint16_t size)
 {
+    if (offset == offsetof(command_block_t, points)) {
+        marks->points = (uint16_t)(size / (4U * POINT_WORDS));
+        marks->commands = true;
+        return;
+    }
     for (uint16_t k = 0; k < FIELDS; k++) {
         const field_t *field = &fields[k];
         for (uint16_t axis = 0; axis < HAL_AXES; axis++) {
@@ -96,9 +103,13 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
 {
     const latch_marks_t written = *marks;
     latch_reset(marks);
+    const uint16_t queued = points_queue(axes, block, written.points);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         if (written.fresh[i] != 0U) {
             apply_command(written.fresh[i], block, &axes[i]);
+        }
+        if ((queued >> i & 1U) != 0U) {
+            axes[i].command.fresh = (uint16_t)(axes[i].command.fresh | FRESH_POINTS);
         }
         if (written.parameters) {
             apply_parameter(parameter, &axes[i]);

@@ -8,6 +8,7 @@
 /* What was written since the last latch. */
 typedef struct {
     uint16_t fresh[HAL_AXES]; /* FRESH_ bits */
+    uint16_t points;          /* how many timed points */
     bool commands;
     bool parameters;
 } latch_marks_t;

@@ -2,6 +2,7 @@
 
 #include <stddef.h>
 
+#include "app/points.h"
 #include "app/ranges.h"
 #include "app/variables.h"
 #include "drive/estimate.h"
@@ -18,7 +19,7 @@
 #define SLOT_CHECK (SLOT_ESTIMATE + 1U)
 #define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
 #define SLOT_SUPERVISE (SERVO_SLOW_PERIODS - 2U)
-#define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the slow tick that follows */
+#define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the slow tick that follows: trajectories, then commands */
 
 /* ---- the host's requests ------------------------------------------------------------------------------------------ */
 
@@ -31,9 +32,24 @@ static void hold(void *context, bool on)
 /* The same through the server's pointer: a call that no compiler can inline keeps what it protects between the two. */
 static void server_hold(servo_t *servo, bool on) { servo->freemaster.app.hold(servo, on); }
 
+static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint16_t size)
+{
+    const points_board_t board = {servo->axis, &servo->snapshot, servo->marks.points != 0U};
+    const point_refusal_t refusal = whole ? points_check(&board, data, size) : POINT_REFUSAL_FORM;
+    if (refusal != POINT_REFUSAL_NONE) {
+        servo->point_refusal = (uint16_t)refusal;
+        servo->points_refused++;
+    }
+    return refusal == POINT_REFUSAL_NONE;
+}
+
 static bool accepts(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
 {
-    const servo_t *servo = (const servo_t *)context;
+    servo_t *servo = (servo_t *)context;
+    const uint16_t points = (uint16_t)offsetof(servo_t, command.points);
+    if (offset >= points && (uint32_t)offset + size <= points + sizeof servo->command.points) {
+        return accepts_points(servo, offset == points && mask == NULL, data, size);
+    }
     const ranges_memory_t memory = {
         .memory = (const uint8_t *)servo,
         .positions = (uint16_t)offsetof(servo_t, command.position),
@@ -251,6 +267,9 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->faults = axis->latch.captured;
     view->first_fault = axis->latch.first;
     view->limits = axis->active_limits;
+    view->points_waiting = trajectory_waiting(&axis->trajectory);
+    view->points_taken = axis->trajectory.taken;
+    view->points_late = axis->trajectory.late;
 }
 
 static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
@@ -281,6 +300,8 @@ static void publish_snapshot(servo_t *servo)
     }
     snapshot->late_loops = servo->late_loops;
     snapshot->receiver_overruns = hal_receiver_overruns(servo->hal);
+    snapshot->points_refused = servo->points_refused;
+    snapshot->point_refusal = servo->point_refusal;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         publish_axis(&servo->axis[i], &snapshot->axis[i]);
         publish_estimate(&servo->axis[i], &servo->estimate.axis[i]);
@@ -319,11 +340,13 @@ static void supervise_loops(servo_t *servo)
     }
 }
 
+static uint16_t period_of(uint32_t tick) { return (uint16_t)(tick % SERVO_SLOW_PERIODS); }
+
 /* ---- slots and interrupts ----------------------------------------------------------------------------------------------- */
 
-static void run_axis_slot(axis_t *axis, uint16_t period)
+static void run_axis_slot(axis_t *axis, uint32_t tick)
 {
-    switch (period) {
+    switch (period_of(tick)) {
     case SLOT_SLOW:
         axis_slow(axis);
         break;
@@ -338,6 +361,9 @@ static void run_axis_slot(axis_t *axis, uint16_t period)
         break;
     case SLOT_WATCH + 1U:
         axis_watch_encoder(axis);
+        break;
+    case SLOT_LATCH:
+        axis_plan(axis, tick + 1U);
         break;
     default:
         break;
@@ -366,8 +392,6 @@ static void run_board_slot(servo_t *servo, uint16_t period)
     }
 }
 
-static uint16_t period_of(const servo_t *servo) { return (uint16_t)(servo->tick % SERVO_SLOW_PERIODS); }
-
 /* t0 the ADC has taken the currents of motor 1 and the offsets of motor 2; t1: */
 void servo_m1_isr(servo_t *servo)
 {
@@ -378,7 +402,7 @@ void servo_m1_isr(servo_t *servo)
         come_late(servo, 1); /* M2 has been left out */
     }
     servo->m2_awaited = true;
-    run_axis_slot(&servo->axis[MOTOR_2], period_of(servo));
+    run_axis_slot(&servo->axis[MOTOR_2], servo->tick);
 }
 
 /* t2 the ADC has taken the currents of motor 2 and the offsets of motor 1; t3: */
@@ -391,8 +415,8 @@ void servo_m2_isr(servo_t *servo)
     }
     if (servo->m2_awaited) {
         servo->m2_awaited = false;
-        run_axis_slot(&servo->axis[MOTOR_1], period_of(servo));
-        run_board_slot(servo, period_of(servo));
+        run_axis_slot(&servo->axis[MOTOR_1], servo->tick);
+        run_board_slot(servo, period_of(servo->tick));
     } else {
         come_late(servo, 1); /* M1 has been left out */
     }

@@ -40,6 +40,8 @@ typedef struct servo {
     uint16_t applied_count;
     volatile bool held; /* the server is copying: neither latch commands nor publish a snapshot */
     latch_marks_t marks;
+    uint16_t points_refused; /* writes of timed points since reset */
+    uint16_t point_refusal;  /* point_refusal_t of the last one */
     volatile uint16_t host_commands; /* and keep-alives that came over the line; only the background writes it */
     uint16_t host_commands_seen;     /* by the last supervision */
     uint16_t host_silence;           /* slow ticks since then */

@@ -20,73 +20,82 @@ CHECK(3, SIZE(snapshot.applied_count) == 2);
 CHECK(4, SIZE(snapshot.u_dc) == 2);
 CHECK(5, SIZE(snapshot.late_loops) == 2);
 CHECK(6, SIZE(snapshot.receiver_overruns) == 2);
-CHECK(7, SIZE(command.position) == 8);
-CHECK(8, SIZE(command.speed) == 8);
-CHECK(9, SIZE(command.i_q) == 4);
-CHECK(10, SIZE(command.mode) == 4);
-CHECK(11, SIZE(command.enable) == 4);
-CHECK(12, SIZE(command.quick_stop) == 4);
-CHECK(13, SIZE(command.clear_faults) == 4);
-CHECK(14, SIZE(parameter.speed_limit) == 8);
-CHECK(15, SIZE(parameter.acceleration_limit) == 8);
-CHECK(16, SIZE(parameter.i_q_limit) == 4);
-CHECK(17, SIZE(parameter.features) == 4);
-CHECK(18, SIZE(parameter.position_min) == 8);
-CHECK(19, SIZE(parameter.position_max) == 8);
-CHECK(20, SIZE(parameter.following_error) == 8);
-CHECK(21, SIZE(parameter.over_speed) == 8);
-CHECK(22, SIZE(parameter.feedback) == 4);
-CHECK(23, SIZE(parameter.on_disable) == 4);
-CHECK(24, SIZE(parameter.on_quick_stop) == 4);
-CHECK(25, SIZE(parameter.faults_enabled) == 8);
-CHECK(26, SIZE(parameter.monitor) == 4);
-CHECK(27, SIZE(parameter.host_timeout) == 2);
-CHECK(28, SIZE(parameter.command_timeout) == 2);
-CHECK(29, SIZE(parameter.brake) == 2);
-CHECK(30, SIZE(snapshot.axis[0].position) == 4);
-CHECK(31, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(32, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(33, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(34, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(35, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(36, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(37, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(38, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(39, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(40, SIZE(snapshot.axis[0].state) == 2);
-CHECK(41, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(42, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(43, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(44, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(45, SIZE(snapshot.monitor[0]) == 2);
-CHECK(46, SIZE(estimate.axis[0].speed) == 4);
-CHECK(47, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(48, SIZE(estimate.axis[0].emf) == 2);
-CHECK(49, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(50, SIZE(record[0].pending) == 4);
-CHECK(51, SIZE(belief.torque_constant[0]) == 2);
-CHECK(52, SIZE(snapshot.axis[1].position) == 4);
-CHECK(53, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(54, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(55, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(56, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(57, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(58, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(59, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(60, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(61, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(62, SIZE(snapshot.axis[1].state) == 2);
-CHECK(63, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(64, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(65, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(66, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(67, SIZE(snapshot.monitor[1]) == 2);
-CHECK(68, SIZE(estimate.axis[1].speed) == 4);
-CHECK(69, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(70, SIZE(estimate.axis[1].emf) == 2);
-CHECK(71, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(72, SIZE(record[1].pending) == 4);
-CHECK(73, SIZE(belief.torque_constant[1]) == 2);
+CHECK(7, SIZE(snapshot.points_refused) == 2);
+CHECK(8, SIZE(snapshot.point_refusal) == 2);
+CHECK(9, SIZE(command.position) == 8);
+CHECK(10, SIZE(command.speed) == 8);
+CHECK(11, SIZE(command.i_q) == 4);
+CHECK(12, SIZE(command.mode) == 4);
+CHECK(13, SIZE(command.enable) == 4);
+CHECK(14, SIZE(command.quick_stop) == 4);
+CHECK(15, SIZE(command.clear_faults) == 4);
+CHECK(16, SIZE(command.points) == 128);
+CHECK(17, SIZE(parameter.speed_limit) == 8);
+CHECK(18, SIZE(parameter.acceleration_limit) == 8);
+CHECK(19, SIZE(parameter.i_q_limit) == 4);
+CHECK(20, SIZE(parameter.features) == 4);
+CHECK(21, SIZE(parameter.position_min) == 8);
+CHECK(22, SIZE(parameter.position_max) == 8);
+CHECK(23, SIZE(parameter.following_error) == 8);
+CHECK(24, SIZE(parameter.over_speed) == 8);
+CHECK(25, SIZE(parameter.feedback) == 4);
+CHECK(26, SIZE(parameter.on_disable) == 4);
+CHECK(27, SIZE(parameter.on_quick_stop) == 4);
+CHECK(28, SIZE(parameter.faults_enabled) == 8);
+CHECK(29, SIZE(parameter.monitor) == 4);
+CHECK(30, SIZE(parameter.host_timeout) == 2);
+CHECK(31, SIZE(parameter.command_timeout) == 2);
+CHECK(32, SIZE(parameter.brake) == 2);
+CHECK(33, SIZE(snapshot.axis[0].position) == 4);
+CHECK(34, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(35, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(36, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(37, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(38, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(39, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(40, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(41, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(42, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(43, SIZE(snapshot.axis[0].state) == 2);
+CHECK(44, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(45, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(46, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(47, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(48, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(49, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(50, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(51, SIZE(snapshot.monitor[0]) == 2);
+CHECK(52, SIZE(estimate.axis[0].speed) == 4);
+CHECK(53, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(54, SIZE(estimate.axis[0].emf) == 2);
+CHECK(55, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(56, SIZE(record[0].pending) == 4);
+CHECK(57, SIZE(belief.torque_constant[0]) == 2);
+CHECK(58, SIZE(snapshot.axis[1].position) == 4);
+CHECK(59, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(60, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(61, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(62, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(63, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(64, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(65, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(66, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(67, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(68, SIZE(snapshot.axis[1].state) == 2);
+CHECK(69, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(70, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(71, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(72, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(73, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(74, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(75, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(76, SIZE(snapshot.monitor[1]) == 2);
+CHECK(77, SIZE(estimate.axis[1].speed) == 4);
+CHECK(78, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(79, SIZE(estimate.axis[1].emf) == 2);
+CHECK(80, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(81, SIZE(record[1].pending) == 4);
+CHECK(82, SIZE(belief.torque_constant[1]) == 2);
 
 static const char strings[] =
     "state_t\0"
@@ -107,6 +116,7 @@ static const char strings[] =
     "POSITION\0"
     "SPEED\0"
     "TORQUE\0"
+    "TRAJECTORY\0"
     "feedback_kind_t\0"
     "ENCODER\0"
     "OBSERVER\0"
@@ -115,8 +125,17 @@ static const char strings[] =
     "SHORT\0"
     "RAMP\0"
     "HOLD\0"
-    "monitor_t\0"
+    "point_refusal_t\0"
     "NONE\0"
+    "MODE\0"
+    "PAST\0"
+    "ORDER\0"
+    "DURATION\0"
+    "FULL\0"
+    "ACCELERATION\0"
+    "BUSY\0"
+    "FORM\0"
+    "monitor_t\0"
     "U_DC\0"
     "AXIS1_I_D\0"
     "AXIS1_I_Q\0"
@@ -144,6 +163,8 @@ static const char strings[] =
     "\xF5\0"
     "late_loops\0"
     "receiver_overruns\0"
+    "points_refused\0"
+    "point_refusal\0"
     "cmd.position\0"
     "\xF2\0"
     "cmd.speed\0"
@@ -153,6 +174,7 @@ static const char strings[] =
     "cmd.enable\0"
     "cmd.quick_stop\0"
     "cmd.clear_faults\0"
+    "cmd.points\0"
     "param.speed_limit\0"
     "param.acceleration_limit\0"
     "param.i_q_limit\0"
@@ -184,6 +206,9 @@ static const char strings[] =
     "axis1.faults\0"
     "axis1.first_fault\0"
     "axis1.limits\0"
+    "axis1.points_waiting\0"
+    "axis1.points_taken\0"
+    "axis1.points_late\0"
     "axis1.monitor\0"
     "axis1.estimate_speed\0"
     "axis1.estimate_theta_e\0"
@@ -207,6 +232,9 @@ static const char strings[] =
     "axis2.faults\0"
     "axis2.first_fault\0"
     "axis2.limits\0"
+    "axis2.points_waiting\0"
+    "axis2.points_taken\0"
+    "axis2.points_late\0"
     "axis2.monitor\0"
     "axis2.estimate_speed\0"
     "axis2.estimate_theta_e\0"
@@ -233,108 +261,130 @@ static const tsa_entry_t entries[] = {
     {110, 21, 0, 0, TSA_KIND_NONE}, /* POSITION */
     {119, 21, 1, 0, TSA_KIND_NONE}, /* SPEED */
     {125, 21, 2, 0, TSA_KIND_NONE}, /* TORQUE */
-    {132, 8, 0, 2, TSA_KIND_NONE}, /* feedback_kind_t */
-    {148, 21, 0, 0, TSA_KIND_NONE}, /* ENCODER */
-    {156, 21, 1, 0, TSA_KIND_NONE}, /* OBSERVER */
-    {165, 8, 0, 2, TSA_KIND_NONE}, /* stop_category_t */
-    {181, 21, 0, 0, TSA_KIND_NONE}, /* COAST */
-    {187, 21, 1, 0, TSA_KIND_NONE}, /* SHORT */
-    {193, 21, 2, 0, TSA_KIND_NONE}, /* RAMP */
-    {198, 21, 3, 0, TSA_KIND_NONE}, /* HOLD */
-    {203, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
-    {213, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {218, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
-    {223, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
-    {233, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
-    {243, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
-    {257, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
-    {267, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
-    {277, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
-    {291, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
-    {303, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
-    {313, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
-    {323, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
-    {337, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
-    {347, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
-    {357, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
-    {371, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {383, 398, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {400, 409, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {411, 398, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {416, 398, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {429, 443, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {445, 450, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {452, 443, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
-    {463, 443, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
-    {481, 494, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {496, 506, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {508, 450, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {516, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {525, 443, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {536, 443, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {551, 443, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {568, 506, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {586, 506, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {611, 450, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {627, 443, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {642, 494, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {661, 494, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {680, 494, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {702, 506, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {719, 132, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {734, 165, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {751, 165, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {771, 398, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {792, 203, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {806, 443, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {825, 443, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {847, 443, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {859, 494, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {874, 494, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {893, 506, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {905, 506, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {921, 450, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {931, 450, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {941, 450, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {955, 450, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {965, 450, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {975, 450, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {989, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1001, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1016, 398, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1029, 443, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1047, 443, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1060, 450, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1074, 506, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1095, 450, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1118, 450, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1137, 443, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1161, 398, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1175, 409, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1194, 450, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1216, 494, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1231, 494, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1250, 506, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1262, 506, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1278, 450, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1288, 450, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1298, 450, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1312, 450, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1322, 450, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1332, 450, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1346, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1358, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1373, 398, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1386, 443, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1404, 443, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1417, 450, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {1431, 506, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1452, 450, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1475, 450, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1494, 443, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1518, 398, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1532, 409, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {1551, 450, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {132, 21, 3, 0, TSA_KIND_NONE}, /* TRAJECTORY */
+    {143, 8, 0, 2, TSA_KIND_NONE}, /* feedback_kind_t */
+    {159, 21, 0, 0, TSA_KIND_NONE}, /* ENCODER */
+    {167, 21, 1, 0, TSA_KIND_NONE}, /* OBSERVER */
+    {176, 8, 0, 2, TSA_KIND_NONE}, /* stop_category_t */
+    {192, 21, 0, 0, TSA_KIND_NONE}, /* COAST */
+    {198, 21, 1, 0, TSA_KIND_NONE}, /* SHORT */
+    {204, 21, 2, 0, TSA_KIND_NONE}, /* RAMP */
+    {209, 21, 3, 0, TSA_KIND_NONE}, /* HOLD */
+    {214, 8, 0, 2, TSA_KIND_NONE}, /* point_refusal_t */
+    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {235, 21, 1, 0, TSA_KIND_NONE}, /* MODE */
+    {240, 21, 2, 0, TSA_KIND_NONE}, /* PAST */
+    {245, 21, 3, 0, TSA_KIND_NONE}, /* ORDER */
+    {251, 21, 4, 0, TSA_KIND_NONE}, /* DURATION */
+    {260, 21, 5, 0, TSA_KIND_NONE}, /* FULL */
+    {110, 21, 6, 0, TSA_KIND_NONE}, /* POSITION */
+    {119, 21, 7, 0, TSA_KIND_NONE}, /* SPEED */
+    {265, 21, 8, 0, TSA_KIND_NONE}, /* ACCELERATION */
+    {278, 21, 9, 0, TSA_KIND_NONE}, /* BUSY */
+    {283, 21, 10, 0, TSA_KIND_NONE}, /* FORM */
+    {288, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
+    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {298, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
+    {303, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
+    {313, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
+    {323, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
+    {337, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
+    {347, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
+    {357, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
+    {371, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
+    {383, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
+    {393, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
+    {403, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
+    {417, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
+    {427, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
+    {437, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
+    {451, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
+    {463, 478, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {480, 489, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {491, 478, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {496, 478, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {509, 523, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {525, 530, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {532, 523, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {543, 523, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {561, 523, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
+    {576, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
+    {590, 603, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {605, 615, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {617, 530, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {625, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {634, 523, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {645, 523, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {660, 523, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {677, 603, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {688, 615, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {706, 615, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {731, 530, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {747, 523, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {762, 603, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {781, 603, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {800, 603, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {822, 615, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {839, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {854, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {871, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {891, 478, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {912, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {926, 523, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {945, 523, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {967, 523, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {979, 603, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {994, 603, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {1013, 615, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {1025, 615, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {1041, 530, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {1051, 530, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {1061, 530, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {1075, 530, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {1085, 530, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {1095, 530, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1109, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1121, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1136, 478, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1149, 523, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1167, 523, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1180, 523, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {1201, 523, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {1220, 523, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {1238, 530, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1252, 615, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1273, 530, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1296, 530, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1315, 523, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1339, 478, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1353, 489, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1372, 530, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1394, 603, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1409, 603, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1428, 615, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1440, 615, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1456, 530, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1466, 530, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1476, 530, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1490, 530, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1500, 530, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1510, 530, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1524, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1536, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1551, 478, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1564, 523, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1582, 523, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1595, 523, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {1616, 523, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {1635, 523, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {1653, 530, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {1667, 615, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1688, 530, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {1711, 530, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {1730, 523, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {1754, 478, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {1768, 489, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {1787, 530, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
 };
 
 const tsa_table_t servo_variables = {
@@ -345,10 +395,11 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */
     {OFFSET(command.speed), 4, 2, INT32_C(-1718483103), INT32_C(1718483103)}, /* cmd.speed */
     {OFFSET(command.i_q), 2, 2, INT32_C(-15888), INT32_C(15888)}, /* cmd.i_q */
-    {OFFSET(command.mode), 2, 2, INT32_C(0), INT32_C(2)}, /* cmd.mode */
+    {OFFSET(command.mode), 2, 2, INT32_C(0), INT32_C(3)}, /* cmd.mode */
     {OFFSET(command.enable), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.enable */
     {OFFSET(command.quick_stop), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.quick_stop */
     {OFFSET(command.clear_faults), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.clear_faults */
+    {OFFSET(command.points), 4, 32, INT32_MIN, INT32_C(2147483647)}, /* cmd.points */
     {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */
     {OFFSET(parameter.acceleration_limit), 4, 2, INT32_C(2051), INT32_C(102534791)}, /* param.acceleration_limit */
     {OFFSET(parameter.i_q_limit), 2, 2, INT32_C(397), INT32_C(15888)}, /* param.i_q_limit */

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x73FB70E3)
+#define CATALOGUE_HASH UINT32_C(0xFF7B5195)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -27,6 +27,7 @@ typedef enum {
     CONTROL_MODE_POSITION = 0,
     CONTROL_MODE_SPEED = 1,
     CONTROL_MODE_TORQUE = 2,
+    CONTROL_MODE_TRAJECTORY = 3,
 } control_mode_t;
 
 typedef enum {
@@ -40,6 +41,20 @@ typedef enum {
     STOP_CATEGORY_RAMP = 2,
     STOP_CATEGORY_HOLD = 3,
 } stop_category_t;
+
+typedef enum {
+    POINT_REFUSAL_NONE = 0,
+    POINT_REFUSAL_MODE = 1,
+    POINT_REFUSAL_PAST = 2,
+    POINT_REFUSAL_ORDER = 3,
+    POINT_REFUSAL_DURATION = 4,
+    POINT_REFUSAL_FULL = 5,
+    POINT_REFUSAL_POSITION = 6,
+    POINT_REFUSAL_SPEED = 7,
+    POINT_REFUSAL_ACCELERATION = 8,
+    POINT_REFUSAL_BUSY = 9,
+    POINT_REFUSAL_FORM = 10,
+} point_refusal_t;
 
 typedef enum {
     MONITOR_NONE = 0,
@@ -66,7 +81,7 @@ typedef enum {
 #define FAULT_CURRENT_OFFSET UINT32_C(0x00000008) /* current amplifier offset far from mid-scale during calibration */
 #define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* full current does not move the shaft while the rotor is searched, or not far enough */
 #define FAULT_ENCODER UINT32_C(0x00000020) /* encoder count and emulated index disagree */
-#define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no command and no keep-alive from the host within param.host_timeout */
+#define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no command and no keep-alive from the host within param.host_timeout, or, with the feature STARVED, no point of a trajectory in time */
 #define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement, and a current vector that turns to both sides moves nothing that is free */
 #define FAULT_RUNAWAY UINT32_C(0x00000100) /* the shaft gains speed against the full current or beyond its limit */
 #define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns and the encoder does not count */
@@ -92,6 +107,7 @@ typedef enum {
 #define LIMIT_REGENERATION UINT16_C(0x0020) /* braking current held back by the voltage of the DC bus */
 #define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
 #define LIMIT_SENSORLESS UINT16_C(0x0080) /* without an encoder there is no position, no standstill and no torque from rest */
+#define LIMIT_STARVED UINT16_C(0x0100) /* no point followed one with a speed: the axis has stopped */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
@@ -105,6 +121,7 @@ typedef enum {
 #define FEATURE_OVER_SPEED UINT16_C(0x0200) /* a fault when the shaft turns too fast */
 #define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
 #define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* a fault when encoder and observer disagree about the rotor's angle */
+#define FEATURE_STARVED UINT16_C(0x1000) /* a fault (HOST_SILENT) when no point of a trajectory follows one with a speed */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2

@@ -177,6 +177,8 @@ void axis_estimate(axis_t *axis)
     sm_step(&axis->sm, axis);
 }
 
+void axis_plan(axis_t *axis, uint32_t tick) { motion_plan(axis, tick); }
+
 void axis_check(axis_t *axis)
 {
     axis->loop = LOOP_CHECK;

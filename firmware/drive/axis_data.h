@@ -12,6 +12,7 @@
 #include "drive/startup_data.h"
 #include "drive/state_machine.h"
 #include "drive/stop_data.h"
+#include "drive/trajectory.h"
 #include "hal/hal.h"
 
 /* PWM periods per slow tick (DRM 2.3.2). */
@@ -30,10 +31,11 @@ typedef enum {
 #define FRESH_POSITION UINT16_C(0x01) /* the set-points come in the order of their modes */
 #define FRESH_SPEED UINT16_C(0x02)
 #define FRESH_I_Q UINT16_C(0x04)
-#define FRESH_MODE UINT16_C(0x08)
-#define FRESH_ENABLE UINT16_C(0x10)
-#define FRESH_QUICK_STOP UINT16_C(0x20)
-#define FRESH_CLEAR_FAULTS UINT16_C(0x40) /* a 1 */
+#define FRESH_POINTS UINT16_C(0x08)
+#define FRESH_MODE UINT16_C(0x10)
+#define FRESH_ENABLE UINT16_C(0x20)
+#define FRESH_QUICK_STOP UINT16_C(0x40)
+#define FRESH_CLEAR_FAULTS UINT16_C(0x80) /* a 1 */
 
 /* What the host asks of an axis, latched once per slow tick. */
 typedef struct {
@@ -75,6 +77,7 @@ typedef enum {
     MOTION_POSITION = CONTROL_MODE_POSITION, /* follow the shaped position set-point */
     MOTION_SPEED = CONTROL_MODE_SPEED,       /* follow the ramped speed set-point */
     MOTION_TORQUE = CONTROL_MODE_TORQUE,     /* follow the current set-point within the speed limit */
+    MOTION_TRAJECTORY = CONTROL_MODE_TRAJECTORY, /* follow the curve through timed points */
     MOTION_STOP,                             /* ramp down at the limit; then hold */
 } motion_t;
 
@@ -85,7 +88,8 @@ typedef struct {
     frac16_t i_q_target;
     bool target_clipped;  /* a soft limit has taken a part of the set-point */
     bool expired;         /* the axis has stopped because its set-point was not written again */
-    path_t path;
+    bool starved;         /* .. because no point followed one with a speed */
+    path_t path;          /* its output is the position set-point on a trajectory, too */
     path_position_t model; /* where the shaft would be if it did what it is told */
     bool path_forward;    /* the path's speed goes straight to the speed controller */
     bool resting;         /* the shaft is close enough to a target that does not move */
@@ -151,6 +155,7 @@ typedef struct axis {
     current_loop_t current_loop;
     dq_t current_ref;
     motion_state_t motion;
+    trajectory_t trajectory;
     observation_t observation;
     diagnosis_t diagnosis;
     dq_t test_current; /* that a monitor asks for on top of the set-point */

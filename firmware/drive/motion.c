@@ -58,6 +58,8 @@ static void hold(axis_t *axis) { start_path(axis, axis->feedback.position, 0); }
 
 /* ---- commands --------------------------------------------------------------------------------------------------- */
 
+static bool mode_holds(uint16_t mode) { return mode == CONTROL_MODE_POSITION || mode == CONTROL_MODE_TRAJECTORY; }
+
 /* A new mode without a set-point brings the axis to rest, or without current in torque mode. */
 static void take_mode(axis_t *axis)
 {
@@ -65,10 +67,11 @@ static void take_mode(axis_t *axis)
     const uint16_t mode = axis->command.mode;
     if ((uint16_t)m->motion != mode) {
         m->expired = false;
+        m->starved = false;
         m->speed_target = 0;
         m->i_q_target = 0;
         axis->command.age = 0;
-        begin(axis, (mode == CONTROL_MODE_POSITION) ? MOTION_STOP : (motion_t)mode);
+        begin(axis, mode_holds(mode) ? MOTION_STOP : (motion_t)mode);
     }
 }
 
@@ -83,7 +86,11 @@ static void take_set_point(axis_t *axis)
         return;
     }
     m->expired = false;
+    m->starved = false;
     limits_renew(axis);
+    if (command->mode == CONTROL_MODE_TRAJECTORY) {
+        return; /* the points wait in their queue */
+    }
     if (command->mode == CONTROL_MODE_SPEED) {
         begin(axis, MOTION_SPEED);
         m->speed_target = command->speed;
@@ -101,7 +108,7 @@ static void take_set_point(axis_t *axis)
 }
 
 /* What an axis without an encoder cannot do is neither begun nor remembered. */
-static bool impossible(const axis_t *axis) { return axis->sensorless && axis->command.mode == CONTROL_MODE_POSITION; }
+static bool impossible(const axis_t *axis) { return axis->sensorless && mode_holds(axis->command.mode); }
 
 /* Speed and torque go on by themselves: a set-point that is not written again ends in a stop. */
 static bool expired(const axis_t *axis)
@@ -130,6 +137,7 @@ static void take_stop(axis_t *axis)
         m->speed_target = 0;
     }
     m->expired = false;
+    m->starved = false;
 }
 
 static void take_commands(axis_t *axis)
@@ -154,6 +162,9 @@ static void take_commands(axis_t *axis)
     }
     if (m->expired) {
         axis_report(axis, LIMIT_EXPIRED);
+    }
+    if (m->starved) {
+        axis_report(axis, LIMIT_STARVED);
     }
 }
 
@@ -272,6 +283,72 @@ static frac32_t position_controller(axis_t *axis)
     return followed_speed(axis, path_beyond(m->path.output, axis->feedback.position));
 }
 
+/* ---- trajectories ------------------------------------------------------------------------------------------------ */
+
+/* The position is one that can be followed: a path, or a trajectory. */
+static bool follows_position(const motion_state_t *m)
+{
+    return m->motion == MOTION_POSITION || m->motion == MOTION_TRAJECTORY;
+}
+
+bool motion_takes_points(const axis_t *axis)
+{
+    const bool spins = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN;
+    const bool wanted = axis->requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TRAJECTORY;
+    return spins && wanted && !axis->sensorless && follows_position(&axis->motion);
+}
+
+void motion_plan(axis_t *axis, uint32_t tick)
+{
+    trajectory_t *t = &axis->trajectory;
+    if (!motion_takes_points(axis)) {
+        trajectory_clear(t);
+        return;
+    }
+    if (t->leads || trajectory_waiting(t) != 0U) {
+        const motion_state_t *m = &axis->motion;
+        const hermite_state_t present = {m->path.output, path_step_of(axis->config, m->shaped_speed)};
+        trajectory_step(t, axis->config, present, tick);
+    }
+}
+
+/* The last point is a place to stay at. */
+static void rest_at_end(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    m->target = path_position(&m->path);
+    m->target_clipped = false;
+    path_reset(&m->path, m->target, 0, axis->path_limits.omega_n_ts);
+    enter(axis, MOTION_POSITION, 0);
+}
+
+/* There is a speed, and no point that says where to go on to. */
+static void starve(axis_t *axis)
+{
+    enter(axis, MOTION_STOP, axis->motion.shaped_speed);
+    axis->motion.starved = true;
+    axis_report(axis, LIMIT_STARVED);
+}
+
+static frac32_t trajectory_controller(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    trajectory_t *t = &axis->trajectory;
+    const path_position_t before = m->path.output;
+    m->path.output = t->reference.position;
+    shape(m, path_speed_of(axis->config, m->path.output - before));
+    const frac32_t speed = followed_speed(axis, path_beyond(m->path.output, axis->feedback.position));
+    if (t->reference.over) {
+        t->leads = false;
+        if (t->end.speed == 0) {
+            rest_at_end(axis);
+        } else {
+            starve(axis);
+        }
+    }
+    return speed;
+}
+
 /* The way fits without a sign. */
 static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
 {
@@ -386,7 +463,13 @@ void motion_step(axis_t *axis)
         axis->current_ref.q = torque_control(axis);
         return;
     }
-    if (m->motion == MOTION_POSITION) {
+    if (m->motion == MOTION_POSITION && axis->trajectory.leads) {
+        m->path_forward = true;
+        m->motion = MOTION_TRAJECTORY;
+    }
+    if (m->motion == MOTION_TRAJECTORY) {
+        m->speed_ref = trajectory_controller(axis);
+    } else if (m->motion == MOTION_POSITION) {
         m->speed_ref = position_controller(axis);
     } else {
         m->speed_ref = ramped_speed(axis);
@@ -406,12 +489,12 @@ bool motion_stopped(const axis_t *axis)
 
 int32_t motion_position_ref(const axis_t *axis)
 {
-    return (axis->motion.motion == MOTION_POSITION) ? path_position(&axis->motion.path) : axis->feedback.position;
+    return follows_position(&axis->motion) ? path_position(&axis->motion.path) : axis->feedback.position;
 }
 
 int32_t motion_following_error(axis_t *axis)
 {
-    if (axis->motion.motion != MOTION_POSITION) {
+    if (!follows_position(&axis->motion)) {
         return 0;
     }
     follow_model(axis);

@@ -22,6 +22,12 @@ bool motion_too_slow(const axis_t *axis);
 /* One slow tick: take fresh commands, shape, run the controllers, set `axis->current_ref`. */
 void motion_step(axis_t *axis);
 
+/* May points be queued? The axis is in mode TRAJECTORY, and holds or follows a trajectory. */
+bool motion_takes_points(const axis_t *axis);
+
+/* Once per slow tick, after the slow loop: work out where a trajectory is at the next slow tick, which is `tick`. */
+void motion_plan(axis_t *axis, uint32_t tick);
+
 /* True once a withdrawn drive has been ramped down, or has taken too long. */
 bool motion_stopped(const axis_t *axis);
 

@@ -402,6 +402,9 @@ static void spin_check(axis_t *axis)
     } else {
         angle_check_judge(axis);
     }
+    if (axis->motion.starved && (axis->features & FEATURE_STARVED) != 0U) {
+        axis_raise(axis, FOUND(FINDING_HOST_SILENT));
+    }
     const finding_set_t findings = watch_shaft(axis);
     if (findings != 0U) {
         judge_shaft(axis, findings);

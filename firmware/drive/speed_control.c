@@ -12,9 +12,13 @@ static frac32_t forward_current(const axis_t *axis)
     }
     /* On a path that the shaft trails, the acceleration of the shaft is another one. */
     const bool in_time = m->motion != MOTION_POSITION || m->path_forward;
-    if ((axis->features & FEATURE_ACCELERATION_FORWARD) != 0U && in_time) {
+    const bool timed = m->motion == MOTION_TRAJECTORY;
+    if (timed || ((axis->features & FEATURE_ACCELERATION_FORWARD) != 0U && in_time)) {
         const int64_t inertia = asr64((int64_t)m->acceleration * axis->config->acceleration_forward, 16);
         i_q = sat32(i_q + inertia);
+    }
+    if (timed) {
+        i_q = f32_add(i_q, f32_from_f16(axis->trajectory.reference.i_q));
     }
     return i_q;
 }

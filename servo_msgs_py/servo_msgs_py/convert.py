@@ -21,6 +21,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from servo_msgs_py.board_parameters import RawParameters, parameters, si
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
+from servo_msgs_py.timed_points import POINT_WORDS
 from servo_msgs_py.topics import COMMAND_COLUMNS, COMMAND_VARIABLES, PARAMETERS
 from servo_msgs_py.units import to_raw
 
@@ -235,21 +236,21 @@ class AppliedCommand:
     tick : int
         PWM periods since reset at which it took effect, extended past 32 bits as the tick of the telemetry is.
     raw : tuple of int
-        Firmware integers per axis; 0 for an axis that was not written.
+        Firmware integers per axis, 0 for an axis that was not written; of ``cmd.points`` the words that were written.
     mask : int
         Bit per written axis; bit 0 is axis 1.
     """
 
     variable: str
     tick: int
-    raw: tuple[int, int]
+    raw: tuple[int, ...]
     mask: int
 
 
 def applied_message(applied: AppliedCommand) -> Float64MultiArray:
     """Message of `COMMANDS_APPLIED`; every integer below 2^53 is exact in it."""
-    width = len(COMMAND_COLUMNS)
-    numbers = [COMMAND_VARIABLES.index(applied.variable), applied.tick, *applied.raw, applied.mask]
+    numbers = [COMMAND_VARIABLES.index(applied.variable), applied.tick, applied.mask, *applied.raw]
+    width = len(numbers)
     message = Float64MultiArray(data=array("d", numbers))
     message.layout.dim = [MultiArrayDimension(label=",".join(COMMAND_COLUMNS), size=width, stride=width)]
     return message
@@ -263,12 +264,17 @@ def applied_from_message(message: Float64MultiArray) -> AppliedCommand:
     ValueError
         If it has another form.
     """
-    if len(message.data) != len(COMMAND_COLUMNS) or not all(float(x).is_integer() for x in message.data):
-        raise ValueError(f"commands_applied: {len(COMMAND_COLUMNS)} whole numbers wanted, got {list(message.data)}")
-    index, tick, raw1, raw2, mask = (int(x) for x in message.data)
+    if len(message.data) < len(COMMAND_COLUMNS) or not all(float(x).is_integer() for x in message.data):
+        raise ValueError(
+            f"commands_applied: {len(COMMAND_COLUMNS)} or more whole numbers wanted, got {list(message.data)}"
+        )
+    index, tick, mask, *raw = (int(x) for x in message.data)
     if not (0 <= index < len(COMMAND_VARIABLES) and 0 < mask < 1 << AXES):
         raise ValueError(f"commands_applied: variable {index} or mask {mask} does not exist")
-    return AppliedCommand(COMMAND_VARIABLES[index], tick, (raw1, raw2), mask)
+    name = COMMAND_VARIABLES[index]
+    if (len(raw) % POINT_WORDS != 0) if name == "cmd.points" else (len(raw) != AXES):
+        raise ValueError(f"commands_applied: {len(raw)} numbers of {name}")
+    return AppliedCommand(name, tick, tuple(raw), mask)
 
 
 # ---- states and diagnostics in words

@@ -46,11 +46,13 @@ COMMAND_VARIABLES: Final = (
     "cmd.enable",
     "cmd.quick_stop",
     "cmd.clear_faults",
+    "cmd.points",
 )
 """Command variables in the order that numbers them in `COMMANDS_APPLIED`."""
 
-COMMAND_COLUMNS: Final = ("variable", "applied_tick", "raw_axis1", "raw_axis2", "axes_mask")
-"""Columns of `COMMANDS_APPLIED`: index into `COMMAND_VARIABLES`, tick, raw numbers, bit per written axis."""
+COMMAND_COLUMNS: Final = ("variable", "applied_tick", "axes_mask", "raw_axis1", "raw_axis2")
+"""Columns of `COMMANDS_APPLIED`: index into `COMMAND_VARIABLES`, tick, bit per written axis, raw numbers. The words of
+``cmd.points`` stand in the place of the raw numbers of the axes, as many as were written."""
 
 
 def variable_topic(name: str) -> str:

@@ -67,7 +67,7 @@ def test_numbers_of_states_are_those_of_the_seed() -> None:
     assert CATALOGUE.enums["state_t"] == {"FAULT": 0, "INIT": 1, "STOP": 2, "RUN": 3}
     substates = CATALOGUE.enums["substate_t"]
     assert [substates[n] for n in ("CALIB", "READY", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP")] == list(range(6))
-    assert CATALOGUE.enums["control_mode_t"] == {"POSITION": 0, "SPEED": 1, "TORQUE": 2}
+    assert CATALOGUE.enums["control_mode_t"] == {"POSITION": 0, "SPEED": 1, "TORQUE": 2, "TRAJECTORY": 3}
 
 
 def test_flags_have_a_bit_each_and_faults_a_remedy() -> None:

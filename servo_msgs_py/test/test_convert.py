@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.timed_points import POINT_WORDS
 from servo_msgs_py.topics import COMMAND_VARIABLES
 from std_msgs.msg import Float64MultiArray
 
@@ -107,18 +108,20 @@ def test_damaged_tables_are_refused(damage: str) -> None:
 @given(
     st.sampled_from(COMMAND_VARIABLES),
     st.integers(0, 2**53 - 1),
-    st.tuples(*[st.integers(-(2**31), 2**32 - 1)] * 2),
+    st.lists(st.integers(-(2**31), 2**32 - 1), min_size=32, max_size=32),
+    st.integers(1, 8),
     st.integers(1, 3),
 )
-def test_applied_commands_are_exact(variable: str, tick: int, raw: tuple[int, int], mask: int) -> None:
-    applied = AppliedCommand(variable, tick, raw, mask)
+def test_applied_commands_are_exact(variable: str, tick: int, raw: list[int], points: int, mask: int) -> None:
+    count = POINT_WORDS * points if variable == "cmd.points" else 2
+    applied = AppliedCommand(variable, tick, tuple(raw[:count]), mask)
     message = deserialize_message(serialize_message(convert.applied_message(applied)), Float64MultiArray)
     assert convert.applied_from_message(message) == applied
 
 
 @pytest.mark.parametrize(
-    "data", [[], [0.0, 1.0, 2.0, 3.0], [0.0, 1.5, 0.0, 0.0, 1.0], [99.0, 1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0, 4.0],
-             [math.nan, 1.0, 0.0, 0.0, 1.0]]
+    "data", [[], [0.0, 1.0, 2.0, 3.0], [0.0, 1.5, 1.0, 0.0, 0.0], [99.0, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 4.0, 0.0, 0.0],
+             [math.nan, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0, 0.0, 0.0], [7.0, 1.0, 1.0, 0.0, 0.0]]
 )  # fmt: skip
 def test_damaged_applied_commands_are_refused(data: list[float]) -> None:
     with pytest.raises(ValueError, match="commands_applied"):

@@ -8,6 +8,7 @@ import sys
 
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.timed_points import POINT_WORDS, POINTS_TOGETHER
 
 from servo_msgs_py import topics
 
@@ -34,7 +35,8 @@ def test_command_variables_exist_can_be_written_and_hold_one_element_per_axis() 
     catalogue = Catalogue.load()
     for name in topics.COMMAND_VARIABLES:
         variable = catalogue[name]
-        assert (variable.writable, variable.count) == (True, 2), name
+        count = POINT_WORDS * POINTS_TOGETHER if name == "cmd.points" else 2
+        assert (variable.writable, variable.count) == (True, count), name
     commands = {name for name in catalogue.variables if name.startswith("cmd.")}
     assert commands == set(topics.COMMAND_VARIABLES)
 

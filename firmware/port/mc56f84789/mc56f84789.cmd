@@ -94,7 +94,7 @@ SECTIONS
         __bss_end = .;
 
         # SP starts odd. `make chip-budget` and a test compare what is kept with what background and handlers need.
-        __stack_size = 0x0400;
+        __stack_size = 0x0480;
         __stack = . + 1;
         . = . + __stack_size;
     } > .x_ram

@@ -1,0 +1,109 @@
+"""Timed points of a trajectory as the words of ``cmd.points`` (``firmware/app/points.c``). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, Catalogue
+
+__all__ = ["POINTS_TOGETHER", "POINT_WORDS", "TimedPoint", "decode_points", "encode_points"]
+
+POINT_WORDS: Final = 4
+POINTS_TOGETHER: Final = 8
+"""Points that one write can hold."""
+
+_PART_BITS: Final = 12
+_AXIS_BIT: Final = 28
+_REPLACE_BIT: Final = 29
+_WRAP: Final = 1 << 32
+
+
+@dataclass(frozen=True)
+class TimedPoint:
+    """Where an axis is to be at a tick.
+
+    Attributes
+    ----------
+    axis : int
+        Index of the axis.
+    tick : int
+        PWM periods since the reset of the board, modulo 2^32.
+    position : float
+        [rad], as far from 0 as it may be: the board takes it modulo 2^32 counts.
+    velocity : float
+        [rad/s]
+    current : float
+        i_q that is fed forward, besides what acceleration and friction need [A].
+    replaces : bool
+        What waits in the queue from this tick on is dropped before.
+    """
+
+    axis: int
+    tick: int
+    position: float
+    velocity: float
+    current: float = 0.0
+    replaces: bool = False
+
+    def moved(self, ticks: int) -> TimedPoint:
+        """The same point so many PWM periods later."""
+        return replace(self, tick=(self.tick + ticks) % _WRAP)
+
+
+def encode_points(catalogue: Catalogue, points: Sequence[TimedPoint]) -> list[int]:
+    """Words of some points, in their order: `POINT_WORDS` each.
+
+    Raises
+    ------
+    ValueError
+        If there are too many of them, or a speed or current is outside of the board's numbers.
+    """
+    if not 0 < len(points) <= POINTS_TOGETHER:
+        raise ValueError(f"{len(points)} points in one write; it holds 1 to {POINTS_TOGETHER}")
+    words: list[int] = []
+    for point in points:
+        if not 0 <= point.axis < AXES:
+            raise ValueError(f"there is no axis {point.axis}")
+        whole, part = divmod(
+            round(point.position / catalogue["axis1.position"].lsb * (1 << _PART_BITS)), 1 << _PART_BITS
+        )
+        speed = catalogue["axis1.speed"].to_raw(point.velocity)
+        current = catalogue["axis1.i_q"].to_raw(point.current)
+        last = current & 0xFFFF | part << 16 | point.axis << _AXIS_BIT | point.replaces << _REPLACE_BIT
+        words += [_signed(word) for word in (point.tick, whole, speed, last)]
+    return words
+
+
+def decode_points(catalogue: Catalogue, words: Sequence[int]) -> list[TimedPoint]:
+    """Points of some words; positions within 2^31 counts of 0.
+
+    Raises
+    ------
+    ValueError
+        If they are not whole points.
+    """
+    if not words or len(words) % POINT_WORDS:
+        raise ValueError(f"{len(words)} words are not whole points of {POINT_WORDS}")
+    lsb, speed, current = (catalogue[f"axis1.{name}"].lsb for name in ("position", "speed", "i_q"))
+    points: list[TimedPoint] = []
+    for k in range(0, len(words), POINT_WORDS):
+        tick, whole, raw_speed, last = words[k : k + POINT_WORDS]
+        raw_current = (last + 0x8000) % 0x1_0000 - 0x8000
+        part = last >> 16 & (1 << _PART_BITS) - 1
+        points.append(
+            TimedPoint(
+                axis=last >> _AXIS_BIT & 1,
+                tick=tick % _WRAP,
+                position=(whole + part / (1 << _PART_BITS)) * lsb,
+                velocity=raw_speed * speed,
+                current=raw_current * current,
+                replaces=bool(last >> _REPLACE_BIT & 1),
+            )
+        )
+    return points
+
+
+def _signed(word: int) -> int:
+    return (word + 0x8000_0000) % _WRAP - 0x8000_0000
