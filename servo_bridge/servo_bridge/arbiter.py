@@ -14,12 +14,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
+from servo_msgs_py.timed_points import axes_of_points
 from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.setpoints import Mode, Rejected, Request
 
 __all__ = ["Arbiter", "AxisStatus", "CommandWrite", "JointLimits"]
 
+_POINTS = "cmd.points"
 _TARGET = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
 _REMEDY = "send a value inside, or change the limits in the parameters of the bridge"
@@ -29,16 +31,16 @@ _NOT_ENABLED = "outputs have not been enabled over this bridge"
 
 @dataclass(frozen=True)
 class CommandWrite:
-    """A write of neighbouring elements of one command variable.
+    """A write of neighbouring elements of one command variable, or of timed points.
 
     Attributes
     ----------
     variable : str
         Name of the array variable.
     first : int
-        Axis of the first element.
+        Axis of the first element; 0 for points.
     raw : tuple of int
-        Firmware integers; the firmware takes only the written elements as fresh.
+        Firmware integers; the firmware takes only the written elements as fresh. Of points their words.
     """
 
     variable: str
@@ -48,13 +50,17 @@ class CommandWrite:
     @property
     def mask(self) -> int:
         """Bit per written axis; bit 0 is axis 1."""
+        if self.variable == _POINTS:
+            return axes_of_points(self.raw)
         return ((1 << len(self.raw)) - 1) << self.first
 
-    def per_axis(self) -> tuple[int, int]:
-        """Raw number of every axis; 0 where nothing is written."""
+    def numbers(self) -> tuple[int, ...]:
+        """Raw number of every axis, 0 where nothing is written; the words of points."""
+        if self.variable == _POINTS:
+            return self.raw
         numbers = [0] * AXES
         numbers[self.first : self.first + len(self.raw)] = self.raw
-        return numbers[0], numbers[1]
+        return tuple(numbers)
 
 
 @dataclass(frozen=True)

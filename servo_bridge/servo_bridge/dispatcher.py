@@ -158,7 +158,7 @@ class Dispatcher:
             extended = tick - ((tick - applied_tick) & 0xFFFF_FFFF)
             write = item.write
             self._finish(item, extended)
-            return AppliedCommand(write.variable, extended, write.per_axis(), write.mask)
+            return AppliedCommand(write.variable, extended, write.numbers(), write.mask)
         if item.first_tick is None:
             item.first_tick = tick
         elif tick - item.first_tick > _PATIENCE:

@@ -330,5 +330,5 @@ def test_armed_means_every_joint_obeys() -> None:
 
 
 def test_masks_and_numbers_per_axis() -> None:
-    assert (CommandWrite("cmd.mode", 0, (1, 2)).mask, CommandWrite("cmd.mode", 0, (1, 2)).per_axis()) == (3, (1, 2))
-    assert (CommandWrite("cmd.mode", 1, (2,)).mask, CommandWrite("cmd.mode", 1, (2,)).per_axis()) == (2, (0, 2))
+    assert (CommandWrite("cmd.mode", 0, (1, 2)).mask, CommandWrite("cmd.mode", 0, (1, 2)).numbers()) == (3, (1, 2))
+    assert (CommandWrite("cmd.mode", 1, (2,)).mask, CommandWrite("cmd.mode", 1, (2,)).numbers()) == (2, (0, 2))

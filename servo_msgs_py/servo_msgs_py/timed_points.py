@@ -8,7 +8,15 @@ from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue
 
-__all__ = ["POINTS_TOGETHER", "POINT_WORDS", "TimedPoint", "decode_points", "encode_points"]
+__all__ = [
+    "POINTS_TOGETHER",
+    "POINT_WORDS",
+    "TimedPoint",
+    "axes_of_points",
+    "decode_points",
+    "encode_points",
+    "shifted_points",
+]
 
 POINT_WORDS: Final = 4
 POINTS_TOGETHER: Final = 8
@@ -103,6 +111,37 @@ def decode_points(catalogue: Catalogue, words: Sequence[int]) -> list[TimedPoint
             )
         )
     return points
+
+
+def axes_of_points(words: Sequence[int]) -> int:
+    """Bit per axis that has a point in some words; bit 0 is axis 1."""
+    mask = 0
+    for last in words[POINT_WORDS - 1 :: POINT_WORDS]:
+        mask |= 1 << (last >> _AXIS_BIT & 1)
+    return mask
+
+
+def shifted_points(words: Sequence[int], ticks: int, counts: Sequence[int], axes: int) -> list[int]:
+    """Words of the same points for another board: later, elsewhere, and only those of some axes.
+
+    Parameters
+    ----------
+    words : sequence of int
+        Of whole points.
+    ticks : int
+        PWM periods that are added to the ticks.
+    counts : sequence of int
+        Per axis, counts that are added to the positions.
+    axes : int
+        Bit per axis whose points are wanted.
+    """
+    shifted: list[int] = []
+    for k in range(0, len(words), POINT_WORDS):
+        tick, whole, speed, last = words[k : k + POINT_WORDS]
+        axis = last >> _AXIS_BIT & 1
+        if axes >> axis & 1:
+            shifted += [_signed(tick + ticks), _signed(whole + counts[axis]), speed, last]
+    return shifted
 
 
 def _signed(word: int) -> int:

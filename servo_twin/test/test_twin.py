@@ -8,6 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.timed_points import TimedPoint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.harm import HotPowerStage, SlippedEncoder
@@ -18,6 +20,7 @@ from twin_rig import CATALOGUE, COLUMNS, EPOCH_NS, TwinRig, apart, worst, worst_
 from servo_msgs_py import topics
 
 COUNT = CATALOGUE["axis1.position"].lsb
+STARVED = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "STARVED")
 CLOSE = 12.0  # counts: what sensor noise makes of a move or of a quick stop
 
 
@@ -93,6 +96,56 @@ class TestExactness:
             extra = 6e-3 / PlantConfig.load().axes[0].torque_constant
             assert mean["axis1.i_q"] == pytest.approx(extra, rel=0.3)
             assert abs(mean["axis2.i_q"]) < 0.2 * extra
+
+
+def follow_sines(rig: TwinRig, count: int = 60) -> list[Pair]:
+    """Let both axes of the real board follow a sine of 1 rad, 10 ms from point to point."""
+    rig.write("cmd.mode", [3, 3])
+    rig.run(0.1)
+    before = len(rig.pairs)
+    begin = rig.real.tick + 320
+    start = [rig.real.raw[f"axis{axis + 1}.position_ref"] * COUNT for axis in range(AXES)]
+
+    def point(axis: int, k: int) -> TimedPoint:
+        t, rate = 0.01 * k, 2.0 * math.pi / 0.6
+        way, speed = 1.0 - math.cos(rate * t), rate * math.sin(rate * t)
+        sign = 1 - 2 * axis
+        return TimedPoint(axis, begin + 160 * k, start[axis] + sign * way, sign * speed)
+
+    for k in range(0, count, 2):
+        rig.write_points([point(axis, m) for m in range(k, min(k + 2, count)) for axis in range(AXES)])
+        rig.run(0.018)
+    rig.run(0.3)
+    return rig.pairs[before:]
+
+
+class TestTrajectories:
+    def test_timed_points_are_replayed_to_the_tick(self) -> None:
+        with TwinRig(real_seed=7, twin_seed=7) as rig:
+            rig.up()
+            pairs = follow_sines(rig, 61)
+            assert max(pair.real["axis1.position"] for pair in pairs) > 1.9
+            assert rig.real.raw["axis1.points_taken"] == 61
+            assert worst_counts(rig.pairs) == 0.0
+            assert worst(rig.pairs, "axis2.i_q") == 0.0
+
+    def test_a_twin_that_began_later_and_elsewhere_follows_them(self) -> None:
+        with TwinRig(real_seed=7, twin_seed=8) as rig:
+            rig.up()
+            rig.move([1.25, -2.5])
+            rig.twin.resync("test")
+            rig.run(0.5)
+            pairs = follow_sines(rig, 61)
+            follows(rig, pairs)
+            assert worst_counts(pairs) <= 12.0
+
+    def test_both_stop_when_no_point_follows(self, rig: TwinRig) -> None:
+        rig.up()
+        follow_sines(rig, 20)
+        pairs = rig.run(0.5)
+        assert rig.real.raw["axis1.limits"] == rig.real.raw["axis2.limits"] == STARVED
+        follows(rig, pairs)
+        assert pairs[-1].real["axis1.speed_ref"] == 0.0
 
 
 LITTLE = "param.following_error=0.02,0.02"

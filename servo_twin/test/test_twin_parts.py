@@ -22,7 +22,7 @@ from servo_twin.lockstep.samples import Activity, RestWatch, SampleReader, activ
 from twin_rig import CATALOGUE, COLUMNS
 
 SECOND = round(1e9 / PERIOD_NS)
-EXPIRED = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "EXPIRED")
+EXPIRED = sum(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name in ("EXPIRED", "STARVED"))
 
 
 def command(tick: int, variable: str = "cmd.position", raw: tuple[int, int] = (1, 2)) -> AppliedCommand:

@@ -9,6 +9,7 @@ import numpy as np
 from servo_msgs_py.board_parameters import applied, parameters, parse
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand, state_label
+from servo_msgs_py.timed_points import TimedPoint, axes_of_points, encode_points
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.lockstep.replica import Replica
@@ -70,7 +71,7 @@ class TwinRig:
         self.reporting = self.listening = True
         self.held: list[AppliedCommand] | None = None
         self._base = tick_base
-        self._written: list[tuple[str, tuple[int, int], int]] = []
+        self._written: list[tuple[str, tuple[int, ...], int]] = []
 
     def __enter__(self) -> TwinRig:
         return self
@@ -90,6 +91,12 @@ class TwinRig:
         raw = [CATALOGUE[variable].to_raw(v) if mask >> n & 1 else 0 for n, v in enumerate(values)]
         self.real.write(variable, raw, mask)
         self._written.append((variable, (raw[0], raw[1]), mask))
+
+    def write_points(self, points: Sequence[TimedPoint]) -> None:
+        """Write timed points to the real board; their effect is reported with the next sample."""
+        words = tuple(encode_points(CATALOGUE, points))
+        self.real.write_first("cmd.points", words)
+        self._written.append(("cmd.points", words, axes_of_points(words)))
 
     def set_parameters(self, *texts: str, tell: bool = True) -> None:
         """Set parameters of the real board, written as ``NAME=VALUE``, and tell the twin of all it has."""

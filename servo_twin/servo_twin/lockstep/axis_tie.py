@@ -10,9 +10,10 @@ from servo_msgs_py.convert import AppliedCommand
 from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.samples import Activity, Sample, activity
 
-__all__ = ["AxisTie"]
+__all__ = ["POINTS", "AxisTie"]
 
-_SET_POINTS: Final = ("cmd.position", "cmd.speed", "cmd.i_q")  # by control mode
+POINTS: Final = "cmd.points"
+_SET_POINTS: Final = ("cmd.position", "cmd.speed", "cmd.i_q", "cmd.points")  # by control mode
 _STOPS: Final = (("cmd.quick_stop", 1), ("cmd.enable", 0))
 _ENABLE: Final = ("cmd.enable", 1)
 _COUNTS: Final = ("position", "position_ref")
@@ -85,24 +86,33 @@ class AxisTie:
     # ---- commands
     def remember(self, command: AppliedCommand) -> None:
         """Note what was written to the real axis."""
-        if command.mask >> self._number & 1:
+        if command.mask >> self._number & 1 and command.variable != POINTS:
             self.memory[command.variable] = command.raw[self._number]
             if command.variable == "cmd.enable" and command.raw[self._number] == 1:
                 self.memory["cmd.quick_stop"] = 0  # as in the firmware
 
-    def repeat(self, replica: Replica, command: AppliedCommand) -> None:
-        """Write to the twin's axis what was written to the real one, as far as the command means it."""
+    def repeat(self, replica: Replica, command: AppliedCommand) -> bool:
+        """Write to the twin's axis what was written to the real one, as far as the command means it.
+
+        Returns
+        -------
+        bool
+            Whether the command holds points for this axis, which the caller has to write: those of all axes at once.
+        """
         if not command.mask >> self._number & 1:
-            return
+            return False
         if command.variable in _SET_POINTS:
             if self._hold is not None and not self._aligned:
-                self._withheld = True
+                self._withheld |= command.variable != POINTS  # their time is over when the axis is aligned
                 self.remember(command)
-                return
+                return False
             if "cmd.mode" not in self.memory:
                 # Never told, so the set-point that the board obeys has to tell.
                 self.memory["cmd.mode"] = _SET_POINTS.index(command.variable)
                 self._write(replica, "cmd.mode", self.memory["cmd.mode"])
+        if command.variable == POINTS:
+            self.stopping = False
+            return True
         wanted = command.variable, command.raw[self._number]
         if wanted == ("cmd.clear_faults", 1):
             self._faulted = False
@@ -113,6 +123,7 @@ class AxisTie:
             self.stopping = False
         elif wanted in _STOPS:
             self.stopping = True
+        return False
 
     def _write(self, replica: Replica, variable: str, raw: int) -> None:
         own = _int32(raw - self._offset) if variable == "cmd.position" else raw

@@ -121,6 +121,14 @@ class Replica:
             if mask >> axis & 1:
                 self._board.write_memory(address + axis * size, data[axis * size : (axis + 1) * size])
 
+    def write_first(self, variable: str, raw: Sequence[int]) -> None:
+        """Write the first elements of a variable, all at once."""
+        words = [*raw, *[0] * (self._catalogue[variable].count - len(raw))]
+        data = self._catalogue[variable].encode_raw(words)
+        self._board.write_memory(
+            self._board.address(variable), data[: len(raw) * self._catalogue[variable].element_size]
+        )
+
     def write_all(self, variable: str, raw: Sequence[int]) -> None:
         """Write all elements of a variable."""
         self._board.write_memory(self._board.address(variable), self._catalogue[variable].encode_raw(raw))

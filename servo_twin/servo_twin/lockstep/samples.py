@@ -38,8 +38,8 @@ def activity(label: str) -> Activity:
 
 
 def expired_mask(catalogue: Catalogue) -> int:
-    """Bit of the limits that says that a set-point has expired."""
-    return next(flag.mask for flag in catalogue.flags["limits"] if flag.name == "EXPIRED")
+    """Bits of the limits that say that an axis has stopped for want of a set-point, or of a point."""
+    return sum(flag.mask for flag in catalogue.flags["limits"] if flag.name in ("EXPIRED", "STARVED"))
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_parameters import RawParameters, parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-from servo_twin.lockstep.axis_tie import AxisTie
+from servo_twin.lockstep.axis_tie import POINTS, AxisTie
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
 from servo_twin.lockstep.samples import Activity, RestWatch, Sample, SampleReader, activity
@@ -363,8 +364,10 @@ class Twin:
         """Run to the sample, with every command on the way."""
         for command in self._ledger.until(sample.tick):
             replica.run_to(slow_tick(command.tick + self._shift - 1))
-            for axis in self._axes:
-                axis.repeat(replica, command)
+            axes = sum(axis.repeat(replica, command) << number for number, axis in enumerate(self._axes))
+            if axes:
+                counts = [-axis.offset for axis in self._axes]
+                replica.write_first(POINTS, shifted_points(command.raw, self._shift, counts, axes))
         replica.run_to(sample.tick + self._shift)
 
     def _remember(self, command: AppliedCommand) -> None:
