@@ -1,0 +1,86 @@
+"""One path takes over from another without a step of position, velocity or acceleration."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
+from servo_bridge.trajectory.path import DEGREE, Path, State
+from servo_bridge.trajectory.spline import quintic
+
+__all__ = ["BLEND_TIME", "joined", "spliced"]
+
+BLEND_TIME = 0.1
+"""Shortest time to join a path that runs already, where it is long enough [s]."""
+
+
+def joined(start: State, start_time: float, path: Path, blend_time: float = BLEND_TIME) -> Path:
+    """Path that leaves a state and joins a path that has begun before.
+
+    A quintic piece ends at the first breakpoint at least `blend_time` later, or at the last one, with the state that
+    the path has there.
+
+    Parameters
+    ----------
+    start : State
+        State of shape (joints,) at `start_time`.
+    start_time : float
+        Before the end of the path [s].
+    path : Path
+        Path to join.
+    blend_time : float
+        [s]
+
+    Raises
+    ------
+    TrajectoryError
+        If the path has ended at that time.
+    """
+    if path.end_time <= start_time:
+        raise TrajectoryError(
+            f"the trajectory ended {start_time - path.end_time:g} s ago; send it earlier, or with a later start",
+            ErrorCode.OLD_HEADER_TIMESTAMP,
+        )
+    last = len(path.times) - 1
+    meet = min(int(np.searchsorted(path.times, start_time + blend_time)), last)
+    h = np.array(path.times[meet] - start_time)
+    there = path.state(path.times[meet])
+    begin = (start.position, start.velocity, start.acceleration)
+    first = quintic(h, *begin, there.position, there.velocity, there.acceleration)
+    return Path(
+        path.joints,
+        np.concatenate(([start_time], path.times[meet:])),
+        np.concatenate((first[None], path.coefficients[meet:])),
+        path.end,
+        np.vstack((start.effort, path.efforts[meet:])),
+    )
+
+
+def spliced(old: Path, new: Path, since: float) -> Path:
+    """Path that follows `old` from a time on and `new` from where this begins.
+
+    Where `old` ends before `new` begins, it holds.
+
+    Parameters
+    ----------
+    old, new : Path
+        Paths of the same joints; `new` begins with the state that `old` has there.
+    since : float
+        Beginning of the result [s]; breakpoints of `old` before are left out, but for the last.
+    """
+    if since >= new.start_time:
+        return new
+    times, coefficients, efforts = list(old.times), list(old.coefficients), list(old.efforts)
+    if old.end_time < new.start_time:
+        hold = np.zeros((len(old.joints), DEGREE + 1))
+        hold[:, 0] = old.end
+        times, coefficients, efforts = [*times, new.start_time], [*coefficients, hold], [*efforts, efforts[-1]]
+    first = max(int(np.searchsorted(times, since, side="right")) - 1, 0)
+    cut = int(np.searchsorted(times, new.start_time))
+    return Path(
+        old.joints,
+        np.concatenate((times[first:cut], new.times)),
+        np.concatenate((coefficients[first:cut], new.coefficients)),
+        new.end,
+        np.concatenate((efforts[first:cut], new.efforts)),
+    )

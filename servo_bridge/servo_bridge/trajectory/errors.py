@@ -1,0 +1,34 @@
+"""Refusals of trajectories, with the error codes of control_msgs/action/FollowJointTrajectory."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from servo_bridge.setpoints import Rejected
+
+__all__ = ["ErrorCode", "TrajectoryError"]
+
+
+class ErrorCode(IntEnum):
+    """``error_code`` of a result of control_msgs/action/FollowJointTrajectory."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    OLD_HEADER_TIMESTAMP = -3
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class TrajectoryError(Rejected):
+    """A trajectory that was refused; the text says what is wrong, where, and what to do.
+
+    Attributes
+    ----------
+    code : ErrorCode
+        For the result of an action.
+    """
+
+    def __init__(self, text: str, code: ErrorCode = ErrorCode.INVALID_GOAL) -> None:
+        super().__init__(text)
+        self.code = code
