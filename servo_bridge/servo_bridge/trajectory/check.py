@@ -1,0 +1,174 @@
+"""Limits of a path, between its waypoints, too: exact extrema of every piece."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.path import DEGREE, Path
+from servo_bridge.trajectory.polynomials import derivative, enclosure, extrema, first_above, roots
+from servo_bridge.trajectory.waypoints import Array
+
+__all__ = ["Limits", "Violation", "first_violation", "require"]
+
+_ROUNDING = 1.0e-9
+"""What a value may exceed its limit by, relative to the larger of both and 1: a motion planned to the limit passes."""
+
+_UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2", "torque": "N m"}
+_REMEDIES = {
+    "position": "move the waypoints inside",
+    "velocity": "give the motion more time",
+    "acceleration": "give the motion more time",
+    "torque": "give the motion more time, or less effort",
+}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of one joint, infinite where there are none, and the rigid model behind that of the torque.
+
+    torque = inertia * acceleration + viscous * velocity + coulomb * sign(velocity) + effort
+
+    Attributes
+    ----------
+    position_min, position_max : float
+        [rad]
+    velocity_max, acceleration_max, torque_max : float
+        Magnitudes, [rad/s], [rad/s^2], [N m].
+    inertia : float
+        Of rotor and load [kg m^2].
+    viscous, coulomb : float
+        Friction, [N m s/rad] and [N m].
+
+    Raises
+    ------
+    ValueError
+        If a number is NaN, a magnitude is negative, or `position_min` is above `position_max`.
+    """
+
+    position_min: float = -math.inf
+    position_max: float = math.inf
+    velocity_max: float = math.inf
+    acceleration_max: float = math.inf
+    torque_max: float = math.inf
+    inertia: float = 0.0
+    viscous: float = 0.0
+    coulomb: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if math.isnan(value) or (value < 0.0 and not name.startswith("position")):
+                raise ValueError(f"{name} is {value:g}; give a number that is not negative")
+        if self.position_min > self.position_max:
+            raise ValueError(f"position_min {self.position_min:g} is above position_max {self.position_max:g}")
+
+
+@dataclass(frozen=True)
+class Violation:
+    """The first time that a path leaves its limits.
+
+    Attributes
+    ----------
+    joint, quantity : str
+        Name, and ``position``, ``velocity``, ``acceleration`` or ``torque``.
+    time : float
+        When the limit is passed, on the clock of the path [s].
+    since_start : float
+        The same from the start of the path [s].
+    value : float
+        Extremum in the piece of the path in which that happens, in the unit of the quantity.
+    limit : float
+        The limit that is passed.
+    """
+
+    joint: str
+    quantity: str
+    time: float
+    since_start: float
+    value: float
+    limit: float
+
+    def __str__(self) -> str:
+        unit, way = _UNITS[self.quantity], "above" if self.value > self.limit else "below"
+        return (
+            f"{self.quantity} of {self.joint} goes {way} its limit {self.limit:g} {unit} at {self.since_start:.6g} s "
+            f"and reaches {self.value:g} {unit}; {_REMEDIES[self.quantity]}, or change the limit"
+        )
+
+
+def first_violation(path: Path, limits: Sequence[Limits]) -> Violation | None:
+    """Find the first violation in time; None if every limit holds at every instant.
+
+    Parameters
+    ----------
+    path : Path
+        Motion.
+    limits : sequence of Limits
+        Per joint of the path.
+    """
+    found = [v for axis, limit in enumerate(limits) for v in _violations(path, axis, limit)]
+    return min(found, key=lambda violation: violation.time, default=None)
+
+
+def require(path: Path, limits: Sequence[Limits]) -> None:
+    """Refuse a path that leaves its limits.
+
+    Raises
+    ------
+    TrajectoryError
+        With the sentence of `first_violation`.
+    """
+    violation = first_violation(path, limits)
+    if violation is not None:
+        raise TrajectoryError(str(violation))
+
+
+def _violations(path: Path, axis: int, limits: Limits) -> Iterator[Violation]:
+    """The first violation of each quantity of one joint."""
+    h = np.diff(path.times)[:, None]
+    position = path.coefficients[:, axis] * h ** np.arange(DEGREE + 1)
+    velocity = derivative(position) / h
+    acceleration = derivative(velocity) / h
+    # Without sign(velocity), which the pieces of constant sign add.
+    torque = limits.inertia * acceleration + limits.viscous * velocity
+    torque[:, 0] += path.efforts[:-1, axis]
+    torque[:, 1] += np.diff(path.efforts[:, axis])
+    for quantity, polynomials, low, high, coulomb in (
+        ("position", position, limits.position_min, limits.position_max, 0.0),
+        ("velocity", velocity, -limits.velocity_max, limits.velocity_max, 0.0),
+        ("acceleration", acceleration, -limits.acceleration_max, limits.acceleration_max, 0.0),
+        ("torque", torque, -limits.torque_max, limits.torque_max, limits.coulomb),
+    ):
+        smallest, largest = enclosure(polynomials)
+        for k in np.flatnonzero((smallest - coulomb < low) | (largest + coulomb > high)):
+            hit = _in_piece(polynomials[k], velocity[k], coulomb, low, high)
+            if hit is not None:
+                s, value, limit = hit
+                since = float(path.times[k] - path.start_time + s * h[k, 0])
+                yield Violation(path.joints[axis], quantity, path.start_time + since, since, value, limit)
+                break
+
+
+def _in_piece(
+    polynomial: Array, velocity: Array, coulomb: float, low: float, high: float
+) -> tuple[float, float, float] | None:
+    """First violation in a piece: s, the extremum on that side of the limits, and the limit."""
+    hits: list[tuple[float, float, float]] = []
+    cuts = np.concatenate(([0.0], roots(velocity) if coulomb else [], [1.0]))
+    for begin, end in pairwise(cuts):
+        shifted = polynomial.copy()
+        shifted[0] += coulomb * np.sign(np.polynomial.polynomial.polyval(0.5 * (begin + end), velocity))
+        s, values = extrema(shifted, float(begin), float(end))
+        for sign, limit in ((1.0, high), (-1.0, low)):
+            peak = float((sign * values).max())
+            bound = sign * limit + _ROUNDING * max(1.0, abs(limit))
+            if peak > bound:
+                hits.append((first_above(sign * shifted, s, sign * values, bound), sign * peak, limit))
+        if hits:
+            return min(hits)
+    return None

@@ -1,0 +1,120 @@
+"""Limits between the waypoints: exact extrema against dense sampling."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bridge.trajectory.check import Limits, first_violation, require
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.polynomials import enclosure, extrema
+from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.waypoints import Array, Waypoints
+
+MODEL = Limits(inertia=0.3, viscous=0.2, coulomb=0.5)
+QUANTITIES = ("position_max", "position_min", "velocity_max", "acceleration_max", "torque_max")
+
+
+def random_path(seed: int, *, quintic: bool = False) -> Path:
+    random = np.random.default_rng(seed)
+    times = np.cumsum(random.uniform(0.05, 1.0, 5))
+    rows = random.uniform(-2.0, 2.0, (4, 5, 1))
+    return path_through(
+        Waypoints.of(["axis1"], times, rows[0], rows[1], 20.0 * rows[2] if quintic else None, 0.3 * rows[3])
+    )
+
+
+def sampled(path: Path, name: str) -> tuple[Array, Array]:
+    """Times and magnitude, both sides of every breakpoint included."""
+    inside = [np.linspace(a, b, 4001)[:-1] for a, b in zip(path.times[:-1], path.times[1:], strict=True)]
+    t = np.sort(np.concatenate((*inside, path.times[1:] - 1e-12)))
+    s = path.continued(t)
+    p, v, a, e = (x[:, 0] for x in (s.position, s.velocity, s.acceleration, s.effort))
+    torque = MODEL.inertia * a + MODEL.viscous * v + MODEL.coulomb * np.sign(v) + e
+    table = {"position_max": p, "position_min": -p, "velocity_max": abs(v), "acceleration_max": abs(a)}
+    return t, table.get(name, abs(torque))
+
+
+@given(st.integers(0, 10_000), st.sampled_from(QUANTITIES), st.booleans())
+def test_limits_hold_exactly_where_sampling_finds_the_extremum(seed: int, name: str, quintic: bool) -> None:
+    path = random_path(seed, quintic=quintic)
+    t, values = sampled(path, name)
+    peak = float(values.max())
+    margin = 2e-4 * float(np.ptp(values))
+    sign = -1.0 if name == "position_min" else 1.0
+    if peak - margin <= 0.0 and not name.startswith("position"):
+        return
+    assert first_violation(path, [replace(MODEL, **{name: sign * (peak + margin)})]) is None
+    violation = first_violation(path, [replace(MODEL, **{name: sign * (peak - margin)})])
+    assert violation is not None
+    assert violation.quantity == name.split("_")[0]
+    first = int(np.argmax(values > peak - margin))
+    assert t[max(first - 1, 0)] - 1e-6 <= violation.time <= t[first] + 1e-6
+    value = sign * violation.value if name.startswith("position") else abs(violation.value)
+    assert peak - margin < value <= peak + margin
+
+
+def test_a_path_within_its_waypoints_can_leave_its_limits_between_them() -> None:
+    path = path_through(Waypoints.of(["axis1"], [0, 1, 2], [[0], [1], [1]], [[0], [0.5], [0]]))
+    violation = first_violation(path, [Limits(position_max=1.0)])
+    assert violation is not None
+    assert violation.time == pytest.approx(1.0, abs=1e-6)
+    # Cubic 1 + 0.5 s (1 - s)^2: highest at s = 1/3.
+    assert violation.value == pytest.approx(1.0 + 0.5 * 4 / 27)
+
+
+def test_the_first_violation_of_all_joints_is_told() -> None:
+    path = path_through(Waypoints.of(["axis1", "axis2"], [3, 4, 5], [[0, 0], [0, 1], [1, 1]]))
+    limits = [Limits(velocity_max=0.5), Limits(velocity_max=1.0)]
+    with pytest.raises(
+        TrajectoryError,
+        match=r"^velocity of axis2 goes above its limit 1 rad/s at 0\.\d+ s and reaches 1\.\d+ rad/s; give the motion",
+    ):
+        require(path, limits)
+    require(path, [Limits(), Limits()])
+    low = first_violation(path, [Limits(), Limits(velocity_max=1.0, position_min=0.5, position_max=3.0)])
+    assert low is not None
+    assert str(low).startswith("position of axis2 goes below its limit 0.5 rad at 0 s and reaches 0 rad; move the")
+
+
+def test_friction_at_a_turn_and_a_shaft_at_rest() -> None:
+    # Velocity from -1 to 1: Coulomb friction adds to the torque of the acceleration after the turn only.
+    turn = path_through(Waypoints.of(["axis1"], [0, 2], [[0], [0]], [[-1], [1]]))
+    limits = Limits(torque_max=1.4, inertia=1.0, coulomb=0.5)
+    violation = first_violation(turn, [limits])
+    assert violation is not None
+    assert violation.time == pytest.approx(1.0, abs=1e-6)
+    assert violation.value == pytest.approx(1.5)
+    rest = path_through(Waypoints.of(["axis1"], [0, 2], [[1], [1]]))
+    assert first_violation(rest, [replace(limits, torque_max=0.1)]) is None
+
+
+def test_a_motion_planned_to_its_limit_passes() -> None:
+    path = path_through(Waypoints.of(["axis1"], [0, 1], [[0.1], [0.7]]))
+    assert first_violation(path, [Limits(position_max=0.7, position_min=0.1, velocity_max=0.9)]) is None
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"velocity_max": -1.0}, {"torque_max": math.nan}, {"position_min": 1.0, "position_max": 0.0}]
+)
+def test_limits_that_make_no_sense(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=r"is nan|not negative|above position_max"):
+        Limits(**wrong)
+
+
+@given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
+def test_ranges_of_polynomials(numbers: list[float]) -> None:
+    coefficients = np.array(numbers)
+    values = np.polynomial.polynomial.polyval(np.linspace(0, 1, 2001), coefficients)
+    low, high = enclosure(coefficients)
+    assert low <= values.min() + 1e-9
+    assert high >= values.max() - 1e-9
+    _, exact = extrema(coefficients)
+    assert exact.max() == pytest.approx(values.max(), abs=2e-4)
+    assert exact.max() >= values.max() - 1e-9
+    assert exact.min() <= values.min() + 1e-9
