@@ -107,14 +107,14 @@ def _spline_velocities(times: Array, positions: Array, velocities: Array) -> Arr
     Row k of the tridiagonal system: the cubics left and right of waypoint k have the same second derivative. Thomas
     algorithm, all joints at once; the matrix is diagonally dominant.
     """
-    given: Array = velocities.copy()
+    given: Array = np.array(velocities)
     given[[0, -1]] = np.nan_to_num(given[[0, -1]])
     free = np.isnan(given)
     if not free.any():
         return given
     inverse = 1.0 / np.diff(times)[:, None]
     slope = np.diff(positions, axis=0) * inverse
-    upper, right = np.zeros_like(given), given.copy()
+    upper, right = np.zeros_like(given), np.array(given)
     for k in range(1, len(times) - 1):
         left, here = inverse[k - 1], inverse[k]
         pivot = 2.0 * (left + here) - left * upper[k - 1]
