@@ -1,0 +1,193 @@
+"""Points in time for the board, between which it interpolates by cubic Hermite pieces, close to a path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
+
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.spline import cubic
+from servo_bridge.trajectory.waypoints import Array
+
+__all__ = ["PERIOD", "SEGMENT_PERIODS_MAX", "SEGMENT_PERIODS_MIN", "TOLERANCE", "TimedPoints", "timed_points"]
+
+PERIOD = PERIOD_NS * 1.0e-9
+"""Length of one PWM period, the unit of time of the board [s]."""
+
+SEGMENT_PERIODS_MIN = 16
+"""Shortest distance of two points, 1 ms [PWM periods]."""
+
+SEGMENT_PERIODS_MAX = 960_000
+"""Longest distance of two points, 60 s [PWM periods]."""
+
+TOLERANCE = 0.2 * 2.0 * math.pi / COUNTS_PER_TURN
+"""How far the interpolation may be from the path: 0.2 counts [rad]."""
+
+_KINK_SHARE = 0.1
+"""Part of the tolerance for the rounding of a breakpoint at either end of a segment."""
+
+_REST = 1.0e-6
+"""A path that ends slower than this is meant to end at rest [rad/s]."""
+
+_SAMPLES = 16
+"""Instants per segment at which a segment that leaves out a breakpoint is compared with the path."""
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPoints:
+    """Points of one joint.
+
+    Attributes
+    ----------
+    periods : (n,) ndarray of int
+        PWM periods since time 0 of the path.
+    positions, velocities, efforts : (n,) ndarray
+        [rad], [rad/s], and the torque added to that of the controller [N m].
+    """
+
+    periods: NDArray[np.int64]
+    positions: Array
+    velocities: Array
+    efforts: Array
+
+    def interpolated(self, t: Array) -> Array:
+        """Position as the board interpolates it [rad], at times [s] within the points."""
+        k = np.clip(np.searchsorted(self.periods * PERIOD, t, side="right") - 1, 0, len(self.periods) - 2)
+        h = np.diff(self.periods)[k] * PERIOD
+        p, v = self.positions, self.velocities
+        c = cubic(h, p[k], v[k], p[k + 1], v[k + 1])
+        s = np.asarray(t) - self.periods[k] * PERIOD
+        result: Array = ((c[..., 3] * s + c[..., 2]) * s + c[..., 1]) * s + c[..., 0]
+        return result
+
+
+def timed_points(path: Path, tolerance: float = TOLERANCE) -> dict[str, TimedPoints]:
+    """Points of every joint, such that the interpolation of the board stays near the path.
+
+    A cubic piece needs its ends only. Others are divided evenly: a cubic Hermite piece of length h is within
+    max|f''''| h^4 / 384 of the function f that it interpolates (C. de Boor, A Practical Guide to Splines, ch. IV).
+    Each time is rounded to a PWM period by itself, so that no error adds up, and position and velocity are those of
+    the path at the rounded time; the last point of a path that ends at rest is exactly its end. Of breakpoints closer
+    than 1 ms the later ones are left out, but for the end.
+
+    Parameters
+    ----------
+    path : Path
+        Motion of at least 1 ms.
+    tolerance : float
+        [rad]
+
+    Returns
+    -------
+    dict of TimedPoints
+        By joint. Joints have points of their own: one that holds needs two, however the others move.
+
+    Raises
+    ------
+    TrajectoryError
+        If the path is too short, or turns so sharply within 1 ms that the tolerance cannot be kept.
+    """
+    return {joint: _points_of(path, axis, tolerance) for axis, joint in enumerate(path.joints)}
+
+
+def _points_of(path: Path, axis: int, tolerance: float) -> TimedPoints:
+    knots = _knots(path, axis, _KINK_SHARE * tolerance)
+    fourth = _fourth_derivative_max(path, axis)
+    pieces = [np.array(knots[:1], dtype=np.int64)]
+    for begin, end in pairwise(knots):
+        length = end - begin
+        # The pieces of the path that the segment touches by more than rounding.
+        first, last = np.searchsorted(path.times, [(begin + 0.5) * PERIOD, (end - 0.5) * PERIOD])
+        size = float(fourth[max(first - 1, 0) : last].max(initial=0.0))
+        bound = 384.0 * (1.0 - 2.0 * _KINK_SHARE) * tolerance
+        parts = math.ceil(length * PERIOD * (size / bound) ** 0.25)
+        parts = max(min(parts, length // SEGMENT_PERIODS_MIN), -(-length // SEGMENT_PERIODS_MAX), 1)
+        pieces.append(begin + np.arange(1, parts + 1) * length // parts)
+    periods = np.concatenate(pieces)
+    state = path.continued(periods * PERIOD)
+    positions, velocities, efforts = (x[:, axis].copy() for x in (state.position, state.velocity, state.effort))
+    if _ends_at_rest(path, axis):
+        positions[-1], velocities[-1] = path.end[axis], 0.0
+    points = TimedPoints(periods, positions, velocities, efforts)
+    _check_deviation(path, axis, points, tolerance)
+    return points
+
+
+def _ends_at_rest(path: Path, axis: int) -> bool:
+    return bool(abs(path.state(path.end_time).velocity[axis]) < _REST)
+
+
+def _knots(path: Path, axis: int, kink: float) -> list[int]:
+    """Breakpoints as periods, at least one segment apart, and a point 1 ms beside a sharp one.
+
+    A breakpoint that is rounded to an instant in the one piece takes its velocity from there. Where the acceleration
+    steps, the other piece begins with a velocity that differs by the step times the rounding, and a cubic Hermite
+    piece of length h is then 4/27 h times this velocity off. A short piece beside it keeps that small.
+    """
+    periods = np.rint(path.times / PERIOD).astype(np.int64)
+    if periods[-1] - periods[0] < SEGMENT_PERIODS_MIN:
+        raise TrajectoryError(f"the path of {path.joints[axis]} is shorter than 1 ms; give the motion more time")
+    kept = [0]
+    for k in range(1, len(periods) - 1):
+        if min(periods[k] - periods[kept[-1]], periods[-1] - periods[k]) >= SEGMENT_PERIODS_MIN:
+            kept.append(k)
+    kept.append(len(periods) - 1)
+    error = _velocity_errors(path, axis, periods)[kept]
+    knots = [int(x) for x in periods[kept]]
+    result = knots[:1]
+    for k, (begin, end) in enumerate(pairwise(knots)):
+        threshold = kink / (4.0 / 27.0 * (end - begin) * PERIOD)
+        if error[k] < -threshold and begin + 2 * SEGMENT_PERIODS_MIN <= end:
+            result.append(begin + SEGMENT_PERIODS_MIN)
+        if error[k + 1] > threshold and result[-1] + 2 * SEGMENT_PERIODS_MIN <= end:
+            result.append(end - SEGMENT_PERIODS_MIN)
+        result.append(end)
+    return result
+
+
+def _velocity_errors(path: Path, axis: int, periods: NDArray[np.int64]) -> Array:
+    """Error of velocity that rounding makes at each breakpoint [rad/s]; negative if in the piece that begins there."""
+    h = np.diff(path.times)[:, None]
+    c = path.coefficients[:, axis] * np.array([0, 0, 2, 6, 12, 20])
+    powers = h ** np.array([0, 0, 0, 1, 2, 3])
+    begin, end = c[:, 2], (c * powers).sum(axis=1)
+    step = np.zeros(len(path.times))
+    step[1:-1] = np.abs(begin[1:] - end[:-1])
+    error = step * (periods * PERIOD - path.times)
+    if _ends_at_rest(path, axis):
+        # The last point is at rest, wherever rounding has put it.
+        error[-1] = abs(end[-1] * (periods[-1] * PERIOD - path.times[-1]))
+    result: Array = error
+    return result
+
+
+def _fourth_derivative_max(path: Path, axis: int) -> Array:
+    """Largest magnitude in each piece [rad/s^4]: it is linear there."""
+    fourth, fifth = path.coefficients[:, axis, 4], path.coefficients[:, axis, 5]
+    ends = np.abs([24.0 * fourth, 24.0 * fourth + 120.0 * fifth * np.diff(path.times)])
+    result: Array = ends.max(axis=0)
+    return result
+
+
+def _check_deviation(path: Path, axis: int, points: TimedPoints, tolerance: float) -> None:
+    """Refuse what the bound does not cover: breakpoints inside a segment, and segments that cannot be shorter."""
+    ends = points.periods * PERIOD
+    inside = np.diff(np.searchsorted(path.times, ends + 0.5 * PERIOD)) > 1
+    short = np.diff(points.periods) < 2 * SEGMENT_PERIODS_MIN
+    begin, length = ends[:-1][inside | short], np.diff(ends)[inside | short]
+    t = begin[:, None] + length[:, None] * (np.arange(1, _SAMPLES) / _SAMPLES)
+    if not t.size:
+        return
+    deviation = np.abs(points.interpolated(t) - path.continued(t).position[..., axis])
+    if deviation.max() > tolerance:
+        worst = t.flat[int(np.argmax(deviation))] - path.start_time
+        raise TrajectoryError(
+            f"{path.joints[axis]} turns too sharply at {worst:.6g} s: points of the board are 1 ms apart, and between "
+            f"them it would be {deviation.max():g} rad off; give the motion more time"
+        )
