@@ -1,0 +1,231 @@
+"""Motions by formula: a move, a stop, a sine, a Lissajous figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from servo_bridge.trajectory.check import Limits, first_violation
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.path import DEGREE, Path, State
+from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.waypoints import Array, Waypoints
+
+__all__ = ["lissajous", "move", "sine", "stop"]
+
+_SHORTEST = 2.0e-3
+"""Shortest motion that is planned [s]: two of the shortest segments of the board."""
+
+_LONGEST = 1.0e6
+"""A motion that does not keep its limits in this time keeps them in none [s]."""
+
+_PER_WAVE = 24
+"""Waypoints per period of a sine; the quintics between them are 8e-9 amplitudes off at most."""
+
+
+def move(
+    joints: Sequence[str],
+    start: ArrayLike,
+    goal: ArrayLike,
+    duration: float | None = None,
+    limits: Sequence[Limits] | None = None,
+) -> Path:
+    """Quintic from rest to rest; all joints begin and end together.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Names.
+    start, goal : (joints,) array_like
+        [rad]
+    duration : float, optional
+        [s]; without it the shortest, to a thousandth, that keeps the limits.
+    limits : sequence of Limits, optional
+        Per joint, for the shortest duration. Limits of position do not count here; the path can be checked.
+
+    Returns
+    -------
+    Path
+        From time 0 on.
+
+    Raises
+    ------
+    TrajectoryError
+        If the duration is no positive number, or there is none and the limits allow any, or forbid every one.
+    """
+
+    def in_time(time: float) -> Path:
+        return path_through(Waypoints.of(joints, [time], [goal]), State.at_rest(start))
+
+    if duration is not None:
+        _check_positive("duration", duration, "s")
+        return in_time(duration)
+    bounds = [replace(limit, position_min=-math.inf, position_max=math.inf) for limit in limits or ()]
+    finite = [min(b.velocity_max, b.acceleration_max, b.torque_max if b.inertia else math.inf) for b in bounds]
+    if not all(map(math.isfinite, finite or [math.inf])):
+        raise TrajectoryError(
+            "a joint has no limit, and no duration is given; give a duration, or limits of each joint"
+        )
+    return _shortest(in_time, bounds)
+
+
+def stop(joints: Sequence[str], start: State, deceleration_max: Sequence[float], start_time: float = 0.0) -> Path:
+    """Smooth stop: the velocity goes to zero as a cubic, the acceleration from where it is to zero.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Names.
+    start : State
+        State of shape (joints,).
+    deceleration_max : sequence of float
+        Per joint [rad/s^2]; an acceleration of the start that is larger is the limit instead.
+    start_time : float
+        [s]
+    """
+    limits = [
+        Limits(acceleration_max=max(a, 1.001 * abs(b)))
+        for a, b in zip(deceleration_max, start.acceleration, strict=True)
+    ]
+
+    def in_time(time: float) -> Path:
+        v, a = start.velocity, start.acceleration
+        c = np.zeros((1, len(joints), DEGREE + 1))
+        c[0, :, :3] = np.stack((start.position, v, 0.5 * a), axis=-1)
+        c[0, :, 3] = (-3.0 * v / time - 2.0 * a) / time / 3.0
+        c[0, :, 4] = (2.0 * v / time + a) / time**2 / 4.0
+        end = start.position + time * (0.5 * v + time * a / 12.0)
+        efforts = np.vstack((start.effort, np.zeros_like(start.effort)))
+        return Path(joints, [start_time, start_time + time], c, end, efforts)
+
+    return _shortest(in_time, limits)
+
+
+def sine(
+    joint: str, centre: float, amplitude: float, frequency: float, duration: float, ramp: float | None = None
+) -> Path:
+    """Sine about a position, from rest to rest at the centre; see `lissajous` for envelope and errors.
+
+    Parameters
+    ----------
+    joint : str
+        Name.
+    centre, amplitude : float
+        [rad]
+    frequency : float
+        [Hz]
+    duration, ramp : float
+        [s]
+    """
+    return _waves([joint], [centre], [amplitude], [frequency], [0.0], duration, ramp)
+
+
+def lissajous(
+    joints: Sequence[str],
+    centre: Sequence[float],
+    amplitudes: Sequence[float],
+    frequencies: Sequence[float],
+    duration: float,
+    phase: float = 0.5 * math.pi,
+    ramp: float | None = None,
+) -> Path:
+    """Sines of two joints, the first one ahead by a phase; a circle with the same amplitude and frequency.
+
+    The amplitude rises from zero at the beginning and falls to zero at the end as a quintic in time, so that the
+    motion starts and ends at rest at the centre, without acceleration. In between it is exactly the sine, to
+    8e-9 amplitudes.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Two names.
+    centre, amplitudes : sequence of float
+        Per joint [rad].
+    frequencies : sequence of float
+        Per joint [Hz].
+    duration : float
+        With both ramps [s].
+    phase : float
+        [rad]
+    ramp : float, optional
+        Length of a ramp [s]: by default one period of the slowest sine, at most half the duration.
+
+    Raises
+    ------
+    TrajectoryError
+        If a frequency, the duration or the ramp is no positive number, the ramps are longer than the duration, or
+        there are not two joints.
+    """
+    if not len(joints) == len(centre) == len(amplitudes) == len(frequencies) == 2:
+        raise TrajectoryError(
+            "a Lissajous figure is that of two joints; give two names, centres, amplitudes, frequencies"
+        )
+    return _waves(joints, centre, amplitudes, frequencies, [phase, 0.0], duration, ramp)
+
+
+def _waves(
+    joints: Sequence[str],
+    centre: Sequence[float],
+    amplitudes: Sequence[float],
+    frequencies: Sequence[float],
+    phases: Sequence[float],
+    duration: float,
+    ramp: float | None,
+) -> Path:
+    for frequency in frequencies:
+        _check_positive("frequency", frequency, "Hz")
+    _check_positive("duration", duration, "s")
+    rise = min(1.0 / min(frequencies), 0.5 * duration) if ramp is None else ramp
+    _check_positive("ramp", rise, "s")
+    if 2.0 * rise > duration:
+        raise TrajectoryError(f"two ramps of {rise:g} s do not fit into {duration:g} s; give a longer duration")
+    step = min(1.0 / max(frequencies), rise) / _PER_WAVE
+    spans = [(0.0, rise), (rise, duration - rise), (duration - rise, duration)]
+    t = np.unique(np.concatenate([np.linspace(a, b, math.ceil((b - a) / step) + 1) for a, b in spans]))
+    e, de, dde = (x[:, None] for x in _envelope(t, rise, duration))
+    omega = 2.0 * math.pi * np.array(frequencies)
+    angle = omega * t[:, None] + np.array(phases)
+    size = np.array(amplitudes)
+    sine, cosine = size * np.sin(angle), size * omega * np.cos(angle)
+    # Product rule; the second derivative of the sine is -omega^2 of it.
+    rows = (
+        np.array(centre) + e * sine,
+        de * sine + e * cosine,
+        dde * sine + 2.0 * de * cosine - e * omega**2 * sine,
+    )
+    return path_through(Waypoints.of(joints, t, *rows))
+
+
+def _envelope(t: Array, rise: float, duration: float) -> tuple[Array, Array, Array]:
+    """Quintic step up, and down at the end, with its first two derivatives."""
+    s = np.clip(np.minimum(t, duration - t) / rise, 0.0, 1.0)
+    way = np.where(t < 0.5 * duration, 1.0, -1.0) / rise
+    first = 30.0 * s**2 * (1.0 - s) ** 2 * way
+    second = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) * way**2
+    return s**3 * (10.0 + s * (6.0 * s - 15.0)), first, second
+
+
+def _shortest(in_time: Callable[[float], Path], limits: Sequence[Limits]) -> Path:
+    """The motion of the shortest duration, to a thousandth, that keeps the limits."""
+    slow = _SHORTEST
+    while (violation := first_violation(in_time(slow), limits)) is not None:
+        slow *= 2.0
+        if slow > _LONGEST:
+            raise TrajectoryError(f"no duration is long enough: {violation}")
+    fast = max(0.5 * slow, _SHORTEST)
+    while slow > 1.001 * fast:
+        middle = math.sqrt(slow * fast)
+        if first_violation(in_time(middle), limits) is None:
+            slow = middle
+        else:
+            fast = middle
+    return in_time(slow)
+
+
+def _check_positive(name: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise TrajectoryError(f"{name} is {value:g} {unit}; give a finite number above 0")
