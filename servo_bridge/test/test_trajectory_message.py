@@ -1,0 +1,150 @@
+"""Trajectories from messages: what is taken, how it begins, and a sentence for each refusal."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
+from servo_bridge.trajectory.from_message import from_message
+from servo_bridge.trajectory.path import Path, State
+from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.waypoints import Waypoints
+
+JOINTS = ("axis1", "axis2")
+ORIGIN = 1_700_000_000_000_000_000
+NOW = 10.0
+HOLD = Path.hold(JOINTS, [1.0, 2.0])
+MOVING = path_through(Waypoints.of(JOINTS, [5.0, 15.0, 25.0], [[0, 0], [5, -5], [0, 0]]))
+
+
+def duration(seconds: float) -> SimpleNamespace:
+    sec = int(seconds // 1)
+    return SimpleNamespace(sec=sec, nanosec=round((seconds - sec) * 1e9))
+
+
+def point(time: float, *positions: float, **fields: list[float]) -> SimpleNamespace:
+    empty: dict[str, Any] = {"velocities": [], "accelerations": [], "effort": []}
+    return SimpleNamespace(**(empty | fields), positions=list(positions), time_from_start=duration(time))
+
+
+def message(*points: SimpleNamespace, names: tuple[str, ...] = JOINTS, at: float | None = None) -> SimpleNamespace:
+    stamp = SimpleNamespace(sec=0, nanosec=0) if at is None else SimpleNamespace(sec=ORIGIN // 10**9, nanosec=0)
+    if at is not None:
+        stamp.sec += duration(at).sec
+        stamp.nanosec = duration(at).nanosec
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp), joint_names=list(names), points=list(points))
+
+
+def taken(trajectory: Any, running: Path = HOLD, **options: Any) -> Path:
+    return from_message(trajectory, running, NOW, ORIGIN, [50.0, 50.0], **options)
+
+
+def same(actual: State, wanted: State) -> None:
+    np.testing.assert_allclose(actual.position, wanted.position, atol=1e-9)
+    np.testing.assert_allclose(actual.velocity, wanted.velocity, atol=1e-9)
+    np.testing.assert_allclose(actual.acceleration, wanted.acceleration, atol=1e-7)
+
+
+@pytest.mark.parametrize("running", [HOLD, MOVING])
+def test_no_stamp_means_now(running: Path) -> None:
+    path = taken(message(point(1.0, 2.0, 3.0), point(3.0, 0.0, 0.0)), running)
+    assert list(path.times) == [10.0, 11.0, 13.0]
+    same(path.state(NOW), running.state(NOW))
+    np.testing.assert_array_equal(path.state([11.0, 13.0]).position, [[2.0, 3.0], [0.0, 0.0]])
+
+
+@pytest.mark.parametrize("running", [HOLD, MOVING])
+def test_a_stamp_in_the_future_is_waited_for(running: Path) -> None:
+    path = taken(message(point(1.0, 2.0, 3.0), at=12.5), running)
+    assert list(path.times) == pytest.approx([12.5, 13.5])
+    same(path.state(path.start_time), running.state(12.5))
+
+
+def test_a_trajectory_that_has_begun_is_joined() -> None:
+    points = [point(t, t, -t, velocities=[1.0, -1.0]) for t in (0.0, 1.0, 2.0, 3.0)]
+    path = taken(message(*points, at=8.5), MOVING, may_end_moving=True)
+    same(path.state(NOW), MOVING.state(NOW))
+    assert list(path.times) == pytest.approx([10.0, 10.5, 11.5])
+    np.testing.assert_allclose(path.state([10.5, 11.0]).position, [[2.0, -2.0], [2.5, -2.5]], atol=1e-6)
+
+
+def test_a_trajectory_of_the_past_whose_points_are_to_come_begins_where_the_joints_are() -> None:
+    path = taken(message(point(3.0, 2.0, 3.0), at=8.0), MOVING)
+    same(path.state(NOW), MOVING.state(NOW))
+    assert path.end_time == pytest.approx(11.0)
+
+
+def test_joints_in_any_order_and_some_of_them() -> None:
+    path = taken(message(point(1.0, 3.0, 2.0), names=("axis2", "axis1")))
+    assert path.joints == JOINTS
+    np.testing.assert_array_equal(path.end, [2.0, 3.0])
+    path = taken(message(point(1.0, 3.0), names=("axis2",)))
+    assert path.joints == ("axis2",)
+    assert path.state(NOW).position[0] == 2.0
+
+
+def test_what_points_carry() -> None:
+    both: dict[str, Any] = {"velocities": [1.0, 2.0], "accelerations": [3.0, 4.0], "effort": [0.1, 0.2]}
+    path = taken(message(point(1.0, 2.0, 3.0, **both), point(2.0, 2.0, 3.0), point(3.0, 2.0, 3.0)))
+    state = path.state(11.0)
+    np.testing.assert_allclose(state.velocity, [1.0, 2.0])
+    np.testing.assert_allclose(path.continued(np.nextafter(11.0, 0.0)).acceleration, [3.0, 4.0], atol=1e-9)
+    np.testing.assert_allclose(state.effort, [0.1, 0.2])
+    assert not path.state(12.0).effort.any()
+
+
+def test_a_first_point_at_once_is_where_the_joints_are() -> None:
+    path = taken(message(point(0.0, 1.005, 2.0), point(1.0, 2.0, 3.0)))
+    same(path.state(NOW), HOLD.state(NOW))
+    assert len(path.times) == 2
+
+
+@pytest.mark.parametrize("names", [(), ("axis2",)])
+def test_an_empty_trajectory_stops(names: tuple[str, ...]) -> None:
+    path = taken(message(names=names), MOVING)
+    assert path.joints == (names or JOINTS)
+    same(path.state(NOW), MOVING.select(path.joints).state(NOW))
+    end = path.state(path.end_time)
+    np.testing.assert_allclose(end.velocity, 0.0, atol=1e-9)
+    assert path.duration < 0.1
+
+
+STEP = point(1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "code", "sentence"),
+    [
+        (message(STEP, names=("axis1", "elbow")), -2, "joint 'elbow' does not exist; the joints are axis1, axis2"),
+        (message(STEP, names=("axis1", "axis1")), -2, "joint axis1 is named twice"),
+        (message(STEP, names=()), -2, "no joint is named"),
+        (message(point(1.0, 0.0)), -1, r"joint_names size \(2\) and positions \(1\) at point #0"),
+        (message(point(1.0)), -1, "point #0 has no positions"),
+        (message(STEP, point(2.0, 0.0, 0.0, velocities=[0.0])), -1, r"velocities \(1\) at point #1"),
+        (message(STEP, STEP), -1, "time between points 0 and 1 is not strictly increasing"),
+        (message(point(-1.0, 0.0, 0.0), STEP), -1, "time_from_start of point #0 is negative"),
+        (message(point(1.0, 0.0, float("nan"))), -1, "positions of axis2 at point #0 is nan"),
+        (message(point(1.0, 0, 0, velocities=[0.0, 0.5])), -1, "velocity of axis2 at the last point, #0, is 0.5 rad/s"),
+        (message(point(1.0, 0, 0, accelerations=[0.0, 0.5])), -1, "point #0 has accelerations but no velocities"),
+        (message(STEP, at=8.0), -3, r"the trajectory ended 1 s ago; send it earlier, or with stamp 0"),
+        (message(point(0.0, 0.0, 2.0), STEP), -1, "axis1 is at 1 rad and point #0 wants 0 rad at once"),
+    ],
+)
+def test_refusals(trajectory: Any, code: int, sentence: str) -> None:
+    with pytest.raises(TrajectoryError, match=f"^joint_trajectory: .*{sentence}") as caught:
+        taken(trajectory)
+    assert caught.value.code == ErrorCode(code)
+
+
+def test_real_messages() -> None:
+    messages = pytest.importorskip("trajectory_msgs.msg")
+    interfaces = pytest.importorskip("builtin_interfaces.msg")
+    trajectory = messages.JointTrajectory(joint_names=["axis2"])
+    trajectory.points = [
+        messages.JointTrajectoryPoint(positions=[3.0], time_from_start=interfaces.Duration(sec=1, nanosec=500_000_000))
+    ]
+    path = taken(trajectory)
+    assert (path.joints, path.end_time, path.end[0]) == (("axis2",), 11.5, 3.0)
