@@ -1,0 +1,153 @@
+"""Waypoints from files: comma-separated values, or JSON in the form of trajectory_msgs/JointTrajectory. SI units."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path as File
+from typing import Any
+
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.waypoints import Waypoints
+
+__all__ = ["read_waypoints"]
+
+_VELOCITY = "_velocity"
+_POINT = ("time_from_start", "positions", "velocities", "accelerations", "effort")
+
+
+def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
+    """Waypoints from a file, by the end of its name.
+
+    ``.csv``: a header ``time``, names of joints, and for all of them or for none ``<joint>_velocity``, in any order;
+    a line per waypoint. Empty lines, and those that begin with ``#``, are left out.
+
+    ``.json``: an object with ``joint_names`` and ``points``, each with ``time_from_start`` (a number, or ``sec`` and
+    ``nanosec``), ``positions``, and optionally ``velocities``, ``accelerations`` and ``effort``.
+
+    Parameters
+    ----------
+    file : str or pathlib.Path
+        File.
+    joints : sequence of str
+        Joints that may be named.
+
+    Raises
+    ------
+    TrajectoryError
+        If the file cannot be read or something in it is wrong: file, line or point, and remedy.
+    """
+    path = File(file)
+    readers = {".csv": _from_csv, ".json": _from_json}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise TrajectoryError(f"{path}: unknown kind of file; give one whose name ends in .csv or .json")
+    try:
+        return reader(path.read_text(encoding="utf-8-sig"), joints)
+    except OSError as error:
+        raise TrajectoryError(f"{path}: cannot be read ({error.strerror}); check name and permissions") from None
+    except UnicodeDecodeError:
+        raise TrajectoryError(f"{path}: is no text in UTF-8; save it as such") from None
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{path}: {error}", error.code) from None
+
+
+def _from_csv(text: str, known: Sequence[str]) -> Waypoints:
+    reader = csv.reader(text.splitlines(), skipinitialspace=True)
+    lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row and any(map(str.strip, row))]
+    lines = [(number, row) for number, row in lines if not row[0].startswith("#")]
+    if not lines:
+        raise TrajectoryError("line 1: the file is empty; begin with a header such as time,axis1,axis2")
+    number, header = lines[0]
+    joints = _joints_of(number, header, known)
+    times: list[float] = []
+    rows: list[dict[str, float]] = []
+    for number, row in lines[1:]:
+        if len(row) != len(header):
+            raise TrajectoryError(f"line {number}: {len(row)} values for {len(header)} columns; give one per column")
+        values = {name: _number(number, name, cell) for name, cell in zip(header, row, strict=True)}
+        if times and values["time"] <= times[-1]:
+            raise TrajectoryError(
+                f"line {number}: time {values['time']:g} s is not after {times[-1]:g} s; order the lines by time"
+            )
+        times.append(values["time"])
+        rows.append(values)
+    if not rows:
+        raise TrajectoryError(f"line {number}: there is no line after the header; add a line per waypoint")
+    positions = [[row[joint] for joint in joints] for row in rows]
+    moving = joints[0] + _VELOCITY in header
+    velocities = [[row[joint + _VELOCITY] for joint in joints] for row in rows] if moving else None
+    return Waypoints.of(joints, times, positions, velocities)
+
+
+def _joints_of(number: int, header: Sequence[str], known: Sequence[str]) -> list[str]:
+    """Joints that the header names."""
+    allowed = ["time", *known, *(joint + _VELOCITY for joint in known)]
+    for name in header:
+        if name not in allowed:
+            raise TrajectoryError(f"line {number}: column {name!r} is unknown; columns are {', '.join(allowed)}")
+        if header.count(name) > 1:
+            raise TrajectoryError(f"line {number}: column {name} is there twice; leave one out")
+    joints = [name for name in header if name in known]
+    if "time" not in header or not joints:
+        raise TrajectoryError(f"line {number}: no column time, or no joint; begin with time,{','.join(known)}")
+    moving = {name.removesuffix(_VELOCITY) for name in header if name not in ("time", *joints)}
+    if moving and moving != set(joints):
+        odd = sorted(moving ^ set(joints))[0]
+        raise TrajectoryError(
+            f"line {number}: {odd} has only one of position and velocity; give velocities of all joints or of none"
+        )
+    return joints
+
+
+def _number(line: int, name: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise TrajectoryError(f"line {line}: {name} is {cell!r}; give a finite number")
+    return value
+
+
+def _from_json(text: str, known: Sequence[str]) -> Waypoints:
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise TrajectoryError(f"line {error.lineno}: {error.msg} at column {error.colno}; correct the JSON") from None
+    if not isinstance(content, dict) or not all(
+        isinstance(content.get(key), list) for key in ("joint_names", "points")
+    ):
+        raise TrajectoryError("joint_names or points is missing or no list; give an object with both")
+    joints = content["joint_names"]
+    for joint in joints:
+        if joint not in known:
+            raise TrajectoryError(f"joint {joint!r} in joint_names does not exist; the joints are {', '.join(known)}")
+    points: list[Any] = content["points"]
+    for k, point in enumerate(points):
+        if not isinstance(point, dict) or not {"time_from_start", "positions"} <= point.keys() <= set(_POINT):
+            raise TrajectoryError(
+                f"point #{k} lacks time_from_start or positions, or has a field besides {', '.join(_POINT)}; correct it"
+            )
+    times = [_seconds(k, point["time_from_start"]) for k, point in enumerate(points)]
+    return Waypoints.of(joints, times, *([_row(k, p, f) for k, p in enumerate(points)] for f in _POINT[1:]))
+
+
+def _row(k: int, point: dict[str, Any], field: str) -> list[float] | None:
+    row: Any = point.get(field, [])
+    if isinstance(row, list) and all(_is_number(x) for x in row):
+        return row or None
+    raise TrajectoryError(f"{field} of point #{k} is {json.dumps(row)}; give a list of numbers")
+
+
+def _seconds(k: int, time: Any) -> float:
+    parts = (time.get("sec", 0), time.get("nanosec", 0)) if isinstance(time, dict) else (time, 0)
+    if not all(map(_is_number, parts)):
+        raise TrajectoryError(f"time_from_start of point #{k} is {json.dumps(time)}; give seconds, or sec and nanosec")
+    return float(parts[0] + parts[1] * 1.0e-9)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -1,0 +1,100 @@
+"""Waypoints from files: what is read, and what a mistake is answered with."""
+
+from __future__ import annotations
+
+from pathlib import Path as File
+
+import numpy as np
+import pytest
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.files import read_waypoints
+from servo_bridge.trajectory.waypoints import Waypoints
+
+JOINTS = ("axis1", "axis2")
+
+
+def read(folder: File, name: str, text: str) -> Waypoints:
+    file = folder / name
+    file.write_text(text)
+    return read_waypoints(file, JOINTS)
+
+
+def test_csv(tmp_path: File) -> None:
+    text = "# a comment\ntime, axis2, axis1, axis1_velocity, axis2_velocity\n\n0, 1, 2, 3, 4\n0.5, 5, 6, 0, 0\n"
+    waypoints = read(tmp_path, "path.csv", text)
+    assert waypoints.joints == ("axis2", "axis1")
+    np.testing.assert_array_equal(waypoints.times, [0.0, 0.5])
+    np.testing.assert_array_equal(waypoints.positions, [[1, 2], [5, 6]])
+    np.testing.assert_array_equal(waypoints.velocities, [[4, 3], [0, 0]])
+    assert np.isnan(read(tmp_path, "path.csv", "time,axis1\n1,2\n").velocities).all()
+
+
+def test_json(tmp_path: File) -> None:
+    text = """{"joint_names": ["axis1"], "points": [
+        {"time_from_start": 1, "positions": [2], "velocities": [3.5], "accelerations": [4], "effort": [0.5]},
+        {"time_from_start": {"sec": 2, "nanosec": 500000000}, "positions": [3], "velocities": []}]}"""
+    waypoints = read(tmp_path, "path.json", text)
+    np.testing.assert_array_equal(waypoints.times, [1.0, 2.5])
+    np.testing.assert_array_equal(waypoints.velocities, [[3.5], [np.nan]])
+    np.testing.assert_array_equal(waypoints.efforts, [[0.5], [0.0]])
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "line 1: the file is empty; begin with a header"),
+        ("time,elbow\n", "line 1: column 'elbow' is unknown; columns are time, axis1, axis2, axis1_velocity"),
+        ("time,axis1,axis1\n", "line 1: column axis1 is there twice"),
+        ("axis1,axis2\n", "line 1: no column time, or no joint; begin with time,axis1,axis2"),
+        ("time,axis1,axis2,axis2_velocity\n", "line 1: axis1 has only one of position and velocity"),
+        ("time,axis1\n", "line 1: there is no line after the header"),
+        ("time,axis1\n0,1\n\n1,2,3\n", "line 4: 3 values for 2 columns"),
+        ("time,axis1\n0,1\n1,fast\n", "line 3: axis1 is 'fast'; give a finite number"),
+        ("time,axis1\n0,1\n1,nan\n", "line 3: axis1 is 'nan'; give a finite number"),
+        ("time,axis1\n0,1\n0,2\n", "line 3: time 0 s is not after 0 s; order the lines by time"),
+    ],
+)
+def test_wrong_csv(tmp_path: File, text: str, sentence: str) -> None:
+    with pytest.raises(TrajectoryError, match=f"path.csv: {sentence}"):
+        read(tmp_path, "path.csv", text)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('{"joint_names": ["axis1"],\n "points": [}', "line 2: .* at column 13; correct the JSON"),
+        ("[]", "joint_names or points is missing"),
+        ('{"joint_names": ["elbow"], "points": []}', "joint 'elbow' in joint_names does not exist"),
+        ('{"joint_names": ["axis1"], "points": []}', "there are no waypoints"),
+        ('{"joint_names": ["axis1"], "points": [{"time_from_start": 0}]}', "point #0 lacks time_from_start or pos"),
+        (
+            '{"joint_names": ["axis1"], "points": [{"time_from_start": 0, "positions": [0], "velocity": [0]}]}',
+            "point #0 lacks .* or has a field besides",
+        ),
+        (
+            '{"joint_names": ["axis1"], "points": [{"time_from_start": 0, "positions": ["a"]}]}',
+            r'positions of point #0 is \["a"\]; give a list of numbers',
+        ),
+        (
+            '{"joint_names": ["axis1"], "points": [{"time_from_start": "1 s", "positions": [0]}]}',
+            'time_from_start of point #0 is "1 s"; give seconds',
+        ),
+        (
+            '{"joint_names": ["axis1"], "points": [{"time_from_start": 1, "positions": [0, 1]}]}',
+            r"mismatch between joint_names size \(1\) and positions \(2\) at point #0",
+        ),
+    ],
+)
+def test_wrong_json(tmp_path: File, text: str, sentence: str) -> None:
+    with pytest.raises(TrajectoryError, match=f"path.json: {sentence}"):
+        read(tmp_path, "path.json", text)
+
+
+def test_files_that_cannot_be_read(tmp_path: File) -> None:
+    with pytest.raises(TrajectoryError, match=r"path\.txt: unknown kind of file; give one"):
+        read(tmp_path, "path.txt", "")
+    with pytest.raises(TrajectoryError, match=r"none\.csv: cannot be read \(No such file or directory\)"):
+        read_waypoints(tmp_path / "none.csv", JOINTS)
+    (tmp_path / "bytes.csv").write_bytes(b"time,axis1\n\xff\n")
+    with pytest.raises(TrajectoryError, match=r"bytes\.csv: is no text in UTF-8"):
+        read_waypoints(tmp_path / "bytes.csv", JOINTS)
