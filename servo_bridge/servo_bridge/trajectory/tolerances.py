@@ -1,0 +1,172 @@
+"""When a goal of control_msgs/FollowJointTrajectory is reached, and when it is given up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
+from servo_bridge.trajectory.path import State
+
+__all__ = ["GoalMonitor", "Outcome", "Phase", "Tolerance", "goal_time_from", "tolerances_from"]
+
+_UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
+
+
+class Phase(Enum):
+    """Where a goal is."""
+
+    RUNNING = "running"
+    SUCCEEDED = "succeeded"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a goal.
+
+    Attributes
+    ----------
+    phase : Phase
+        Running, succeeded or aborted.
+    code : ErrorCode
+        ``error_code`` of the result.
+    text : str
+        ``error_string`` of the result.
+    """
+
+    phase: Phase
+    code: ErrorCode = ErrorCode.SUCCESSFUL
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far a joint may be from its path; infinite where it does not matter.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : float
+        [rad], [rad/s], [rad/s^2]
+    """
+
+    position: float = math.inf
+    velocity: float = math.inf
+    acceleration: float = math.inf
+
+
+def tolerances_from(
+    requested: Iterable[Any], joints: Sequence[str], defaults: Mapping[str, Tolerance]
+) -> dict[str, Tolerance]:
+    """Tolerances of all joints of a goal.
+
+    Parameters
+    ----------
+    requested : iterable of control_msgs/JointTolerance
+        0 takes the default, -1 is no tolerance, above 0 is the tolerance.
+    joints : sequence of str
+        Joints of the goal.
+    defaults : mapping of str to Tolerance
+        By joint; joints that are missing have none.
+
+    Raises
+    ------
+    TrajectoryError
+        If a joint is not in the goal, or a number is NaN or negative, but not -1.
+    """
+    result = {joint: defaults.get(joint, Tolerance()) for joint in joints}
+    for tolerance in requested:
+        name = tolerance.name
+        if name not in result:
+            raise TrajectoryError(
+                f"tolerance of {name!r}, which the trajectory does not move; name one of {', '.join(joints)}",
+                ErrorCode.INVALID_JOINTS,
+            )
+        values = {}
+        for field in fields(Tolerance):
+            value = float(getattr(tolerance, field.name))
+            if math.isnan(value) or (value < 0.0 and value != -1.0):
+                raise TrajectoryError(
+                    f"tolerance of {field.name} of {name} is {value:g}; give 0 for the default, -1 for none, or more "
+                    "than 0"
+                )
+            values[field.name] = math.inf if value == -1.0 else value or getattr(result[name], field.name)
+        result[name] = Tolerance(**values)
+    return result
+
+
+def goal_time_from(requested: float, default: float) -> float:
+    """Time to wait for the goal after the end of the path [s]; 0 takes the default.
+
+    Raises
+    ------
+    TrajectoryError
+        If the request is NaN or negative.
+    """
+    if math.isnan(requested) or requested < 0.0:
+        raise TrajectoryError(f"goal_time_tolerance is {requested:g} s; give 0 for the default, or more")
+    return requested or default
+
+
+class GoalMonitor:
+    """Compares a motion with its path until the goal is reached or given up.
+
+    Parameters
+    ----------
+    path, goal : mapping of str to Tolerance
+        By joint, in the order of the joints of the states: on the way, and at the end.
+    end_time : float
+        End of the path [s].
+    goal_time : float
+        How long to wait for the goal after that [s]; 0 decides at the end, and does not wait for ever.
+    """
+
+    def __init__(
+        self, path: Mapping[str, Tolerance], goal: Mapping[str, Tolerance], end_time: float, goal_time: float
+    ) -> None:
+        self._path, self._goal = path, goal
+        self._end_time, self._goal_time = end_time, goal_time
+        self.outcome = Outcome(Phase.RUNNING)
+
+    def update(self, time: float, desired: State, actual: State) -> Outcome:
+        """Compare at one instant; once decided, the outcome stays.
+
+        Parameters
+        ----------
+        time : float
+            On the clock of the path [s].
+        desired, actual : State
+            States of shape (joints,); an actual value of NaN is not known and not compared.
+        """
+        if self.outcome.phase is not Phase.RUNNING:
+            return self.outcome
+        if time < self._end_time:
+            excess = _first_excess(self._path, desired, actual)
+            if excess:
+                text = f"Aborted due to path tolerance violation: {excess}"
+                self.outcome = Outcome(Phase.ABORTED, ErrorCode.PATH_TOLERANCE_VIOLATED, text)
+            return self.outcome
+        excess = _first_excess(self._goal, desired, actual)
+        late = time - self._end_time - self._goal_time
+        if not excess:
+            self.outcome = Outcome(Phase.SUCCEEDED, ErrorCode.SUCCESSFUL, "Goal successfully reached!")
+        elif late >= 0.0:
+            text = f"Aborted due to goal_time_tolerance exceeding by {late:.6f} seconds: {excess}"
+            self.outcome = Outcome(Phase.ABORTED, ErrorCode.GOAL_TOLERANCE_VIOLATED, text)
+        return self.outcome
+
+
+def _first_excess(tolerances: Mapping[str, Tolerance], desired: State, actual: State) -> str:
+    for axis, (joint, tolerance) in enumerate(tolerances.items()):
+        for field in fields(tolerance):
+            limit = getattr(tolerance, field.name)
+            error = float(np.abs(getattr(desired, field.name)[axis] - getattr(actual, field.name)[axis]))
+            if error > limit:
+                unit = _UNITS[field.name]
+                return f"{field.name} of {joint} is {error:g} {unit} off, its tolerance is {limit:g} {unit}"
+    return ""
