@@ -10,8 +10,9 @@ waiting; the board itself ends a velocity or effort that is not written again. P
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
 from servo_msgs_py.timed_points import axes_of_points
@@ -19,7 +20,7 @@ from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.setpoints import Mode, Rejected, Request
 
-__all__ = ["Arbiter", "AxisStatus", "CommandWrite", "JointLimits"]
+__all__ = ["Arbiter", "AxisStatus", "CommandWrite", "JointLimits", "PathSource"]
 
 _POINTS = "cmd.points"
 _TARGET = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
@@ -102,18 +103,30 @@ class AxisStatus:
         FAULT.
     position : int
         Where the shaft is [counts], extended past the 32 bits of the board.
+    position_ref : int or None
+        Where it is meant to be, the same; None without ``position_ref`` in the telemetry.
     """
 
     label: str
     spinning: bool
     faulted: bool = False
     position: int = 0
+    position_ref: int | None = None
 
 
 @dataclass(frozen=True)
 class _Target:
     mode: Mode
     raw: int
+
+
+class PathSource(Protocol):
+    """Where timed points come from."""
+
+    @property
+    def axes(self) -> Collection[int]: ...
+    def next_points(self) -> tuple[int, ...] | None: ...
+    def cancel(self, axis: int, reason: str) -> None: ...
 
 
 class Arbiter:
@@ -140,6 +153,11 @@ class Arbiter:
         self._blocked = _NOT_ENABLED
         self._modes: list[Mode | None] = [None] * AXES
         self._targets: list[_Target | None] = [None] * AXES
+        self._paths: PathSource | None = None
+
+    def follow(self, paths: PathSource) -> None:
+        """Take timed points from here, for axes that no set-point moves."""
+        self._paths = paths
 
     # ---- what the board says
     def board_seen(self, axes: Sequence[AxisStatus]) -> None:
@@ -148,6 +166,7 @@ class Arbiter:
         for axis, status in enumerate(axes):
             if not status.spinning:
                 self._targets[axis] = None
+                self._leave_path(axis, f"{self._joints[axis]} is in {status.label}")
 
     def set_torque_constants(self, values: Sequence[float]) -> None:
         """Torque per ampere of i_q of every axis, as the board believes it [N m/A]."""
@@ -158,6 +177,7 @@ class Arbiter:
         self._link = reason
         if self._axes is not None:
             self.block("the link to the board was lost")
+        self._modes = [None] * AXES
         self._axes = None
         self._torque_constants = None
 
@@ -171,6 +191,8 @@ class Arbiter:
         """Refuse set-points from now on and throw away what is waiting."""
         self._blocked = reason
         self._targets = [None] * AXES
+        for axis in range(AXES):
+            self._leave_path(axis, reason)
 
     @property
     def armed(self) -> bool:
@@ -191,19 +213,39 @@ class Arbiter:
         Rejected
             If any of it must not pass; then nothing has changed.
         """
-        self._check_ready(request)
+        self._check_ready(request.source, request.values)
         targets = {axis: _Target(request.mode, self._raw(request, axis)) for axis in request.values}
         for axis, target in targets.items():
             self._targets[axis] = target
+            self._leave_path(axis, f"a set-point on {request.source} took over")
+
+    def admit(self, source: str, axes: Iterable[int]) -> None:
+        """Check that paths of some axes may be followed: as `submit`, but for the values.
+
+        Raises
+        ------
+        Rejected
+            If not.
+        """
+        self._check_ready(source, axes)
+        for axis in axes:
+            self._targets[axis] = None
+
+    def obeys_points(self, axis: int) -> bool:
+        """Whether an axis has been told to follow timed points."""
+        return self._modes[axis] is Mode.TRAJECTORY
 
     def next_write(self) -> CommandWrite | None:
         """Fetch the next write: modes before set-points, both axes in one write where they share the variable."""
         waiting = {axis: target for axis, target in enumerate(self._targets) if target is not None}
-        changes = {axis: t.mode.value for axis, t in waiting.items() if self._modes[axis] is not t.mode}
+        modes = dict.fromkeys(self._paths.axes if self._paths is not None else (), Mode.TRAJECTORY)
+        modes.update({axis: target.mode for axis, target in waiting.items()})
+        changes = {axis: mode.value for axis, mode in modes.items() if self._modes[axis] is not mode}
         if changes:
             return _joined("cmd.mode", changes)
         if not waiting:
-            return None
+            words = self._paths.next_points() if self._paths is not None else None
+            return None if words is None else CommandWrite(_POINTS, 0, words)
         mode = next(iter(waiting.values())).mode
         together = {axis: target.raw for axis, target in waiting.items() if target.mode is mode}
         for axis in together:
@@ -218,25 +260,31 @@ class Arbiter:
 
     def failed(self, write: CommandWrite) -> None:
         """Note that the board did not take a write: what waited for these axes is void, their mode unknown."""
-        for axis in range(write.first, write.first + len(write.raw)):
-            self._targets[axis] = self._modes[axis] = None
+        for axis in range(AXES):
+            if write.mask >> axis & 1:
+                self._targets[axis] = self._modes[axis] = None
+                self._leave_path(axis, f"the board refused {write.variable}")
 
     # ---- details
-    def _check_ready(self, request: Request) -> None:
+    def _leave_path(self, axis: int, reason: str) -> None:
+        if self._paths is not None and axis in self._paths.axes:
+            self._paths.cancel(axis, reason)
+
+    def _check_ready(self, source: str, axes: Iterable[int]) -> None:
         if self._axes is None:
-            raise Rejected(f"{request.source}: not connected ({self._link}); see state and /diagnostics")
-        for axis in request.values:
+            raise Rejected(f"{source}: not connected ({self._link}); see state and /diagnostics")
+        for axis in axes:
             status, joint = self._axes[axis], self._joints[axis]
             if status.faulted:
                 raise Rejected(
-                    f"{request.source}: {joint} is in FAULT; see /diagnostics for cause and remedy, call clear_faults, "
+                    f"{source}: {joint} is in FAULT; see /diagnostics for cause and remedy, call clear_faults, "
                     "then enable"
                 )
             if self._blocked:
-                raise Rejected(f"{request.source}: {self._blocked}; call the service enable with data: true first")
+                raise Rejected(f"{source}: {self._blocked}; call the service enable with data: true first")
             if not status.spinning:
                 raise Rejected(
-                    f"{request.source}: {joint} is in {status.label}, not in RUN/SPIN; call the service enable with "
+                    f"{source}: {joint} is in {status.label}, not in RUN/SPIN; call the service enable with "
                     "data: true and wait until armed is true"
                 )
 

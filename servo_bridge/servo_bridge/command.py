@@ -3,6 +3,9 @@
 servo-command enable
 servo-command position axis1=6.28 axis2=-6.28
 servo-command velocity axis1=50 --for 2
+servo-command move axis1=31.4 axis2=-31.4 --time 2
+servo-command follow path.csv
+servo-command sine axis1 --amplitude 1 --frequency 2 --for 10
 servo-command quick_stop
 servo-command state
 servo-command set 'param.features[0]=ANTI_WINDUP+POSITION_LIMITS' param.i_q_limit=1.0,1.5
@@ -36,7 +39,10 @@ from servo_msgs_py.convert import parameters_from_message
 from servo_msgs_py.value_text import value_text
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
+from servo_bridge.command_paths import PATH_VERBS, add_path_verbs, run_path
+from servo_bridge.trajectory.errors import TrajectoryError
 from servo_msgs_py import topics
 
 __all__ = ["CommandError", "Commander", "main"]
@@ -219,12 +225,8 @@ class Commander(Node):
         self.create_subscription(
             Float64MultiArray, self._of(topics.COMMANDS_APPLIED), applied.append, topics.telemetry_qos()
         )
-        self.create_subscription(Log, "/rosout", lambda m: self._notice(m, rejected), topics.telemetry_qos())
-        topic = self._of(topics.JOINT_COMMANDS)
-        publisher = self.create_publisher(JointState, topic, topics.command_qos())
-        self.wait_for(publisher.get_subscription_count, f"nobody listens to {topic}")
-        self.wait_for(lambda: self.count_publishers("/rosout") > 1, "the log of the bridge was not found")
-        self._settle()
+        self._listen_to_log("rejected", rejected)
+        publisher = self._publisher(JointState, topics.JOINT_COMMANDS)
         message = JointState(name=list(targets))
         setattr(message, quantity, list(targets.values()))
         end = time.monotonic() + duration
@@ -239,15 +241,55 @@ class Commander(Node):
         if rejected:
             raise CommandError(rejected[0])
 
-    def _notice(self, message: Log, rejected: list[str]) -> None:
-        if message.name.endswith(".servo_bridge") and message.msg.startswith("rejected"):
-            rejected.append(message.msg)
+    def positions(self) -> dict[str, float]:
+        """Where the joints are [rad], by name."""
+        heard: list[JointState] = []
+        topic = self._of(topics.JOINT_STATES)
+        subscription = self.create_subscription(JointState, topic, heard.append, topics.telemetry_qos())
+        self.wait_for(lambda: heard, f"no {topic} were heard")
+        self.destroy_subscription(subscription)
+        return dict(zip(heard[-1].name, heard[-1].position, strict=True))
 
-    def _settle(self) -> None:
-        """Let the new subscriptions be matched: what is published before is not heard."""
-        deadline = time.monotonic() + _MATCH
+    def send_path(self, message: JointTrajectory) -> None:
+        """Publish a trajectory, and return when the bridge follows it.
+
+        Raises
+        ------
+        CommandError
+            If the bridge rejects it, or does not say within the patience that it follows it.
+        """
+        follows: list[str] = []
+        rejected: list[str] = []
+        self._listen_to_log("following a trajectory", follows)
+        self._listen_to_log("rejected", rejected)
+        self._publisher(JointTrajectory, topics.JOINT_TRAJECTORY).publish(message)
+        self.wait_for(lambda: follows or rejected, "the bridge neither followed nor rejected the trajectory")
+        if rejected:
+            raise CommandError(rejected[0])
+
+    def turn(self, seconds: float) -> None:
+        """Let the executor turn for so long."""
+        deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             self._runner.spin_once(timeout_sec=_STEP)
+
+    def _listen_to_log(self, beginning: str, found: list[str]) -> None:
+        """Collect what the bridge logs with this beginning."""
+
+        def take(message: Log) -> None:
+            if message.name.endswith(f".{_BRIDGE}") and message.msg.startswith(beginning):
+                found.append(message.msg)
+
+        self.create_subscription(Log, "/rosout", take, topics.telemetry_qos())
+
+    def _publisher(self, kind: Any, name: str) -> Any:
+        """A publisher that the bridge hears, with the log of the bridge heard, too."""
+        topic = self._of(name)
+        publisher = self.create_publisher(kind, topic, topics.command_qos())
+        self.wait_for(publisher.get_subscription_count, f"nobody listens to {topic}")
+        self.wait_for(lambda: self.count_publishers("/rosout") > 1, "the log of the bridge was not found")
+        self.turn(_MATCH)  # until the new subscriptions are matched: what is published before is not heard
+        return publisher
 
     def close(self) -> None:
         """End the node."""
@@ -340,6 +382,7 @@ def _parser() -> argparse.ArgumentParser:
                 metavar="S",
                 help="repeat for so long (default: 1)",
             )
+    add_path_verbs(verbs, _target)
     return parser
 
 
@@ -347,6 +390,8 @@ def _perform(commander: Commander, args: argparse.Namespace) -> str:
     if args.verb in _QUANTITIES:
         commander.set_points(args.verb, dict(args.targets), args.duration)
         return "took effect"
+    if args.verb in PATH_VERBS:
+        return run_path(commander, args)
     if args.verb == "state":
         return commander.state()
     if args.verb == "set":
@@ -379,7 +424,7 @@ def main(args: Sequence[str] | None = None) -> int:
         commander = Commander(EventsExecutor(), arguments.namespace.rstrip("/"), arguments.wait)
         print(_perform(commander, arguments))
         return 0
-    except (CommandError, NameValidationException, RuntimeError) as error:
+    except (CommandError, NameValidationException, RuntimeError, TrajectoryError) as error:
         print(f"servo-command: {error}", file=sys.stderr)
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -40,6 +40,11 @@ from servo_bridge.publications import Publications
 from servo_bridge.services import DeferredService
 from servo_bridge.setpoint_topics import SetPointTopics
 from servo_bridge.telemetry import Frame, Telemetry
+from servo_bridge.trajectory.check import Limits, require
+from servo_bridge.trajectory.follower import AxisReport, Follower
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory_limits import path_limits
+from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_bridge.variable_topics import VariableTopics
 from servo_bridge.wire.board_clock import BoardClock, WallClock
 from servo_bridge.wire.link import FinalWrite, Link, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
@@ -149,6 +154,18 @@ class ServoBridge(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
         self._health = Health(self._catalogue, self.get_name(), settings.port, self._joints)
         self._set_points = SetPointTopics(self, self._joints, self._arbiter, self._dispatcher.pump, self._warn)
+        self._follower = Follower(self._catalogue, self._joints, self._check_path)
+        self._arbiter.follow(self._follower)
+        self._trajectories = TrajectoryTopics(
+            self,
+            self._joints,
+            self._arbiter,
+            self._follower,
+            self._set_points,
+            limits=self._path_limits,
+            origin_ns=self._origin_ns,
+            say=lambda text: self._log.info(text),
+        )
         self._status = LinkStatus(LinkState.DISCONNECTED, "starting")
         self._frame: Frame | None = None
         self._epoch = 0
@@ -223,10 +240,37 @@ class ServoBridge(Node):
 
         def done(future: Future[WriteResult]) -> None:
             self._inbox.post(partial(self._dispatcher.acknowledged, write, error_of(future)))
+            if write.variable == "cmd.points" and error_of(future) is not None:
+                self._inbox.post(self._tell_refusal)
 
         # A stop must not wait for parameters on a slow line, nor parameters for a stream of set-points.
         urgent = write.variable in _URGENT
         self._link.write_raw(write.variable, write.raw, first=write.first, urgent=urgent).add_done_callback(done)
+
+    def _tell_refusal(self) -> None:
+        """Log why the board has refused timed points."""
+
+        def told(future: Future[Value]) -> None:
+            if error_of(future) is None:
+                reason = self._catalogue.label("point_refusal_t", int(_scalar(future.result())))
+                self._inbox.post(partial(self._warn, f"the board has refused points of a trajectory: {reason}"))
+
+        self._link.read("point_refusal").add_done_callback(told)
+
+    def _path_limits(self) -> list[Limits] | None:
+        values, constants = self._board_parameters.values, self._torque_constants
+        if values is None or constants is None:
+            return None
+        return path_limits(self._catalogue, values, self._settings.limits, constants)
+
+    def _check_path(self, path: Path) -> None:
+        limits = self._path_limits()
+        if limits is not None:
+            require(path, [limits[self._joints.index(joint)] for joint in path.joints])
+
+    def _origin_ns(self) -> int | None:
+        offset = self._board_clock.offset_ns
+        return None if offset is None else self._wall.wall_ns(round(offset))
 
     def _pace_keep_alive(self) -> None:
         # What is wanted may be in force on the board long before it has been read again.
@@ -275,6 +319,7 @@ class ServoBridge(Node):
         self._fault_records.on_frame(frame.tick, frame.faults)
         self._frame = frame
         self._arbiter.board_seen(frame.axes)
+        self._follower.on_sample(frame.tick, self._axis_reports(frame))
         applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
         self._motion.on_frame(frame)
         if applied is not None:
@@ -282,6 +327,16 @@ class ServoBridge(Node):
             self._publications.applied(applied)
         self._publications.sample(frame, stamp, self._torque_constants)
         self._publish_state()
+
+    def _axis_reports(self, frame: Frame) -> list[AxisReport]:
+        lsb = self._catalogue["axis1.position"].lsb
+        return [
+            AxisReport(
+                (status.position if status.position_ref is None else status.position_ref) * lsb,
+                follows=status.position_ref is not None and self._arbiter.obeys_points(axis),
+            )
+            for axis, status in enumerate(frame.axes)
+        ]
 
     def _log_faults(self, frame: Frame) -> None:
         for axis, word in enumerate(frame.faults):
@@ -318,6 +373,7 @@ class ServoBridge(Node):
                 return  # a lost link; they are read again when it is back
             self._torque_constants = [float(_scalar(future.result())) for future in futures]
             self._arbiter.set_torque_constants(self._torque_constants)
+            self._follower.torque_constants = self._torque_constants
 
         # The link works in order: when the last one is done, all are.
         futures[-1].add_done_callback(lambda _: self._inbox.post(take))

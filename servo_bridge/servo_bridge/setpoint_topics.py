@@ -71,12 +71,20 @@ class SetPointTopics:
         try:
             self._arbiter.submit(parse())
         except Rejected as error:
-            self.figures.rejected += 1
-            self.figures.last_rejection = str(error)
-            held = self._throttle.admit(source, time.monotonic())
-            if held is not None:
-                more = f" ({held} more rejections before this one)" if held else ""
-                self._warn(f"rejected, nothing moves because of it: {error}{more}")
-            return
+            self.reject(source, error)
+        else:
+            self.accept()
+
+    def accept(self) -> None:
+        """Count a set-point that was let through and send it."""
         self.figures.accepted += 1
         self._accepted()
+
+    def reject(self, source: str, error: Rejected) -> None:
+        """Count a set-point that was not let through, and say why."""
+        self.figures.rejected += 1
+        self.figures.last_rejection = str(error)
+        held = self._throttle.admit(source, time.monotonic())
+        if held is not None:
+            more = f" ({held} more rejections before this one)" if held else ""
+            self._warn(f"rejected, nothing moves because of it: {error}{more}")

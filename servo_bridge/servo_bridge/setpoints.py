@@ -24,6 +24,7 @@ class Mode(IntEnum):
     POSITION = 0
     SPEED = 1
     TORQUE = 2
+    TRAJECTORY = 3
 
 
 @dataclass(frozen=True)

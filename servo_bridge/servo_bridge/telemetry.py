@@ -139,11 +139,13 @@ class Telemetry:
             counts = raw[at.position] if before is None else unwrap_u32(raw[at.position] & 0xFFFF_FFFF, before)
             self._counts[axis] = counts
             row[at.position] = counts * self._lsb
+            reference = None
             if at.position_ref is not None:
-                row[at.position_ref] = unwrap_u32(raw[at.position_ref] & 0xFFFF_FFFF, counts) * self._lsb
+                reference = unwrap_u32(raw[at.position_ref] & 0xFFFF_FFFF, counts)
+                row[at.position_ref] = reference * self._lsb
             label = state_label(self._catalogue, raw[at.state], raw[at.substate])
             obeys = label in _OBEYS or self._waits(axis, label, sample.tick)
-            axes.append(AxisStatus(label, obeys, label == "FAULT", counts))
+            axes.append(AxisStatus(label, obeys, label == "FAULT", counts, reference))
         return Frame(
             sample.tick,
             sample.epoch,

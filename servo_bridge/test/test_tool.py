@@ -78,7 +78,7 @@ def test_vars(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str])
     assert "rw" in speed
     assert "rad/s" in speed
     assert "-419 .. 419" in speed
-    assert len(lines) == 8
+    assert len(lines) == 9
 
 
 def test_vars_without_a_match(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
@@ -215,7 +215,7 @@ def test_set_refuses(
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--raw", "cmd.mode", "1,9"], "cmd.mode[1]: 9 is outside 0 .. 2"),
+        (["--raw", "cmd.mode", "1,9"], "cmd.mode[1]: 9 is outside 0 .. 3"),
         (["--raw", "cmd.enable[1]", "2"], "cmd.enable[1]: 2 is outside 0 .. 1"),
         (["--raw", "param.monitor[0]", "99"], "param.monitor[0]: 99 is outside 0 .. 15"),
         (["--raw", "param.features[0]", "0x1000"], "param.features[0]: 4096 is outside 0 .. 4095"),

@@ -33,6 +33,7 @@ HEALTHY: Final = "healthy"
 # ---- commands
 JOINT_COMMANDS: Final = "joint_commands"
 COMMANDS: Final = "commands"
+JOINT_TRAJECTORY: Final = "joint_trajectory"
 ENABLE: Final = "enable"
 QUICK_STOP: Final = "quick_stop"
 CLEAR_FAULTS: Final = "clear_faults"

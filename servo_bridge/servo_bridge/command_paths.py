@@ -1,0 +1,165 @@
+"""Paths of ``servo-command``: ``move``, ``follow`` and ``sine``, from the plan to the end of the motion."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Final, Protocol
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from servo_msgs_py.board_parameters import RawParameters
+from servo_msgs_py.catalogue import Catalogue
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from servo_bridge.arbiter import JointLimits
+from servo_bridge.trajectory.check import Limits, require
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.files import read_waypoints
+from servo_bridge.trajectory.path import Path, State
+from servo_bridge.trajectory.shapes import move, sine
+from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory_limits import path_limits
+
+__all__ = ["PATH_VERBS", "PathUser", "add_path_verbs", "path_message", "run_path"]
+
+PATH_VERBS: Final = ("move", "follow", "sine")
+_SAMPLES: Final = 4000  # of a path, for its largest speed and acceleration
+_STEADY: Final = 0.3  # after the end, until the shaft has come to rest [s]
+
+
+class PathUser(Protocol):
+    """What a path needs of a user of the servo."""
+
+    def positions(self) -> dict[str, float]:
+        """Where the joints are [rad]."""
+
+    def parameters(self) -> RawParameters:
+        """Raw parameters of the board."""
+
+    def send_path(self, message: JointTrajectory) -> None:
+        """Publish a trajectory, and return when the bridge follows it."""
+
+    def turn(self, seconds: float) -> None:
+        """Let so much time pass."""
+
+
+def add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser], target: Callable[[str], object]) -> None:
+    """Add the commands that follow a path."""
+    mover = verbs.add_parser("move", help="to positions [rad] in a given time, or as fast as the limits allow")
+    mover.add_argument("targets", nargs="+", type=target, metavar="JOINT=VALUE")
+    mover.add_argument("--time", type=_positive, metavar="S", help="default: the shortest within the limits")
+    follower = verbs.add_parser("follow", help="a path from a .csv (time, joints, <joint>_velocity) or .json file")
+    follower.add_argument("file", metavar="FILE")
+    waver = verbs.add_parser("sine", help="a sine about where the joint is, faded in and out")
+    waver.add_argument("joint", metavar="JOINT")
+    waver.add_argument("--amplitude", type=_positive, required=True, metavar="RAD")
+    waver.add_argument("--frequency", type=_positive, required=True, metavar="HZ")
+    waver.add_argument("--for", dest="duration", type=_positive, default=5.0, metavar="S", help="default: 5")
+    for parser in (mover, follower, waver):
+        parser.add_argument("--dry-run", action="store_true", help="only say what it takes, against the limits")
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
+    return value
+
+
+def path_message(path: Path) -> JointTrajectory:
+    """A path as a message; its first point is left out, for the joints are there."""
+    times = path.times[1:]
+    state = path.state(times)
+    points = []
+    for k, since in enumerate(times - path.start_time):
+        whole, part = divmod(round(since * 1e9), 1_000_000_000)
+        points.append(
+            JointTrajectoryPoint(
+                positions=state.position[k].tolist(),
+                velocities=state.velocity[k].tolist(),
+                accelerations=state.acceleration[k].tolist(),
+                time_from_start=Duration(sec=whole, nanosec=part),
+            )
+        )
+    return JointTrajectory(joint_names=list(path.joints), points=points)
+
+
+def run_path(user: PathUser, args: argparse.Namespace) -> str:
+    """Plan the path of a command line and follow it to its end; returns what to say.
+
+    Raises
+    ------
+    TrajectoryError
+        If there is no such path, or it leaves the limits; nothing has moved then.
+    """
+    positions = user.positions()
+    joints = list(positions)
+    limits = dict(zip(joints, _limits(user.parameters(), len(joints)), strict=True))
+    path = _plan(args, positions, limits)
+    require(path, [limits[joint] for joint in path.joints])
+    report = _report(path, limits)
+    if args.dry_run:
+        return report
+    print(report)
+    user.send_path(path_message(path))
+    try:
+        _wait(user, path.duration)
+    except KeyboardInterrupt:
+        user.send_path(JointTrajectory(joint_names=list(path.joints)))
+        raise
+    reached = user.positions()
+    parts = (f"{joint} at {reached[joint]:.4f} rad" for joint in path.joints)
+    return f"done: {', '.join(parts)}"
+
+
+def _limits(raw: RawParameters, joints: int) -> list[Limits]:
+    return path_limits(Catalogue.load(), raw, [JointLimits()] * joints, [math.inf] * joints)
+
+
+def _plan(args: argparse.Namespace, positions: dict[str, float], limits: dict[str, Limits]) -> Path:
+    if args.verb == "move":
+        targets = dict(args.targets)
+        _check_joints(targets, positions)
+        start, goal = ([source[joint] for joint in targets] for source in (positions, targets))
+        return move(list(targets), start, goal, args.time, [limits[joint] for joint in targets])
+    if args.verb == "sine":
+        _check_joints([args.joint], positions)
+        return sine(args.joint, positions[args.joint], args.amplitude, args.frequency, args.duration)
+    waypoints = read_waypoints(args.file, list(positions))
+    return path_through(waypoints, State.at_rest([positions[joint] for joint in waypoints.joints]))
+
+
+def _check_joints(names: Sequence[str] | dict[str, float], positions: dict[str, float]) -> None:
+    unknown = [name for name in names if name not in positions]
+    if unknown:
+        raise TrajectoryError(f"joint {unknown[0]!r} does not exist; the joints are {', '.join(positions)}")
+
+
+def _report(path: Path, limits: dict[str, Limits]) -> str:
+    state = path.state(np.linspace(path.start_time, path.end_time, _SAMPLES))
+    lines = [f"{path.duration:g} s"]
+    for k, joint in enumerate(path.joints):
+        speed, acceleration = (np.abs(x[:, k]).max() for x in (state.velocity, state.acceleration))
+        lines.append(
+            f"  {joint}: to {path.end[k]:g} rad, at most {speed:.4g} of {limits[joint].velocity_max:.4g} rad/s, "
+            f"{acceleration:.4g} of {limits[joint].acceleration_max:.4g} rad/s^2"
+        )
+    return "\n".join(lines)
+
+
+def _wait(user: PathUser, duration: float) -> None:
+    begin = time.monotonic()
+    while (passed := time.monotonic() - begin) < duration + _STEADY:
+        user.turn(min(0.1, duration + _STEADY - passed))
+        if sys.stderr.isatty():
+            done = min(passed / duration, 1.0)
+            print(f"\r{100.0 * done:3.0f} %", end="", file=sys.stderr, flush=True)
+    if sys.stderr.isatty():
+        print("\r     \r", end="", file=sys.stderr, flush=True)

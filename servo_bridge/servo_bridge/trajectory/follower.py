@@ -1,0 +1,244 @@
+"""Paths on their way to the board: which points it gets when, as far ahead as its queues allow. Pure.
+
+Times are board time: PWM periods since reset, extended past 32 bits, or the same in seconds. Every axis has a path of
+its own. A new one replaces it a moment later, with the state that the old one has then.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
+
+from servo_bridge.trajectory.blend import spliced
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.merge import merged
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.timed_points import PERIOD, timed_points
+
+__all__ = ["LEAD", "AxisReport", "Follower", "Plan"]
+
+LEAD: Final = 0.06
+"""From the newest telemetry to the first point [s]: a sample on its way, two writes, and the board's own 1.5 ms."""
+
+_SOON: Final = 0.2
+"""How long before its start a path is worked out and sent [s]; until then a path that runs goes on."""
+
+_QUEUE: Final = 14
+"""Points that an axis of the board holds ahead; its queue has 16."""
+
+Plan = Callable[[Path, float], Path]
+"""Makes a path that begins at a time [s] or later, from the one that all joints follow until then; raises
+`TrajectoryError`."""
+
+
+@dataclass(frozen=True)
+class AxisReport:
+    """What the newest sample says of an axis that may follow a path.
+
+    Attributes
+    ----------
+    position_ref : float
+        Where the axis is meant to be [rad].
+    follows : bool
+        The axis is in mode TRAJECTORY and has been for this sample.
+    """
+
+    position_ref: float
+    follows: bool
+
+
+@dataclass
+class _Axis:
+    """Path of one axis and what is left to be sent of it."""
+
+    path: Path | None = None
+    position_ref: float = 0.0
+    waiting: deque[TimedPoint] = field(default_factory=deque)
+    ticks: deque[int] = field(default_factory=deque)  # of `waiting`, extended
+    sent: deque[int] = field(default_factory=deque)  # ticks of points that the board has and has not passed
+    held: float | None = None  # position reference of the last sample, while the axis follows no path
+
+
+@dataclass
+class _Request:
+    joints: tuple[int, ...]
+    plan: Plan
+    start: float
+    begun: Callable[[float], None]
+    refused: Callable[[TrajectoryError], None]
+
+
+class Follower:
+    """Paths of all axes of one board.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Scales of the points.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    check : callable
+        Raises `TrajectoryError` for a path that may not be followed.
+    """
+
+    def __init__(self, catalogue: Catalogue, joints: Sequence[str], check: Callable[[Path], None]) -> None:
+        self._catalogue = catalogue
+        self._joints = list(joints)
+        self._check = check
+        self._axes = [_Axis() for _ in range(AXES)]
+        self._request: _Request | None = None
+        self._now = 0
+        self.torque_constants: Sequence[float] | None = None
+
+    # ---- requests
+    def request(
+        self,
+        joints: Sequence[str],
+        plan: Plan,
+        begun: Callable[[float], None],
+        refused: Callable[[TrajectoryError], None],
+        start: float = 0.0,
+    ) -> None:
+        """Follow another path as soon as the axes can; a request that still waits is replaced.
+
+        Parameters
+        ----------
+        joints : sequence of str
+            Joints of the path.
+        plan : Plan
+            Makes it, once the state is known from which it begins.
+        begun : callable
+            Called with the end of the path [s] when its first points are to be sent.
+        refused : callable
+            Called instead when it is not to be.
+        start : float
+            Begin no sooner than that [s].
+        """
+        if self._request is not None:
+            self._request.refused(TrajectoryError("another trajectory came before this one could begin"))
+        axes = tuple(self._joints.index(joint) for joint in joints)
+        self._request = _Request(axes, plan, start, begun, refused)
+
+    def cancel(self, axis: int, reason: str) -> None:
+        """Forget the path of an axis, and the request that names it."""
+        self._axes[axis] = _Axis()
+        request = self._request
+        if request is not None and axis in request.joints:
+            self._request = None
+            request.refused(TrajectoryError(reason))
+
+    @property
+    def axes(self) -> frozenset[int]:
+        """Axes that have to be in mode TRAJECTORY."""
+        wanted = set(self._request.joints) if self._request is not None else set()
+        return frozenset(wanted | {axis for axis, one in enumerate(self._axes) if one.path is not None})
+
+    def paths(self) -> Mapping[str, Path]:
+        """Path of every joint that has one."""
+        return {self._joints[axis]: one.path for axis, one in enumerate(self._axes) if one.path is not None}
+
+    # ---- what the board says
+    def on_sample(self, tick: int, reports: Sequence[AxisReport]) -> None:
+        """Take a sample: go on, and begin what has waited for it.
+
+        Parameters
+        ----------
+        tick : int
+            Extended tick of the sample.
+        reports : sequence of AxisReport
+            Per axis.
+        """
+        self._now = tick
+        for one in self._axes:
+            while one.sent and one.sent[0] <= tick:
+                one.sent.popleft()
+            if one.path is not None and not one.waiting and tick * PERIOD > one.path.end_time + LEAD:
+                one.path = None
+        if self._request is not None and self._ready(self._request, reports):
+            self._begin(self._request)
+        for one, report in zip(self._axes, reports, strict=True):
+            one.held = report.position_ref if report.follows and one.path is None else None
+            one.position_ref = report.position_ref
+
+    def _ready(self, request: _Request, reports: Sequence[AxisReport]) -> bool:
+        """Whether every axis follows a path, or holds a position that has not changed since the last sample."""
+        if self._now * PERIOD + _SOON < request.start:
+            return False
+        return all(
+            reports[axis].follows
+            and (self._axes[axis].path is not None or self._axes[axis].held == reports[axis].position_ref)
+            for axis in request.joints
+        )
+
+    def running(self) -> Path:
+        """What all joints follow; those without a path hold where they are meant to be."""
+        time = self._now * PERIOD
+        return merged(
+            [
+                Path.hold([joint], [one.position_ref], time) if one.path is None else one.path
+                for joint, one in zip(self._joints, self._axes, strict=True)
+            ]
+        )
+
+    def _begin(self, request: _Request) -> None:
+        self._request = None
+        time = (self._now + round(LEAD / PERIOD)) * PERIOD
+        try:
+            path = request.plan(self.running(), time)
+            self._check(path)
+            points = timed_points(path)
+        except TrajectoryError as error:
+            request.refused(error)
+            return
+        for axis in map(self._joints.index, path.joints):
+            joint = self._joints[axis]
+            one, mine = self._axes[axis], points[joint]
+            self._drop_from(one, int(mine.periods[0]))
+            constant = self._torque_constant(axis)
+            for k, period in enumerate(mine.periods.tolist()):
+                point = TimedPoint(
+                    axis,
+                    period % (1 << 32),
+                    float(mine.positions[k]),
+                    float(mine.velocities[k]),
+                    float(mine.efforts[k]) / constant if mine.efforts[k] else 0.0,
+                    replaces=k == 0,
+                )
+                one.waiting.append(point)
+                one.ticks.append(period)
+            own = path.select([joint])
+            one.path = own if one.path is None else spliced(one.path, own, time)
+        request.begun(path.end_time)
+
+    def _torque_constant(self, axis: int) -> float:
+        constants = self.torque_constants
+        return constants[axis] if constants is not None and constants[axis] > 0.0 else 1.0
+
+    @staticmethod
+    def _drop_from(one: _Axis, tick: int) -> None:
+        """The board drops what it has from the first new point on."""
+        while one.ticks and one.ticks[-1] >= tick:
+            one.ticks.pop()
+            one.waiting.pop()
+        while one.sent and one.sent[-1] >= tick:
+            one.sent.pop()
+
+    # ---- to the board
+    def next_points(self) -> tuple[int, ...] | None:
+        """Words of the next points, the earliest first, as many as one write and the queues of the board hold."""
+        chosen: list[TimedPoint] = []
+        while len(chosen) < POINTS_TOGETHER:
+            ready = [one for one in self._axes if one.waiting and len(one.sent) < _QUEUE]
+            if not ready:
+                break
+            one = min(ready, key=lambda candidate: candidate.ticks[0])
+            if one.waiting[0].replaces and any(point.axis == one.waiting[0].axis for point in chosen):
+                break  # a point that replaces others is the first of its axis in a write
+            chosen.append(one.waiting.popleft())
+            one.sent.append(one.ticks.popleft())
+        return tuple(encode_points(self._catalogue, chosen)) if chosen else None

@@ -1,0 +1,52 @@
+"""Paths of single joints as one path of them all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import comb
+
+import numpy as np
+
+from servo_bridge.trajectory.path import DEGREE, Path
+from servo_bridge.trajectory.waypoints import Array
+
+__all__ = ["merged"]
+
+
+def merged(paths: Sequence[Path]) -> Path:
+    """The same motions, with the breakpoints of every path.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Of different joints.
+
+    Returns
+    -------
+    Path
+        Joints in the order of the paths. Before its start and past its end each one holds, as it does by itself.
+    """
+    times = np.unique(np.concatenate([path.times for path in paths]))
+    begins = times[:-1]
+    return Path(
+        [joint for path in paths for joint in path.joints],
+        times,
+        np.concatenate([_pieces(path, begins) for path in paths], axis=1),
+        np.concatenate([path.end for path in paths]),
+        np.concatenate([path.state(times).effort for path in paths], axis=1),
+    )
+
+
+def _pieces(path: Path, begins: Array) -> Array:
+    """Coefficients of the pieces of a path that begin at these times, of shape (times, joints, 6)."""
+    last = len(path.times) - 2
+    piece = np.clip(np.searchsorted(path.times, begins, side="right") - 1, 0, last)
+    old, s = path.coefficients[piece], (begins - path.times[piece])[:, None]
+    shifted = np.zeros_like(old)
+    for k in range(DEGREE + 1):
+        for j in range(k, DEGREE + 1):
+            shifted[..., k] += comb(j, k) * old[..., j] * s ** (j - k)
+    outside = (begins < path.start_time) | (begins >= path.end_time)
+    shifted[outside] = 0.0
+    shifted[outside, :, 0] = path.state(begins[outside]).position
+    return shifted

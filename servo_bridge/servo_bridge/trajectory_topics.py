@@ -1,0 +1,98 @@
+"""The topic that takes trajectories: form, limits, and a sentence for everything that is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory
+
+from servo_bridge.arbiter import Arbiter
+from servo_bridge.setpoint_topics import SetPointTopics
+from servo_bridge.setpoints import Rejected
+from servo_bridge.trajectory.check import Limits
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.follower import Follower
+from servo_bridge.trajectory.from_message import from_message
+from servo_bridge.trajectory.path import Path
+from servo_msgs_py import topics
+
+__all__ = ["TrajectoryTopics"]
+
+
+class TrajectoryTopics:
+    """Subscription of trajectories.
+
+    Parameters
+    ----------
+    node : Node
+        Owner.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    arbiter : Arbiter
+        Lets a trajectory through or not.
+    follower : Follower
+        Brings it to the board.
+    set_points : SetPointTopics
+        Counts what is accepted and rejected, and says why.
+    limits : callable
+        Limits of every joint in force; None while the board has not told them.
+    origin_ns : callable
+        ROS time at which the board was at tick 0 [ns]; None before the first sample.
+    say : callable
+        Gets a sentence for the log.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        joints: Sequence[str],
+        arbiter: Arbiter,
+        follower: Follower,
+        set_points: SetPointTopics,
+        *,
+        limits: Callable[[], Sequence[Limits] | None],
+        origin_ns: Callable[[], int | None],
+        say: Callable[[str], None],
+    ) -> None:
+        self._joints = joints
+        self._arbiter = arbiter
+        self._follower = follower
+        self._set_points = set_points
+        self._limits = limits
+        self._origin_ns = origin_ns
+        self._say = say
+        node.create_subscription(JointTrajectory, topics.JOINT_TRAJECTORY, self._on_trajectory, topics.command_qos())
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        source = topics.JOINT_TRAJECTORY
+        try:
+            self._request(source, message)
+        except Rejected as error:
+            self._set_points.reject(source, error)
+        else:
+            self._set_points.accept()
+
+    def _request(self, source: str, message: JointTrajectory) -> None:
+        joints = [joint for joint in self._joints if joint in message.joint_names or not message.joint_names]
+        self._arbiter.admit(source, [self._joints.index(joint) for joint in joints])
+        limits, origin_ns = self._limits(), self._origin_ns()
+        if limits is None or origin_ns is None:
+            raise TrajectoryError(f"{source}: the board has not told its limits yet; try again in a second")
+        deceleration = [limit.acceleration_max for limit in limits]
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+
+        def plan(running: Path, now: float) -> Path:
+            return from_message(message, running, now, origin_ns, deceleration, source=source)
+
+        # What is wrong with it by itself is said at once, and not when the axes are ready for it.
+        running = self._follower.running()
+        plan(running, running.start_time)
+        self._follower.request(
+            joints,
+            plan,
+            begun=lambda end: self._say(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s"),
+            refused=lambda error: self._set_points.reject(source, error),
+            start=(stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else 0.0,
+        )

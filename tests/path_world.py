@@ -1,0 +1,134 @@
+"""Arbiter, dispatcher and follower of the bridge on a virtual board, in simulated time. For tests and benches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite, JointLimits
+from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.trajectory.check import require
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.follower import AxisReport, Follower, Plan
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory_limits import path_limits
+from servo_msgs_py.board_parameters import parameters
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name, numbers
+from servo_msgs_py.convert import state_label
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.board import Board
+from servo_twin.simulation import enable
+
+CATALOGUE: Final = Catalogue.load()
+JOINTS: Final = ("axis1", "axis2")
+COUNT: Final = CATALOGUE["axis1.position"].lsb
+SAMPLE_NS: Final = 10_000_000
+"""Between two samples of the telemetry."""
+
+
+class PathWorld:
+    """One board, and what brings it paths.
+
+    Parameters
+    ----------
+    board : Board
+        Just switched on.
+    held_back : bool
+        Let no write through: the bridge is dead.
+    """
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self.troubles: list[str] = []
+        self.ends: list[float] = []
+        self.refusals: list[TrajectoryError] = []
+        self.held_back = False
+        self.log: list[NDArray[np.void]] = []
+        self.arbiter = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * AXES)
+        self.follower = Follower(CATALOGUE, JOINTS, self._check)
+        self.arbiter.follow(self.follower)
+        self._acknowledge: list[tuple[CommandWrite, str | None]] = []
+        self.dispatcher = Dispatcher(self._send, self.arbiter, self.troubles.append)
+        enable(board)
+        constants = [numbers(board.read(f"{axis_name(axis)}.torque_constant"))[0] for axis in range(AXES)]
+        self.arbiter.set_torque_constants(constants)
+        self.follower.torque_constants = constants
+        self.limits = path_limits(
+            CATALOGUE,
+            {v.name: board.read_raw(v.name) for v in parameters(CATALOGUE)},
+            self.arbiter.limits,
+            constants,
+        )
+        self.arbiter.release()
+        self.dispatcher.open()
+        self.run(0.05)
+
+    def _check(self, path: Path) -> None:
+        require(path, [self.limits[JOINTS.index(joint)] for joint in path.joints])
+
+    def _send(self, write: CommandWrite) -> None:
+        if self.held_back:
+            return
+        variable = CATALOGUE[write.variable]
+        raw = [*write.raw, *[0] * (variable.count - write.first - len(write.raw))]
+        data = variable.encode_raw([0] * write.first + raw)
+        begin, end = (k * variable.element_size for k in (write.first, write.first + len(write.raw)))
+        error = None
+        try:
+            self.board.write_memory(self.board.address(write.variable) + begin, data[begin:end])
+        except ValueError as refusal:
+            error = f"{refusal} {self.board.read_raw('point_refusal')}"
+        self._acknowledge.append((write, error))
+
+    def follow(self, plan: Plan, joints: Sequence[str] = JOINTS, start: float = 0.0) -> None:
+        """Ask for a path."""
+        self.arbiter.admit("test", [JOINTS.index(joint) for joint in joints])
+        self.follower.request(joints, plan, self.ends.append, self.refusals.append, start)
+        self.dispatcher.pump()
+
+    @property
+    def now(self) -> float:
+        """Board time [s]."""
+        return self.board.time_ns * 1e-9
+
+    def run(self, seconds: float) -> None:
+        """Run the board with samples."""
+        end = self.board.time_ns + round(seconds * 1e9)
+        while self.board.time_ns < end:
+            self.log.append(self.board.record(min(self.board.time_ns + SAMPLE_NS, end)))
+            for write, error in self._acknowledge:
+                self.dispatcher.acknowledged(write, error)
+            self._acknowledge.clear()
+            self._sample(self.log[-1][-1])
+
+    def run_until(self, condition: Callable[[], bool], seconds: float) -> None:
+        """Run until a condition holds; fails after so many seconds."""
+        end = self.now + seconds
+        while not condition():
+            assert self.now < end, f"not within {seconds} s"
+            self.run(SAMPLE_NS * 1e-9)
+
+    def _sample(self, row: np.void) -> None:
+        axes, reports = [], []
+        for axis in range(AXES):
+            name = axis_name(axis)
+            label = state_label(CATALOGUE, int(row[f"{name}.state"]), int(row[f"{name}.substate"]))
+            reference = int(row[f"{name}.position_ref"])
+            position = int(row[f"{name}.position"])
+            axes.append(AxisStatus(label, label == "RUN/SPIN", label == "FAULT", position, reference))
+            reports.append(AxisReport(reference * COUNT, self.arbiter.obeys_points(axis)))
+        tick = int(row["tick"])
+        self.arbiter.board_seen(axes)
+        self.follower.on_sample(tick, reports)
+        self.dispatcher.on_sample(tick, int(row["applied_tick"]), int(row["applied_count"]))
+
+    def table(self) -> NDArray[np.void]:
+        """Everything that was recorded."""
+        return np.concatenate(self.log)
+
+    def time(self) -> NDArray[np.float64]:
+        """Board time of its rows [s]."""
+        result: NDArray[np.float64] = self.table()["tick"] * (PERIOD_NS * 1e-9)
+        return result

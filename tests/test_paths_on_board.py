@@ -1,0 +1,109 @@
+"""Paths that the bridge brings to the board: followed in time, blended, refused, ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from path_world import COUNT, JOINTS, PathWorld
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.shapes import lissajous, move
+from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.waypoints import Waypoints
+from servo_twin.board import Board
+
+
+@pytest.fixture(params=["ideal", "registers"])
+def world(request: pytest.FixtureRequest) -> Iterator[PathWorld]:
+    with Board(seed=4, level=request.param) as board:
+        yield PathWorld(board)
+
+
+def moved(running: Path, now: float, path: Path) -> Path:
+    """A path about 0 that begins now, where the joints are."""
+    shifted = path.shifted(now)
+    at = running.select(path.joints).state(now).position
+    coefficients = shifted.coefficients.copy()
+    coefficients[..., 0] += at
+    return Path(path.joints, shifted.times, coefficients, shifted.end + at)
+
+
+def circle(running: Path, now: float) -> Path:
+    """2 Hz, 1 rad on both axes."""
+    return moved(running, now, lissajous(JOINTS, [0.0, 0.0], [1.0, 1.0], [2.0, 2.0], 3.0))
+
+
+def errors(world: PathWorld, path: Path) -> np.ndarray:
+    """Largest distance of each joint from the path, while it lasts [rad]."""
+    time = world.time()
+    rows = (time >= path.start_time) & (time <= path.end_time)
+    wanted = path.state(time[rows]).position
+    table = world.table()[rows]
+    return np.array(
+        [np.abs(table[f"{joint}.position"] * COUNT - wanted[:, k]).max() for k, joint in enumerate(path.joints)]
+    )
+
+
+def test_a_circle_is_followed_in_time(world: PathWorld) -> None:
+    paths: list[Path] = []
+
+    def plan(running: Path, now: float) -> Path:
+        paths.append(circle(running, now))
+        return paths[-1]
+
+    world.follow(plan)
+    world.run(3.3)
+    assert not world.refusals
+    assert not world.troubles
+    (path,) = paths
+    assert errors(world, path).max() <= 0.02
+    table = world.table()
+    for joint in JOINTS:
+        assert np.ptp(table[f"{joint}.position"]) * COUNT > 1.95
+        assert table[f"{joint}.points_late"][-1] == 0
+        assert abs(table[f"{joint}.position_ref"][-1] * COUNT - path.end[JOINTS.index(joint)]) <= COUNT
+        assert not table[f"{joint}.faults"].any()
+
+
+def test_another_path_takes_over_without_a_step(world: PathWorld) -> None:
+    world.follow(circle)
+    world.run(1.2)
+
+    def back(running: Path, now: float) -> Path:
+        state = running.state(now)
+        assert np.abs(state.velocity).max() > 1.0
+        return path_through(Waypoints.of(JOINTS, [now + 0.5], [[0.5, -0.5]]), state, now)
+
+    world.follow(back)
+    world.run(1.0)
+    assert not world.refusals
+    assert not world.troubles
+    table = world.table()
+    for joint, end in zip(JOINTS, (0.5, -0.5), strict=True):
+        speed = np.diff(table[f"{joint}.position_ref"] * COUNT) / 0.5e-3
+        assert np.abs(np.diff(speed)).max() * 2000.0 < 2.0 * COUNT / 0.5e-3**2 + 1000.0
+        assert table[f"{joint}.position_ref"][-1] * COUNT == pytest.approx(end, abs=COUNT)
+
+
+def test_a_path_beyond_a_limit_moves_nothing(world: PathWorld) -> None:
+    def plan(running: Path, now: float) -> Path:
+        return moved(running, now, move(JOINTS, [0.0, 0.0], [200.0, 1.0], 0.2))
+
+    world.follow(plan)
+    world.run(0.5)
+    (refusal,) = world.refusals
+    assert "axis1" in str(refusal)
+    assert np.ptp(world.table()["axis2.position_ref"]) <= 2
+
+
+def test_a_bridge_that_dies_leaves_a_controlled_stop(world: PathWorld) -> None:
+    world.follow(circle)
+    world.run(1.0)
+    world.held_back = True
+    world.run(1.0)
+    table = world.table()
+    for joint in JOINTS:
+        assert table[f"{joint}.limits"][-1] & 0x100
+        assert table[f"{joint}.speed_ref"][-1] == 0
+        assert not table[f"{joint}.faults"].any()
