@@ -215,8 +215,9 @@ class AvrProgram:
         return "\n".join(line for line in lines if not line.startswith("Loaded ")) + "\n"
 
     def _needed(self, image: bytes) -> list[Path]:
-        """Objects without the arithmetic, if the image is a recording."""
-        return [path for path in self.objects if image.startswith(ARITHMETIC_NAME) or path.stem != "native_arithmetic"]
+        """Objects without the arithmetic, if the image is a recording; else without the replay."""
+        unwanted = "native_replay" if image.startswith(ARITHMETIC_NAME) else "native_arithmetic"
+        return [path for path in self.objects if path.stem != unwanted]
 
 
 def _check_data(elf: Path) -> None:

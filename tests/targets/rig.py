@@ -9,6 +9,7 @@ from typing import Any, Final
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.commands import Request
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_twin.board_memory import BoardMemory
 from servo_twin.harm import Harm
 from servo_twin.plant import PlantConfig
@@ -131,6 +132,25 @@ class Rig:
         """Write the raw numbers of a variable; the board refuses those outside its range."""
         self.request(commands.write_memory(self.address(name), self._catalogue[name].encode_raw(raw)))
         self.written.append((name, raw))
+
+    def points(self, *points: TimedPoint) -> None:
+        """Write timed points; the board may refuse them."""
+        words = encode_points(self._catalogue, points)
+        self.words(*words)
+
+    def words(self, *words: int) -> None:
+        """Write the first words of timed points, whole ones or not."""
+        data = b"".join(word.to_bytes(4, "little", signed=True) for word in words)
+        self.request(commands.write_memory(self.address("cmd.points"), data))
+        self.written.append(("cmd.points", words))
+
+    def points_together(self, *writes: Sequence[TimedPoint]) -> None:
+        """Write timed points with nothing between the requests."""
+        frames = b""
+        for points in writes:
+            data = b"".join(word.to_bytes(4, "little", signed=True) for word in encode_points(self._catalogue, points))
+            frames += commands.write_memory(self.address("cmd.points"), data).frame
+        self.send(frames)
 
     # ---- looking ----------------------------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ STRICT: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 """Options of every compiler: nowhere in the core does a number change its type unseen."""
 
 _FOLDERS: Final = ("firmware", "servo_twin/native", "tests/targets/native", "tests/bench/native")
-_REPLAY: Final = ("replay", "replay_hal", "arithmetic", "digest", "trace_model", "trace_reader", "text")
+_REPLAY: Final = ("replay_main", "replay", "replay_hal", "arithmetic", "digest", "trace_model", "trace_reader", "text")
 _IDEAL_BOARD: Final = ("board", "board_ideal", "ideal_chip", "uart")
 """Of the virtual board's two levels the one that stands on hal.h itself."""
 _RECORDER: Final = ("recorder", "arithmetic", "digest", "trace_model", "trace_writer")

@@ -1,8 +1,6 @@
-/* replay.c - feed a recording to the core, or numbers to its functions, and print check values of all that comes out.
+/* replay.c - feed a recording to the core, and print check values of all that comes out.
  *
- * The image is a recording (trace.h), or "SRVA", the seed and the rounds of the arithmetic as 32-bit numbers, low byte
- * first.
- *   =VALUE        after every so many periods; for every group of functions
+ *   =VALUE        after every so many periods
  *   ?PERIOD ...   each call of the periods to be printed: kind, axis, words left, words missing, words out
  *   !FIELD VALUE  after such a call: the snapshot's scalars by their index in the table of variables
  *   end VALUE     over everything
@@ -10,15 +8,11 @@
 #include <stddef.h>
 
 #include "app/variables.h"
-#include "arithmetic.h"
 #include "digest.h"
 #include "machine.h"
+#include "replay.h"
 #include "replay_hal.h"
 #include "text.h"
-
-/* A machine with little memory has the arithmetic only where the image asks for it. */
-#pragma weak arithmetic_groups
-#pragma weak arithmetic_digest
 
 static servo_t servo;
 static hal_t hal;
@@ -50,8 +44,11 @@ static void print_snapshot(void)
     }
 }
 
-static void replay(void)
+bool replay_recording(void)
 {
+    if (!trace_reader_open(&reader, machine_image)) {
+        return false;
+    }
     digest_init(&digest);
     while (trace_reader_next(&reader, &call)) {
         const uint32_t period = digest.periods;
@@ -75,38 +72,5 @@ static void replay(void)
         }
     }
     text_long("end ", digest.value, "\n");
-}
-
-static uint32_t number(uint32_t at)
-{
-    uint32_t value = 0;
-    for (uint16_t i = 4; i > 0U; i--) {
-        value = value << 8 | machine_image(at + i - 1U);
-    }
-    return value;
-}
-
-static void arithmetic(void)
-{
-    uint32_t value = DIGEST_START;
-    for (uint16_t group = 0; group < arithmetic_groups(); group++) {
-        const uint32_t sum = arithmetic_digest(group, number(4), number(8));
-        text_long("=", sum, "\n");
-        value = digest_long(value, sum);
-    }
-    text_long("end ", value, "\n");
-}
-
-int main(void)
-{
-    machine_start();
-    if (trace_reader_open(&reader, machine_image)) {
-        replay();
-    } else if (number(0) == UINT32_C(0x41565253) && arithmetic_groups != NULL) {
-        arithmetic();
-    } else {
-        machine_print("nothing to replay\n");
-        machine_stop(2);
-    }
-    machine_stop(0);
+    return true;
 }

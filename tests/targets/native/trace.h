@@ -32,7 +32,7 @@
 typedef struct {
     uint16_t last;
     uint16_t step;     /* last difference */
-    uint16_t error[2]; /* eight times the mean error of "same value" and of "same step" */
+    uint8_t error[2]; /* eight times the mean folded error of "same value" and of "same step", see trace_model.c */
 } trace_word_t;
 
 typedef struct {

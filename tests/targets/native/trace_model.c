@@ -31,9 +31,25 @@ uint16_t trace_word_prediction(const trace_word_t *word)
     return (word->error[1] < word->error[0]) ? (uint16_t)(word->last + word->step) : word->last;
 }
 
+/* Errors have five significant bits, which saves memory on a small machine: up to 31 exact, then 1xxxx << e as
+ * 16 (e + 1) + xxxx. */
+static uint16_t wide(uint8_t error)
+{
+    return (uint16_t)((error < 16U) ? error : ((16U + (error & 15U)) << ((error >> 4) - 1U)));
+}
+
+static uint8_t narrow(uint16_t error)
+{
+    uint16_t exponent = 0;
+    for (; error >= 32U; error >>= 1) {
+        exponent++;
+    }
+    return (uint8_t)((error < 16U) ? error : 16U * exponent + error);
+}
+
 static uint16_t least_error(const trace_word_t *word)
 {
-    return (word->error[1] < word->error[0]) ? word->error[1] : word->error[0];
+    return wide((word->error[1] < word->error[0]) ? word->error[1] : word->error[0]);
 }
 
 bool trace_word_quiet(const trace_word_t *word) { return least_error(word) < 8U; }
@@ -48,13 +64,14 @@ uint16_t trace_word_parameter(const trace_word_t *word)
     return parameter;
 }
 
-static void average(uint16_t *error, uint16_t value, uint16_t prediction)
+static void average(uint8_t *error, uint16_t value, uint16_t prediction)
 {
+    const uint16_t before = wide(*error);
     const uint16_t up = (uint16_t)(value - prediction);
     const uint16_t down = (uint16_t)(prediction - value);
     const uint16_t distance = (up < down) ? up : down;
     const uint16_t folded = (distance < ERROR_MOST / 2) ? (uint16_t)(2U * distance) : (uint16_t)ERROR_MOST;
-    *error = (uint16_t)(*error - *error / 8U + folded);
+    *error = narrow((uint16_t)(before - before / 8U + folded));
 }
 
 void trace_word_learn(trace_word_t *word, uint16_t value)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from targets.rig import Rig
-from targets.scenarios.parts import FAR, POSITION, SPEED, TORQUE, ends, features, ready, spin, stop
+from servo_msgs_py.timed_points import TimedPoint
+
+from targets.rig import Rig, RigError
+from targets.scenarios.parts import FAR, POSITION, SPEED, TORQUE, TRAJECTORY, ends, features, ready, spin, stop
 
 
 def start_to_stop(rig: Rig) -> None:
@@ -159,3 +161,56 @@ def soft_limits(rig: Rig) -> None:
         rig.run(0.002)
     rig.set("param.features", features())
     rig.run(0.002)
+
+
+def trajectory(rig: Rig) -> None:
+    """Timed points: followed, replaced, refused for each reason, reached at rest, and wanting in motion."""
+    spin(rig)
+    rig.points(TimedPoint(0, 8, 0.0, 0.0))  # refused: the mode is another one
+    rig.set("cmd.mode", TRAJECTORY)
+    rig.set("param.features", features("POSITION_LIMITS"), features("STARVED", "FRICTION", "FOLLOWING_ERROR"))
+    rig.set("param.position_min", -2.0)
+    rig.set("param.position_max", 2.0)
+    rig.run(0.01)
+    here = [rig.get(f"axis{k}.position_ref") for k in (1, 2)]
+
+    def point(
+        axis: int, later: int, way: float, speed: float = 0.0, current: float = 0.0, replaces: bool = False
+    ) -> TimedPoint:
+        return TimedPoint(axis, round(rig.get("tick")) + later, here[axis] + way, speed, current, replaces)
+
+    def refused(*points: TimedPoint) -> None:
+        before = rig.get("points_refused")
+        rig.points(*points)
+        rig.run(0.001)  # until the next snapshot
+        if rig.get("points_refused") == before:
+            raise RigError(f"{points} were not refused")
+
+    rig.points(point(0, 320, 0.1, 10.0, 0.1), point(1, 320, -0.1, -10.0), point(0, 487, 0.2, 8.0))
+    rig.run(0.01)
+    refused(point(1, 8, 0.0))  # in the past
+    refused(point(0, 600, 0.2), point(0, 600, 0.2))  # not later
+    refused(point(0, 800, 0.2), point(0, 808, 0.2))  # too soon after
+    refused(point(0, 2_000_000, 0.2))  # too late after
+    refused(point(0, 800, 500_000.0))  # too far
+    refused(point(0, 800, 30.0))  # too fast between
+    refused(point(0, 800, 0.2, 400.0))  # too fast
+    refused(point(0, 1600, 0.2, 100.0), point(0, 1632, 0.2))  # too much acceleration
+    refused(point(0, 3200, 3.0))  # beyond the soft limits
+    refused(point(0, 600, 0.2), point(0, 700, 0.2, replaces=True))  # replaces, but is not the first
+    rig.points(point(0, 640, 0.1, replaces=True), point(0, 800, 0.1))
+    rig.points(*(point(0, 900 + 100 * k, 0.1) for k in range(8)))
+    refused(*(point(0, 2000 + 100 * k, 0.1) for k in range(8)))  # no room
+    rig.words(0, 0)
+    rig.words(0, 0, 0, -(2**31))
+    one = point(0, 2000, 0.1, replaces=True)
+    for _ in range(4):  # so soon after each other that some wait for their slow tick
+        rig.points_together([one], [one])
+    rig.until("HOST_SILENT for want of a point", lambda: rig.faults(1) == ["HOST_SILENT"])
+    rig.points(point(0, 640, 0.1, replaces=True))
+    rig.run(0.05)
+    rig.points(point(0, 480, 0.3, 10.0))
+    rig.run(0.05)  # axis 1 has no such feature: it stops and holds
+    rig.set("cmd.mode", POSITION, TRAJECTORY)
+    rig.set("cmd.clear_faults", 1)
+    stop(rig)

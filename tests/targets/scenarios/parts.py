@@ -13,6 +13,7 @@ from targets.rig import Rig
 POSITION: Final = 0
 SPEED: Final = 1
 TORQUE: Final = 2
+TRAJECTORY: Final = 3
 
 COAST: Final = 0
 SHORT: Final = 1
