@@ -1,0 +1,263 @@
+"""Set-points that come one by one over a network, as a smooth path for the board.
+
+Between two messages the reference is their cubic Hermite piece; without velocities, those of a Catmull-Rom spline.
+After the newest it goes on with constant velocity for a limited time, and then stops. A tracker of limited
+acceleration follows it, so what is late, lost or wrong makes the path lag, but makes no step.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.path import State
+from servo_bridge.trajectory.playout import PlayoutClock
+from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints
+from servo_bridge.trajectory.tracker import Tracker
+
+__all__ = ["STEP_PERIODS", "Stream", "StreamReport"]
+
+STEP_PERIODS = 160
+"""Distance of the points, 10 ms [PWM periods]."""
+
+_HISTORY = 64
+"""Messages that are kept per joint: more than any delay holds."""
+
+_STOP_SHARE = 0.5
+"""Part of the acceleration with which a reference without messages stops."""
+
+_REST = 1.0e-6
+"""Distance and velocity below which a joint rests [rad], [rad/s]."""
+
+
+@dataclass(frozen=True)
+class StreamReport:
+    """What is known of a stream.
+
+    Attributes
+    ----------
+    delay, jitter, period : float
+        From the arrival of the fastest message to its place in the path; spread of the delays in transit; distance of
+        stamps [s].
+    received, lost, late : int
+        Messages; those missing in the order of stamps; those that came after they were due.
+    moving : tuple of str
+        Joints that the stream moves or holds now.
+    starved : tuple of str
+        Those of them whose messages have been missing for longer than is bridged: they stop.
+    """
+
+    delay: float
+    jitter: float
+    period: float
+    received: int
+    lost: int
+    late: int
+    moving: tuple[str, ...]
+    starved: tuple[str, ...]
+
+
+@dataclass
+class _Joint:
+    """Set-points of one joint in the order of stamps: (stamp, position, velocity or NaN, effort)."""
+
+    tracker: Tracker
+    points: list[tuple[float, float, float, float]] = field(default_factory=list)
+    active: bool = False
+    starved: bool = False
+    effort: float = 0.0
+    out: list[tuple[int, float, float, float]] = field(default_factory=list)
+
+    def take(self, stamp: float, position: float, velocity: float, effort: float) -> None:
+        k = bisect_left(self.points, (stamp,))
+        same = k < len(self.points) and self.points[k][0] == stamp
+        self.points[k : k + same] = [(stamp, position, velocity, effort)]
+        del self.points[:-_HISTORY]
+
+    def _velocity(self, k: int) -> float:
+        """Velocity at a point; where it is not given, the slope between its neighbours."""
+        if not math.isnan(self.points[k][2]):
+            return self.points[k][2]
+        before, after = self.points[max(k - 1, 0)], self.points[min(k + 1, len(self.points) - 1)]
+        return (after[1] - before[1]) / (after[0] - before[0]) if before is not after else 0.0
+
+    def reference(self, stamp: float, bridge: float) -> tuple[float, float, float, bool]:
+        """Position, velocity, effort at a stamp, and whether messages have been missing for longer than is bridged."""
+        deceleration = _STOP_SHARE * self.tracker.acceleration_max
+        if not self.points:
+            speed = self.tracker.velocity
+            return self.tracker.position + 0.5 * speed * abs(speed) / deceleration, 0.0, 0.0, True
+        k = bisect_left(self.points, (stamp,)) - 1
+        if k + 1 < len(self.points) and k >= 0:
+            return (*self._between(k, stamp), False)
+        k = max(k, 0)
+        begin, position, _, effort = self.points[k]
+        velocity = self._velocity(k)
+        beyond = min(stamp - begin, bridge)
+        position += velocity * beyond
+        braking = stamp - begin - beyond
+        deceleration = math.copysign(deceleration, velocity)
+        slowing = min(braking, velocity / deceleration)
+        position += slowing * (velocity - 0.5 * slowing * deceleration)
+        return position, velocity - slowing * deceleration, 0.0 if braking > 0.0 else effort, braking > 0.0
+
+    def _between(self, k: int, stamp: float) -> tuple[float, float, float]:
+        (t0, p0, _, e0), (t1, p1, _, e1) = self.points[k], self.points[k + 1]
+        v0, v1 = self._velocity(k), self._velocity(k + 1)
+        h, s = t1 - t0, stamp - t0
+        slope = (p1 - p0) / h
+        c2, c3 = (3.0 * slope - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * slope) / h**2
+        position = p0 + s * (v0 + s * (c2 + s * c3))
+        return position, v0 + s * (2.0 * c2 + 3.0 * s * c3), e0 + (e1 - e0) * s / h
+
+
+class Stream:
+    """Streamed set-points of several joints, turned into timed points.
+
+    Every piece between two points has constant acceleration, for which the interpolation of the board is exact.
+    A joint begins with its first set-point, from where it is, and ends at rest when there are no more.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Names.
+    start : State
+        State of shape (joints,) when the first set-point takes effect, `lead` after it has arrived. A new stream is
+        due when something else has moved the joints.
+    acceleration_max : sequence of float
+        Per joint, never exceeded [rad/s^2].
+    velocity_max : sequence of float, optional
+        Per joint [rad/s].
+    lead : float
+        How long before they are due points are fetched: `points` is called for a time this much ahead [s].
+    delay_max : float, optional
+        Bound of the delay that bridges jitter, and of the extrapolation [s]; by default one period of the stream.
+    step : int
+        Distance of the points [PWM periods].
+
+    Raises
+    ------
+    ValueError
+        If a limit is not above 0, or the step is too short for the board.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[str],
+        start: State,
+        acceleration_max: Sequence[float],
+        velocity_max: Sequence[float] | None = None,
+        *,
+        lead: float = 0.02,
+        delay_max: float | None = None,
+        step: int = STEP_PERIODS,
+    ) -> None:
+        speeds = [math.inf] * len(joints) if velocity_max is None else velocity_max
+        if not all(x > 0.0 for x in (*acceleration_max, *speeds)) or step < SEGMENT_PERIODS_MIN:
+            raise ValueError(f"limits must be above 0 and the step at least {SEGMENT_PERIODS_MIN} periods")
+        self._lead, self._delay_max, self._step = lead, delay_max, step
+        self._clock = PlayoutClock(lead, delay_max)
+        self._tick: int | None = None
+        self._joints: dict[str, _Joint] = {
+            joint: _Joint(Tracker(float(p), float(v), a, s))
+            for joint, p, v, a, s in zip(joints, start.position, start.velocity, acceleration_max, speeds, strict=True)
+        }
+
+    def take(
+        self,
+        stamp: float,
+        arrival: float,
+        positions: Sequence[float],
+        velocities: Sequence[float] | None = None,
+        efforts: Sequence[float] | None = None,
+    ) -> None:
+        """Take a message.
+
+        Parameters
+        ----------
+        stamp : float
+            On the clock of the sender; the arrival where there is none [s].
+        arrival : float
+            On the clock here, that of `points` [s].
+        positions, velocities, efforts : sequence of float
+            Per joint [rad], [rad/s], [N m]. A position of NaN leaves the joint alone, a velocity of NaN is not given.
+
+        Raises
+        ------
+        TrajectoryError
+            If a size is wrong or a number infinite; then nothing has changed.
+        """
+        count = len(self._joints)
+        nothing = {"positions": math.nan, "velocities": math.nan, "efforts": 0.0}
+        given = {"positions": positions, "velocities": velocities, "efforts": efforts}
+        rows = {
+            name: [nothing[name]] * count if row is None or not len(row) else list(row) for name, row in given.items()
+        }
+        for name, row in rows.items():
+            if len(row) != count:
+                raise TrajectoryError(f"{len(row)} {name} for {count} joints; give one per joint")
+            for joint, value in zip(self._joints, row, strict=True):
+                if math.isinf(value):
+                    raise TrajectoryError(f"{name} of {joint} is {value:g}; give a finite number, or NaN for none")
+        if not self._clock.belongs(stamp, arrival):
+            self._clock.reset()
+            for state in self._joints.values():
+                state.points.clear()
+        self._clock.heard(stamp, arrival)
+        first = math.ceil((arrival + self._lead) / PERIOD)
+        if self._tick is None or not any(state.active for state in self._joints.values()):
+            self._tick = max(first, self._tick or first)
+        for state, p, v, e in zip(self._joints.values(), *rows.values(), strict=True):
+            if math.isnan(p):
+                continue
+            state.take(stamp, p, v, 0.0 if math.isnan(e) else e)
+            if not state.active:
+                state.active = True
+                state.out.append((self._tick, state.tracker.position, state.tracker.velocity, 0.0))
+
+    def points(self, until: float) -> dict[str, TimedPoints]:
+        """Points that have not been fetched yet, up to a time [s]; joints without new points are left out."""
+        while self._tick is not None and (self._tick + self._step) * PERIOD <= until:
+            if not any(state.active for state in self._joints.values()):
+                break
+            self._advance(self._tick)
+        result = {}
+        for joint, state in self._joints.items():
+            if state.out:
+                periods, *columns = zip(*state.out, strict=True)
+                result[joint] = TimedPoints(np.array(periods), *(np.array(column) for column in columns))
+                state.out.clear()
+        return result
+
+    @property
+    def report(self) -> StreamReport:
+        """What is known of the stream now."""
+        clock = self._clock
+        moving = tuple(joint for joint, state in self._joints.items() if state.active)
+        starved = tuple(joint for joint in moving if self._joints[joint].starved)
+        return StreamReport(
+            clock.delay, clock.jitter, clock.period, clock.received, clock.lost, clock.late, moving, starved
+        )
+
+    def _advance(self, tick: int) -> None:
+        h = self._step * PERIOD
+        stamp, rate = self._clock.due(tick * PERIOD, h)
+        bridge = self._clock.period if self._delay_max is None else self._delay_max
+        bridge += self._lead
+        self._tick = tick + self._step
+        for state in self._joints.values():
+            if not state.active:
+                continue
+            position, velocity, _, _ = state.reference(stamp, bridge)
+            _, ahead, effort, state.starved = state.reference(stamp + rate * h, bridge)
+            tracker = state.tracker
+            tracker.advance(position, rate * velocity, rate * (ahead - velocity) / h, h)
+            off = max(map(abs, (tracker.position - position, tracker.velocity, velocity, ahead)))
+            if state.starved and off < _REST:
+                state.active, tracker.velocity = False, 0.0
+            state.out.append((self._tick, tracker.position, tracker.velocity, effort))

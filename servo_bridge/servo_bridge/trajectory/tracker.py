@@ -1,0 +1,66 @@
+"""A point that follows a reference with limited acceleration and velocity, in steps of constant acceleration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+__all__ = ["Tracker"]
+
+_SMOOTHING = 4.0
+"""Steps in which a small error is corrected; more is smoother and slower."""
+
+_RESERVE = 0.2
+"""Least part of the acceleration that is left for corrections while the reference accelerates."""
+
+
+@dataclass
+class Tracker:
+    """Position and velocity of one joint.
+
+    Attributes
+    ----------
+    position, velocity : float
+        [rad], [rad/s]
+    acceleration_max : float
+        Never exceeded [rad/s^2].
+    velocity_max : float
+        [rad/s]; a start that is faster is slowed down.
+    """
+
+    position: float
+    velocity: float
+    acceleration_max: float
+    velocity_max: float = math.inf
+
+    def advance(self, position: float, velocity: float, acceleration: float, step: float) -> None:
+        """Move by one step.
+
+        Parameters
+        ----------
+        position, velocity, acceleration : float
+            Reference at the beginning of the step, [rad], [rad/s] and [rad/s^2].
+        step : float
+            [s]
+        """
+        forward = min(max(acceleration, -self.acceleration_max), self.acceleration_max)
+        authority = max(self.acceleration_max - abs(forward), _RESERVE * self.acceleration_max)
+        behind, slower = self.position - position, self.velocity - velocity
+        u = forward + _time_optimal(behind, slower, authority, _SMOOTHING * step)
+        u = min(max(u, (-self.velocity_max - self.velocity) / step), (self.velocity_max - self.velocity) / step)
+        u = min(max(u, -self.acceleration_max), self.acceleration_max)
+        self.position += step * (self.velocity + 0.5 * step * u)
+        self.velocity += step * u
+
+
+def _time_optimal(x1: float, x2: float, r: float, h: float) -> float:
+    """Acceleration, |u| <= r, that brings an error x1 and its rate x2 to zero without chatter.
+
+    fhan of J. Han, From PID to Active Disturbance Rejection Control, IEEE Trans. Ind. Electron. 56(3), 2009.
+    """
+    d = r * h * h
+    a0 = h * x2
+    y = x1 + a0
+    far = math.copysign(0.5 * (math.sqrt(d * (d + 8.0 * abs(y))) - d), y)
+    a = a0 + (y if abs(y) <= d else far)
+    return -r * a / d if abs(a) <= d else -math.copysign(r, a)

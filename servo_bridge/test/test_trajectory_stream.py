@@ -1,0 +1,279 @@
+"""Streams of set-points over a bad network: no step, limited acceleration, and figures that are true."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.path import State
+from servo_bridge.trajectory.playout import PlayoutClock
+from servo_bridge.trajectory.stream import Stream, StreamReport
+from servo_bridge.trajectory.timed_points import PERIOD
+from servo_bridge.trajectory.tracker import Tracker
+from servo_bridge.trajectory.waypoints import Array
+
+LIMIT = 100.0
+LEAD = 0.02
+BEGIN = 1000.0
+"""Time here when the clock of the sender is 0 [s]."""
+TRANSIT = 0.003
+OMEGA = math.pi
+
+
+@dataclass
+class Result:
+    times: Array
+    positions: Array
+    velocities: Array
+    reports: list[StreamReport]
+
+    @property
+    def accelerations(self) -> Array:
+        result: Array = np.diff(self.velocities) / np.diff(self.times)
+        return result
+
+
+def run(
+    *, period: float = 0.02, jitter: float = 0.0, loss: float = 0.0, seconds: float = 10.0, seed: int = 1,
+    velocities: bool = True, pause: tuple[float, float] = (99.0, 99.0), drift: float = 0.0, **options: Any,
+) -> Result:  # fmt: skip
+    """A sine of 2 rad and 0.5 Hz through a network, fetched every 5 ms until a second after the last message."""
+    random = np.random.default_rng(seed)
+    sent = np.arange(round(seconds / period)) * period
+    arrivals = BEGIN + TRANSIT + sent * (1.0 + drift) + random.uniform(0.0, jitter, len(sent))
+    kept = (random.uniform(size=len(sent)) >= loss) & ~((sent > pause[0]) & (sent < pause[1]))
+    events = sorted(zip(arrivals[kept], sent[kept], strict=True))
+    stream = Stream(["axis1"], State.at_rest([0.0]), [LIMIT], lead=LEAD, **options)
+    rows: list[Array] = []
+    reports = []
+    for now in np.arange(BEGIN, BEGIN + seconds + 1.0, 0.005):
+        while events and events[0][0] <= now:
+            arrival, stamp = events.pop(0)
+            speed = 2.0 * OMEGA * math.cos(OMEGA * stamp)
+            stream.take(stamp, arrival, [2.0 * math.sin(OMEGA * stamp)], [speed] if velocities else None)
+        points = stream.points(now + LEAD)
+        reports.append(stream.report)
+        for p in points.values():
+            assert p.periods[-1] * PERIOD <= now + LEAD + 1e-9
+            rows.append(np.stack((p.periods * PERIOD, p.positions, p.velocities)))
+    times, places, speeds = np.concatenate(rows, axis=1)
+    return Result(times, places, speeds, reports)
+
+
+def assert_smooth(result: Result) -> None:
+    h = np.diff(result.times)
+    assert (h > 0.0).all()
+    assert np.abs(result.accelerations).max() <= LIMIT * (1.0 + 1e-6)
+    # Constant acceleration between points: the Hermite piece of the board has no other.
+    mean = 0.5 * (result.velocities[1:] + result.velocities[:-1])
+    np.testing.assert_allclose(np.diff(result.positions), mean * h, atol=1e-7)
+
+
+def error_of(result: Result, delay: float, begin: float = 3.0, end: float = 9.5) -> float:
+    """Largest distance from the sine that is later by a delay [rad]."""
+    inside = (result.times > BEGIN + begin) & (result.times < BEGIN + end)
+    wanted = 2.0 * np.sin(OMEGA * (result.times[inside] - BEGIN - delay))
+    return float(np.abs(result.positions[inside] - wanted).max())
+
+
+def test_an_even_stream_is_reproduced_a_period_later() -> None:
+    result = run()
+    assert_smooth(result)
+    report = result.reports[-300]
+    assert report.delay == pytest.approx(LEAD + 0.02, abs=1e-6)
+    assert report.period == pytest.approx(0.02)
+    assert report.jitter == pytest.approx(0.0, abs=1e-9)
+    assert (report.lost, report.late) == (0, 0)
+    assert error_of(result, TRANSIT + report.delay) < 1e-4
+    steady = result.accelerations[200:900]
+    assert np.abs(steady).max() < 1.01 * 2.0 * OMEGA**2
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("velocities", [True, False])
+@pytest.mark.parametrize(("delay_max", "near"), [(0.1, 0.03), (None, 0.15)])
+def test_jitter_and_losses_make_no_step(seed: int, velocities: bool, delay_max: float | None, near: float) -> None:
+    result = run(jitter=0.05, loss=0.05, seed=seed, velocities=velocities, delay_max=delay_max)
+    assert_smooth(result)
+    report = result.reports[-300]
+    assert report.jitter == pytest.approx(0.0475, abs=0.006)
+    assert error_of(result, TRANSIT + report.delay) < near
+    bound = 0.02 if delay_max is None else 0.02 + report.jitter
+    assert report.delay == pytest.approx(LEAD + bound, abs=0.003)
+
+
+@given(st.integers(0, 10_000), st.floats(0.005, 0.1), st.floats(0.0, 0.2), st.floats(0.0, 0.5))
+def test_no_network_makes_a_step(seed: int, period: float, jitter: float, loss: float) -> None:
+    assert_smooth(run(seconds=2.0, period=period, jitter=jitter, loss=loss, seed=seed))
+
+
+def test_a_bridged_delay_holds_what_comes_late() -> None:
+    few = run(jitter=0.05, delay_max=0.1).reports[-1].late
+    many = run(jitter=0.05, delay_max=0.0).reports[-1].late
+    assert few < 30 < 200 < many
+
+
+def test_losses_are_counted() -> None:
+    report = run(loss=0.1, seed=3, seconds=20.0).reports[-1]
+    assert report.received + report.lost == pytest.approx(1000, abs=3)
+    assert report.lost == pytest.approx(100, abs=30)
+    disordered = run(jitter=0.05, seconds=10.0, delay_max=0.0).reports[-1]
+    assert disordered.received == 500
+    assert disordered.lost <= 1
+
+
+def test_clocks_that_drift_apart() -> None:
+    result = run(seconds=30.0, drift=5e-4)
+    assert_smooth(result)
+    # After 25 s the clocks are 12.5 ms apart; the window looks 2.5 s back.
+    assert error_of(result, TRANSIT + LEAD + 0.02 + 12.5e-3, 24.9, 25.1) < 2.0 * OMEGA * 2e-3
+
+
+def test_a_stream_that_pauses_stops_and_goes_on() -> None:
+    result = run(pause=(4.0, 6.0))
+    assert_smooth(result)
+    states = [(report.moving, report.starved) for report in result.reports]
+    assert (("axis1",), ("axis1",)) in states
+    assert ((), ()) in states[100:-200]
+    gap = np.argmax(np.diff(result.times))
+    assert result.times[gap + 1] - result.times[gap] > 1.0
+    assert result.velocities[gap] == 0.0
+    assert result.positions[gap] == result.positions[gap + 1]
+    # Stop of the reference: velocity 2 pi, one period and the lead bridged, half the limit.
+    overrun = 2.0 * OMEGA * (0.02 + LEAD) + 0.5 * (2.0 * OMEGA) ** 2 / (0.5 * LIMIT)
+    assert 0.0 < result.positions[gap] < 1.05 * overrun
+    assert error_of(result, TRANSIT + LEAD + 0.02, 8.0) < 1e-3
+    assert result.reports[-1].moving == ()
+
+
+def test_nan_leaves_a_joint_alone() -> None:
+    stream = Stream(["axis1", "axis2"], State.at_rest([1.0, 2.0]), [LIMIT, LIMIT], lead=LEAD)
+    for k in range(100):
+        stream.take(0.02 * k, 5.0 + 0.02 * k, [math.nan, 3.0], [math.nan, math.nan])
+        points = stream.points(5.0 + 0.02 * k + LEAD)
+        assert "axis1" not in points
+        if k == 0:
+            assert (points.get("axis2") is None) or points["axis2"].positions[0] == 2.0
+    assert stream.report.moving == ("axis2",)
+    assert points["axis2"].positions[-1] == pytest.approx(3.0)
+
+
+def test_a_joint_that_is_left_alone_on_the_way_stops() -> None:
+    stream = Stream(["axis1", "axis2"], State.at_rest([0.0, 0.0]), [LIMIT, LIMIT], lead=LEAD)
+    velocity = math.inf
+    for k in range(300):
+        # Another sender with another clock takes over the second joint only.
+        stamp, first = (0.01 * k, 0.05 * k) if k < 100 else (500.0 + 0.01 * k, math.nan)
+        stream.take(stamp, 5.0 + 0.01 * k, [first, 0.0], [5.0, 0.0])
+        points = stream.points(5.0 + 0.01 * k + LEAD)
+        velocity = points["axis1"].velocities[-1] if "axis1" in points else velocity
+        if k == 99:
+            assert velocity == pytest.approx(5.0, abs=0.3)
+    assert velocity == 0.0
+    assert stream.report.moving == ("axis2",)
+
+
+@pytest.mark.parametrize("step", [-50.0, 50.0])
+def test_a_sender_whose_clock_is_set_goes_on(step: float) -> None:
+    stream = Stream(["axis1"], State.at_rest([0.0]), [LIMIT], lead=LEAD)
+    last = 0.0
+    for k in range(400):
+        stream.take(0.01 * k + (step if k >= 100 else 0.0), 5.0 + 0.01 * k, [0.01 * k], [1.0])
+        points = stream.points(5.0 + 0.01 * k + LEAD)
+        last = points["axis1"].positions[-1] if points else last
+    assert last == pytest.approx(3.99, abs=0.05)
+    assert stream.report.starved == ()
+
+
+def test_a_velocity_limit() -> None:
+    stream = Stream(["axis1"], State.at_rest([0.0]), [LIMIT], [2.0], lead=LEAD)
+    speeds: list[float] = []
+    for k in range(300):
+        stream.take(0.01 * k, 5.0 + 0.01 * k, [3.0])
+        for points in stream.points(5.0 + 0.01 * k + LEAD).values():
+            speeds += points.velocities.tolist()
+    assert max(speeds) == pytest.approx(2.0)
+    assert stream._joints["axis1"].tracker.position == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (([1.0],), "1 positions for 2 joints"),
+        (([1.0, math.inf],), "positions of axis2 is inf; give a finite number, or NaN for none"),
+        (([1.0, 1.0], [1.0]), "1 velocities for 2 joints"),
+        (([1.0, 1.0], None, [0.0, -math.inf]), "efforts of axis2 is -inf"),
+    ],
+)
+def test_wrong_messages_change_nothing(arguments: Any, sentence: str) -> None:
+    stream = Stream(["axis1", "axis2"], State.at_rest([1.0, 2.0]), [LIMIT, LIMIT])
+    with pytest.raises(TrajectoryError, match=sentence):
+        stream.take(0.0, 0.0, *arguments)
+    assert stream.report.received == 0
+    assert stream.points(10.0) == {}
+
+
+def test_wrong_limits() -> None:
+    for wrong in (0.0, math.nan):
+        with pytest.raises(ValueError, match="limits must be above 0"):
+            Stream(["axis1"], State.at_rest([0.0]), [wrong])
+    with pytest.raises(ValueError, match="at least 16 periods"):
+        Stream(["axis1"], State.at_rest([0.0]), [1.0], step=15)
+
+
+@given(st.floats(-10, 10), st.floats(-20, 20), st.floats(0, 20))
+def test_the_tracker_arrives_without_overshoot_of_a_step(position: float, velocity: float, target: float) -> None:
+    tracker = Tracker(position, velocity, LIMIT)
+    farthest = 0.0
+    side = math.copysign(1.0, target - position - 0.5 * velocity * abs(velocity) / LIMIT)
+    for _ in range(400):
+        tracker.advance(target, 0.0, 0.0, 0.01)
+        farthest = max(farthest, side * (tracker.position - target))
+    assert tracker.position == pytest.approx(target, abs=1e-6)
+    if side * velocity >= 0.0:
+        assert farthest < 0.05
+
+
+def test_the_tracker_keeps_its_limits_beside_a_reference_that_does_not() -> None:
+    tracker = Tracker(0.0, 9.0, LIMIT, 5.0)
+    time, speeds = 0.0, [9.0]
+    while time < 5.0:
+        tracker.advance(0.5 * LIMIT * time**2 if time < 0.1 else 0.5, 0.0, LIMIT if time < 0.1 else 0.0, 0.01)
+        speeds.append(tracker.velocity)
+        time += 0.01
+    assert np.abs(np.diff(speeds)).max() <= 1.0001 * LIMIT * 0.01
+    assert min(speeds) >= -5.0 - 1e-9
+    assert tracker.position == pytest.approx(0.5, abs=1e-6)
+    exact = Tracker(0.0, 0.0, LIMIT)
+    exact.advance(0.0, 0.0, LIMIT, 0.01)
+    assert exact.velocity == pytest.approx(LIMIT * 0.01)
+
+
+def test_the_delay_changes_slowly() -> None:
+    clock = PlayoutClock(LEAD, 0.2)
+    stamps = []
+    for k in range(400):
+        clock.heard(0.01 * k, 5.0 + 0.01 * k + (0.1 if k % 2 and k > 50 else 0.0))
+        stamp, rate = clock.due(5.0 + 0.01 * k, 0.01)
+        stamps.append(stamp)
+        if k:
+            assert rate * 0.01 == pytest.approx(stamps[-1] - stamps[-2])
+    steps = np.diff(stamps)
+    assert steps.min() == pytest.approx(0.95 * 0.01)
+    assert clock.delay == pytest.approx(LEAD + 0.11)
+
+
+def test_effort_goes_along() -> None:
+    stream = Stream(["axis1"], State.at_rest([0.0]), [LIMIT], lead=LEAD)
+    efforts: list[float] = []
+    for k in range(100):
+        stream.take(0.01 * k, 5.0 + 0.01 * k, [0.0], [0.0], [0.01 * k])
+        for points in stream.points(5.0 + 0.01 * k + LEAD).values():
+            efforts += points.efforts.tolist()
+    np.testing.assert_allclose(np.diff(efforts[20:90]), 0.01, atol=1e-4)
