@@ -12,12 +12,16 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Duration
 from chain import DOMAIN, Cable, Chain, Process, User, user, wait_for
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
 from std_msgs.msg import Float64, Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from servo_msgs_py import topics
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
@@ -262,6 +266,18 @@ class TestParameters:
         assert me.last("/twin/healthy") is True
 
 
+def square() -> JointTrajectory:
+    """Axis 1, axis 2, and back: at rest in every corner."""
+    corners = ((TURN, 0.0), (TURN, -TURN), (0.0, -TURN), (0.0, 0.0))
+    points = [
+        JointTrajectoryPoint(
+            positions=list(corner), velocities=[0.0, 0.0], time_from_start=Duration(nanosec=200_000_000 * (k + 1))
+        )
+        for k, corner in enumerate(corners)
+    ]
+    return JointTrajectory(joint_names=BOTH, points=points)
+
+
 class TestTwinOfTheSameBoard:
     """Both boards have the same noise: any difference is of what the line, or the split of the runs, does to one."""
 
@@ -281,6 +297,11 @@ class TestTwinOfTheSameBoard:
             start = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
             for turns in ((2.0, -3.0), (-1.0, 0.25)):
                 go(me, *(x * TURN for x in turns))
+            trajectories = me.node.create_publisher(JointTrajectory, "/servo/joint_trajectory", topics.command_qos())
+            me.until(trajectories.get_subscription_count)
+            trajectories.publish(square())
+            me.until(lambda: me.position_of(1) < -0.9 * TURN, 10.0)
+            me.until(reached(me, 0.0, 0.0), 10.0)
             end = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
             residuals = me.messages["/twin/residual"]
             me.until(lambda: residuals and from_stamp(residuals[-1].header.stamp) >= end)

@@ -1,0 +1,215 @@
+"""Paths on their way to the board: when they begin, what is sent when, how one replaces another."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.follower import LEAD, AxisReport, Follower
+from servo_bridge.trajectory.merge import merged
+from servo_bridge.trajectory.path import Path, State
+from servo_bridge.trajectory.spline import path_through
+from servo_bridge.trajectory.timed_points import PERIOD
+from servo_bridge.trajectory.waypoints import Waypoints
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.timed_points import TimedPoint, decode_points
+
+CATALOGUE = Catalogue.load()
+JOINTS = ["axis1", "axis2"]
+SAMPLE = 160  # ticks between two samples
+
+
+class Rig:
+    """A follower whose board takes everything and is where it is meant to be."""
+
+    def __init__(self) -> None:
+        self.refusals: list[str] = []
+        self.ends: list[float] = []
+        self.sent: list[TimedPoint] = []
+        self.leads: list[int] = []  # of each of them, from the sample before it was sent [PWM periods]
+        self.checked: list[Path] = []
+        self.follower = Follower(CATALOGUE, JOINTS, self.checked.append)
+        self.tick = 8000
+        self.references = [1.0, -2.0]
+        self.follows = [True, True]
+
+    def sample(self, count: int = 1, *, fetch: bool = True) -> None:
+        for _ in range(count):
+            self.tick += SAMPLE
+            for axis, joint in enumerate(JOINTS):
+                path = self.follower.paths().get(joint)
+                if path is not None:
+                    self.references[axis] = float(path.state(self.tick * PERIOD).position[0])
+            reports = [AxisReport(*pair) for pair in zip(self.references, self.follows, strict=True)]
+            self.follower.on_sample(self.tick, reports)
+            words = self.follower.next_points() if fetch else None
+            if words is not None:
+                points = decode_points(CATALOGUE, words)
+                self.sent += points
+                self.leads += [point.tick - self.tick for point in points]
+
+    def move(
+        self, goal: list[float], seconds: float = 0.5, joints: list[str] | None = None, start: float = 0.0
+    ) -> None:
+        names = joints or JOINTS
+
+        def plan(running: Path, now: float) -> Path:
+            begin = max(now, start)
+            waypoints = Waypoints.of(names, [begin + seconds], [goal])
+            return path_through(waypoints, running.select(names).state(begin), begin)
+
+        self.follower.request(names, plan, self.ends.append, lambda error: self.refusals.append(str(error)), start)
+
+    def of(self, axis: int) -> list[TimedPoint]:
+        return [point for point in self.sent if point.axis == axis]
+
+
+@pytest.fixture
+def rig() -> Rig:
+    rig = Rig()
+    rig.sample(2)
+    return rig
+
+
+def test_a_path_begins_from_where_the_axes_hold_and_ends_where_it_says(rig: Rig) -> None:
+    rig.move([2.0, 2.0])
+    rig.sample(70)
+    (end,) = rig.ends
+    for axis, (begin, goal) in enumerate(((1.0, 2.0), (-2.0, 2.0))):
+        points = rig.of(axis)
+        assert points[0].replaces
+        assert not any(point.replaces for point in points[1:])
+        assert points[0].position == pytest.approx(begin, abs=1e-6)
+        assert points[-1].position == pytest.approx(goal, abs=1e-6)
+        assert points[-1].velocity == 0.0
+        assert points[-1].tick * PERIOD == pytest.approx(end, abs=PERIOD)
+        assert all(a.tick < b.tick for a, b in pairwise(points))
+    assert rig.of(0)[0].tick == rig.of(1)[0].tick
+    assert rig.follower.axes == frozenset()
+
+
+def test_it_waits_until_the_axes_follow_points_and_hold(rig: Rig) -> None:
+    rig.follows = [True, False]
+    rig.move([2.0, 2.0])
+    rig.sample(5)
+    assert not rig.sent
+    assert rig.follower.axes == {0, 1}
+    rig.follows = [True, True]
+    for reference in (-1.9, -1.8):  # still moving
+        rig.references[1] = reference
+        rig.sample()
+    assert not rig.sent
+    rig.sample(2)
+    assert rig.of(1)[0].position == pytest.approx(-1.8, abs=1e-6)
+
+
+def test_no_more_points_than_the_queue_holds_and_all_in_time(rig: Rig) -> None:
+    rig.move([40.0, -40.0], seconds=4.0)
+    worst = 0
+    for _ in range(500):
+        rig.sample()
+        ahead = [sum(point.tick > rig.tick for point in rig.of(axis)) for axis in range(2)]
+        worst = max(worst, *ahead)
+    assert min(rig.leads) >= LEAD / PERIOD - 1
+    assert 8 <= worst <= 14
+
+
+def test_another_path_takes_over_with_the_state_of_the_first(rig: Rig) -> None:
+    rig.move([3.0, 0.0], seconds=1.0)
+    rig.sample(40)
+    old = rig.follower.paths()["axis1"]
+    known = len(rig.of(0))
+    rig.move([-1.0, 0.0], seconds=1.0)
+    rig.sample(3)
+    new = rig.of(0)[known:]
+    taken_over = next(point for point in new if point.replaces)
+    time = taken_over.tick * PERIOD
+    state = old.state(time)
+    assert taken_over.position == pytest.approx(float(state.position[0]), abs=1e-6)
+    assert taken_over.velocity == pytest.approx(float(state.velocity[0]), abs=1e-4)
+    assert abs(taken_over.velocity) > 0.5
+    assert time >= rig.tick * PERIOD - 3 * SAMPLE * PERIOD + LEAD - PERIOD
+
+
+def test_the_other_joint_keeps_its_path(rig: Rig) -> None:
+    rig.move([3.0, -3.0], seconds=1.0)
+    rig.sample(20)
+    rig.move([0.0], seconds=0.5, joints=["axis1"])
+    rig.sample(120)
+    assert rig.of(0)[-1].position == pytest.approx(0.0, abs=1e-6)
+    assert rig.of(1)[-1].position == pytest.approx(-3.0, abs=1e-6)
+    assert len(rig.ends) == 2
+
+
+def test_a_path_for_later_waits_for_its_time(rig: Rig) -> None:
+    start = rig.tick * PERIOD + 1.0
+    rig.move([2.0, -2.0], start=start)
+    rig.sample(70)
+    assert not rig.sent
+    rig.sample(100)
+    assert rig.of(0)[0].tick * PERIOD == pytest.approx(start, abs=PERIOD)
+
+
+def test_a_path_that_is_refused_moves_nothing(rig: Rig) -> None:
+    def refuse(_: Path) -> None:
+        raise TrajectoryError("too fast")
+
+    rig.follower = Follower(CATALOGUE, JOINTS, refuse)
+    rig.sample(2)
+    rig.move([2.0, 2.0])
+    rig.sample(5)
+    assert rig.refusals == ["too fast"]
+    assert not rig.sent
+    assert rig.follower.axes == frozenset()
+
+
+def test_a_cancelled_axis_gets_no_points_any_more(rig: Rig) -> None:
+    rig.move([20.0, -20.0], seconds=3.0)
+    rig.sample(5)
+    rig.follower.cancel(0, "a set-point took over")
+    known = len(rig.of(0))
+    rig.sample(100)
+    assert len(rig.of(0)) == known
+    assert rig.of(1)[-1].tick > rig.tick - SAMPLE
+    assert rig.follower.axes == {1}
+
+
+def test_a_request_that_still_waits_is_told_of_the_next_one_and_of_a_cancellation(rig: Rig) -> None:
+    rig.follows = [False, False]
+    rig.move([2.0, 2.0])
+    rig.move([3.0, 3.0])
+    assert len(rig.refusals) == 1
+    rig.follower.cancel(1, "the link was lost")
+    assert rig.refusals[1] == "the link was lost"
+
+
+def test_efforts_become_currents() -> None:
+    rig = Rig()
+    rig.follower.torque_constants = [0.05, 0.05]
+    rig.sample(2)
+
+    def plan(_: Path, now: float) -> Path:
+        return path_through(
+            Waypoints.of(["axis1"], [now, now + 0.1], [[1.0], [1.0]], [[0.0], [0.0]], efforts=[[0.01], [0.02]])
+        )
+
+    rig.follower.request(["axis1"], plan, rig.ends.append, lambda error: rig.refusals.append(str(error)))
+    rig.sample(20)
+    assert not rig.refusals
+    assert rig.of(0)[0].current == pytest.approx(0.2, abs=1e-3)
+    assert rig.of(0)[-1].current == pytest.approx(0.4, abs=1e-3)
+
+
+def test_merged_paths_are_the_same_motions() -> None:
+    a = path_through(Waypoints.of(["a"], [1.0, 2.0, 4.0], [[0.0], [1.0], [-1.0]]))
+    b = path_through(
+        Waypoints.of(["b"], [1.5, 3.5], [[2.0], [5.0]], [[0.0], [0.0]], [[1.0], [-1.0]]), State.at_rest([2.0]), 1.5
+    )
+    both = merged([a, b])
+    t = np.linspace(0.0, 5.0, 1001)
+    for joint, path in (("a", a), ("b", b)):
+        mine, other = both.select([joint]).state(t), path.state(t)
+        assert np.abs(mine.position - other.position).max() < 1e-12
+        assert np.abs(mine.velocity - other.velocity).max() < 1e-10

@@ -1,0 +1,120 @@
+"""Trajectories over real topics: what reaches the link, and what is refused with which words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from bridge_rig import FAULT, SPIN, Rig
+from builtin_interfaces.msg import Duration
+from sensor_msgs.msg import JointState
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.timed_points import TimedPoint, decode_points
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from servo_msgs_py import topics
+
+CATALOGUE = Catalogue.load()
+TRAJECTORY = CATALOGUE.enums["control_mode_t"]["TRAJECTORY"]
+
+
+def trajectory(*rows: tuple[float, list[float]], joints: tuple[str, ...] = ("axis1", "axis2")) -> JointTrajectory:
+    """Positions at times [s]."""
+    points = [
+        JointTrajectoryPoint(positions=positions, time_from_start=Duration(nanosec=round(time * 1e9)))
+        for time, positions in rows
+    ]
+    return JointTrajectory(joint_names=list(joints), points=points)
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with Rig() as rig:
+        for name, value in (("speed", 300.0), ("acceleration", 4000.0), ("i_q", 2.0)):
+            variable = CATALOGUE[f"param.{name}_limit"]
+            rig.link.parameters[variable.name] = [variable.to_raw(value)] * 2
+        rig.ready()
+        rig.until(lambda: rig.messages[topics.PARAMETERS])
+        yield rig
+
+
+def publish(rig: Rig, message: JointTrajectory) -> None:
+    publisher = rig.user.create_publisher(JointTrajectory, topics.JOINT_TRAJECTORY, topics.command_qos())
+    rig.until(publisher.get_subscription_count)
+    publisher.publish(message)
+
+
+def sampled(rig: Rig) -> list[TimedPoint]:
+    """Give a sample; points that the link has got."""
+    rig.link.sample()
+    rig.executor.spin_once(timeout_sec=0.005)
+    return [
+        point for name, _, raw in rig.link.written if name == "cmd.points" for point in decode_points(CATALOGUE, raw)
+    ]
+
+
+def test_points_of_both_axes_follow_the_mode(rig: Rig) -> None:
+    publish(rig, trajectory((0.5, [1.0, -1.0]), (0.8, [0.5, 0.0])))
+    rig.until(lambda: len(sampled(rig)) >= 6)
+    names = [name for name, *_ in rig.link.written]
+    assert names[0] == "cmd.mode"
+    assert rig.link.written[0] == ("cmd.mode", 0, (TRAJECTORY, TRAJECTORY))
+    assert set(names[1:]) == {"cmd.points"}
+    points = sampled(rig)
+    assert {point.axis for point in points} == {0, 1}
+    assert points[0].replaces
+    assert next(p for p in points if p.axis == 0).position == 0.0
+
+
+@pytest.mark.parametrize(
+    ("message", "text"),
+    [
+        (trajectory((0.5, [1.0]), joints=("elbow",)), "elbow"),
+        (trajectory((0.5, [1.0])), "positions"),
+        (trajectory((0.5, [1.0, float("nan")])), "nan"),
+        (trajectory((0.5, [1.0, 0.0]), (0.5, [0.0, 0.0])), "increas"),
+    ],
+)
+def test_what_is_wrong_by_itself_is_said_at_once(rig: Rig, message: JointTrajectory, text: str) -> None:
+    publish(rig, message)
+    rig.until(rig.rejections)
+    assert text in rig.rejections()[-1]
+    assert rig.link.written == []
+
+
+def test_a_limit_between_two_points_is_named(rig: Rig) -> None:
+    publish(rig, trajectory((0.01, [3.0, 0.0])))
+
+    def told() -> bool:
+        sampled(rig)
+        return bool(rig.rejections())
+
+    rig.until(told)
+    assert "axis1" in rig.rejections()[-1]
+    assert "limit" in rig.rejections()[-1]
+    assert sampled(rig) == []
+
+
+def test_an_axis_that_does_not_obey_is_named(rig: Rig) -> None:
+    rig.link.axes(SPIN, FAULT)
+    rig.link.sample()
+    rig.until(lambda: "FAULT" in rig.state())
+    publish(rig, trajectory((0.5, [1.0, -1.0])))
+    rig.until(rig.rejections)
+    assert "axis2 is in FAULT" in rig.rejections()[-1]
+
+
+def test_a_set_point_takes_over(rig: Rig) -> None:
+    publish(rig, trajectory((5.0, [1.0, -1.0])))
+    rig.until(lambda: len(sampled(rig)) >= 2)
+    rig.joint_commands.publish(JointState(name=["axis1", "axis2"], position=[0.0, 0.0]))
+
+    def taken() -> bool:
+        sampled(rig)
+        return any(name == "cmd.position" for name, *_ in rig.link.written)
+
+    rig.until(taken)
+    known = len(sampled(rig))
+    for _ in range(20):
+        sampled(rig)
+    assert len(sampled(rig)) == known
