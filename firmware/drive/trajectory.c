@@ -47,6 +47,9 @@ path_position_t trajectory_position(const trajectory_point_t *point, path_positi
     return near - path_beyond(near, point->position) + part;
 }
 
+/* The end of the segment is too near: the point waited in the queue for longer than it was ahead. */
+static void leave_out(trajectory_t *t) { t->late++; }
+
 /* To the next point that can still be reached in time. */
 static void set_out(trajectory_t *t, const axis_config_t *config, hermite_state_t from, uint32_t begin, frac16_t i_q)
 {
@@ -63,7 +66,7 @@ static void set_out(trajectory_t *t, const axis_config_t *config, hermite_state_
             t->leads = true;
             return;
         }
-        t->late++;
+        leave_out(t);
     }
 }
 
