@@ -77,8 +77,9 @@ up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for
 experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
 	@$(BIN)/servo-sim experiment all --out out/experiments
 
-bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; real-time factor of a board
+bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; error along a path; real-time factor of a board
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/telemetry.py
+	@$(BIN)/python tests/bench/trajectories.py
 	@$(BIN)/servo-sim bench
 
 bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
