@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
 from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
+from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
 from servo_twin.experiments.rig import choose_mode, features
@@ -15,6 +19,8 @@ from servo_twin.simulation import enable, keep_set_points
 __all__ = ["SCENARIOS", "USUAL", "Scenario"]
 
 _TURN: Final = 6.283185307179586
+_AHEAD: Final = 16
+"""Points that the queue of an axis holds."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,35 @@ def _moving(every: bool, mode: str, value: float, settle: float = 0.3) -> Callab
     return prepare
 
 
+def _following(every: bool) -> Callable[[Board], None]:
+    """Both axes on a circle of 2 Hz: accelerations, and a new segment every 10 ms."""
+
+    def prepare(board: Board) -> None:
+        _features(board, every)
+        enable(board)
+        _mode(board, "TRAJECTORY")
+        board.run(0.002)
+        start, omega = board.read_raw("tick")[0] + 800, 2.0 * _TURN
+        lsb = board.catalogue["cmd.position"].lsb
+        at = [lsb * board.read_raw(f"axis{axis + 1}.position")[0] for axis in range(AXES)]
+        for first in range(0, _AHEAD, POINTS_TOGETHER // AXES):
+            points = []
+            for k in range(first, first + POINTS_TOGETHER // AXES):
+                angle = omega * k * 160 * PERIOD_NS * 1e-9
+                for axis in range(AXES):
+                    points.append(
+                        TimedPoint(
+                            axis, start + 160 * k, at[axis] + 1.0 - math.cos(angle), omega * math.sin(angle), 0.02
+                        )
+                    )
+            words = encode_points(board.catalogue, points)
+            board.write_memory(board.address("cmd.points"), np.array(words, dtype="<i4").tobytes())
+            board.run(0.001)
+        board.run(0.06)
+
+    return prepare
+
+
 def _observed(every: bool, settle: float) -> Callable[[Board], None]:
     def prepare(board: Board) -> None:
         _features(board, every)
@@ -119,6 +154,7 @@ SCENARIOS: Final = (
     Scenario("off", lambda board: board.run(0.03)),
     *_both("hold", lambda every: _moving(every, "SPEED", 0.0)),
     *_both("position", lambda every: _moving(every, "POSITION", 20 * _TURN), 0.3),
+    *_both("trajectory", _following, 0.1),
     *_both("speed", lambda every: _moving(every, "SPEED", 100.0)),
     *_both("crawl", lambda every: _moving(every, "SPEED", 0.5)),
     *_both("torque", lambda every: _moving(every, "TORQUE", 0.3)),
