@@ -68,6 +68,12 @@ static place_t place_of(const points_board_t *board, const record_t *record)
     const trajectory_point_t *before = trajectory_before(t, record->replace ? record->point.tick : end);
     const path_position_t here = path_counts(board->snapshot->axis[record->axis].position_ref);
     place_t place = {board->snapshot->tick, {here, 0}, trajectory_waiting(t)};
+    if (record->replace) {
+        while (place.waiting > 0U &&
+               (int32_t)(t->point[(t->out + place.waiting - 1U) % TRAJECTORY_POINTS].tick - record->point.tick) >= 0) {
+            place.waiting--;
+        }
+    }
     if (before == NULL) {
         place.state.step = path_step_of(axis->config, axis->motion.shaped_speed);
     } else {
