@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite, JointLimits
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.setpoints import JointSetPoint
 from servo_bridge.trajectory.check import require
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import AxisReport, Follower, Plan
 from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.streamer import Streamer, stream_lead
 from servo_bridge.trajectory_limits import path_limits
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name, numbers
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
+from servo_twin.board_memory import BoardError
 from servo_twin.simulation import enable
 
 CATALOGUE: Final = Catalogue.load()
@@ -26,6 +29,10 @@ JOINTS: Final = ("axis1", "axis2")
 COUNT: Final = CATALOGUE["axis1.position"].lsb
 SAMPLE_NS: Final = 10_000_000
 """Between two samples of the telemetry."""
+ELSEWHERE: Final = 1000.0
+"""Clock of the sender of a stream when that of the board is at 0 [s]."""
+WRITE_NS: Final = 2_000_000
+"""From a write to its answer."""
 
 
 class PathWorld:
@@ -35,11 +42,16 @@ class PathWorld:
     ----------
     board : Board
         Just switched on.
+    delay_max : float, optional
+        Of the streamer [s].
+
+    Attributes
+    ----------
     held_back : bool
         Let no write through: the bridge is dead.
     """
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Board, delay_max: float | None = None) -> None:
         self.board = board
         self.troubles: list[str] = []
         self.ends: list[float] = []
@@ -49,6 +61,7 @@ class PathWorld:
         self.arbiter = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * AXES)
         self.follower = Follower(CATALOGUE, JOINTS, self._check)
         self.arbiter.follow(self.follower)
+        self.streamer = Streamer(JOINTS, self.follower, stream_lead(115_200), delay_max)
         self._acknowledge: list[tuple[CommandWrite, str | None]] = []
         self.dispatcher = Dispatcher(self._send, self.arbiter, self.troubles.append)
         enable(board)
@@ -78,8 +91,8 @@ class PathWorld:
         error = None
         try:
             self.board.write_memory(self.board.address(write.variable) + begin, data[begin:end])
-        except ValueError as refusal:
-            error = f"{refusal} {self.board.read_raw('point_refusal')}"
+        except BoardError as refusal:
+            error = f"{refusal}: {CATALOGUE.label('point_refusal_t', self.board.read_raw('point_refusal')[0])}"
         self._acknowledge.append((write, error))
 
     def follow(self, plan: Plan, joints: Sequence[str] = JOINTS, start: float = 0.0) -> None:
@@ -87,6 +100,46 @@ class PathWorld:
         self.arbiter.admit("test", [JOINTS.index(joint) for joint in joints])
         self.follower.request(joints, plan, self.ends.append, self.refusals.append, start)
         self.dispatcher.pump()
+
+    def stream(self, points: Mapping[int, JointSetPoint], stamp: float) -> None:
+        """A message of streamed set-points arrives."""
+        self.arbiter.admit("test", points)
+        self.streamer.take(points, stamp, self.now, self.limits)
+        self.streamer.advance(self.now)
+        self.dispatcher.pump()
+
+    def send(
+        self,
+        seconds: float,
+        points: Callable[[float], Mapping[int, JointSetPoint]],
+        *,
+        period: float = 0.01,
+        jitter: float = 0.0,
+        loss: float = 0.0,
+    ) -> float:
+        """Send a stream that begins now; returns when [s].
+
+        Parameters
+        ----------
+        seconds : float
+            Length [s].
+        points : callable
+            Set-points by axis, at a time since the beginning [s].
+        period, jitter : float
+            Of the messages; largest random delay of one of them [s].
+        loss : float
+            Share of messages that are lost.
+        """
+        random = np.random.default_rng(7)
+        begin = self.now
+        sent = np.arange(round(seconds / period)) * period
+        arrivals = sent + random.uniform(0.0, jitter, len(sent))
+        kept = random.uniform(size=len(sent)) >= loss
+        for arrival, stamp in sorted(zip(arrivals[kept], sent[kept], strict=True)):
+            while begin + arrival > self.now + 1e-3:
+                self.run(min(begin + arrival - self.now, SAMPLE_NS * 1e-9))
+            self.stream(points(float(stamp)), ELSEWHERE + begin + stamp)
+        return begin
 
     @property
     def now(self) -> float:
@@ -97,10 +150,14 @@ class PathWorld:
         """Run the board with samples."""
         end = self.board.time_ns + round(seconds * 1e9)
         while self.board.time_ns < end:
-            self.log.append(self.board.record(min(self.board.time_ns + SAMPLE_NS, end)))
-            for write, error in self._acknowledge:
-                self.dispatcher.acknowledged(write, error)
-            self._acknowledge.clear()
+            sample = min(self.board.time_ns + SAMPLE_NS, end)
+            while self.board.time_ns < sample:
+                rows = self.board.record(min(self.board.time_ns + WRITE_NS, sample))
+                if len(rows):
+                    self.log.append(rows)
+                written, self._acknowledge = self._acknowledge, []
+                for write, error in written:
+                    self.dispatcher.acknowledged(write, error)
             self._sample(self.log[-1][-1])
 
     def run_until(self, condition: Callable[[], bool], seconds: float) -> None:
@@ -122,6 +179,7 @@ class PathWorld:
         tick = int(row["tick"])
         self.arbiter.board_seen(axes)
         self.follower.on_sample(tick, reports)
+        self.streamer.advance(self.now)
         self.dispatcher.on_sample(tick, int(row["applied_tick"]), int(row["applied_count"]))
 
     def table(self) -> NDArray[np.void]:

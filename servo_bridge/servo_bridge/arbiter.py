@@ -18,7 +18,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Variable
 from servo_msgs_py.timed_points import axes_of_points
 from servo_msgs_py.units import unwrap_u32
 
-from servo_bridge.setpoints import Mode, Rejected, Request
+from servo_bridge.setpoints import Mode, NotReady, Rejected, Request
 
 __all__ = ["Arbiter", "AxisStatus", "CommandWrite", "JointLimits", "PathSource"]
 
@@ -200,24 +200,27 @@ class Arbiter:
         return self._axes is not None and not self._blocked and all(axis.spinning for axis in self._axes)
 
     # ---- commands
-    def submit(self, request: Request) -> None:
-        """Check a request and make it the waiting set-point of its axes, also when it is the one that they have.
+    def submit(self, *requests: Request) -> None:
+        """Check requests and make them the waiting set-points of their axes, also when they have the same already.
 
         Parameters
         ----------
-        request : Request
-            Well-formed command.
+        *requests : Request
+            Well-formed commands, of different axes.
 
         Raises
         ------
         Rejected
             If any of it must not pass; then nothing has changed.
         """
-        self._check_ready(request.source, request.values)
-        targets = {axis: _Target(request.mode, self._raw(request, axis)) for axis in request.values}
-        for axis, target in targets.items():
+        targets: dict[int, tuple[str, _Target]] = {}
+        for request in requests:
+            self.check_ready(request.source, request.values)
+            for axis in request.values:
+                targets[axis] = request.source, _Target(request.mode, self._raw(request, axis))
+        for axis, (source, target) in targets.items():
             self._targets[axis] = target
-            self._leave_path(axis, f"a set-point on {request.source} took over")
+            self._leave_path(axis, f"a set-point on {source} took over")
 
     def admit(self, source: str, axes: Iterable[int]) -> None:
         """Check that paths of some axes may be followed: as `submit`, but for the values.
@@ -227,9 +230,34 @@ class Arbiter:
         Rejected
             If not.
         """
-        self._check_ready(source, axes)
+        self.check_ready(source, axes)
         for axis in axes:
             self._targets[axis] = None
+
+    def check_ready(self, source: str, axes: Iterable[int]) -> None:
+        """Check that some axes obey set-points.
+
+        Raises
+        ------
+        NotReady
+            If not.
+        """
+        if self._axes is None:
+            raise NotReady(f"{source}: not connected ({self._link}); see state and /diagnostics")
+        for axis in axes:
+            status, joint = self._axes[axis], self._joints[axis]
+            if status.faulted:
+                raise NotReady(
+                    f"{source}: {joint} is in FAULT; see /diagnostics for cause and remedy, call clear_faults, "
+                    "then enable"
+                )
+            if self._blocked:
+                raise NotReady(f"{source}: {self._blocked}; call the service enable with data: true first")
+            if not status.spinning:
+                raise NotReady(
+                    f"{source}: {joint} is in {status.label}, not in RUN/SPIN; call the service enable with "
+                    "data: true and wait until armed is true"
+                )
 
     def obeys_points(self, axis: int) -> bool:
         """Whether an axis has been told to follow timed points."""
@@ -269,24 +297,6 @@ class Arbiter:
     def _leave_path(self, axis: int, reason: str) -> None:
         if self._paths is not None and axis in self._paths.axes:
             self._paths.cancel(axis, reason)
-
-    def _check_ready(self, source: str, axes: Iterable[int]) -> None:
-        if self._axes is None:
-            raise Rejected(f"{source}: not connected ({self._link}); see state and /diagnostics")
-        for axis in axes:
-            status, joint = self._axes[axis], self._joints[axis]
-            if status.faulted:
-                raise Rejected(
-                    f"{source}: {joint} is in FAULT; see /diagnostics for cause and remedy, call clear_faults, "
-                    "then enable"
-                )
-            if self._blocked:
-                raise Rejected(f"{source}: {self._blocked}; call the service enable with data: true first")
-            if not status.spinning:
-                raise Rejected(
-                    f"{source}: {joint} is in {status.label}, not in RUN/SPIN; call the service enable with "
-                    "data: true and wait until armed is true"
-                )
 
     def _raw(self, request: Request, axis: int) -> int:
         value, mode, joint = request.values[axis], request.mode, self._joints[axis]

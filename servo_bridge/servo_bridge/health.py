@@ -15,6 +15,7 @@ from servo_msgs_py.value_text import value_text
 
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.telemetry import Frame
+from servo_bridge.trajectory.stream import StreamReport
 from servo_bridge.wire.link_state import LinkState, LinkStatus
 from servo_bridge.wire.link_statistics import LinkStatistics
 
@@ -59,6 +60,7 @@ class Health:
         self._joints = list(joints)
         self._last = LinkStatistics()
         self._last_rejected = 0
+        self._last_missing = 0
         self._last_counts: dict[str, int] = {}
 
     def link(self, status: LinkStatus, figures: LinkStatistics, baud: int, low_latency: str) -> DiagnosticStatus:
@@ -173,6 +175,27 @@ class Health:
                 "last rejection": figures.last_rejection or "none",
             },
         )
+
+    def stream(self, report: StreamReport | None) -> DiagnosticStatus:
+        """Status of streamed set-points."""
+        if report is None:
+            return self._status("stream", _OK, "no stream", {})
+        fresh = report.lost + report.late - self._last_missing
+        self._last_missing = report.lost + report.late
+        level, message = _OK, ", ".join(report.moving) or "no stream"
+        if report.starved:
+            level, message = _WARN, f"no messages for {', '.join(report.starved)}: stopping"
+        elif fresh > 0:
+            level, message = _WARN, f"in the last second: {fresh} messages lost or late"
+        values = {
+            "delay [ms]": f"{report.delay * 1e3:.1f}",
+            "jitter [ms]": f"{report.jitter * 1e3:.1f}",
+            "period [ms]": f"{report.period * 1e3:.1f}",
+            "received": report.received,
+            "lost": report.lost,
+            "late": report.late,
+        }
+        return self._status("stream", level, message, values)
 
     def parameters(self, values: RawParameters | None, trouble: str) -> DiagnosticStatus:
         """Status of the parameters of the board: their values, and whether they are those that the user wants."""

@@ -32,6 +32,7 @@ from servo_bridge.fault_records import FaultRecords
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import BOARD_COUNTERS, Health
 from servo_bridge.inbox import Inbox
+from servo_bridge.joint_commands import JointCommands
 from servo_bridge.keep_alive import KeepAlive
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import error_of
@@ -43,6 +44,7 @@ from servo_bridge.telemetry import Frame, Telemetry
 from servo_bridge.trajectory.check import Limits, require
 from servo_bridge.trajectory.follower import AxisReport, Follower
 from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.streamer import Streamer, stream_lead
 from servo_bridge.trajectory_limits import path_limits
 from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_bridge.variable_topics import VariableTopics
@@ -165,6 +167,20 @@ class ServoBridge(Node):
             limits=self._path_limits,
             origin_ns=self._origin_ns,
             say=lambda text: self._log.info(text),
+        )
+        self._streamer = Streamer(
+            self._joints, self._follower, stream_lead(settings.baud), settings.stream_delay_max or None
+        )
+        self._joint_commands = JointCommands(
+            self,
+            self._joints,
+            self._arbiter,
+            self._streamer,
+            self._set_points,
+            interfaces=settings.command_interfaces,
+            limits=self._path_limits,
+            offset_ns=lambda: self._board_clock.offset_ns,
+            wall_ns=self._wall.wall_ns,
         )
         self._status = LinkStatus(LinkState.DISCONNECTED, "starting")
         self._frame: Frame | None = None
@@ -320,6 +336,7 @@ class ServoBridge(Node):
         self._frame = frame
         self._arbiter.board_seen(frame.axes)
         self._follower.on_sample(frame.tick, self._axis_reports(frame))
+        self._joint_commands.advance()
         applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
         self._motion.on_frame(frame)
         if applied is not None:
@@ -416,6 +433,7 @@ class ServoBridge(Node):
             health.board(self._link.board, frame, self._counts),
             *(health.axis(axis, frame, self._fault_records.records[axis]) for axis in range(AXES)),
             health.commands(self._set_points.figures, armed=self._arbiter.armed),
+            health.stream(self._streamer.report),
             health.parameters(self._board_parameters.values, self._board_parameters.trouble),
         ]
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))

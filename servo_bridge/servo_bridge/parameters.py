@@ -65,6 +65,18 @@ PARAMETERS: Mapping[str, Spec] = {
         "largest effort set-point per joint [N m], inside the board's own limit: current limit times torque constant",
         read_only=False,
     ),
+    "command_interfaces": Spec(
+        ["", ""],
+        "arrays of joint_commands that each joint is in, such as 'position velocity' or 'effort'; needed where the "
+        "sender leaves joints out of an array, as ros2_control does with joints of different command interfaces; "
+        "empty: all",
+    ),
+    "stream_delay_max": Spec(
+        0.0,
+        "longest delay with which jitter and loss of streamed set-points are bridged [s]; 0.0 is one period of them",
+        0.0,
+        1.0,
+    ),
     "board_parameters": Spec(
         [""],
         "parameters that the board gets at every connection and whenever this list changes, each as NAME=VALUE such as "
@@ -89,6 +101,8 @@ class Settings:
     joint_states_rate: float
     snapshot_period: float
     limits: tuple[JointLimits, ...]
+    command_interfaces: Mapping[str, frozenset[str]] | None
+    stream_delay_max: float
     board_parameters: tuple[Assignment, ...]
 
 
@@ -128,8 +142,22 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         joint_states_rate=values["joint_states_rate"],
         snapshot_period=values["snapshot_period"],
         limits=_limits(values),
+        command_interfaces=_interfaces(values["command_interfaces"], joints),
+        stream_delay_max=values["stream_delay_max"],
         board_parameters=_board_parameters(values["board_parameters"], catalogue),
     )
+
+
+def _interfaces(texts: Sequence[str], joints: Sequence[str]) -> Mapping[str, frozenset[str]] | None:
+    known = ("position", "velocity", "effort")
+    if len(texts) != len(joints) or not {word for text in texts for word in text.split()} <= set(known):
+        raise ParameterError(
+            f"parameter command_interfaces is {list(texts)}; give {len(joints)} texts, one per joint, of the words "
+            f"{', '.join(known)}"
+        )
+    if not any(texts):
+        return None
+    return {joint: frozenset(text.split() or known) for joint, text in zip(joints, texts, strict=True)}
 
 
 def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assignment, ...]:

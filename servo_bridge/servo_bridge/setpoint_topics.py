@@ -1,4 +1,4 @@
-"""The topics that take set-points: form, arbiter, and a sentence for everything that is refused."""
+"""The topics that take positions: form, arbiter, and a sentence for everything that is refused."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.health import CommandFigures
-from servo_bridge.setpoints import Rejected, Request, from_array, from_joint_command, from_single
+from servo_bridge.setpoints import Rejected, Request, from_array, from_single
 from servo_bridge.throttle import Throttle
 from servo_msgs_py import topics
 
@@ -20,7 +19,7 @@ __all__ = ["SetPointTopics"]
 
 
 class SetPointTopics:
-    """Subscriptions of all set-point topics.
+    """Subscriptions of the topics of positions; what is let through and refused on all set-point topics.
 
     Parameters
     ----------
@@ -51,15 +50,10 @@ class SetPointTopics:
         self._throttle = Throttle(burst=20, rate=2.0)
         self.figures = CommandFigures()
         qos = topics.command_qos()
-        node.create_subscription(JointState, topics.JOINT_COMMANDS, self._on_joint_command, qos)
         node.create_subscription(Float64MultiArray, topics.COMMANDS, self._on_commands, qos)
         for axis, joint in enumerate(joints):
             topic = topics.joint_position_topic(joint)
             node.create_subscription(Float64, topic, partial(self._on_position, topic, axis), qos)
-
-    def _on_joint_command(self, message: JointState) -> None:
-        fields = message.name, message.position, message.velocity, message.effort
-        self._take(topics.JOINT_COMMANDS, lambda: from_joint_command(topics.JOINT_COMMANDS, self._joints, *fields))
 
     def _on_commands(self, message: Float64MultiArray) -> None:
         self._take(topics.COMMANDS, lambda: from_array(topics.COMMANDS, self._joints, message.data))

@@ -7,15 +7,30 @@ numbers. Limits and states are the arbiter's business. Pure; takes plain sequenc
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-__all__ = ["Mode", "Rejected", "Request", "from_array", "from_joint_command", "from_single"]
+__all__ = [
+    "JointSetPoint",
+    "Mode",
+    "NotReady",
+    "Rejected",
+    "Repeats",
+    "Request",
+    "from_array",
+    "from_joint_command",
+    "from_single",
+    "requests_of",
+]
 
 
 class Rejected(ValueError):
     """A command that was not carried out; the text says what is wrong, where, and what to do."""
+
+
+class NotReady(Rejected):
+    """The axes obey nothing now, whatever it is."""
 
 
 class Mode(IntEnum):
@@ -46,6 +61,26 @@ class Request:
     values: Mapping[int, float]
 
 
+@dataclass(frozen=True)
+class JointSetPoint:
+    """What a JointState asks of one joint; what it leaves open is None.
+
+    Attributes
+    ----------
+    position, velocity, effort : float or None
+        [rad], [rad/s], [N m]
+    """
+
+    position: float | None = None
+    velocity: float | None = None
+    effort: float | None = None
+
+    @property
+    def streamed(self) -> bool:
+        """A position with velocity or effort is one of a path in time."""
+        return self.position is not None and (self.velocity is not None or self.effort is not None)
+
+
 _FIELDS = {"position": Mode.POSITION, "velocity": Mode.SPEED, "effort": Mode.TORQUE}
 
 
@@ -53,17 +88,34 @@ def from_joint_command(
     source: str,
     joints: Sequence[str],
     names: Sequence[str],
-    position: Sequence[float],
-    velocity: Sequence[float],
-    effort: Sequence[float],
-) -> Request:
-    """Command of a JointState: joints by name, the mode by the one array that is filled.
+    arrays: Mapping[str, Sequence[float]],
+    interfaces: Mapping[str, Collection[str]] | None = None,
+) -> dict[int, JointSetPoint]:
+    """Set-points of a JointState, by axis.
+
+    Parameters
+    ----------
+    source : str
+        Topic, for messages.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    names : sequence of str
+        Those of the message.
+    arrays : mapping of str to sequence of float
+        Its position, velocity and effort; an empty one is not given. NaN leaves a value open.
+    interfaces : mapping of str to collection of str, optional
+        Which of the arrays a joint is in, where not every joint is in all of them.
+
+    Returns
+    -------
+    dict of int to JointSetPoint
+        Without joints of which everything is open.
 
     Raises
     ------
     Rejected
-        If a name is unknown or given twice, no or several arrays are filled, a length is wrong or a number is not
-        finite.
+        If a name is unknown or given twice, all arrays are empty, a length is wrong, a number is infinite, or a joint
+        has velocity and effort but no position.
     """
     listing = ", ".join(joints)
     if not names:
@@ -73,19 +125,73 @@ def from_joint_command(
             raise Rejected(f"{source}: joint {name!r} does not exist; the joints are {listing}")
     if len(set(names)) != len(names):
         raise Rejected(f"{source}: a joint is named twice in {', '.join(names)}; name each joint once")
-    arrays = {"position": position, "velocity": velocity, "effort": effort}
-    filled = [field for field, values in arrays.items() if len(values)]
-    if len(filled) != 1:
-        found = " and ".join(filled) if filled else "none"
-        raise Rejected(f"{source}: fill exactly one of position, velocity and effort; filled: {found}")
-    field = filled[0]
-    values = arrays[field]
-    if len(values) != len(names):
-        raise Rejected(f"{source}: {field} has {len(values)} values for {len(names)} names; give one value per name")
-    for name, value in zip(names, values, strict=True):
-        _check_finite(source, f"{field} of {name}", value)
-    pairs = {joints.index(name): float(value) for name, value in zip(names, values, strict=True)}
-    return Request(source, _FIELDS[field], pairs)
+    if not any(len(values) for values in arrays.values()):
+        raise Rejected(f"{source}: position, velocity and effort are empty; fill position, velocity or effort")
+    given: dict[str, dict[str, float]] = {name: {} for name in names}
+    for field, values in arrays.items():
+        owners = names if interfaces is None else [name for name in names if field in interfaces[name]]
+        if len(values) not in (0, len(owners)):
+            raise Rejected(
+                f"{source}: {field} has {len(values)} values for {len(owners)} names; give one value per name, and NaN "
+                "for a joint that is left alone"
+            )
+        for name, value in zip(owners, values, strict=False):
+            if math.isinf(value):
+                raise Rejected(f"{source}: {field} of {name} is {value}; send a finite number")
+            if not math.isnan(value):
+                given[name][field] = float(value)
+    result = {joints.index(name): JointSetPoint(**fields) for name, fields in given.items() if fields}
+    for axis, point in result.items():
+        if point.position is None and point.velocity is not None and point.effort is not None:
+            raise Rejected(
+                f"{source}: {joints[axis]} has a velocity and an effort, but no position; give one of them, or a "
+                "position with them"
+            )
+    return result
+
+
+def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[Request]:
+    """Requests of the joints that are not streamed, one per mode."""
+    result = []
+    for field, mode in _FIELDS.items():
+        values = {axis: getattr(point, field) for axis, point in points.items() if not point.streamed}
+        values = {axis: value for axis, value in values.items() if value is not None}
+        if values:
+            result.append(Request(source, mode, values))
+    return result
+
+
+class Repeats:
+    """Finds set-points that only repeat one from before the axes obeyed.
+
+    Some senders command a position all the time, also before anyone has told them where to go. Enabling the axes must
+    not send a shaft there: such a set-point moves nothing until it changes, or until the sender has paused.
+
+    Parameters
+    ----------
+    pause : float
+        Silence that ends a repetition [s].
+    """
+
+    def __init__(self, pause: float = 1.0) -> None:
+        self._pause = pause
+        self._refused: dict[int, tuple[float, JointSetPoint]] = {}
+
+    def refused(self, time: float, points: Mapping[int, JointSetPoint]) -> None:
+        """Note set-points that came while the axes did not obey; `time` in seconds."""
+        self._refused.update({axis: (time, point) for axis, point in points.items()})
+
+    def fresh(self, time: float, points: Mapping[int, JointSetPoint]) -> dict[int, JointSetPoint]:
+        """Those that repeat nothing."""
+        result = {}
+        for axis, point in points.items():
+            before, refused = self._refused.get(axis, (time, None))
+            if point == refused and time - before < self._pause:
+                self._refused[axis] = time, point
+            else:
+                self._refused.pop(axis, None)
+                result[axis] = point
+        return result
 
 
 def from_array(source: str, joints: Sequence[str], data: Sequence[float]) -> Request:

@@ -6,28 +6,79 @@ import math
 from typing import Any
 
 import pytest
-from servo_bridge.setpoints import Mode, Rejected, from_array, from_joint_command, from_single
+from servo_bridge.setpoints import (
+    JointSetPoint,
+    Mode,
+    Rejected,
+    Repeats,
+    from_array,
+    from_joint_command,
+    from_single,
+    requests_of,
+)
 
 pytestmark = pytest.mark.realtime
 
 JOINTS = ("axis1", "axis2")
 
 
-def joint_command(**fields: Any) -> Any:
-    arguments = {"names": [], "position": [], "velocity": [], "effort": []} | fields
-    return from_joint_command("joint_commands", JOINTS, **arguments)
+def joint_command(names: list[str], interfaces: Any = None, **arrays: list[float]) -> dict[int, JointSetPoint]:
+    every: dict[str, list[float]] = {"position": [], "velocity": [], "effort": []} | arrays
+    return from_joint_command("joint_commands", JOINTS, names, every, interfaces)
 
 
 @pytest.mark.parametrize(
     ("field", "mode"), [("position", Mode.POSITION), ("velocity", Mode.SPEED), ("effort", Mode.TORQUE)]
 )
 def test_the_filled_array_chooses_the_mode(field: str, mode: Mode) -> None:
-    request = joint_command(names=["axis2", "axis1"], **{field: [2.0, 1.0]})
+    points = joint_command(["axis2", "axis1"], **{field: [2.0, 1.0]})
+    assert points == {0: JointSetPoint(**{field: 1.0}), 1: JointSetPoint(**{field: 2.0})}
+    assert not any(point.streamed for point in points.values())
+    (request,) = requests_of("joint_commands", points)
     assert (request.mode, dict(request.values)) == (mode, {0: 1.0, 1: 2.0})
 
 
 def test_one_joint_leaves_the_other_alone() -> None:
-    assert dict(joint_command(names=["axis2"], position=[3.0]).values) == {1: 3.0}
+    assert joint_command(["axis2"], position=[3.0]) == {1: JointSetPoint(3.0)}
+    assert joint_command(["axis1", "axis2"], position=[math.nan, 3.0]) == {1: JointSetPoint(3.0)}
+    assert joint_command(["axis1", "axis2"], position=[math.nan] * 2, velocity=[math.nan] * 2) == {}
+
+
+def test_a_position_with_more_is_streamed() -> None:
+    points = joint_command(["axis1", "axis2"], position=[1.0, 2.0], velocity=[3.0, math.nan], effort=[0.5, math.nan])
+    assert points == {0: JointSetPoint(1.0, 3.0, 0.5), 1: JointSetPoint(2.0)}
+    assert [point.streamed for point in points.values()] == [True, False]
+    (request,) = requests_of("joint_commands", points)
+    assert (request.mode, dict(request.values)) == (Mode.POSITION, {1: 2.0})
+    assert joint_command(["axis1"], position=[1.0], effort=[0.2])[0].streamed
+
+
+def test_joints_of_different_modes() -> None:
+    points = joint_command(["axis1", "axis2"], position=[1.0, math.nan], velocity=[math.nan, 5.0])
+    assert [(request.mode, dict(request.values)) for request in requests_of("joint_commands", points)] == [
+        (Mode.POSITION, {0: 1.0}),
+        (Mode.SPEED, {1: 5.0}),
+    ]
+
+
+def test_arrays_that_some_joints_are_not_in() -> None:
+    interfaces = {"axis1": {"position"}, "axis2": {"velocity"}}
+    points = joint_command(["axis1", "axis2"], interfaces, position=[1.0], velocity=[5.0])
+    assert points == {0: JointSetPoint(1.0), 1: JointSetPoint(None, 5.0)}
+    with pytest.raises(Rejected, match="position has 2 values for 1 names"):
+        joint_command(["axis1", "axis2"], interfaces, position=[1.0, 2.0])
+
+
+def test_repeats_of_what_came_before_enabling() -> None:
+    repeats = Repeats(pause=1.0)
+    zero, one = {0: JointSetPoint(0.0), 1: JointSetPoint(0.0, 0.0)}, {0: JointSetPoint(0.0), 1: JointSetPoint(1.0, 0.0)}
+    assert repeats.fresh(0.0, zero) == zero
+    repeats.refused(1.0, zero)
+    for k in range(30):
+        assert repeats.fresh(1.1 + 0.1 * k, zero) == {}
+    assert repeats.fresh(4.1, one) == {1: JointSetPoint(1.0, 0.0)}
+    assert repeats.fresh(4.2, zero) == {1: JointSetPoint(0.0, 0.0)}
+    assert repeats.fresh(5.2, zero) == zero, "after a pause it is meant"
 
 
 @pytest.mark.parametrize(
@@ -38,12 +89,15 @@ def test_one_joint_leaves_the_other_alone() -> None:
         ({"names": ["axis1", "axis1"], "position": [1.0, 2.0]}, "named twice"),
         (
             {"names": ["axis1", "axis2"], "position": [1.0]},
-            "position has 1 values for 2 names; give one",
+            "position has 1 values for 2 names; give one value per name",
         ),
         ({"names": ["axis1"], "velocity": [1.0, 2.0]}, "velocity has 2 values for 1 names"),
-        ({"names": ["axis1"]}, "fill exactly one of position, velocity and effort; filled: none"),
-        ({"names": ["axis1"], "position": [1.0], "effort": [0.0]}, "filled: position and effort"),
-        ({"names": ["axis1", "axis2"], "position": [1.0, math.nan]}, "position of axis2 is nan; send a finite number"),
+        ({"names": ["axis1"]}, "position, velocity and effort are empty; fill position, velocity or effort"),
+        (
+            {"names": ["axis1"], "velocity": [1.0], "effort": [0.0]},
+            "has a velocity and an effort, but no position",
+        ),
+        ({"names": ["axis1", "axis2"], "position": [1.0, math.inf]}, "position of axis2 is inf; send a finite number"),
         ({"names": ["axis1"], "effort": [-math.inf]}, "effort of axis1 is -inf"),
     ],
 )

@@ -45,7 +45,7 @@ def test_a_move_as_fast_as_the_limits_allow(limit: Limits) -> None:
     path = move(JOINTS, [0.0, 0.0], [3.0, -1.0], limits=[limit, limit])
     free = [replace(limit, position_max=np.inf)] * 2
     assert first_violation(path, free) is None
-    assert first_violation(move(JOINTS, [0.0, 0.0], [3.0, -1.0], 0.998 * path.duration), free) is not None
+    assert first_violation(move(JOINTS, [0.0, 0.0], [3.0, -1.0], 0.97 * path.duration), free) is not None
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,23 @@
 """How closely a shaft follows a path in time, next to positions that are sent one by one: part of ``make bench``.
 
-The same motion, 2 Hz and 1 rad on both axes, once as a trajectory through the bridge's follower and once as position
-set-points at 100 Hz, on the virtual board in simulated time.
+The same motion, 2 Hz and 1 rad on both axes, as a trajectory, as position set-points at 100 Hz, and streamed with
+velocities, through the parts of the bridge, on the virtual board in simulated time.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path as File
 from typing import Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_bridge.setpoints import Mode, Request
+from servo_bridge.setpoints import JointSetPoint, Mode, Request
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.shapes import lissajous
+from servo_msgs_py.catalogue import AXES
 from servo_twin.board import Board
 from servo_twin.level import Level
 
@@ -81,8 +83,35 @@ def _lag(t: NDArray[np.float64], real: NDArray[np.float64], wanted: NDArray[np.f
     return float(np.angle((wanted * wave).sum() / (real * wave).sum()) / omega)
 
 
+def _wave(t: float) -> dict[int, JointSetPoint]:
+    """Position and velocity of both axes, as they are streamed."""
+    omega = 2.0 * math.pi * FREQUENCY
+    rise = min(2.0 * t, 1.0)
+    speed = (2.0 * math.sin(omega * t) if t < 0.5 else 0.0) + rise * omega * math.cos(omega * t)
+    point = JointSetPoint(AMPLITUDE * rise * math.sin(omega * t), AMPLITUDE * speed)
+    return dict.fromkeys(range(AXES), point)
+
+
+def streamed(world: PathWorld, jitter: float, loss: float) -> tuple[float, float, float, int]:
+    """Error besides the lag [rad], lag and bridging delay [s], and faults."""
+    begin = world.send(SECONDS, _wave, jitter=jitter, loss=loss)
+    time, table = world.time(), world.table()
+    rows = (time >= begin + STEADY[0]) & (time < begin + STEADY[1])
+    t = time[rows] - begin
+    omega = 2.0 * np.pi * FREQUENCY
+    lags, errors = [], []
+    for joint in JOINTS:
+        real = table[f"{joint}.position"][rows] * COUNT
+        lags.append(_lag(t, real, np.sin(omega * t)))
+        errors.append(float(np.abs(real - AMPLITUDE * np.sin(omega * (t - lags[-1]))).max()))
+    report = world.streamer.report
+    assert report is not None
+    faults = sum(int(np.count_nonzero(table[f"{joint}.faults"])) for joint in JOINTS)
+    return max(errors), max(lags), report.delay, faults + len(world.troubles)
+
+
 def main() -> int:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     seed = parser.parse_args().seed
@@ -95,6 +124,20 @@ def main() -> int:
                 world = PathWorld(board)
                 error, lag = figures(world, run(world))
             print(f"| {name} | {level} | {error:.4f} | {1e3 * lag:.2f} |")
+    print()
+    print("| streamed at 100 Hz with velocity | level | error besides the lag [rad] | lag [ms] | delay [ms] | faults |")
+    print("| --- | --- | ---: | ---: | ---: | ---: |")
+    print("| aim | | 0.0400 | delay + 2 | | 0 |")
+    cases = (
+        ("no jitter", 0.0, 0.0, None),
+        ("50 ms of jitter, 5 % lost", 0.05, 0.05, None),
+        ("the same, stream_delay_max 0.1", 0.05, 0.05, 0.1),
+    )
+    for level in get_args(Level):
+        for name, jitter, loss, delay_max in cases:
+            with Board(seed=seed, level=level) as board:
+                error, lag, delay, faults = streamed(PathWorld(board, delay_max), jitter, loss)
+            print(f"| {name} | {level} | {error:.4f} | {1e3 * lag:.2f} | {1e3 * delay:.2f} | {faults} |")
     return 0
 
 

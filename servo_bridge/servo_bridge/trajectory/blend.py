@@ -6,9 +6,10 @@ import numpy as np
 
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import DEGREE, Path, State
-from servo_bridge.trajectory.spline import quintic
+from servo_bridge.trajectory.spline import cubic, quintic
+from servo_bridge.trajectory.timed_points import PERIOD, TimedPoints
 
-__all__ = ["BLEND_TIME", "joined", "spliced"]
+__all__ = ["BLEND_TIME", "extended", "joined", "spliced"]
 
 BLEND_TIME = 0.1
 """Shortest time to join a path that runs already, where it is long enough [s]."""
@@ -77,6 +78,8 @@ def spliced(old: Path, new: Path, since: float) -> Path:
         times, coefficients, efforts = [*times, new.start_time], [*coefficients, hold], [*efforts, efforts[-1]]
     first = max(int(np.searchsorted(times, since, side="right")) - 1, 0)
     cut = int(np.searchsorted(times, new.start_time))
+    if cut <= first:
+        return new
     return Path(
         old.joints,
         np.concatenate((times[first:cut], new.times)),
@@ -84,3 +87,26 @@ def spliced(old: Path, new: Path, since: float) -> Path:
         new.end,
         np.concatenate((efforts[first:cut], new.efforts)),
     )
+
+
+def extended(old: Path, points: TimedPoints, since: float) -> Path:
+    """Path of one joint that goes on along timed points, as the board interpolates them.
+
+    Parameters
+    ----------
+    old : Path
+        Path of one joint.
+    points : TimedPoints
+        At least two, unless they begin after the end of `old`, which is then the first one.
+    since : float
+        Breakpoints of `old` before are left out, but for the last [s].
+    """
+    times = points.periods * PERIOD
+    columns = np.stack((points.positions, points.velocities, points.efforts))
+    if times[0] > old.end_time:
+        last = old.continued(old.end_time)
+        times = np.concatenate(([old.end_time], times))
+        columns = np.column_stack(([last.position[0], last.velocity[0], last.effort[0]], columns))
+    p, v, effort = columns
+    pieces = cubic(np.diff(times), p[:-1], v[:-1], p[1:], v[1:])
+    return spliced(old, Path(old.joints, times, pieces[:, None], p[-1:], effort[:, None]), since)

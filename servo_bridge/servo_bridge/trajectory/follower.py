@@ -14,11 +14,11 @@ from typing import Final
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
 
-from servo_bridge.trajectory.blend import spliced
+from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
-from servo_bridge.trajectory.timed_points import PERIOD, timed_points
+from servo_bridge.trajectory.timed_points import PERIOD, TimedPoints, timed_points
 
 __all__ = ["LEAD", "AxisReport", "Follower", "Plan"]
 
@@ -27,6 +27,9 @@ LEAD: Final = 0.06
 
 _SOON: Final = 0.2
 """How long before its start a path is worked out and sent [s]; until then a path that runs goes on."""
+
+_PAST = round(0.2 / PERIOD)
+"""What is kept of a path that is extended, before now [PWM periods]: the next one leaves it a moment later."""
 
 _QUEUE: Final = 14
 """Points that an axis of the board holds ahead; its queue has 16."""
@@ -142,6 +145,33 @@ class Follower:
         """Path of every joint that has one."""
         return {self._joints[axis]: one.path for axis, one in enumerate(self._axes) if one.path is not None}
 
+    def extend(self, joint: str, path: Path, points: TimedPoints) -> Path | None:
+        """Follow timed points after the first of a path, or of what it has been extended to.
+
+        Parameters
+        ----------
+        joint : str
+            Joint of the path.
+        path : Path
+            As `paths` or the last call has it.
+        points : TimedPoints
+            The first one continues the path, within or at its end; what comes later in the path is dropped.
+
+        Returns
+        -------
+        Path or None
+            The extended path; None if the joint follows another one by now.
+        """
+        axis = self._joints.index(joint)
+        one = self._axes[axis]
+        if one.path is not path:
+            return None
+        within = int(points.periods[0]) * PERIOD < path.end_time - 0.5 * PERIOD
+        self._drop_from(one, int(points.periods[0]))
+        self._put(axis, points, replaces=within)
+        one.path = extended(path, points, (self._now - _PAST) * PERIOD)
+        return one.path
+
     # ---- what the board says
     def on_sample(self, tick: int, reports: Sequence[AxisReport]) -> None:
         """Take a sample: go on, and begin what has waited for it.
@@ -199,21 +229,24 @@ class Follower:
             joint = self._joints[axis]
             one, mine = self._axes[axis], points[joint]
             self._drop_from(one, int(mine.periods[0]))
-            constant = self._torque_constant(axis)
-            for k, period in enumerate(mine.periods.tolist()):
-                point = TimedPoint(
-                    axis,
-                    period % (1 << 32),
-                    float(mine.positions[k]),
-                    float(mine.velocities[k]),
-                    float(mine.efforts[k]) / constant if mine.efforts[k] else 0.0,
-                    replaces=k == 0,
-                )
-                one.waiting.append(point)
-                one.ticks.append(period)
+            self._put(axis, mine, replaces=True)
             own = path.select([joint])
             one.path = own if one.path is None else spliced(one.path, own, time)
         request.begun(path.end_time)
+
+    def _put(self, axis: int, points: TimedPoints, *, replaces: bool) -> None:
+        one, constant = self._axes[axis], self._torque_constant(axis)
+        for k, period in enumerate(points.periods.tolist()):
+            point = TimedPoint(
+                axis,
+                period % (1 << 32),
+                float(points.positions[k]),
+                float(points.velocities[k]),
+                float(points.efforts[k]) / constant if points.efforts[k] else 0.0,
+                replaces=replaces and k == 0,
+            )
+            one.waiting.append(point)
+            one.ticks.append(period)
 
     def _torque_constant(self, axis: int) -> float:
         constants = self.torque_constants

@@ -23,6 +23,10 @@ _SHORTEST = 2.0e-3
 _LONGEST = 1.0e6
 """A motion that does not keep its limits in this time keeps them in none [s]."""
 
+_RESERVE = 0.95
+"""Part of the acceleration that motions use which are as short as they can be. The rest is for the interpolation of the
+board, whose cubic pieces differ a little from the path."""
+
 _PER_WAVE = 24
 """Waypoints per period of a sine; the quintics between them are 8e-9 amplitudes off at most."""
 
@@ -88,7 +92,7 @@ def stop(joints: Sequence[str], start: State, deceleration_max: Sequence[float],
         [s]
     """
     limits = [
-        Limits(acceleration_max=max(a, 1.001 * abs(b)))
+        Limits(acceleration_max=max(a, 1.001 * abs(b) / _RESERVE))
         for a, b in zip(deceleration_max, start.acceleration, strict=True)
     ]
 
@@ -210,7 +214,8 @@ def _envelope(t: Array, rise: float, duration: float) -> tuple[Array, Array, Arr
 
 
 def _shortest(in_time: Callable[[float], Path], limits: Sequence[Limits]) -> Path:
-    """The motion of the shortest duration, to a thousandth, that keeps the limits."""
+    """The motion of the shortest duration, to a thousandth, that keeps the limits with a reserve of acceleration."""
+    limits = [replace(limit, acceleration_max=_RESERVE * limit.acceleration_max) for limit in limits]
     slow = _SHORTEST
     while (violation := first_violation(in_time(slow), limits)) is not None:
         slow *= 2.0

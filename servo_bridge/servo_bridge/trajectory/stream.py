@@ -31,8 +31,8 @@ _HISTORY = 64
 _STOP_SHARE = 0.5
 """Part of the acceleration with which a reference without messages stops."""
 
-_REST = 1.0e-6
-"""Distance and velocity below which a joint rests [rad], [rad/s]."""
+_REST, _REST_SPEED = 1.0e-4, 1.0e-2
+"""Distance [rad] from where the reference has stopped, and velocity [rad/s], below which a joint is brought to rest."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ class _Joint:
     tracker: Tracker
     points: list[tuple[float, float, float, float]] = field(default_factory=list)
     active: bool = False
+    begins: bool = False
     starved: bool = False
     effort: float = 0.0
     out: list[tuple[int, float, float, float]] = field(default_factory=list)
@@ -139,6 +140,8 @@ class Stream:
         Bound of the delay that bridges jitter, and of the extrapolation [s]; by default one period of the stream.
     step : int
         Distance of the points [PWM periods].
+    begin : int, optional
+        No point is before this [PWM periods].
 
     Raises
     ------
@@ -156,13 +159,14 @@ class Stream:
         lead: float = 0.02,
         delay_max: float | None = None,
         step: int = STEP_PERIODS,
+        begin: int | None = None,
     ) -> None:
         speeds = [math.inf] * len(joints) if velocity_max is None else velocity_max
         if not all(x > 0.0 for x in (*acceleration_max, *speeds)) or step < SEGMENT_PERIODS_MIN:
             raise ValueError(f"limits must be above 0 and the step at least {SEGMENT_PERIODS_MIN} periods")
         self._lead, self._delay_max, self._step = lead, delay_max, step
         self._clock = PlayoutClock(lead, delay_max)
-        self._tick: int | None = None
+        self._tick = begin
         self._joints: dict[str, _Joint] = {
             joint: _Joint(Tracker(float(p), float(v), a, s))
             for joint, p, v, a, s in zip(joints, start.position, start.velocity, acceleration_max, speeds, strict=True)
@@ -217,8 +221,7 @@ class Stream:
                 continue
             state.take(stamp, p, v, 0.0 if math.isnan(e) else e)
             if not state.active:
-                state.active = True
-                state.out.append((self._tick, state.tracker.position, state.tracker.velocity, 0.0))
+                state.active = state.begins = True
 
     def points(self, until: float) -> dict[str, TimedPoints]:
         """Points that have not been fetched yet, up to a time [s]; joints without new points are left out."""
@@ -253,11 +256,14 @@ class Stream:
         for state in self._joints.values():
             if not state.active:
                 continue
+            if state.begins:
+                state.out.append((tick, state.tracker.position, state.tracker.velocity, 0.0))
+                state.begins = False
             position, velocity, _, _ = state.reference(stamp, bridge)
             _, ahead, effort, state.starved = state.reference(stamp + rate * h, bridge)
             tracker = state.tracker
             tracker.advance(position, rate * velocity, rate * (ahead - velocity) / h, h)
-            off = max(map(abs, (tracker.position - position, tracker.velocity, velocity, ahead)))
-            if state.starved and off < _REST:
+            speed = max(map(abs, (tracker.velocity, velocity, ahead)))
+            if state.starved and abs(tracker.position - position) < _REST and speed < _REST_SPEED:
                 state.active, tracker.velocity = False, 0.0
             state.out.append((self._tick, tracker.position, tracker.velocity, effort))

@@ -32,6 +32,9 @@ TOLERANCE = 0.2 * 2.0 * math.pi / COUNTS_PER_TURN
 _KINK_SHARE = 0.1
 """Part of the tolerance for the rounding of a breakpoint at either end of a segment."""
 
+_ACCELERATION_SHARE = 0.04
+"""How far the acceleration may be from that of the path, as part of its peak: the board limits it."""
+
 _REST = 1.0e-6
 """A path that ends slower than this is meant to end at rest [rad/s]."""
 
@@ -71,7 +74,8 @@ def timed_points(path: Path, tolerance: float = TOLERANCE) -> dict[str, TimedPoi
     """Points of every joint, such that the interpolation of the board stays near the path.
 
     A cubic piece needs its ends only. Others are divided evenly: a cubic Hermite piece of length h is within
-    max|f''''| h^4 / 384 of the function f that it interpolates (C. de Boor, A Practical Guide to Splines, ch. IV).
+    max|f''''| h^4 / 384 of the function f that it interpolates (C. de Boor, A Practical Guide to Splines, ch. IV), and
+    its acceleration within max|f''''| h^2 / 12.
     Each time is rounded to a PWM period by itself, so that no error adds up, and position and velocity are those of
     the path at the rounded time; the last point of a path that ends at rest is exactly its end. Of breakpoints closer
     than 1 ms the later ones are left out, but for the end.
@@ -99,6 +103,7 @@ def timed_points(path: Path, tolerance: float = TOLERANCE) -> dict[str, TimedPoi
 def _points_of(path: Path, axis: int, tolerance: float) -> TimedPoints:
     knots = _knots(path, axis, _KINK_SHARE * tolerance)
     fourth = _fourth_derivative_max(path, axis)
+    peak = _acceleration_max(path, axis)
     pieces = [np.array(knots[:1], dtype=np.int64)]
     for begin, end in pairwise(knots):
         length = end - begin
@@ -107,6 +112,8 @@ def _points_of(path: Path, axis: int, tolerance: float) -> TimedPoints:
         size = float(fourth[max(first - 1, 0) : last].max(initial=0.0))
         bound = 384.0 * (1.0 - 2.0 * _KINK_SHARE) * tolerance
         parts = math.ceil(length * PERIOD * (size / bound) ** 0.25)
+        if size > 0.0:
+            parts = max(parts, math.ceil(length * PERIOD * math.sqrt(size / (12.0 * _ACCELERATION_SHARE * peak))))
         parts = max(min(parts, length // SEGMENT_PERIODS_MIN), -(-length // SEGMENT_PERIODS_MAX), 1)
         pieces.append(begin + np.arange(1, parts + 1) * length // parts)
     periods = np.concatenate(pieces)
@@ -173,6 +180,12 @@ def _fourth_derivative_max(path: Path, axis: int) -> Array:
     ends = np.abs([24.0 * fourth, 24.0 * fourth + 120.0 * fifth * np.diff(path.times)])
     result: Array = ends.max(axis=0)
     return result
+
+
+def _acceleration_max(path: Path, axis: int) -> float:
+    """Largest magnitude at breakpoints and between them [rad/s^2]."""
+    t = path.times[:-1, None] + np.diff(path.times)[:, None] * (np.arange(5) / 4.0)
+    return float(np.abs(path.continued(t).acceleration[..., axis]).max())
 
 
 def _check_deviation(path: Path, axis: int, points: TimedPoints, tolerance: float) -> None:

@@ -1,0 +1,156 @@
+"""Messages as ros2_control sends them: streams, joints that are left alone, what repeats itself across enabling."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+
+import pytest
+from bridge_rig import SPIN, Rig
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import JointState
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.timed_points import TimedPoint, decode_points
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_msgs_py import topics
+
+CATALOGUE = Catalogue.load()
+PERIODS = 160
+NAN = math.nan
+OFF = (1, 0)
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with Rig() as rig:
+        for name, value in (("speed", 300.0), ("acceleration", 4000.0), ("i_q", 2.0)):
+            variable = CATALOGUE[f"param.{name}_limit"]
+            rig.link.parameters[variable.name] = [variable.to_raw(value)] * 2
+        yield rig
+
+
+@pytest.fixture
+def ready(rig: Rig) -> Rig:
+    rig.ready()
+    rig.until(lambda: rig.messages[topics.PARAMETERS])
+    return rig
+
+
+def sample(rig: Rig) -> None:
+    """A sample of a board whose clock is right."""
+    now = time.monotonic_ns() // PERIOD_NS
+    rig.link.sample(max(now - rig.link.tick, 1) if rig.link.tick > now // 2 else now)
+
+
+def send(rig: Rig, position: list[float], velocity: list[float] | None = None, stamp: float = 0.0) -> None:
+    """A message of all joints, and a sample."""
+    message = JointState(name=["axis1", "axis2"], position=position, velocity=velocity or [])
+    message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), round(stamp % 1.0 * 1e9)
+    rig.joint_commands.publish(message)
+    until = time.monotonic() + 0.01
+    while (left := until - time.monotonic()) > 0.0:
+        rig.executor.spin_once(timeout_sec=left)
+    sample(rig)
+
+
+def points(rig: Rig) -> list[TimedPoint]:
+    return [p for name, _, raw in rig.link.written if name == "cmd.points" for p in decode_points(CATALOGUE, raw)]
+
+
+def written(rig: Rig, name: str) -> list[tuple[int, tuple[int, ...]]]:
+    return [(first, tuple(raw)) for what, first, raw in rig.link.written if what == name]
+
+
+def until_written(rig: Rig, name: str) -> list[tuple[int, int]]:
+    """Give samples until a variable is written; axis and length of each write."""
+
+    def arrived() -> bool:
+        sample(rig)
+        rig.executor.spin_once(timeout_sec=0.005)
+        return bool(written(rig, name))
+
+    rig.until(arrived)
+    return [(first, len(raw)) for first, raw in written(rig, name)]
+
+
+def stream(rig: Rig, joints: tuple[bool, bool] = (True, True)) -> None:
+    """A ramp, until points of it have reached the link."""
+    sent = 0
+
+    def arrived() -> bool:
+        nonlocal sent
+        sent += 1
+        t = 0.01 * sent
+        values = [(2.0 * t, 2.0) if joint else (NAN, NAN) for joint in joints]
+        send(rig, [p for p, _ in values], [v for _, v in values], stamp=5000.0 + t)
+        return len(points(rig)) >= 20
+
+    rig.until(arrived)
+
+
+def test_positions_with_velocities_become_timed_points(ready: Rig) -> None:
+    stream(ready)
+    assert ready.rejections() == []
+    trajectory = CATALOGUE.enums["control_mode_t"]["TRAJECTORY"]
+    assert ready.link.written[0] == ("cmd.mode", 0, (trajectory, trajectory))
+    for axis in (0, 1):
+        mine = [point for point in points(ready) if point.axis == axis]
+        ticks = [point.tick for point in mine[-5:]]
+        assert [b - a for a, b in pairwise(ticks)] == [PERIODS] * 4
+        assert mine[-1].velocity > 0.0
+    ready.until(lambda: "axis1, axis2" in ready.diagnosis("stream").message)
+    values = {pair.key: pair.value for pair in ready.diagnosis("stream").values}
+    assert int(values["received"]) >= 5
+    assert float(values["delay [ms]"]) > 20.0
+    assert values["lost"] == "0"
+
+
+def test_a_joint_of_nan_is_left_alone(ready: Rig) -> None:
+    stream(ready, joints=(True, False))
+    assert {point.axis for point in points(ready)} == {0}
+    assert ready.rejections() == []
+
+
+def test_a_message_of_nan_is_no_set_point(ready: Rig) -> None:
+    for _ in range(20):
+        send(ready, [NAN, NAN], [NAN, NAN])
+    assert ready.link.written == []
+    assert ready.rejections() == []
+    ready.until(lambda: ready.diagnosis("commands"))
+    values = {pair.key: pair.value for pair in ready.diagnosis("commands").values}
+    assert (values["accepted"], values["rejected"]) == ("0", "0")
+
+
+def test_a_position_alone_is_as_before(ready: Rig) -> None:
+    send(ready, [1.0, NAN], [NAN, NAN])
+    assert until_written(ready, "cmd.position") == [(0, 1)]
+
+
+def test_a_velocity_beyond_its_limit_moves_no_joint(ready: Rig) -> None:
+    send(ready, [1.0, 0.0], [0.0, 500.0])
+    ready.until(ready.rejections)
+    assert "velocity of axis2 is 500 rad/s, outside -300 .. 300 rad/s" in ready.rejections()[-1]
+    assert ready.link.written == []
+
+
+def test_what_was_sent_before_enabling_moves_nothing_until_it_changes(rig: Rig) -> None:
+    """Some hardware interfaces command 0 until a controller starts."""
+    rig.up(OFF, OFF)
+    rig.until(lambda: rig.messages[topics.PARAMETERS])
+    for _ in range(3):
+        send(rig, [0.0, 0.0])
+    assert "not been enabled" in rig.rejections()[-1]
+    rig.link.axes(SPIN, SPIN)
+    rig.enable(True)
+    rig.until(rig.armed)
+    rig.link.written.clear()
+    for _ in range(30):
+        send(rig, [0.0, 0.0])
+    assert written(rig, "cmd.position") == []
+    assert any("repeats a set-point from before" in text for text in rig.rejections())
+    rig.until(lambda: rig.diagnosis("commands").level == DiagnosticStatus.WARN)
+    send(rig, [0.0, 0.5])
+    assert until_written(rig, "cmd.position") == [(1, 1)]
