@@ -59,7 +59,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-firmware chip-budget bench-twin targets test lint format build fast generate tune clean
+.PHONY: help setup demo up experiments bench bench-firmware chip-budget bench-twin launch-tools targets test lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -91,6 +91,16 @@ chip-budget: ## stack and RAM of the chip, estimated with arm-none-eabi-gcc and 
 bench-twin: $(VENV)/.fast ## how fast a virtual board is, at both levels; where its time goes; against other simulators
 	@PYTHONPATH=tests $(BIN)/python tests/bench/twin.py
 	@$(BIN)/python tests/bench/plant.py
+
+# They have no wheels. composition_interfaces is a package of generated messages that launch_ros imports and our files do not use.
+launch-tools: $(VENV)/.packages ## `ros2 launch`, for the tests, from a folder with checkouts of the ROS 2 repositories; ROS2_SOURCES=DIR
+	@: $${ROS2_SOURCES:?a folder with jazzy checkouts of launch, launch_ros, ros2cli and osrf_pycommon}
+	@rm -rf $(VENV)/ros2launch
+	@$(PIP) install --quiet --no-deps --no-build-isolation --target $(VENV)/ros2launch $(addprefix $(ROS2_SOURCES)/,osrf_pycommon \
+	  launch/launch launch/launch_xml launch/launch_yaml launch_ros/launch_ros launch_ros/ros2launch $(addprefix ros2cli/,ros2cli \
+	  ros2interface ros2node ros2param ros2pkg ros2run ros2service ros2topic))
+	@mkdir $(VENV)/ros2launch/composition_interfaces
+	@printf 'class LoadNode:\n    class Request: ...\n    class Response: ...\n' >$(VENV)/ros2launch/composition_interfaces/srv.py
 
 targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on every compiler and machine
 	@PYTHONPATH=tests $(BIN)/python -m targets $(TARGETS_ARGS)

@@ -252,7 +252,7 @@ class TestParameters:
             me.joint_commands.publish(JointState(name=BOTH, position=[0.0, 31.4]))
             me.until(reached(me, 0.0, 10.0))
             assert me.last("/twin/healthy") is True
-            me.until(lambda: "POSITION: a soft limit" in me.status("servo_bridge: axis2").message, 5.0)
+            me.until(lambda: "POSITION: a soft limit" in me.status("servo/servo_bridge: axis2").message, 5.0)
             done, reason = me.set_board_parameters("param.position_min[1]=11")
             assert not done
             assert "param.position_min[1] 11.0003 rad would be above param.position_max[1]" in reason
@@ -346,13 +346,13 @@ class TestTrouble:
             me.until(lambda: me.last("/servo/armed") is False)
             me.until(lambda: me.last("/twin/healthy") is False)
             me.position[0].publish(Float64(data=9 * TURN))  # into the void
-            me.until(lambda: me.status("servo_bridge: link").level == b"\x02")
+            me.until(lambda: me.status("servo/servo_bridge: link").level == b"\x02")
             # Diagnostics come every second: long enough for a board on a busy machine to notice the silence.
             known = len(me.messages["/diagnostics"])
             me.until(lambda: len(me.messages["/diagnostics"]) >= known + 6)
             cable.plug()
             me.until(lambda: me.last("/servo/state") == "axis1=FAULT axis2=FAULT", 20.0)
-            me.until(lambda: "HOST_SILENT" in me.status("servo_bridge: axis1").message)
+            me.until(lambda: "HOST_SILENT" in me.status("servo/servo_bridge: axis1").message)
             me.seconds(0.5)
             assert me.last("/servo/armed") is False
             assert me.last("/servo/state") == "axis1=FAULT axis2=FAULT"

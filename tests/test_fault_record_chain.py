@@ -148,7 +148,9 @@ def test_the_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: 
         assert table(messages[0]) == record.table.tolist()
         assert messages[0].layout.dim[0].label == record.summary()
         bench.do(lambda board: board.inject(STUCK))
-        first.until(lambda: "CURRENT_SENSE" in first.status("servo_bridge: axis1").message, what="no second fault")
+        first.until(
+            lambda: "CURRENT_SENSE" in first.status("servo/servo_bridge: axis1").message, what="no second fault"
+        )
         first.seconds(0.5)  # longer than the second look takes
         assert len(messages) == 1
         with user() as later:

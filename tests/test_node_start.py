@@ -1,8 +1,11 @@
-"""Nodes that refuse their parameters leave nothing of themselves in the process."""
+"""Nodes at their start: what is refused leaves nothing behind; names and namespaces."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +13,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from servo_bridge.node import ServoBridge
-from servo_msgs_py.node_shell import ParameterError
+from servo_msgs_py.node_shell import NameTakenError, ParameterError, claim_name, full_name
 from servo_twin.node import ServoTwin
 from servo_twin.viewer_node import ServoViewer
 
@@ -40,3 +43,90 @@ def test_refused_node_is_gone(node: Callable[..., Node], parameter: str, value: 
         assert name not in names, refused
     finally:
         rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def context() -> Iterator[rclpy.Context]:
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    yield context
+    rclpy.try_shutdown(context=context)
+
+
+def topics_heard(node: Node) -> set[str]:
+    return {name for name, _ in node.get_subscriber_names_and_types_by_node(node.get_name(), node.get_namespace())}
+
+
+@pytest.mark.parametrize(
+    ("namespace", "board", "snapshot"),
+    [
+        ("/twin", None, "/servo/snapshot"),
+        ("/robotA/twin", None, "/robotA/servo/snapshot"),
+        ("/robotA/twin", "drive/left", "/robotA/drive/left/snapshot"),
+        ("/robotA/twin", "/servo/", "/servo/snapshot"),
+    ],
+)
+def test_a_twin_follows_the_board_beside_it(
+    context: rclpy.Context, namespace: str, board: str | None, snapshot: str
+) -> None:
+    overrides = [] if board is None else [Parameter("board_namespace", value=board)]
+    arguments = ["--ros-args", "-r", f"__ns:={namespace}"]
+    twin = ServoTwin(context=context, cli_args=arguments, parameter_overrides=overrides)
+    try:
+        heard = topics_heard(twin)
+    finally:
+        twin.shutdown()
+    assert {name for name in heard if name.endswith("/snapshot")} == {snapshot}
+
+
+@pytest.mark.parametrize(("namespace", "expected"), [("/", "/{}/snapshot"), ("/robotA", "/robotA/{}/snapshot")])
+def test_a_viewer_shows_board_and_twin_of_its_namespace(
+    context: rclpy.Context, tmp_path: Path, namespace: str, expected: str
+) -> None:
+    overrides = [Parameter("web", value=False), Parameter("record", value=str(tmp_path / "view.rrd"))]
+    arguments = ["--ros-args", "-r", f"__ns:={namespace}"]
+    viewer = ServoViewer(context=context, cli_args=arguments, parameter_overrides=overrides)
+    try:
+        heard = topics_heard(viewer)
+    finally:
+        viewer.shutdown()
+    snapshots = {name for name in heard if name.endswith("/snapshot")}
+    assert snapshots == {expected.format("servo"), expected.format("twin")}
+
+
+def test_two_boards_have_diagnostics_of_different_names(context: rclpy.Context) -> None:
+    names = []
+    for robot in ("robotA", "robotB"):
+        node = ServoTwin(context=context, cli_args=["--ros-args", "-r", f"__ns:=/{robot}/twin"])
+        names.append(full_name(node))
+        node.shutdown()
+    assert names == ["robotA/twin/servo_twin", "robotB/twin/servo_twin"]
+
+
+def test_a_second_node_of_the_same_name_is_refused_until_the_first_is_gone(context: rclpy.Context) -> None:
+    first = ServoTwin(context=context)
+    other = rclpy.Context()
+    rclpy.init(context=other)
+    try:
+        with pytest.raises(NameTakenError, match=r"a node /twin/servo_twin runs already in ROS domain \d+ .*__ns:="):
+            ServoTwin(context=other)
+        ServoTwin(context=other, cli_args=["--ros-args", "-r", "__ns:=/b/twin"]).shutdown()
+        first.shutdown()
+        rclpy.shutdown(context=context)
+        ServoTwin(context=other).shutdown()
+    finally:
+        rclpy.shutdown(context=other)
+
+
+@pytest.mark.parametrize(
+    ("module", "taken"), [("servo_bridge", "servo/servo_bridge"), ("servo_twin", "twin/servo_twin")]
+)
+def test_the_second_program_of_one_name_ends_with_a_sentence(context: rclpy.Context, module: str, taken: str) -> None:
+    holder = Node(taken.split("/")[1], namespace=taken.split("/")[0], context=context)
+    claim_name(holder)
+    command = [sys.executable, "-c", f"import sys; from {module}.node import main; sys.exit(main())"]
+    second = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert second.returncode == 1, second.stderr
+    assert second.stderr.startswith(f"{module}: a node /{taken} runs already"), second.stderr
+    assert len(second.stderr.splitlines()) == 1
+    holder.destroy_node()

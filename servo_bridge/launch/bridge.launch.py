@@ -2,46 +2,65 @@
 
 ros2 launch servo_bridge bridge.launch.py port:=/dev/ttyUSB0
 ros2 launch servo_bridge bridge.launch.py virtual:=true
+ros2 launch servo_bridge bridge.launch.py virtual:=true port:=/tmp/board_b namespace:=robotB
 """
 
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, GroupAction, RegisterEventHandler
 from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
-from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch.events.process import ProcessExited
+from launch.substitutions import EqualsSubstitution, IfElseSubstitution, LaunchConfiguration
+from launch_ros.actions import Node, PushRosNamespace
 from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import ExecutableInPackage
+
+
+def _defaults(package: str, name: str) -> str:
+    return str(Path(get_package_share_directory(package)) / "config" / name)
+
 
 ARGUMENTS = {
-    "port": ("/dev/ttyUSB0", "serial port of the board: a device path or a pyserial URL"),
-    "baud": ("115200", "line speed [bit/s]"),
-    "params": (
-        str(Path(get_package_share_directory("servo_bridge")) / "config" / "servo_bridge.yaml"),
-        "parameter file of the bridge",
-    ),
     "virtual": ("false", "true: start a virtual board and link it to `port`, which must not exist"),
+    "port": (
+        "",
+        "serial port of the board, or a pyserial URL; empty: /dev/ttyUSB0, /tmp/servo_board for a virtual board",
+    ),
+    "baud": ("115200", "line speed [bit/s]"),
+    "namespace": ("", "put before `servo` and `twin`: one for each board"),
+    "params": (_defaults("servo_bridge", "servo_bridge.yaml"), "parameter file of the bridge"),
+    "twin_params": (_defaults("servo_twin", "servo_twin.yaml"), "parameter file of the twin"),
+    "viewer_params": (_defaults("servo_twin", "servo_viewer.yaml"), "parameter file of the viewer"),
     "twin": ("true", "false: no twin"),
     "viewer": ("true", "false: no rerun viewer"),
+    "use_sim_time": ("false", "true: stamps in the time of the topic /clock"),
+    "respawn": ("false", "true: start a program again that has ended by itself"),
 }
 
 
 def generate_launch_description() -> LaunchDescription:
     value = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    default_port = IfElseSubstitution(value["virtual"], "/tmp/servo_board", "/dev/ttyUSB0")
+    port = IfElseSubstitution(EqualsSubstitution(value["port"], ""), default_port, value["port"])
+    sim_time = {"use_sim_time": ParameterValue(value["use_sim_time"], value_type=bool)}
+    common = {"respawn": value["respawn"], "respawn_delay": 2.0, "output": "screen"}
     bridge = Node(
         package="servo_bridge",
         executable="servo_bridge",
         namespace="servo",
-        parameters=[value["params"], {"port": value["port"], "baud": ParameterValue(value["baud"], value_type=int)}],
-        output="screen",
+        parameters=[
+            value["params"],
+            {"port": port, "baud": ParameterValue(value["baud"], value_type=int)},
+            sim_time,
+        ],
+        **common,
     )
-    board = Node(
-        package="servo_twin",
-        executable="virtual_board",
-        arguments=["--link", value["port"], "--baud", value["baud"]],
+    # Not a node: it does not know the arguments that Node would add.
+    board = ExecuteProcess(
+        cmd=[ExecutableInPackage("virtual_board", "servo_twin"), "--link", port, "--baud", value["baud"]],
         condition=IfCondition(value["virtual"]),
         output="screen",
     )
@@ -49,19 +68,28 @@ def generate_launch_description() -> LaunchDescription:
         package="servo_twin",
         executable="servo_twin",
         namespace="twin",
+        parameters=[value["twin_params"], sim_time],
         condition=IfCondition(value["twin"]),
-        output="screen",
+        **common,
     )
     viewer = Node(
         package="servo_twin",
         executable="servo_viewer",
+        parameters=[value["viewer_params"], sim_time],
         condition=IfCondition(value["viewer"]),
-        output="screen",
+        **common,
     )
-    # Without the bridge nothing is left to watch; it ends by itself only when it was told something senseless.
-    end = RegisterEventHandler(OnProcessExit(target_action=bridge, on_exit=[EmitEvent(event=Shutdown())]))
+
+    def bridge_ended(event: ProcessExited, context: LaunchContext) -> None:
+        """End the launch with a failure: without the bridge nothing is left to watch."""
+        if not context.is_shutdown and context.perform_substitution(respawn) != "true":
+            raise RuntimeError(f"the bridge has ended with status {event.returncode}")
+
+    respawn = value["respawn"]
+    end = RegisterEventHandler(OnProcessExit(target_action=bridge, on_exit=bridge_ended))
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*declared, board, bridge, twin, viewer, end])
+    nodes = GroupAction([PushRosNamespace(value["namespace"]), bridge, twin, viewer])
+    return LaunchDescription([*declared, end, board, nodes])

@@ -76,6 +76,10 @@ class Commander(Node):
     def _of(self, name: str) -> str:
         return f"{self._namespace}/{name}"
 
+    def _part(self, name: str) -> str:
+        """Name of a part of the bridge in /diagnostics."""
+        return f"{self._of(_BRIDGE).lstrip('/')}: {name}"
+
     def wait_for(self, condition: Callable[[], Any], what: str, patience: float | None = None) -> None:
         """Turn the executor until the condition holds, for so long [s] or for the patience of this user.
 
@@ -125,17 +129,17 @@ class Commander(Node):
             return state
         self.wait_for(lambda: joints, f"no {self._of(topics.JOINT_STATES)} were heard")
         last = joints[-1]
-        names = [f"{_BRIDGE}: {name}" for name in last.name]
+        names = [self._part(name) for name in last.name]
         with contextlib.suppress(CommandError):  # what there is to say without is worth saying
             self.wait_for(lambda: _statuses(reports).keys() >= set(names), "no diagnostics", _DIAGNOSTICS)
         statuses = _statuses(reports)
         for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True):
             lines.append(f"  {name}: {position:.4f} rad, {velocity:.3f} rad/s")
-            values = _values(statuses.get(f"{_BRIDGE}: {name}"))
+            values = _values(statuses.get(self._part(name)))
             for key, heading in (("faults", "fault"), ("first fault", "first fault"), ("limits", "at limit")):
                 if values.get(key, "none") != "none":
                     lines.append(f"    {heading} {values[key]}")
-        board = statuses.get(f"{_BRIDGE}: parameters")
+        board = statuses.get(self._part("parameters"))
         if board is not None and board.level != DiagnosticStatus.OK:
             lines.append(f"  parameters: {board.message}")
         return "\n".join(lines)
@@ -206,7 +210,7 @@ class Commander(Node):
         try:
             self.parameters(lambda present: applied(assignments, present) == present)
         except CommandError:
-            board = _statuses(reports).get(f"{_BRIDGE}: parameters")
+            board = _statuses(reports).get(self._part("parameters"))
             if board is None or board.level == DiagnosticStatus.OK:
                 raise
             raise CommandError(f"set failed: {board.message}") from None
@@ -275,9 +279,10 @@ class Commander(Node):
 
     def _listen_to_log(self, beginning: str, found: list[str]) -> None:
         """Collect what the bridge logs with this beginning."""
+        logger = self._of(_BRIDGE).strip("/").replace("/", ".")
 
         def take(message: Log) -> None:
-            if message.name.endswith(f".{_BRIDGE}") and message.msg.startswith(beginning):
+            if message.name == logger and message.msg.startswith(beginning):
                 found.append(message.msg)
 
         self.create_subscription(Log, "/rosout", take, topics.telemetry_qos())

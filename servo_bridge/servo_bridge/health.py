@@ -46,17 +46,18 @@ class Health:
     catalogue : Catalogue
         For the texts of faults and limits.
     node : str
-        Name of the node, the first part of every status name.
-    hardware : str
+        Name of the node with its namespace, the first part of every status name.
+    port : str
         Port of the board.
     joints : sequence of str
         Joint names in the order of the axes.
     """
 
-    def __init__(self, catalogue: Catalogue, node: str, hardware: str, joints: Sequence[str]) -> None:
+    def __init__(self, catalogue: Catalogue, node: str, port: str, joints: Sequence[str]) -> None:
         self._catalogue = catalogue
         self._node = node
-        self._hardware = hardware
+        self._port = port
+        self._hardware = "unknown"
         self._joints = list(joints)
         self._last = LinkStatistics()
         self._last_rejected = 0
@@ -77,7 +78,7 @@ class Health:
             level,
             message,
             {
-                "port": self._hardware,
+                "port": self._port,
                 "baud": baud,
                 "low latency": low_latency,
                 "state": status.state.value,
@@ -118,6 +119,7 @@ class Health:
         if info is None or frame is None:
             self._last_counts = {}
             return self._status("board", _ERROR, "not connected", {})
+        self._hardware = _identification(info, self._catalogue)
         counts = counts or {}
         fresh = {name: (count - self._last_counts.get(name, count)) & 0xFFFF for name, count in counts.items()}
         self._last_counts = dict(counts)
@@ -207,6 +209,12 @@ class Health:
 
     def _status(self, part: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
         return diagnostic_status(f"{self._node}: {part}", level, message, self._hardware, values)
+
+
+def _identification(info: BoardInfo, catalogue: Catalogue) -> str:
+    """What a board tells of itself, and the table of variables that it shares with the bridge."""
+    told = (info.name, info.version, info.build, f"table {catalogue.hash:08X}")
+    return " ".join(text for text in told if text)
 
 
 def _number(value: float | None) -> str:

@@ -22,7 +22,7 @@ from servo_msgs_py.board_parameters import RawParameters, applied
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
 from servo_msgs_py.convert import diagnostic_array, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
-from servo_msgs_py.node_shell import run, setting_up
+from servo_msgs_py.node_shell import claim_name, full_name, run, setting_up
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
@@ -128,6 +128,7 @@ class ServoBridge(Node):
     def _set_up(self, call_soon: Callable[[Callable[[], None]], object], link_factory: LinkFactory) -> None:
         self.failure = ""  # nothing ends this node: it waits for a board that comes back
         self._log = Node.get_logger(self)
+        claim_name(self)
         self._catalogue = Catalogue.load()
         self._settings = declare(self, self._catalogue)
         self._inbox = Inbox(call_soon)
@@ -154,7 +155,7 @@ class ServoBridge(Node):
             self._inbox.post,
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
-        self._health = Health(self._catalogue, self.get_name(), settings.port, self._joints)
+        self._health = Health(self._catalogue, full_name(self), settings.port, self._joints)
         self._set_points = SetPointTopics(self, self._joints, self._arbiter, self._dispatcher.pump, self._warn)
         self._follower = Follower(self._catalogue, self._joints, self._check_path)
         self._arbiter.follow(self._follower)

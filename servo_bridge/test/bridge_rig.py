@@ -335,4 +335,4 @@ class Rig:
         seen = len(self.messages[topics.DIAGNOSTICS])
         self.until(lambda: len(self.messages[topics.DIAGNOSTICS]) > seen)
         statuses = self.messages[topics.DIAGNOSTICS][-1].status
-        return next(s for s in statuses if s.name == f"servo_bridge: {part}")
+        return next(s for s in statuses if s.name == f"servo/servo_bridge: {part}")

@@ -1,64 +1,153 @@
-"""The launch file against stand-ins for the launch packages, which exist only where ROS is installed."""
+"""The launch files under the real ``ros2 launch``: of a sourced ROS 2, or of ``make launch-tools``."""
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import os
+import re
+import signal
+import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
+from bridge_rig import DOMAIN
+from servo_msgs_py.end_with_parent import bound_to_us
 
-FILE = Path(__file__).resolve().parents[1] / "launch" / "bridge.launch.py"
-EXECUTABLES = {("servo_bridge", "servo_bridge"), ("servo_twin", "servo_twin"), ("servo_twin", "servo_viewer"),
-               ("servo_twin", "virtual_board")}  # fmt: skip
+pytestmark = pytest.mark.realtime
 
-
-class Part:
-    """Any action, condition or substitution: remembers what it was made of."""
-
-    def __init__(self, *positional: Any, **named: Any) -> None:
-        self.positional, self.named = positional, named
-
-
-def _stand_in(monkeypatch: pytest.MonkeyPatch, name: str, *classes: str) -> dict[str, type[Part]]:
-    module = ModuleType(name)
-    made = {each: type(each, (Part,), {}) for each in classes}
-    for each, kind in made.items():
-        setattr(module, each, kind)
-    monkeypatch.setitem(sys.modules, name, module)
-    return made
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = ROOT / "servo_bridge" / "launch"
+TOOLS = Path(sys.prefix) / "ros2launch"
+ROS2 = "import sys; from ros2cli.cli import main; sys.exit(main())"
+REASON = "no `ros2 launch`: it has no wheel; source a ROS 2, or `make launch-tools`"
 
 
-def test_every_node_is_described_with_names_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
-    _stand_in(monkeypatch, "launch", "LaunchDescription")
-    _stand_in(monkeypatch, "launch.actions", "DeclareLaunchArgument", "EmitEvent", "RegisterEventHandler")
-    _stand_in(monkeypatch, "launch.conditions", "IfCondition")
-    _stand_in(monkeypatch, "launch.event_handlers", "OnProcessExit")
-    _stand_in(monkeypatch, "launch.events", "Shutdown")
-    values = _stand_in(monkeypatch, "launch.substitutions", "LaunchConfiguration")["LaunchConfiguration"]
-    _stand_in(monkeypatch, "launch_ros", "actions")
-    nodes = _stand_in(monkeypatch, "launch_ros.actions", "Node")["Node"]
-    _stand_in(monkeypatch, "launch_ros.parameter_descriptions", "ParameterValue")
-    packages = ModuleType("ament_index_python.packages")
-    packages.get_package_share_directory = lambda name: str(FILE.parents[1])  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "ament_index_python", ModuleType("ament_index_python"))
-    monkeypatch.setitem(sys.modules, "ament_index_python.packages", packages)
+class Launch:
+    """One ``ros2 launch``, in a process group of its own."""
 
-    spec = importlib.util.spec_from_file_location("bridge_launch", FILE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    parts = module.generate_launch_description().positional[0]
+    def __init__(self, folder: Path, file: str, *arguments: str) -> None:
+        folder.mkdir(exist_ok=True)
+        self.log_file = folder / "log"
+        python_path = [str(TOOLS), *filter(None, [os.environ.get("PYTHONPATH")])]
+        prefixes = [sys.prefix, *filter(None, [os.environ.get("AMENT_PREFIX_PATH")])]
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(DOMAIN),
+            "ROS_LOG_DIR": str(folder / "ros"),
+            "PYTHONPATH": os.pathsep.join(python_path),
+            "AMENT_PREFIX_PATH": os.pathsep.join(prefixes),
+            "PYTHONUNBUFFERED": "1",
+        }
+        command = [sys.executable, "-c", ROS2, "launch", str(FOLDER / file), "viewer:=false", *arguments]
+        with self.log_file.open("w") as output:
+            self.process = subprocess.Popen(bound_to_us(command), stdout=output, stderr=output, env=environment)
 
-    found = {(n.named["package"], n.named["executable"]): n.named for n in parts if isinstance(n, nodes)}
-    assert set(found) == EXECUTABLES
-    assert found["servo_bridge", "servo_bridge"]["namespace"] == "servo"
-    assert found["servo_twin", "servo_twin"]["namespace"] == "twin"
-    assert found["servo_twin", "virtual_board"]["arguments"][::2] == ["--link", "--baud"]
-    parameters = found["servo_bridge", "servo_bridge"]["parameters"]
-    assert isinstance(parameters[0], values)
-    assert set(parameters[1]) == {"port", "baud"}
-    assert Path(module.ARGUMENTS["params"][0]).is_file()
+    def log(self) -> str:
+        return self.log_file.read_text()
+
+    def until(self, pattern: str, count: int = 1, timeout: float = 60.0) -> list[str]:
+        """Wait until a pattern has been printed so many times; returns what was found."""
+        deadline = time.monotonic() + timeout
+        while len(found := re.findall(pattern, self.log())) < count:
+            assert time.monotonic() < deadline, f"no {pattern}; log:\n{self.log()}"
+            assert self.process.poll() is None, f"the launch has ended; log:\n{self.log()}"
+            time.sleep(0.05)
+        return found
+
+    def end(self) -> int:
+        """Wait for the end; returns the exit status."""
+        return self.process.wait(60.0)
+
+    def kill_bridge(self) -> None:
+        pid = re.findall(r"\[servo_bridge-\d+\]: process started with pid \[(\d+)\]", self.log())[-1]
+        os.kill(int(pid), signal.SIGKILL)
+
+    def interrupt(self) -> int:
+        """Ctrl-C; returns the exit status."""
+        self.process.send_signal(signal.SIGINT)
+        return self.end()
+
+
+Start = Callable[..., Launch]
+
+
+@pytest.fixture
+def launch(tmp_path: Path) -> Iterator[Start]:
+    """Starts launch files, and ends them at the end of the test."""
+    if not TOOLS.is_dir() and importlib.util.find_spec("ros2launch") is None:
+        pytest.skip(REASON)
+    started: list[Launch] = []
+
+    def start(file: str, *arguments: str) -> Launch:
+        started.append(Launch(tmp_path / f"launch{len(started)}", file, *arguments))
+        return started[-1]
+
+    yield start
+    for each in started:
+        if each.process.poll() is None:
+            each.interrupt()
+
+
+def test_everything_that_is_launched_exists_and_only_nodes_get_the_arguments_of_nodes() -> None:
+    tree = ast.parse((FOLDER / "bridge.launch.py").read_text())
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    nodes = set()
+    for call in (call for call in calls if getattr(call.func, "id", "") == "Node"):
+        words = {word.arg: word.value for word in call.keywords}
+        package, executable = (ast.literal_eval(words[name]) for name in ("package", "executable"))
+        nodes.add((package, executable))
+    programs = {
+        tuple(map(ast.literal_eval, call.args))
+        for call in calls
+        if getattr(call.func, "id", "") == "ExecutableInPackage"
+    }
+    assert nodes == {("servo_bridge", "servo_bridge"), ("servo_twin", "servo_twin"), ("servo_twin", "servo_viewer")}
+    assert programs == {("virtual_board", "servo_twin")}
+    for package, executable in [*nodes, *((package, name) for name, package in programs)]:
+        assert (ROOT / package / "scripts" / executable).is_file()
+
+
+def test_a_virtual_board_a_second_launch_and_a_killed_bridge(launch: Start, tmp_path: Path) -> None:
+    arguments = ("virtual:=true", "namespace:=robotA")
+    first = launch("bridge.launch.py", *arguments, f"port:={tmp_path}/board")
+    first.until(r"\[robotA\.servo\.servo_bridge\]: connected to servo at ")
+    first.until(r"\[robotA\.twin\.servo_twin\]: following /robotA/servo,")
+
+    second = launch("bridge.launch.py", *arguments, f"port:={tmp_path}/other")
+    assert second.end() == 1, second.log()
+    assert "servo_bridge: a node /robotA/servo/servo_bridge runs already" in second.log()
+    assert first.process.poll() is None
+
+    first.kill_bridge()
+    assert first.end() == 1, first.log()
+    assert "the bridge has ended with status -9" in first.log()
+    assert "virtual_board: stopped after" in first.log()
+
+
+def test_two_boards_are_followed_by_a_twin_each(launch: Start, tmp_path: Path) -> None:
+    ports = f"port_a:={tmp_path}/a", f"port_b:={tmp_path}/b"
+    both = launch("two_boards.launch.py", "virtual:=true", *ports)
+    for robot, port in (("robotA", "a"), ("robotB", "b")):
+        both.until(rf"\[{robot}\.servo\.servo_bridge\]: connected to servo at {tmp_path}/{port}\n")
+        both.until(rf"\[{robot}\.twin\.servo_twin\]: following /{robot}/servo,")
+        both.until(rf"\[{robot}\.twin\.servo_twin\]: healthy")
+    assert both.interrupt() == 0, both.log()
+    assert "virtual_board" in both.log()
+
+
+def test_parameters_simulated_time_and_respawn(launch: Start, tmp_path: Path) -> None:
+    parameters = tmp_path / "twin.yaml"
+    parameters.write_text("/**:\n  ros__parameters:\n    board_namespace: /elsewhere\n    healthy_after: 99.0\n")
+    one = launch(
+        "bridge.launch.py", "virtual:=true", f"port:={tmp_path}/board", "respawn:=true", "use_sim_time:=true",
+        f"twin_params:={parameters}",
+    )  # fmt: skip
+    one.until("connected to servo at ")
+    one.until("parameter healthy_after")  # 99 s is out of its range, so the twin says that it has read the file
+    one.kill_bridge()
+    one.until("connected to servo at ", count=2)
+    assert one.interrupt() == 0, one.log()

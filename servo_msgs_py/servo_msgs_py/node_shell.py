@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import signal
+import socket
 import sys
 import textwrap
 import threading
@@ -21,13 +22,28 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
-__all__ = ["ParameterError", "Runnable", "Spec", "declare", "help_text", "run", "setting_up"]
+__all__ = [
+    "NameTakenError",
+    "ParameterError",
+    "Runnable",
+    "Spec",
+    "claim_name",
+    "declare",
+    "full_name",
+    "help_text",
+    "run",
+    "setting_up",
+]
 
 _SPIN_TIMEOUT: Final = 0.1  # how long a stop may go unnoticed [s]
 
 
 class ParameterError(ValueError):
     """A parameter does not make sense; the text names it and says what does."""
+
+
+class NameTakenError(RuntimeError):
+    """A node of this name runs already; the text says what to do."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +82,36 @@ def declare(node: Node, parameters: Mapping[str, Spec]) -> dict[str, Any]:
         except ParameterException as error:
             raise ParameterError(f"parameter {name}: {error}; it is meant as: {spec.description}") from None
     return values
+
+
+def full_name(node: Node) -> str:
+    """Namespace and name without the leading slash: what tells two nodes of one program apart."""
+    return str(node.get_fully_qualified_name()).lstrip("/")
+
+
+def claim_name(node: Node) -> None:
+    """Claim the name of a node in its ROS domain on this machine until its context ends.
+
+    Two nodes of one name would both obey every command. The claim is a socket in the abstract namespace of Linux: the
+    system takes it back when the process ends, however it ends.
+
+    Raises
+    ------
+    NameTakenError
+        If another node has the name.
+    """
+    name, domain = full_name(node), node.context.get_domain_id()
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0ros/{domain}/{name}")
+    except OSError:
+        claim.close()
+        raise NameTakenError(
+            f"a node /{name} runs already in ROS domain {domain} on this machine and would obey the same commands; "
+            "end it, or start this one in another namespace (--ros-args -r __ns:=/other, launch: namespace:=other)"
+        ) from None
+    # Of a bound method the context would not keep the socket.
+    node.context.on_shutdown(lambda: claim.close())
 
 
 @contextlib.contextmanager
@@ -123,7 +169,8 @@ def run(
     Returns
     -------
     int
-        0 after an orderly end, 1 when the node could not go on, 2 when a parameter or an argument does not make sense.
+        0 after an orderly end, 1 when the node could not go on or its name is taken, 2 when a parameter or an argument
+        does not make sense.
     """
     try:
         own = remove_ros_args([name, *(sys.argv[1:] if args is None else args)])[1:]
@@ -154,6 +201,8 @@ def run(
             return _complain(name, node.failure, 1)
     except ParameterError as error:
         return _complain(name, str(error), 2)
+    except NameTakenError as error:
+        return _complain(name, str(error), 1)
     except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
         return 0
     finally:

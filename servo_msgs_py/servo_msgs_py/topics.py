@@ -76,6 +76,12 @@ def joint_position_topic(joint: str) -> str:
     return f"{joint}/position"
 
 
+def within(parent: str, namespace: str) -> str:
+    """Absolute namespace, without a slash at its end; one that does not begin with a slash lies in `parent`."""
+    namespace = namespace.rstrip("/")
+    return namespace if namespace.startswith("/") or not namespace else f"{parent.rstrip('/')}/{namespace}"
+
+
 def telemetry_qos(depth: int = 50) -> QoSProfile:
     """Reliable and deep enough: depth 10 loses 5 % of a 500 Hz stream in a Python subscriber."""
     from rclpy.qos import QoSProfile, ReliabilityPolicy

@@ -27,7 +27,7 @@ from servo_msgs_py.convert import (
     snapshot_message,
     snapshot_table,
 )
-from servo_msgs_py.node_shell import ParameterError, Spec, declare, run, setting_up
+from servo_msgs_py.node_shell import ParameterError, Spec, claim_name, declare, full_name, run, setting_up
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -43,7 +43,11 @@ __all__ = ["PARAMETERS", "ServoTwin", "main"]
 _SLOW: Final = 0.5  # backlog that is worth a warning [s]
 
 PARAMETERS: Final = {
-    "board_namespace": Spec("/servo", "namespace of the node that is followed"),
+    "board_namespace": Spec(
+        "servo",
+        "namespace of the node that is followed; without a leading slash it lies beside the twin's: "
+        "servo is /a/servo for a twin in /a/twin",
+    ),
     "joints": Spec(["axis1", "axis2"], "joint names in the order of the axes"),
     "plant": Spec("", "TOML file with what differs from the packaged plant.toml; empty: nothing"),
     "seed": Spec(1, "of the sensor noise of the twin's board", 0, 2**31 - 1),
@@ -87,9 +91,10 @@ class ServoTwin(Node):
     def _set_up(self) -> None:
         self.failure = ""
         self._log = Node.get_logger(self)
+        claim_name(self)
         self._values = declare(self, PARAMETERS)
         self._joints = _joints(self._values["joints"])
-        self._board_namespace = str(self._values["board_namespace"]).rstrip("/")
+        self._board_namespace = topics.within(self.get_namespace().rpartition("/")[0], self._values["board_namespace"])
         self._catalogue = Catalogue.load()
         self._twin = Twin(self._board_factory(), TwinSettings(patience=self._values["patience"]), self._catalogue)
         self._monitor = HealthMonitor(
@@ -319,7 +324,7 @@ class ServoTwin(Node):
         return f"nothing on {self._board_namespace}/{topics.PARAMETERS}: the twin has the parameters after reset"
 
     def _status(self, part: str, level: bytes, message: str, values: dict[str, object]) -> DiagnosticStatus:
-        return diagnostic_status(f"{self.get_name()}: {part}", level, message, self._board_namespace, values)
+        return diagnostic_status(f"{full_name(self)}: {part}", level, message, self._board_namespace, values)
 
     # ---- end
     def shutdown(self) -> None:

@@ -36,8 +36,10 @@ PARAMETERS: Final = {
     "web": Spec(True, "serve the live viewer to a browser on this machine"),
     "grpc_port": Spec(9876, "port of the data for the live viewer; the next free one if it is in use", 1024, 65535),
     "web_port": Spec(9090, "port of the page of the live viewer; the next free one if it is in use", 1024, 65535),
-    "board_namespace": Spec("/servo", "namespace of the node whose board is shown"),
-    "twin_namespace": Spec("/twin", "namespace of the twin's node; it may be missing"),
+    "board_namespace": Spec(
+        "servo", "namespace of the node whose board is shown; without a leading slash it lies in that of the viewer"
+    ),
+    "twin_namespace": Spec("twin", "namespace of the twin's node, given in the same way; the twin may be missing"),
 }
 """Every parameter of the node. ``config/servo_viewer.yaml`` lists the same defaults."""
 
@@ -111,7 +113,9 @@ class ServoViewer(Node):
         return port
 
     def _subscribe(self) -> None:
-        board, twin = (str(self._values[f"{name}_namespace"]).rstrip("/") for name in ("board", "twin"))
+        board, twin = (
+            topics.within(self.get_namespace(), self._values[f"{name}_namespace"]) for name in ("board", "twin")
+        )
         # Rows come late after a stall rather than never; what the recording cannot take is counted in `Viewer`.
         deep, latched = topics.telemetry_qos(500), topics.latched_qos()
         viewer = self._viewer

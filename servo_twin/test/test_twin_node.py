@@ -138,7 +138,7 @@ class Rig:
         ]
 
     def status(self, part: str) -> DiagnosticStatus:
-        found = [s for m in self.messages["/diagnostics"] for s in m.status if s.name == f"servo_twin: {part}"]
+        found = [s for m in self.messages["/diagnostics"] for s in m.status if s.name == f"twin/servo_twin: {part}"]
         return found[-1] if found else DiagnosticStatus(message="no diagnostics yet")
 
     def told(self) -> list[str]:

@@ -33,7 +33,7 @@ def rate(me: User) -> tuple[float, float]:
     samples = len(me.messages["/servo/joint_states"]) - first
     rows = me.rows(start)
     span = (rows[-1]["tick"] - rows[0]["tick"]) * PERIOD_NS * 1e-9
-    values = {entry.key: entry.value for entry in me.status("servo_bridge: link").values}
+    values = {entry.key: entry.value for entry in me.status("servo/servo_bridge: link").values}
     return samples / span, float(values["bytes/s in"]) + float(values["bytes/s out"])
 
 
