@@ -19,6 +19,7 @@ from servo_msgs_py.timed_points import axes_of_points
 from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.setpoints import Mode, NotReady, Rejected, Request
+from servo_bridge.sources import Source, Sources
 
 __all__ = ["Arbiter", "AxisStatus", "CommandWrite", "JointLimits", "PathSource"]
 
@@ -140,9 +141,18 @@ class Arbiter:
         Joint names in the order of the axes.
     limits : sequence of JointLimits
         Per joint.
+    sources : Sources, optional
+        Finds sources that contradict each other.
     """
 
-    def __init__(self, catalogue: Catalogue, joints: Sequence[str], limits: Sequence[JointLimits]) -> None:
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        joints: Sequence[str],
+        limits: Sequence[JointLimits],
+        sources: Sources | None = None,
+    ) -> None:
+        self.sources = sources or Sources()
         self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in _TARGET.items()}
         self._joints = list(joints)
         self.limits = list(limits)
@@ -218,6 +228,8 @@ class Arbiter:
             self.check_ready(request.source, request.values)
             for axis in request.values:
                 targets[axis] = request.source, _Target(request.mode, self._raw(request, axis))
+        for request in requests:
+            self._claim(Source(request.source, _QUANTITY[request.mode][0]), request.values)
         for axis, (source, target) in targets.items():
             self._targets[axis] = target
             self._leave_path(axis, f"a set-point on {source} took over")
@@ -230,7 +242,9 @@ class Arbiter:
         Rejected
             If not.
         """
+        axes = list(axes)
         self.check_ready(source, axes)
+        self._claim(Source(source, "trajectory"), axes)
         for axis in axes:
             self._targets[axis] = None
 
@@ -297,6 +311,9 @@ class Arbiter:
     def _leave_path(self, axis: int, reason: str) -> None:
         if self._paths is not None and axis in self._paths.axes:
             self._paths.cancel(axis, reason)
+
+    def _claim(self, source: Source, axes: Iterable[int]) -> None:
+        self.sources.claim(source, axes, self._joints, () if self._paths is None else self._paths.axes)
 
     def _raw(self, request: Request, axis: int) -> int:
         value, mode, joint = request.values[axis], request.mode, self._joints[axis]

@@ -139,6 +139,7 @@ class ServoBridge(Node):
         self._board_clock = BoardClock(minimum_delay_ns=self._link.layout.size * 10 * 1_000_000_000 // settings.baud)
         self._wall = WallClock(lambda: self.get_clock().now().nanoseconds)
         self._arbiter = Arbiter(self._catalogue, self._joints, settings.limits)
+        self._arbiter.sources.preferred = settings.preferred_source
         self._dispatcher = Dispatcher(self._send, self._arbiter, self._warn)
         self._publications = Publications(
             self,
@@ -249,6 +250,7 @@ class ServoBridge(Node):
             self._board_parameters.want(settings.board_parameters)
         self._settings = settings
         self._arbiter.limits = list(settings.limits)
+        self._arbiter.sources.preferred = settings.preferred_source
         self._pace_keep_alive()
 
     # ---- commands
@@ -433,7 +435,7 @@ class ServoBridge(Node):
             health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
             health.board(self._link.board, frame, self._counts),
             *(health.axis(axis, frame, self._fault_records.records[axis]) for axis in range(AXES)),
-            health.commands(self._set_points.figures, armed=self._arbiter.armed),
+            health.commands(self._set_points.figures, armed=self._arbiter.armed, conflict=self._set_points.conflict()),
             health.stream(self._streamer.report),
             health.parameters(self._board_parameters.values, self._board_parameters.trouble),
         ]

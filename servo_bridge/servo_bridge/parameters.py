@@ -18,7 +18,7 @@ from servo_msgs_py.node_shell import declare as declare_all
 
 from servo_bridge.arbiter import JointLimits
 from servo_bridge.telemetry import telemetry_variables
-from servo_msgs_py import board_parameters
+from servo_msgs_py import board_parameters, topics
 
 __all__ = ["PARAMETERS", "ParameterError", "Settings", "Spec", "declare", "settings_from", "watch"]
 
@@ -77,6 +77,12 @@ PARAMETERS: Mapping[str, Spec] = {
         0.0,
         1.0,
     ),
+    "preferred_source": Spec(
+        "",
+        "topic with precedence, such as joint_commands: while it commands an axis, and 1 s longer, the set-points of "
+        "other topics for this axis are refused; empty: the newest set-point counts",
+        read_only=False,
+    ),
     "board_parameters": Spec(
         [""],
         "parameters that the board gets at every connection and whenever this list changes, each as NAME=VALUE such as "
@@ -104,6 +110,7 @@ class Settings:
     command_interfaces: Mapping[str, frozenset[str]] | None
     stream_delay_max: float
     board_parameters: tuple[Assignment, ...]
+    preferred_source: str
 
 
 def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
@@ -145,6 +152,7 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         command_interfaces=_interfaces(values["command_interfaces"], joints),
         stream_delay_max=values["stream_delay_max"],
         board_parameters=_board_parameters(values["board_parameters"], catalogue),
+        preferred_source=_preferred_source(values["preferred_source"], joints),
     )
 
 
@@ -158,6 +166,13 @@ def _interfaces(texts: Sequence[str], joints: Sequence[str]) -> Mapping[str, fro
     if not any(texts):
         return None
     return {joint: frozenset(text.split() or known) for joint, text in zip(joints, texts, strict=True)}
+
+
+def _preferred_source(topic: str, joints: Sequence[str]) -> str:
+    known = [topics.JOINT_COMMANDS, topics.COMMANDS, topics.JOINT_TRAJECTORY, *map(topics.joint_position_topic, joints)]
+    if topic and topic not in known:
+        raise ParameterError(f"parameter preferred_source is {topic!r}; give one of {', '.join(known)}, or nothing")
+    return topic
 
 
 def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assignment, ...]:

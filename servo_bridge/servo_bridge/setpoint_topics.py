@@ -12,6 +12,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.health import CommandFigures
 from servo_bridge.setpoints import Rejected, Request, from_array, from_single
+from servo_bridge.sources import Source
 from servo_bridge.throttle import Throttle
 from servo_msgs_py import topics
 
@@ -48,6 +49,9 @@ class SetPointTopics:
         self._accepted = accepted
         self._warn = warn
         self._throttle = Throttle(burst=20, rate=2.0)
+        self._conflicts = Throttle(burst=1, rate=0.2)
+        self._publishers = node.get_publishers_info_by_topic
+        self._resolve = node.resolve_topic_name
         self.figures = CommandFigures()
         qos = topics.command_qos()
         node.create_subscription(Float64MultiArray, topics.COMMANDS, self._on_commands, qos)
@@ -72,7 +76,27 @@ class SetPointTopics:
     def accept(self) -> None:
         """Count a set-point that was let through and send it."""
         self.figures.accepted += 1
+        conflict = self._arbiter.sources.conflict()
+        if conflict is not None and self._conflicts.admit(conflict.joint, time.monotonic()) is not None:
+            self._warn(self.conflict())
         self._accepted()
+
+    def conflict(self) -> str:
+        """Sources that command one axis by turns at this time, in words; empty if there are none."""
+        conflict = self._arbiter.sources.conflict()
+        if conflict is None:
+            return ""
+        first, second = (self._named(source) for source in (conflict.first, conflict.second))
+        return (
+            f"{conflict.joint} is commanded by turns: {first}, and {second}; stop one of them, or give one precedence "
+            "with the parameter preferred_source"
+        )
+
+    def _named(self, source: Source) -> str:
+        """A source with the nodes that publish on its topic."""
+        found = self._publishers(self._resolve(source.topic))
+        nodes = sorted({f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found})
+        return f"{source.quantity} on {source.topic} ({' or '.join(nodes) or 'publisher unknown'})"
 
     def reject(self, source: str, error: Rejected) -> None:
         """Count a set-point that was not let through, and say why."""

@@ -304,6 +304,9 @@ class Rig:
     def rejections(self) -> list[str]:
         return [text for text in self.logs() if text.startswith("rejected")]
 
+    def warnings(self, beginning: str) -> list[str]:
+        return [text for text in self.logs() if text.startswith(beginning)]
+
     def until_rejected(self, before: int) -> None:
         """Wait for one more rejection than there were."""
         self.until(lambda: len(self.rejections()) > before)

@@ -10,6 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite, JointLimits
 from servo_bridge.setpoints import Mode, Rejected, Request
+from servo_bridge.sources import Conflict, Source, Sources
 from servo_msgs_py.catalogue import Catalogue
 
 CATALOGUE = Catalogue.load()
@@ -332,3 +333,94 @@ def test_armed_means_every_joint_obeys() -> None:
 def test_masks_and_numbers_per_axis() -> None:
     assert (CommandWrite("cmd.mode", 0, (1, 2)).mask, CommandWrite("cmd.mode", 0, (1, 2)).numbers()) == (3, (1, 2))
     assert (CommandWrite("cmd.mode", 1, (2,)).mask, CommandWrite("cmd.mode", 1, (2,)).numbers()) == (2, (0, 2))
+
+
+# ---- sources
+class Clock:
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def watched() -> tuple[Arbiter, Sources, Clock]:
+    clock = Clock()
+    sources = Sources(clock)
+    subject = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * 2, sources)
+    subject.set_torque_constants(KT)
+    subject.release()
+    subject.board_seen((SPINNING, SPINNING))
+    return subject, sources, clock
+
+
+def test_sources_that_command_an_axis_by_turns_are_a_conflict_and_a_take_over_is_none() -> None:
+    subject, sources, clock = watched()
+    subject.submit(request({0: 1.0}))
+    subject.submit(request({1: 1.0}, Mode.SPEED))
+    subject.submit(request({0: 1.0}, Mode.SPEED))
+    assert sources.conflict() is None, "another axis, then a take-over"
+    clock.now += 0.9
+    subject.submit(request({0: 1.0}))
+    expected = Conflict("axis1", Source("joint_commands", "position"), Source("joint_commands", "velocity"))
+    assert sources.conflict() == expected
+    clock.now += 1.0
+    assert sources.conflict() is None
+    subject.submit(request({0: 1.0}, source="commands"))
+    clock.now += 1.0
+    subject.submit(request({0: 1.0}))
+    assert sources.conflict() is None, "so slowly that they may be meant"
+
+
+def test_a_refused_set_point_is_no_source() -> None:
+    subject, sources, _ = watched()
+    subject.submit(request({0: 1.0}))
+    with pytest.raises(Rejected):
+        subject.submit(request({0: 1e9}, Mode.SPEED))
+    subject.submit(request({0: 1.0}))
+    with pytest.raises(Rejected):
+        subject.submit(request({0: 1e9}, Mode.SPEED))
+    assert sources.conflict() is None
+
+
+def test_others_are_refused_while_the_preferred_source_is_fresh() -> None:
+    subject, sources, clock = watched()
+    sources.preferred = "joint_commands"
+    subject.submit(request({0: 1.0}, source="commands"))
+    subject.submit(request({0: 1.0}))
+    drain(subject)
+    with pytest.raises(Rejected, match=r"^commands: joint_commands commands axis1 and has precedence"):
+        subject.submit(request({0: 2.0, 1: 2.0}, source="commands"))
+    with pytest.raises(Rejected, match=r"^joint_trajectory: joint_commands commands axis1"):
+        subject.admit("joint_trajectory", [0, 1])
+    assert drain(subject) == []
+    subject.submit(request({1: 2.0}, source="commands"))
+    clock.now += 1.0
+    subject.submit(request({0: 2.0}, source="commands"))
+    assert len(drain(subject)) == 2
+
+
+class Following:
+    """Axes on the way."""
+
+    def __init__(self, *axes: int) -> None:
+        self.axes = set(axes)
+
+    def next_points(self) -> None:
+        return None
+
+    def cancel(self, axis: int, reason: str) -> None:
+        self.axes.discard(axis)
+
+
+def test_a_preferred_trajectory_is_not_interrupted_before_its_end() -> None:
+    subject, sources, clock = watched()
+    paths = Following()
+    subject.follow(paths)
+    sources.preferred = "joint_trajectory"
+    subject.admit("joint_trajectory", [0])
+    paths.axes = {0}
+    clock.now += 60.0
+    with pytest.raises(Rejected, match="has precedence"):
+        subject.submit(request({0: 2.0}))
+    paths.axes = set()
+    subject.submit(request({0: 2.0}))

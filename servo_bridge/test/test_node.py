@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from bridge_rig import FAULT, SPIN, STOP, FakeLink, Rig
+from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_bridge.parameters import ParameterError
 from servo_bridge.wire.link_state import LinkState
@@ -546,3 +547,40 @@ def test_shutdown_switches_off_and_says_so(rig: Rig) -> None:
     rig.bridge.shutdown()
     assert [(name, list(values)) for name, values in link.final] == [("cmd.enable", [0.0, 0.0])]
     rig.until(lambda: rig.state() == "DISCONNECTED the bridge was stopped" and not rig.armed())
+
+
+# ---- two sources
+def test_two_sources_are_named_in_log_and_diagnostics_and_one_can_have_precedence(rig: Rig) -> None:
+    rig.ready()
+    other = Node("teleop", context=rig.context)
+    velocity = other.create_publisher(JointState, "/servo/joint_commands", topics.command_qos())
+    try:
+        rig.until(lambda: velocity.get_subscription_count())
+
+        def fight() -> None:
+            accepted = rig.bridge._set_points.figures.accepted
+            rig.position.publish(Float64(data=1.0))
+            rig.until(lambda: rig.bridge._set_points.figures.accepted > accepted)
+            velocity.publish(JointState(name=["axis2"], velocity=[5.0]))
+            rig.until(lambda: rig.bridge._set_points.figures.accepted > accepted + 1)
+
+        for _ in range(5):
+            fight()
+        said = "axis2 is commanded by turns: position on axis2/position (/servo/user), and velocity on joint_commands ("
+        rig.until(lambda: rig.warnings(said))
+        assert "/teleop" in rig.warnings(said)[0]
+        fight()
+        status = rig.diagnosis("commands")
+        assert (status.level, status.message[: len(said)]) == (b"\x01", said)
+        assert len(rig.warnings(said)) == 1, "throttled"
+
+        assert rig.set_parameter("preferred_source", "axis2/position")[0]
+
+        def refused() -> bool:
+            rig.position.publish(Float64(data=1.0))
+            velocity.publish(JointState(name=["axis2"], velocity=[5.0]))
+            return any("axis2/position commands axis2 and has precedence" in text for text in rig.rejections())
+
+        rig.until(refused)
+    finally:
+        other.destroy_node()

@@ -70,3 +70,10 @@ def test_an_empty_name_stands_for_an_empty_list() -> None:
 def test_wrong_limits_are_named(name: str, value: Any) -> None:
     with pytest.raises(ParameterError, match=f"parameter {name}"):
         settings_from(DEFAULTS | {name: value}, CATALOGUE)
+
+
+def test_the_preferred_source_is_a_topic_that_takes_set_points() -> None:
+    named = settings_from(DEFAULTS | {"preferred_source": "arm/position", "joints": ["arm", "hand"]}, CATALOGUE)
+    assert named.preferred_source == "arm/position"
+    with pytest.raises(ParameterError, match=r"preferred_source is 'joint_states'; give one of joint_commands, "):
+        settings_from(DEFAULTS | {"preferred_source": "joint_states"}, CATALOGUE)
