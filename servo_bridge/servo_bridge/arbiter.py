@@ -27,6 +27,7 @@ _POINTS = "cmd.points"
 _TARGET = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
 _REMEDY = "send a value inside, or change the limits in the parameters of the bridge"
+_BOARD = "the board takes no other; send a value inside"
 _FARTHER = "one set-point may be no farther from the shaft: send it there in steps"
 _NOT_ENABLED = "outputs have not been enabled over this bridge"
 
@@ -328,7 +329,8 @@ class Arbiter:
             if mode is Mode.TORQUE:
                 factor = self._amperes_per_newton_metre(request.source, axis)
             low, high = variable.minimum / factor, variable.maximum / factor
-        remedy = _FARTHER if mode is Mode.POSITION and wanted_low <= value <= wanted_high else _REMEDY
+        boards = (value > high and high <= wanted_high) or (value < low and low >= wanted_low)
+        remedy = (_FARTHER if mode is Mode.POSITION else _BOARD) if boards else _REMEDY
         low, high = max(low, wanted_low), min(high, wanted_high)
         if not low <= value <= high:
             quantity, unit = _QUANTITY[mode]

@@ -20,6 +20,7 @@ from servo_msgs_py import topics
 
 __all__ = ["DemoError", "ServoClient"]
 
+_ANSWER: Final = 5.0  # a service answers within [s]
 _STEP: Final = 0.02  # longest time between two looks at a condition [s]
 
 
@@ -112,7 +113,7 @@ class ServoClient(Node):
 
     def _call(self, client: Any, request: Any, name: str) -> None:
         future = client.call_async(request)
-        if not self.wait_for(future.done, 3.0):
+        if not self.wait_for(future.done, _ANSWER):
             raise DemoError(f"the service {self._of(name)} does not answer; see the log of servo_bridge")
         response = future.result()
         if not response.success:

@@ -19,6 +19,8 @@ Outcome = tuple[bool, str]
 """Success and message."""
 
 _RECHECK = 4 * SLOW_PERIODS
+_ENABLE_PATIENCE = 40_000
+"""PWM periods (2.5 s) after which an enable is answered though the axes are still on their way."""
 """PWM periods after which a fault whose cause is still there has come back."""
 
 
@@ -54,6 +56,7 @@ class MotionServices:
         self._reason = "the board has not been seen yet"
         self._stops = 0
         self._rechecks: list[tuple[int, Future[Outcome]]] = []
+        self._enabling: list[tuple[int, int, Future[Outcome]]] = []  # stops before, last tick, answer
 
     def on_frame(self, frame: Frame) -> None:
         """Take the newest sample."""
@@ -61,6 +64,7 @@ class MotionServices:
             # The link has stopped it at first contact.
             self._on_event("the board was still enabled: it has been stopped; call enable to go on")
         self._frame = frame
+        self._enabling = [entry for entry in self._enabling if not self._answer_enable(frame, *entry)]
         due = [entry for entry in self._rechecks if frame.tick >= entry[0]]
         for entry in due:
             self._rechecks.remove(entry)
@@ -72,12 +76,16 @@ class MotionServices:
         self._frame = None
         self._reason = reason
         waiting, self._rechecks = self._rechecks, []
-        for _, answer in waiting:
+        enabling, self._enabling = self._enabling, []
+        for answer in [answer for _, answer in waiting] + [answer for *_, answer in enabling]:
             answer.set_result((False, f"the link was lost: {reason}"))
 
     # ---- services
     def enable(self, on: bool) -> Future[Outcome]:
-        """Switch both axes on, and let set-points through again; or ramp down and switch off."""
+        """Switch both axes on, and let set-points through again; or ramp down and switch off.
+
+        The answer to an enable comes when a set-point would pass, at the latest after `_ENABLE_PATIENCE`.
+        """
         if not on:
             return self._stop(
                 "cmd.enable", 0, "disabled by the service enable", "ramping down and switching off; see state"
@@ -90,15 +98,37 @@ class MotionServices:
             return _answered(False, f"{faults or 'an axis is in FAULT'}; then call clear_faults and enable again")
         stops = self._stops
 
-        def done() -> Outcome:
-            if stops != self._stops:
-                return False, "a stop came in between; call enable again"
-            self._arbiter.release()
-            if self._arbiter.armed:
-                return True, "both axes are on; set-points are let through"
-            return True, "switching on; armed becomes true when both axes are in RUN/SPIN, state shows the way there"
+        answer: Future[Outcome] = Future()
 
-        return self._write(_both("cmd.enable", 1), done)
+        def written(result: Future[int]) -> None:
+            error = result.exception()
+            if error is not None:
+                answer.set_result((False, str(error)))
+                return
+            if stops == self._stops:
+                self._arbiter.release()
+            self._enabling.append((stops, result.result() + _ENABLE_PATIENCE, answer))
+
+        self._dispatcher.urgent(_both("cmd.enable", 1)).add_done_callback(written)
+        return answer
+
+    def _answer_enable(self, frame: Frame, stops: int, last_tick: int, answer: Future[Outcome]) -> bool:
+        """Answer an enable that took effect, unless the axes are still on their way."""
+        if stops != self._stops:
+            outcome = False, "a stop came in between; call enable again"
+        elif self._arbiter.armed:
+            outcome = True, "both axes are on; set-points are let through"
+        elif any(axis.faulted for axis in frame.axes):
+            outcome = False, f"{self._faults(frame) or 'an axis is in FAULT'}; then call clear_faults and enable again"
+        elif frame.tick >= last_tick:
+            labels = ", ".join(
+                f"{joint} is in {axis.label}" for joint, axis in zip(self._joints, frame.axes, strict=True)
+            )
+            outcome = True, f"switching on, not ready yet: {labels}; set-points are let through when armed is true"
+        else:
+            return False
+        answer.set_result(outcome)
+        return True
 
     def quick_stop(self) -> Future[Outcome]:
         """Ramp down at the limit and hold; set-points stay refused until ``enable`` is called."""

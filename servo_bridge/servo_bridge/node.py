@@ -150,6 +150,7 @@ class ServoBridge(Node):
         )
         self._variables = VariableTopics(
             self,
+            self._joints,
             [self._catalogue[name] for name in settings.variables],
             self._telemetry.columns,
             self._link.read,
@@ -332,7 +333,9 @@ class ServoBridge(Node):
             self._epoch = frame.epoch
             self._board_clock.reset()
             self._counts = None  # they began anew
-        stamp = self._wall.wall_ns(self._board_clock.update(frame.tick, frame.response_ns))
+        if self.get_clock().ros_time_is_active:
+            self._wall.refresh()  # simulated time may have any speed
+        stamp = self._wall.stamp(self._board_clock.update(frame.tick, frame.response_ns))
         self._log_faults(frame)
         self._log_expired(frame)
         self._fault_records.on_frame(frame.tick, frame.faults)

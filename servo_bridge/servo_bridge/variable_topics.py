@@ -20,12 +20,14 @@ __all__ = ["VariableTopics"]
 class VariableTopics:
     """Publishes variables of the telemetry, and reads the others one at a time.
 
-    The elements of an array have a topic each: ``var/cmd/position/axis1``.
+    The elements of an array have a topic each: ``var/cmd/position/<joint>``.
 
     Parameters
     ----------
     node : Node
         Owner.
+    joints : sequence of str
+        Joint names in the order of the axes; they stand in the names of the topics.
     variables : sequence of Variable
         What to publish.
     sampled : sequence of str
@@ -39,6 +41,7 @@ class VariableTopics:
     def __init__(
         self,
         node: Node,
+        joints: Sequence[str],
         variables: Sequence[Variable],
         sampled: Sequence[str],
         read: Callable[[str], Future[Value]],
@@ -48,10 +51,10 @@ class VariableTopics:
         self._post = post
         self._publishers: dict[str, Any] = {}
         for variable in variables:
-            base = topics.variable_topic(variable.name)
-            ends = [""] if variable.count == 1 else [f"/{axis_name(k)}" for k in range(variable.count)]
+            ends = [""] if variable.count == 1 else [f".{axis_name(k)}" for k in range(variable.count)]
             for column, end in zip(columns([variable]), ends, strict=True):
-                self._publishers[column] = node.create_publisher(Float64, base + end, topics.telemetry_qos())
+                topic = topics.variable_topic(variable.name + end, joints)
+                self._publishers[column] = node.create_publisher(Float64, topic, topics.telemetry_qos())
         self._outside = _endless([variable for variable in variables if columns([variable])[0] not in sampled])
         self._under_way: Future[Value] | None = None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -186,7 +187,7 @@ class Rig:
             (topics.SNAPSHOT, Float64MultiArray),
             (topics.COMMANDS_APPLIED, Float64MultiArray),
             (topics.DIAGNOSTICS, DiagnosticArray),
-            ("var/axis1/i_q", Float64),
+            (f"var/{parameters.get('joints', ['axis1'])[0]}/i_q", Float64),
         ):
             self.listen(name, kind, topics.telemetry_qos(1000))
         self.listen("/rosout", Log, ROSOUT)
@@ -202,7 +203,11 @@ class Rig:
         self.clear_client = self.user.create_client(Trigger, topics.CLEAR_FAULTS)
         self.executor.add_node(self.bridge)
         self.executor.add_node(self.user)
-        self.until(self._matched, 20.0)
+        try:
+            self.until(self._matched, 20.0)
+        except BaseException:
+            self.__exit__()
+            raise
 
     @property
     def link(self) -> FakeLink:
@@ -270,12 +275,13 @@ class Rig:
         self.link.written.clear()
 
     def call(self, client: Any, request: Any) -> Any:
-        """Call a service and give samples until it answers."""
+        """Call a service and give samples until it answers; in the end faster, for what the bridge waits for."""
         future = client.call_async(request)
+        calls = itertools.count()
 
         def answered() -> bool:
             if self.link.connected:
-                self.link.sample()
+                self.link.sample(16 if next(calls) < 50 else 1600)
             return bool(future.done())
 
         self.until(answered)

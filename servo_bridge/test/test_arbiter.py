@@ -424,3 +424,16 @@ def test_a_preferred_trajectory_is_not_interrupted_before_its_end() -> None:
         subject.submit(request({0: 2.0}))
     paths.axes = set()
     subject.submit(request({0: 2.0}))
+
+
+@pytest.mark.parametrize(
+    ("limit", "value", "remedy"),
+    [
+        (1.0, 0.5, "the board takes no other"),
+        (1.0, -2.0, "the board takes no other"),
+        (0.1, 0.15, "change the limits in the parameters of the bridge"),
+    ],
+)
+def test_the_remedy_for_an_effort_names_the_limit_that_binds(limit: float, value: float, remedy: str) -> None:
+    subject = arbiter(limits=JointLimits(effort_max=limit))
+    assert remedy in refused(subject, request({0: value}, Mode.TORQUE))

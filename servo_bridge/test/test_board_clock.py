@@ -154,3 +154,29 @@ def test_an_interrupted_comparison_is_dropped() -> None:
     assert clock.wall_ns(0) == 100
     clock.refresh()
     assert clock.wall_ns(0) == 200
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5, 2.0])
+def test_stamps_grow_at_any_speed_of_simulated_time(speed: float) -> None:
+    now = 0
+    clock = WallClock(lambda: 7 * S + int(now * speed) // (10 * MS) * (10 * MS), lambda: now)
+    stamps = []
+    for step in range(3000):
+        now = step * MS
+        clock.refresh()
+        delay = (step * 37 % 5) * MS // 10
+        stamps.append(clock.stamp(now - delay))
+        assert abs(stamps[-1] - (7 * S + now * speed)) < 11 * MS
+    assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
+
+
+def test_stamps_follow_a_clock_that_was_set_back() -> None:
+    wall = 100 * S
+    clock = WallClock(lambda: wall, lambda: 0)
+    assert clock.stamp(0) == 100 * S
+    wall = 100 * S - MS
+    clock.refresh()
+    assert clock.stamp(0) == 100 * S + 1
+    wall = 5 * S
+    clock.refresh()
+    assert clock.stamp(0) == 5 * S

@@ -60,6 +60,49 @@ def test_enable_opens_the_gate_when_it_took_effect_and_not_before() -> None:
     assert rig.arbiter.armed
 
 
+def test_enable_answers_when_a_set_point_would_pass() -> None:
+    rig = Rig().connected()
+    answer = rig.services.enable(True)
+    rig.dispatcher.acknowledged(rig.sent[-1], None)
+    rig.sample(STOPPED, STOPPED, applied=True)
+    for _ in range(1000):
+        rig.sample(SPINNING, AxisStatus("RUN/STARTUP", spinning=False))
+    assert not answer.done()
+    rig.sample()
+    assert answer.result(0) == (True, "both axes are on; set-points are let through")
+
+
+def test_enable_does_not_wait_for_ever() -> None:
+    rig = Rig().connected()
+    answer = rig.services.enable(True)
+    rig.dispatcher.acknowledged(rig.sent[-1], None)
+    rig.sample(STOPPED, STOPPED, applied=True)
+    rig.tick += 40_000
+    rig.sample(SPINNING, STOPPED)
+    success, text = answer.result(0)
+    assert success
+    assert "not ready yet: axis1 is in RUN/SPIN, axis2 is in STOP; set-points are let through when armed is" in text
+
+
+@pytest.mark.parametrize("end", ["fault", "stop", "link"])
+def test_enable_answers_at_once_when_nothing_comes_of_it(end: str) -> None:
+    rig = Rig().connected()
+    answer = rig.services.enable(True)
+    rig.dispatcher.acknowledged(rig.sent[-1], None)
+    rig.sample(STOPPED, STOPPED, applied=True)
+    assert not answer.done()
+    if end == "fault":
+        rig.sample(AxisStatus("FAULT", spinning=False, faulted=True), STOPPED, faults=(1, 0))
+    elif end == "stop":
+        rig.services.quick_stop()
+        rig.sample(STOPPED, STOPPED)
+    else:
+        rig.services.link_lost("gone")
+    success, text = answer.result(0)
+    assert not success
+    assert {"fault": "then call clear_faults", "stop": "a stop came in between", "link": "gone"}[end] in text
+
+
 @pytest.mark.parametrize("stop", ["disable", "quick_stop"])
 def test_a_stop_that_came_later_keeps_the_gate_shut(stop: str) -> None:
     rig = Rig().connected()

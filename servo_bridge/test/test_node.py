@@ -12,12 +12,13 @@ from typing import Any
 import pytest
 from bridge_rig import FAULT, SPIN, STOP, FakeLink, Rig
 from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from servo_bridge.parameters import ParameterError
 from servo_bridge.wire.link_state import LinkState
 from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.convert import AppliedCommand, from_stamp, snapshot_table
+from servo_msgs_py.convert import AppliedCommand, from_stamp, snapshot_table, to_stamp
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool
 
@@ -64,6 +65,31 @@ def test_joint_states_are_si_and_stamped_with_board_time(rig: Rig) -> None:
     stamps = [from_stamp(m.header.stamp) for m in messages]
     assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
     assert abs(stamps[-1] - time.time_ns()) < 5e9
+
+
+def test_stamps_grow_while_simulated_time_goes_at_half_speed() -> None:
+    with Rig(use_sim_time=True) as rig:
+        clock = rig.user.create_publisher(Clock, "/clock", 10)
+        rig.until(clock.get_subscription_count)
+        start = time.monotonic_ns()
+        sent: list[int] = []
+
+        def simulated() -> int:
+            return 1_000_000_000_000 + (time.monotonic_ns() - start) // 2
+
+        def step() -> bool:
+            if time.monotonic_ns() - start >= len(sent) * 20_000_000:
+                sent.append(simulated())
+                clock.publish(Clock(clock=to_stamp(sent[-1])))
+                rig.link.sample(periods=320)
+            return len(sent) > 150
+
+        rig.up()
+        rig.until(step, 30.0)
+        stamps = [from_stamp(m.header.stamp) for m in rig.messages[topics.JOINT_STATES][5:]]
+        assert len(stamps) > 50
+        assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
+        assert abs(stamps[-1] - sent[-1]) < 500_000_000
 
 
 def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
@@ -255,7 +281,7 @@ def test_enable_writes_and_answers_when_it_took_effect(rig: Rig) -> None:
     rig.up()
     success, text = rig.enable(True)
     assert success
-    assert "state shows" in text
+    assert "axis1 is in STOP, axis2 is in STOP; set-points are let through when armed is true" in text
     assert rig.link.written == [("cmd.enable", 0, (1, 1))]
     success, _ = rig.enable(False)
     assert success
@@ -443,10 +469,13 @@ def test_a_bridge_that_did_not_start_takes_nobody_s_log_with_it() -> None:
 
 
 def test_joint_names_reach_topics_and_messages() -> None:
-    with Rig(joints=["pan", "axis2"]) as rig:
+    with Rig(joints=["pan", "axis2"], variables=["axis1.i_q", "cmd.position"]) as rig:
         rig.up()
         assert rig.state() == "pan=STOP axis2=STOP"
         assert rig.user.count_subscribers("pan/position") == 1
+        for name in ("var/pan/i_q", "var/cmd/position/pan", "var/cmd/position/axis2"):
+            assert rig.user.count_publishers(name) == 1, name
+        assert rig.user.count_publishers("var/axis1/i_q") == 0
 
 
 def test_limits_change_at_run_time_and_the_port_does_not(rig: Rig) -> None:

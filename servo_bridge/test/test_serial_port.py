@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import serial
@@ -176,15 +177,43 @@ def test_not_a_serial_port(tmp_path: Path) -> None:
             SerialPort(str(path), 115_200)
 
 
-def test_no_permission(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+USER = 4321
+
+
+@pytest.mark.parametrize(
+    ("mode", "owner", "group", "remedy"),
+    [
+        (0o660, 0, 20, r"mode 0660, owner root, group dialout; join its group .*usermod -aG dialout \$USER"),
+        (0o600, 0, 20, r"mode 0600, owner root, group dialout, and the mode keeps its group out: sudo chmod g\+rw "),
+        (0o660, 0, 0, r"mode 0660, owner root, group root: sudo chgrp dialout "),
+        (
+            0o060,
+            USER,
+            20,
+            r"mode 0060, owner \S+, group dialout, and the mode keeps its owner out: chmod u",
+        ),
+    ],
+)
+def test_no_permission(
+    pty: Pty, monkeypatch: pytest.MonkeyPatch, mode: int, owner: int, group: int, remedy: str
+) -> None:
+    """Tests may run as root, whom nothing is forbidden: what the system says is made up."""
+
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(serial, "serial_for_url", refuse)
-    with pytest.raises(PortError, match=r"no permission.*usermod -aG \w+ \$USER") as caught:
-        SerialPort(pty.path, 115_200)
-    group = grp.getgrgid(os.stat(pty.path).st_gid).gr_name
-    assert f"-aG {group if group != 'root' else 'dialout'} " in caught.value.remedy
+    def look(_: str) -> os.stat_result:
+        return os.stat_result((stat.S_IFCHR | mode, 0, 0, 1, owner, group, 0, 0, 0, 0))
+
+    names = {0: "root", 20: "dialout"}
+    with monkeypatch.context() as made_up:
+        made_up.setattr(serial, "serial_for_url", refuse)
+        made_up.setattr(serial_port, "_refuse_left_over_link", lambda _: None)
+        made_up.setattr(os, "stat", look)
+        made_up.setattr(os, "geteuid", lambda: USER)
+        made_up.setattr(grp, "getgrgid", lambda number: SimpleNamespace(gr_name=names[number]))
+        with pytest.raises(PortError, match=rf"no permission for .*{remedy}"):
+            SerialPort(pty.path, 115_200)
 
 
 @pytest.mark.parametrize("url", ["nonsense://x", "socket://"])

@@ -6,6 +6,7 @@ All names are relative: the board's node lives in the namespace ``/servo``, the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -56,14 +57,20 @@ COMMAND_COLUMNS: Final = ("variable", "applied_tick", "axes_mask", "raw_axis1", 
 ``cmd.points`` stand in the place of the raw numbers of the axes, as many as were written."""
 
 
-def variable_topic(name: str) -> str:
-    """Topic of one variable: ``axis1.i_q`` becomes ``var/axis1/i_q``."""
-    return "var/" + name.replace(".", "/")
+def variable_topic(name: str, joints: Sequence[str] = ()) -> str:
+    """Topic of one variable: ``axis1.i_q`` becomes ``var/axis1/i_q``, with the joint's name for that of the axis."""
+    return "var/" + _by_joint(name, joints)
 
 
-def residual_topic(name: str) -> str:
-    """Topic of the residual of one variable."""
-    return "residual/" + name.replace(".", "/")
+def residual_topic(name: str, joints: Sequence[str] = ()) -> str:
+    """Topic of the residual of one variable, named in the same way."""
+    return "residual/" + _by_joint(name, joints)
+
+
+def _by_joint(name: str, joints: Sequence[str]) -> str:
+    """Parts of a variable's name as parts of a topic, ``axis<k>`` replaced by the name of joint k."""
+    names = {f"axis{k}": joint for k, joint in enumerate(joints, 1)}
+    return "/".join(names.get(part, part) for part in name.split("."))
 
 
 def fault_record_topic(joint: str) -> str:

@@ -55,3 +55,12 @@ def test_latched_topics_serve_late_subscribers() -> None:
 def test_the_names_need_no_ros() -> None:
     code = "import sys; sys.modules['rclpy'] = None; import servo_msgs_py.topics, servo_msgs_py.catalogue"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_topics_of_single_variables_carry_the_names_of_the_joints() -> None:
+    joints = ["hand", "axis1"]
+    assert topics.variable_topic("axis1.i_q", joints) == "var/hand/i_q"
+    assert topics.variable_topic("axis2.i_q", joints) == "var/axis1/i_q"
+    assert topics.variable_topic("cmd.position.axis2", joints) == "var/cmd/position/axis1"
+    assert topics.residual_topic("axis2.speed", joints) == "residual/axis1/speed"
+    assert topics.variable_topic("u_dc", joints) == "var/u_dc"

@@ -138,7 +138,9 @@ class ServoTwin(Node):
         self._joint_states = self.create_publisher(JointState, topics.JOINT_STATES, deep)
         self._snapshot = self.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self._residual = self.create_publisher(JointState, topics.RESIDUAL, deep)
-        self._variables = {name: self.create_publisher(Float64, topics.residual_topic(name), deep) for name in COMPARED}
+        self._variables = {
+            name: self.create_publisher(Float64, topics.residual_topic(name, self._joints), deep) for name in COMPARED
+        }
         self._state = self.create_publisher(String, topics.STATE, latched)
         self._healthy = self.create_publisher(Bool, topics.HEALTHY, latched)
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)

@@ -25,6 +25,7 @@ _SLACK_NS: Final = 1_000_000_000
 _FASTEST_BOARD: Final = 1.01
 _SLOWEST_BOARD: Final = 0.5
 _BRACKET_NS: Final = 100_000
+_STEP_BACK_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -189,10 +190,11 @@ class WallClock:
         self._wall = wall
         self._steady = steady
         self._offset: int | None = None
+        self._last_stamp: int | None = None
         self.refresh()
 
     def refresh(self) -> None:
-        """Compare both clocks again; call it about once a second.
+        """Compare both clocks again; call it about once a second, and for every stamp while the time is simulated.
 
         A comparison that the operating system interrupted is dropped, unless it is the first.
         """
@@ -201,6 +203,14 @@ class WallClock:
         after = self._steady()
         if self._offset is None or after - before <= _BRACKET_NS:
             self._offset = wall - (before + after) // 2
+
+    def stamp(self, steady_ns: int) -> int:
+        """Wall time of a monotonic time as a stamp [ns]: it grows, unless the wall clock was set back by a second."""
+        stamp, last = self.wall_ns(steady_ns), self._last_stamp
+        if last is not None and last - _STEP_BACK_NS < stamp <= last:
+            stamp = last + 1
+        self._last_stamp = stamp
+        return stamp
 
     def wall_ns(self, steady_ns: int) -> int:
         """Wall time of a monotonic time [ns]."""

@@ -10,6 +10,7 @@ import contextlib
 import errno
 import grp
 import os
+import pwd
 import select
 import stat
 import termios
@@ -299,10 +300,32 @@ def _known_ports() -> str:
 
 
 def _permission_remedy(path: str) -> str:
+    """What opens a port to this user, by its owner, group and mode."""
     try:
-        group = grp.getgrgid(os.stat(path).st_gid).gr_name
-    except (OSError, KeyError):
-        group = "dialout"
-    if group == "root":
-        group = "dialout"
-    return f"join its group and log in again: sudo usermod -aG {group} $USER"
+        status = os.stat(path)
+    except OSError:
+        return f"see who may use it with ls -lL {path} and what is above it"
+    mode = stat.S_IMODE(status.st_mode)
+    group, group_may = _group_name(status.st_gid), mode & 0o060 == 0o060
+    facts = f"it has mode {mode:04o}, owner {_user_name(status.st_uid)}, group {group}"
+    if status.st_uid == os.geteuid():
+        return f"{facts}, and the mode keeps its owner out: chmod u+rw {path}"
+    if not group_may:
+        return f"{facts}, and the mode keeps its group out: sudo chmod g+rw {path}, for good with a udev rule"
+    if status.st_gid == 0:
+        return f"{facts}: sudo chgrp dialout {path}, for good with a udev rule, and be in the group dialout"
+    return f"{facts}; join its group and log in again: sudo usermod -aG {group} $USER"
+
+
+def _group_name(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
+
+
+def _user_name(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return str(number)
