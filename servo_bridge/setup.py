@@ -38,10 +38,10 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "servo_bridge = servo_bridge.node:main",
+            "servo_bridge = servo_bridge.programs:bridge",
             "servo-tool = servo_bridge.tool:main",
-            "servo-command = servo_bridge.command:main",
-            "servo-demo = servo_bridge.demo:main",
+            "servo-command = servo_bridge.programs:command",
+            "servo-demo = servo_bridge.programs:demo",
         ],
     },
 )

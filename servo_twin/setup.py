@@ -40,8 +40,8 @@ setup(
     cffi_modules=["servo_twin/_build_native.py:ffi", "servo_twin/_build_native.py:registers_ffi"],
     entry_points={
         "console_scripts": [
-            "servo_twin = servo_twin.node:main",
-            "servo_viewer = servo_twin.viewer_node:main",
+            "servo_twin = servo_twin.programs:twin",
+            "servo_viewer = servo_twin.programs:viewer",
             "virtual_board = servo_twin.virtual_board:main",
             "servo-sim = servo_twin.cli:main",
             "servo-up = servo_twin.up:main",

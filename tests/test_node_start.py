@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_dict_from_yaml_file, parameter_value_to_python
 from servo_bridge.node import ServoBridge
-from servo_msgs_py.node_shell import NameTakenError, ParameterError, claim_name, full_name
+from servo_bridge.parameters import PARAMETERS as BRIDGE_PARAMETERS
+from servo_msgs_py.node_shell import NameTakenError, ParameterError, Spec, claim_name, full_name
+from servo_twin.node import PARAMETERS as TWIN_PARAMETERS
 from servo_twin.node import ServoTwin
+from servo_twin.viewer_node import PARAMETERS as VIEWER_PARAMETERS
 from servo_twin.viewer_node import ServoViewer
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def bridge(**node_arguments: Any) -> Node:
@@ -130,3 +137,50 @@ def test_the_second_program_of_one_name_ends_with_a_sentence(context: rclpy.Cont
     assert second.stderr.startswith(f"{module}: a node /{taken} runs already"), second.stderr
     assert len(second.stderr.splitlines()) == 1
     holder.destroy_node()
+
+
+CONFIGURATIONS = [
+    ("servo_bridge", "servo_bridge.yaml", BRIDGE_PARAMETERS),
+    ("servo_twin", "servo_twin.yaml", TWIN_PARAMETERS),
+    ("servo_twin", "servo_viewer.yaml", VIEWER_PARAMETERS),
+]
+
+
+@pytest.mark.parametrize(("package", "name", "parameters"), CONFIGURATIONS)
+def test_default_files_load_with_the_declared_types(package: str, name: str, parameters: Mapping[str, Spec]) -> None:
+    """As ``ros2 param load`` reads them: YAML 1.1, in which 1.5e6 is a string and 1 no float."""
+    file = ROOT / package / "config" / name
+    loaded = parameter_dict_from_yaml_file(str(file), use_wildcard=True)
+    found = {key: parameter_value_to_python(parameter.value) for key, parameter in loaded.items()}
+    assert found == {key: spec.default for key, spec in parameters.items()}
+    assert {key: type(value) for key, value in found.items()} == {k: type(s.default) for k, s in parameters.items()}
+    numbers = [line for line in file.read_text().splitlines() if re.match(r"    \w+: .*\d[eE][+-]?\d", line)]
+    assert not numbers, "a user who changes such a number may leave out its sign or its point, and then it is a string"
+
+
+@pytest.mark.parametrize(
+    ("package", "name"),
+    [
+        ("servo_bridge", "servo_bridge"),
+        ("servo_bridge", "servo-command"),
+        ("servo_bridge", "servo-demo"),
+        ("servo_twin", "servo_twin"),
+        ("servo_twin", "servo_viewer"),
+    ],
+)
+def test_programs_say_in_one_sentence_that_rclpy_is_missing(package: str, name: str, tmp_path: Path) -> None:
+    (tmp_path / "rclpy.py").write_text("raise ModuleNotFoundError(\"No module named 'rclpy'\", name='rclpy')\n")
+    script = (ROOT / package / "scripts" / name).read_text()
+    (program,) = re.findall(r"-c '(.*)'", script)
+    answer = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert answer.returncode == 1
+    assert answer.stdout == ""
+    (line,) = answer.stderr.splitlines()
+    assert line.startswith(f"{name}: rclpy cannot be imported by ")
+    assert "source its setup.bash" in line

@@ -1,0 +1,17 @@
+"""Entry points of the programs that need ROS; importing this does not import rclpy."""
+
+from __future__ import annotations
+
+from servo_msgs_py.ros_program import run_with_ros
+
+__all__ = ["twin", "viewer"]
+
+
+def twin() -> int:
+    """``servo_twin``."""
+    return run_with_ros("servo_twin", "servo_twin.node")
+
+
+def viewer() -> int:
+    """``servo_viewer``."""
+    return run_with_ros("servo_viewer", "servo_twin.viewer_node")
