@@ -67,6 +67,12 @@ class Process:
     def running(self) -> bool:
         return self._popen.poll() is None
 
+    def cpu_seconds(self) -> float:
+        """Time of the processor that all of its threads have used [s]."""
+        # proc(5): the name in parentheses may hold blanks; utime and stime are fields 14 and 15.
+        fields = Path(f"/proc/{self._popen.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
     def text(self) -> str:
         return self.log.read_text(errors="replace")
 

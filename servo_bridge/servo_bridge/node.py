@@ -215,7 +215,9 @@ class ServoBridge(Node):
     # ---- construction
     def _make_link(self, factory: LinkFactory) -> BoardLink:
         settings = self._settings
-        config = LinkConfig(url=settings.port, baud=settings.baud, telemetry=settings.telemetry)
+        config = LinkConfig(
+            url=settings.port, baud=settings.baud, telemetry=settings.telemetry, rate=settings.telemetry_rate
+        )
         try:
             return factory(
                 config,

@@ -42,6 +42,13 @@ PARAMETERS: Mapping[str, Spec] = {
         "variables read with every sample and published on snapshot, besides those that the bridge itself needs; "
         "every byte more costs sample rate",
     ),
+    "telemetry_rate": Spec(
+        0.0,
+        "highest rate of samples [Hz]; 0.0 is what the line carries. A lower one costs the computer less, and leaves the "
+        "line free for set-points",
+        0.0,
+        10_000.0,
+    ),
     "variables": Spec(
         ["u_dc", "axis1.i_q", "axis2.i_q"],
         "variables published one by one as var/<name>; those outside the telemetry are read one at a time",
@@ -102,6 +109,7 @@ class Settings:
     baud: int
     joints: tuple[str, ...]
     telemetry: tuple[str, ...]
+    telemetry_rate: float
     variables: tuple[str, ...]
     variable_rate: float
     joint_states_rate: float
@@ -144,6 +152,7 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         baud=values["baud"],
         joints=joints,
         telemetry=telemetry,
+        telemetry_rate=values["telemetry_rate"],
         variables=variables,
         variable_rate=values["variable_rate"],
         joint_states_rate=values["joint_states_rate"],

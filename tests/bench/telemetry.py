@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,10 @@ from chain import Chain, User, rows_of, user  # noqa: E402
 from servo_msgs_py.units import PERIOD_NS  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
-BAUDS = (115200, 1_000_000)
+CASES = ((115200, 0.0, 200), (1_000_000, 0.0, 200), (1_000_000, 200.0, 10_000))
+"""Line speed, parameter ``telemetry_rate`` [Hz], and how many set-points are sent."""
 SECONDS = 5.0
-SET_POINTS = 200
+AIMS = "at 1 Mbaud and 200 Hz: 2.0, 5.0, 20.0 ms; 20 % of a core"
 
 
 def rate(me: User) -> tuple[float, float]:
@@ -37,10 +39,10 @@ def rate(me: User) -> tuple[float, float]:
     return samples / span, float(values["bytes/s in"]) + float(values["bytes/s out"])
 
 
-def latencies(me: User) -> list[float]:
+def latencies(me: User, count: int) -> list[float]:
     """From publishing a position to the tick of its effect [ms], one set-point at a time."""
     result = []
-    for number in range(SET_POINTS):
+    for number in range(count):
         known = len(me.applied())
         begin = me.node.get_clock().now().nanoseconds
         me.position[0].publish(Float64(data=0.01 * (number % 2)))
@@ -54,40 +56,50 @@ def latencies(me: User) -> list[float]:
     return result
 
 
-def measure(baud: int) -> dict[str, Any]:
-    """Figures of one line speed."""
+def measure(baud: int, telemetry_rate: float, count: int) -> dict[str, Any]:
+    """Figures of one line speed and rate of telemetry."""
     chain = Chain(Path(tempfile.mkdtemp(prefix="bench-")), baud)
     with user() as me:
         try:
             chain.board()
-            chain.bridge()
+            bridge = chain.bridge(telemetry_rate=telemetry_rate)
             me.until(me.connected, 30.0, "the bridge is not connected")
             me.spinning()
             samples, carried = rate(me)
-            delays = latencies(me)
+            begin, used = time.monotonic(), bridge.cpu_seconds()
+            delays = latencies(me, count)
+            load = (bridge.cpu_seconds() - used) / (time.monotonic() - begin)
             me.enable(False)
         finally:
             chain.end()
     return {
         "baud": baud,
+        "telemetry_rate": telemetry_rate,
+        "set_points": count,
         "samples_per_s": samples,
         "bytes_per_s": carried,
         "wire_bytes_per_s": baud / 10,
         "part_of_the_wire": carried / (baud / 10),
         "latency_p50_ms": float(np.percentile(delays, 50)),
         "latency_p99_ms": float(np.percentile(delays, 99)),
+        "latency_max_ms": max(delays),
+        "cpu_of_a_core": load,
     }
 
 
 def main() -> int:
     """Measure, print a table, write ``out/bench/telemetry.json``."""
-    rows = [measure(baud) for baud in BAUDS]
-    print("    baud  samples/s   bytes/s  of the wire  set-point to effect p50, p99 [ms]")
+    rows = [measure(*case) for case in CASES]
+    print(
+        "    baud  samples/s   bytes/s  of the wire  set-points: number, to effect p50, p99, largest [ms]  CPU of the bridge"
+    )
     for row in rows:
         print(
             f"{row['baud']:8} {row['samples_per_s']:10.0f} {row['bytes_per_s']:9.0f} {row['part_of_the_wire']:11.0%}"
-            f" {row['latency_p50_ms']:18.1f} {row['latency_p99_ms']:6.1f}"
+            f" {row['set_points']:20} {row['latency_p50_ms']:12.1f} {row['latency_p99_ms']:6.1f} {row['latency_max_ms']:6.1f}"
+            f" {row['cpu_of_a_core']:22.0%}"
         )
+    print(f"aims {AIMS}")
     out = ROOT / "out" / "bench" / "telemetry.json"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
