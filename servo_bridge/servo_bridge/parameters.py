@@ -44,8 +44,8 @@ PARAMETERS: Mapping[str, Spec] = {
     ),
     "telemetry_rate": Spec(
         0.0,
-        "highest rate of samples [Hz]; 0.0 is what the line carries. A lower one costs the computer less, and leaves the "
-        "line free for set-points",
+        "highest rate of samples [Hz]; 0.0: as many as the line carries. A lower rate costs less of the computer and "
+        "leaves the line to set-points",
         0.0,
         10_000.0,
     ),

@@ -90,14 +90,12 @@ def measure(baud: int, telemetry_rate: float, count: int) -> dict[str, Any]:
 def main() -> int:
     """Measure, print a table, write ``out/bench/telemetry.json``."""
     rows = [measure(*case) for case in CASES]
-    print(
-        "    baud  samples/s   bytes/s  of the wire  set-points: number, to effect p50, p99, largest [ms]  CPU of the bridge"
-    )
+    print("    baud  samples/s   bytes/s  of the wire  set-points  to effect p50, p99, largest [ms]  CPU of the bridge")
     for row in rows:
+        p50, p99, largest = (row[f"latency_{name}_ms"] for name in ("p50", "p99", "max"))
         print(
-            f"{row['baud']:8} {row['samples_per_s']:10.0f} {row['bytes_per_s']:9.0f} {row['part_of_the_wire']:11.0%}"
-            f" {row['set_points']:20} {row['latency_p50_ms']:12.1f} {row['latency_p99_ms']:6.1f} {row['latency_max_ms']:6.1f}"
-            f" {row['cpu_of_a_core']:22.0%}"
+            f"{row['baud']:8} {row['samples_per_s']:10.0f} {row['bytes_per_s']:9.0f} {row['part_of_the_wire']:12.0%}"
+            f" {row['set_points']:11} {p50:19.1f} {p99:5.1f} {largest:7.1f} {row['cpu_of_a_core']:18.0%}"
         )
     print(f"aims {AIMS}")
     out = ROOT / "out" / "bench" / "telemetry.json"

@@ -1,0 +1,470 @@
+"""The board on a serial port behind topics and services of a node.
+
+The way of a set-point: `setpoint_topics` -> `setpoints` (form) -> `arbiter` (may it pass?) -> `dispatcher` (one write
+at a time) -> `link` (serial port, own thread) -> firmware. The way back: `link` -> `inbox` (into the executor's thread)
+-> `telemetry` -> `publications`. Nothing here touches the port, and only the executor's thread touches the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from functools import partial
+from typing import Final, Protocol
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from servo_msgs_py.board_parameters import RawParameters, applied
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
+from servo_msgs_py.convert import diagnostic_array, flag_texts
+from servo_msgs_py.fault_record import FaultRecord
+from servo_msgs_py.node_shell import full_name
+from std_srvs.srv import SetBool, Trigger
+
+from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.board_parameters import BoardParameters
+from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.fault_records import FaultRecords
+from servo_bridge.freemaster.client import BoardInfo
+from servo_bridge.health import BOARD_COUNTERS, Health
+from servo_bridge.inbox import Inbox
+from servo_bridge.joint_commands import JointCommands
+from servo_bridge.keep_alive import KeepAlive
+from servo_bridge.motion_services import MotionServices
+from servo_bridge.outcome import error_of
+from servo_bridge.parameters import ParameterError, Settings
+from servo_bridge.publications import Publications
+from servo_bridge.services import DeferredService
+from servo_bridge.setpoint_topics import SetPointTopics
+from servo_bridge.telemetry import Frame, Telemetry
+from servo_bridge.trajectory.check import Limits, require
+from servo_bridge.trajectory.follower import AxisReport, Follower
+from servo_bridge.trajectory.path import Path
+from servo_bridge.trajectory.streamer import Streamer, stream_lead
+from servo_bridge.trajectory_limits import path_limits
+from servo_bridge.trajectory_topics import TrajectoryTopics
+from servo_bridge.variable_topics import VariableTopics
+from servo_bridge.wire.board_clock import BoardClock, WallClock
+from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
+from servo_bridge.wire.link_statistics import LinkStatistics
+from servo_bridge.wire.scope import ScopeLayout
+from servo_bridge.wire.serial_port import LowLatency
+from servo_msgs_py import topics
+
+__all__ = ["BoardLink", "LinkFactory", "Supervisor"]
+
+_COMMAND_TIMEOUT: Final = "param.command_timeout"
+_TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
+_URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
+_SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
+
+
+class BoardLink(Protocol):
+    """What the node needs of a `Link`."""
+
+    layout: ScopeLayout
+
+    def start(self) -> None: ...
+    def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool: ...
+    def write_raw(
+        self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False
+    ) -> Future[WriteResult]: ...
+    def read(self, name: str) -> Future[Value]: ...
+    def run_command(self, code: int, *, urgent: bool = False) -> Future[int]: ...
+    def statistics(self) -> LinkStatistics: ...
+    @property
+    def board(self) -> BoardInfo | None: ...
+    @property
+    def low_latency(self) -> LowLatency: ...
+
+
+class LinkFactory(Protocol):
+    """Makes a link; `Link` itself, unless a test puts something else in its place."""
+
+    def __call__(
+        self,
+        config: LinkConfig,
+        catalogue: Catalogue,
+        *,
+        on_sample: Callable[[Sample], None],
+        on_state: Callable[[LinkStatus], None],
+    ) -> BoardLink: ...
+
+
+class Supervisor:
+    """One board behind its topics and services; in the executor's thread.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of topics, services and timers.
+    catalogue : Catalogue
+        Table of variables.
+    settings : Settings
+        Parameters of the node.
+    call_soon : callable
+        Makes the executor call a function in its own thread; may be called from any thread.
+    link_factory : LinkFactory
+        Makes the link to the board.
+
+    Raises
+    ------
+    ParameterError
+        If the link refuses a parameter.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        catalogue: Catalogue,
+        settings: Settings,
+        call_soon: Callable[[Callable[[], None]], object],
+        link_factory: LinkFactory,
+    ) -> None:
+        self._node = node
+        self._log = node.get_logger()
+        self._catalogue = catalogue
+        self._settings = settings
+        self._inbox = Inbox(call_soon)
+        self._link = self._make_link(link_factory)
+        self._joints = settings.joints
+        self._telemetry = Telemetry(self._catalogue, self._link.layout.variables)
+        self._board_clock = BoardClock(minimum_delay_ns=self._link.layout.size * 10 * 1_000_000_000 // settings.baud)
+        self._wall = WallClock(lambda: node.get_clock().now().nanoseconds)
+        self._arbiter = Arbiter(self._catalogue, self._joints, settings.limits)
+        self._arbiter.sources.preferred = settings.preferred_source
+        self._dispatcher = Dispatcher(self._send, self._arbiter, self._warn)
+        self._publications = Publications(
+            node,
+            self._joints,
+            self._telemetry.columns,
+            joint_states_rate=settings.joint_states_rate,
+            snapshot_period=settings.snapshot_period,
+        )
+        self._variables = VariableTopics(
+            node,
+            self._joints,
+            [self._catalogue[name] for name in settings.variables],
+            self._telemetry.columns,
+            self._link.read,
+            self._inbox.post,
+        )
+        self._diagnostics = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
+        self._health = Health(self._catalogue, full_name(node), settings.port, self._joints)
+        self._set_points = SetPointTopics(node, self._joints, self._arbiter, self._dispatcher.pump, self._warn)
+        self._follower = Follower(self._catalogue, self._joints, self._check_path)
+        self._arbiter.follow(self._follower)
+        self._trajectories = TrajectoryTopics(
+            node,
+            self._joints,
+            self._arbiter,
+            self._follower,
+            self._set_points,
+            limits=self._path_limits,
+            origin_ns=self._origin_ns,
+            say=lambda text: self._log.info(text),
+        )
+        self._streamer = Streamer(
+            self._joints, self._follower, stream_lead(settings.baud), settings.stream_delay_max or None
+        )
+        self._joint_commands = JointCommands(
+            node,
+            self._joints,
+            self._arbiter,
+            self._streamer,
+            self._set_points,
+            interfaces=settings.command_interfaces,
+            limits=self._path_limits,
+            offset_ns=lambda: self._board_clock.offset_ns,
+            wall_ns=self._wall.wall_ns,
+        )
+        self._status = LinkStatus(LinkState.DISCONNECTED, "starting")
+        self._frame: Frame | None = None
+        self._epoch = 0
+        self._ended = False
+        self._torque_constants: list[float] | None = None
+        self._counts: dict[str, int] | None = None
+        self._counting = False
+        self._expired = next(flag.mask for flag in self._catalogue.flags["limits"] if flag.name == "EXPIRED")
+        self._board_parameters = BoardParameters(
+            self._catalogue,
+            self._link.read,
+            self._link.write_raw,
+            self._inbox.post,
+            changed=self._on_parameters,
+            say=lambda text: self._log.info(text),
+            warn=self._warn,
+        )
+        self._board_parameters.want(settings.board_parameters)
+        self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
+        self._fault_records = FaultRecords(self._catalogue, self._link.read, self._inbox.post, self._on_fault_record)
+        self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
+        self._offer_services()
+        self._start_timers()
+        self._publish_state()
+        self._link.start()
+
+    # ---- construction
+    def _make_link(self, factory: LinkFactory) -> BoardLink:
+        settings = self._settings
+        config = LinkConfig(
+            url=settings.port, baud=settings.baud, telemetry=settings.telemetry, rate=settings.telemetry_rate
+        )
+        try:
+            return factory(
+                config,
+                self._catalogue,
+                on_sample=lambda sample: self._inbox.post(partial(self._on_sample, sample)),
+                on_state=lambda status: self._inbox.post(partial(self._on_link, status)),
+            )
+        except ValueError as error:
+            raise ParameterError(f"parameter telemetry: {error}") from None
+
+    def _offer_services(self) -> None:
+        node, motion = self._node, self._motion
+        self._services_offered = [
+            DeferredService(node, SetBool, topics.ENABLE, lambda request: motion.enable(request.data)),
+            DeferredService(node, Trigger, topics.QUICK_STOP, lambda _: motion.quick_stop()),
+            DeferredService(node, Trigger, topics.CLEAR_FAULTS, lambda _: motion.clear_faults()),
+        ]
+
+    def _start_timers(self) -> None:
+        node, steady = self._node, Clock(clock_type=ClockType.STEADY_TIME)
+        self._keep_alive_timer = node.create_timer(self._keep_alive.period(), self._keep_alive.send, clock=steady)
+        self._pace_keep_alive()
+        node.create_timer(1.0, self._every_second, clock=steady)
+        if self._settings.variables:
+            node.create_timer(1.0 / self._settings.variable_rate, self._publish_variables, clock=steady)
+
+    def refuse_settings(self, settings: Settings) -> str:
+        """Say why new settings cannot be taken now; nothing if they can."""
+        problem = self._board_parameters.check(settings.board_parameters)
+        return f"parameter board_parameters: {problem}" if problem else ""
+
+    def settings_changed(self, settings: Settings) -> None:
+        """Take new settings."""
+        if settings.board_parameters != self._settings.board_parameters:
+            self._board_parameters.want(settings.board_parameters)
+        self._settings = settings
+        self._arbiter.limits = list(settings.limits)
+        self._arbiter.sources.preferred = settings.preferred_source
+        self._pace_keep_alive()
+
+    # ---- commands
+    def _send(self, write: CommandWrite) -> None:
+        """Start a write; its end comes back through the inbox, in order with the samples."""
+
+        def done(future: Future[WriteResult]) -> None:
+            self._inbox.post(partial(self._dispatcher.acknowledged, write, error_of(future)))
+            if write.variable == "cmd.points" and error_of(future) is not None:
+                self._inbox.post(self._tell_refusal)
+
+        # A stop must not wait for parameters on a slow line, nor parameters for a stream of set-points.
+        urgent = write.variable in _URGENT
+        self._link.write_raw(write.variable, write.raw, first=write.first, urgent=urgent).add_done_callback(done)
+
+    def _tell_refusal(self) -> None:
+        """Log why the board has refused timed points."""
+
+        def told(future: Future[Value]) -> None:
+            if error_of(future) is None:
+                reason = self._catalogue.label("point_refusal_t", int(_scalar(future.result())))
+                self._inbox.post(partial(self._warn, f"the board has refused points of a trajectory: {reason}"))
+
+        self._link.read("point_refusal").add_done_callback(told)
+
+    def _path_limits(self) -> list[Limits] | None:
+        values, constants = self._board_parameters.values, self._torque_constants
+        if values is None or constants is None:
+            return None
+        return path_limits(self._catalogue, values, self._settings.limits, constants)
+
+    def _check_path(self, path: Path) -> None:
+        limits = self._path_limits()
+        if limits is not None:
+            require(path, [limits[self._joints.index(joint)] for joint in path.joints])
+
+    def _origin_ns(self) -> int | None:
+        offset = self._board_clock.offset_ns
+        return None if offset is None else self._wall.wall_ns(round(offset))
+
+    def _pace_keep_alive(self) -> None:
+        # What is wanted may be in force on the board long before it has been read again.
+        known = applied(self._settings.board_parameters, {}), self._board_parameters.values or {}
+        period = round(self._keep_alive.period(*known) * 1e9)
+        if period != self._keep_alive_timer.timer_period_ns:
+            self._keep_alive_timer.timer_period_ns = period
+            self._keep_alive_timer.reset()
+
+    # ---- what comes from the link
+    def _on_link(self, status: LinkStatus) -> None:
+        self._status = status
+        if status.state is LinkState.CONNECTED:
+            self._log.info(str(status))
+            self._dispatcher.open(_TAKE_OVER)
+            self._read_torque_constants()
+            self._board_parameters.connected()
+        else:
+            if status.state is LinkState.CONNECTING:
+                self._log.info(str(status))
+            else:
+                self._log.error(str(status))
+            self._publications.flush()
+            self._frame = None
+            self._torque_constants = None
+            self._counts = None
+            self._board_parameters.link_lost()
+            self._variables.link_lost()
+            self._arbiter.link_lost(status.reason)
+            self._dispatcher.close(status.reason)
+            self._motion.link_lost(status.reason)
+            self._fault_records.link_lost()
+        self._publish_state()
+
+    def _on_sample(self, sample: Sample) -> None:
+        if self._status.state is not LinkState.CONNECTED:
+            return  # was on its way when the link broke
+        frame = self._telemetry.frame(sample)
+        if frame.epoch != self._epoch:
+            self._epoch = frame.epoch
+            self._board_clock.reset()
+            self._counts = None  # they began anew
+        if self._node.get_clock().ros_time_is_active:
+            self._wall.refresh()  # simulated time may have any speed
+        stamp = self._wall.stamp(self._board_clock.update(frame.tick, frame.response_ns))
+        self._log_faults(frame)
+        self._log_expired(frame)
+        self._fault_records.on_frame(frame.tick, frame.faults)
+        self._frame = frame
+        self._arbiter.board_seen(frame.axes)
+        self._follower.on_sample(frame.tick, self._axis_reports(frame))
+        self._joint_commands.advance()
+        applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
+        self._motion.on_frame(frame)
+        if applied is not None:
+            # Before the sample that shows its effect, so that whoever replays has it in time.
+            self._publications.applied(applied)
+        self._publications.sample(frame, stamp, self._torque_constants)
+        self._publish_state()
+
+    def _axis_reports(self, frame: Frame) -> list[AxisReport]:
+        lsb = self._catalogue["axis1.position"].lsb
+        return [
+            AxisReport(
+                (status.position if status.position_ref is None else status.position_ref) * lsb,
+                follows=status.position_ref is not None and self._arbiter.obeys_points(axis),
+            )
+            for axis, status in enumerate(frame.axes)
+        ]
+
+    def _log_faults(self, frame: Frame) -> None:
+        for axis, word in enumerate(frame.faults):
+            before = self._frame.faults[axis] if self._frame is not None else 0
+            for text in flag_texts(self._catalogue, "faults", word & ~before):
+                self._log.error(f"{self._joints[axis]}: {text}")
+
+    def _log_expired(self, frame: Frame) -> None:
+        for axis, joint in enumerate(self._joints):
+            column = f"{axis_name(axis)}.limits"
+            before, now = (int(f.values.get(column, 0)) & self._expired if f else 0 for f in (self._frame, frame))
+            if now and not before:
+                self._warn(f"{joint}: no velocity or effort set-point for {self._command_timeout()}; the axis stops")
+
+    def _command_timeout(self) -> str:
+        values = self._board_parameters.values
+        if values is None:
+            return _COMMAND_TIMEOUT
+        return f"{values[_COMMAND_TIMEOUT][0] * self._catalogue[_COMMAND_TIMEOUT].lsb:g} s"
+
+    def _on_parameters(self, values: RawParameters) -> None:
+        self._publications.parameters(values, self._catalogue)
+        self._pace_keep_alive()
+
+    def _on_fault_record(self, record: FaultRecord) -> None:
+        self._log.error(f"{self._joints[record.axis]}: {record.summary()}")
+        self._publications.fault_record(record)
+
+    def _read_torque_constants(self) -> None:
+        futures = [self._link.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES)]
+
+        def take() -> None:
+            if any(error_of(future) is not None for future in futures):
+                return  # a lost link; they are read again when it is back
+            self._torque_constants = [float(_scalar(future.result())) for future in futures]
+            self._arbiter.set_torque_constants(self._torque_constants)
+            self._follower.torque_constants = self._torque_constants
+
+        # The link works in order: when the last one is done, all are.
+        futures[-1].add_done_callback(lambda _: self._inbox.post(take))
+
+    def _read_counters(self) -> None:
+        """Once a second; they would take room in every sample."""
+        if self._counting or self._status.state is not LinkState.CONNECTED:
+            return
+        futures = [self._link.read(name) for name in BOARD_COUNTERS]
+        self._counting = True
+
+        def take() -> None:
+            self._counting = False
+            if self._status.state is LinkState.CONNECTED and all(error_of(future) is None for future in futures):
+                values = (int(_scalar(future.result())) for future in futures)
+                self._counts = dict(zip(BOARD_COUNTERS, values, strict=True))
+
+        futures[-1].add_done_callback(lambda _: self._inbox.post(take))
+
+    # ---- what goes out regularly
+    def _publish_state(self) -> None:
+        frame = self._frame
+        if self._status.state is not LinkState.CONNECTED:
+            text = f"DISCONNECTED {self._status}"
+        elif frame is None:
+            return  # the first sample comes at once
+        else:
+            text = " ".join(f"{joint}={axis.label}" for joint, axis in zip(self._joints, frame.axes, strict=True))
+        self._publications.state(text, armed=self._arbiter.armed)
+
+    def _publish_variables(self) -> None:
+        if self._frame is not None:
+            self._variables.publish(self._frame.values)
+
+    def _every_second(self) -> None:
+        self._wall.refresh()
+        health, frame = self._health, self._frame
+        statuses = [
+            health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
+            health.board(self._link.board, frame, self._counts),
+            *(health.axis(axis, frame, self._fault_records.records[axis]) for axis in range(AXES)),
+            health.commands(self._set_points.figures, armed=self._arbiter.armed, conflict=self._set_points.conflict()),
+            health.stream(self._streamer.report),
+            health.parameters(self._board_parameters.values, self._board_parameters.trouble),
+        ]
+        self._diagnostics.publish(diagnostic_array(self._node.get_clock().now().nanoseconds, statuses))
+        self._read_counters()
+
+    def _warn(self, text: str) -> None:
+        self._log.warning(text)
+
+    # ---- end
+    def close(self) -> None:
+        """Switch both axes off, close the port and say so; takes a few seconds at most."""
+        if self._ended:
+            return
+        self._ended = True
+        connected = self._status.state is LinkState.CONNECTED
+        self._inbox.close()
+        switched_off = self._link.close(_SWITCH_OFF)
+        if connected and not switched_off:
+            self._warn(
+                "the board did not confirm that it was switched off; it does so by itself when the host is silent"
+            )
+        self._arbiter.link_lost("the bridge was stopped")
+        self._publications.flush()
+        self._publications.state("DISCONNECTED the bridge was stopped", armed=False)
+
+
+def _scalar(value: Value) -> float:
+    if isinstance(value, (int, float)):
+        return value
+    raise TypeError(f"{value!r} is not a single number")
