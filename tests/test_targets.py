@@ -40,8 +40,6 @@ NOT_ON_A_TARGET = {
     # Refuse what the table of variables and the number of scope slots rule out.
     "fill",
     "scope_read",
-    # A point is late only if an interrupt holds the server up between the check and the queue.
-    "leave_out",
     # The recorder's board leaves no interrupt out.
     "come_late",
     "servo_m1_isr",

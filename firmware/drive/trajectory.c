@@ -47,16 +47,15 @@ path_position_t trajectory_position(const trajectory_point_t *point, path_positi
     return near - path_beyond(near, point->position) + part;
 }
 
-/* The end of the segment is too near: the point waited in the queue for longer than it was ahead. */
-static void leave_out(trajectory_t *t) { t->late++; }
-
-/* To the next point that can still be reached in time. */
+/* To the next point that can still be reached in time. A late point has waited in the queue for longer than it was ahead. */
 static void set_out(trajectory_t *t, const axis_config_t *config, hermite_state_t from, uint32_t begin, frac16_t i_q)
 {
     while (t->in != t->out) {
         t->end = *at(t, t->out);
         t->out++;
-        if (!earlier(t->end.tick, begin + HERMITE_DURATION_MIN)) {
+        const bool late = earlier(t->end.tick, begin + HERMITE_DURATION_MIN);
+        t->late = (uint16_t)(t->late + (late ? 1 : 0));
+        if (!late) {
             const hermite_state_t to = {trajectory_position(&t->end, from.position),
                                         path_step_of(config, t->end.speed)};
             hermite_set(&t->segment, from, to, t->end.tick - begin);
@@ -66,7 +65,6 @@ static void set_out(trajectory_t *t, const axis_config_t *config, hermite_state_
             t->leads = true;
             return;
         }
-        leave_out(t);
     }
 }
 

@@ -159,12 +159,12 @@ def test_a_part_of_an_element_counts_with_the_bytes_that_stay(bench: Bench, way:
 @WAYS
 def test_bits_that_the_mask_leaves_alone_count_as_they_stand(bench: Bench, way: Way) -> None:
     address = bench.address("param.features")
-    bench.write_raw("param.features", [0x0123, 0x0FFF])
+    bench.write_raw("param.features", [0x0123, 0x1FFF])
     assert way(bench, address, b"\xff" * 4, b"\x0f\x0f\x00\x00") == 0
-    assert stored(bench, WRITABLE["param.features"]) == [0x0F2F, 0x0FFF]
-    assert way(bench, address, b"\xff" * 4, b"\x00\x10\x00\x00") == OUT_OF_RANGE
+    assert stored(bench, WRITABLE["param.features"]) == [0x0F2F, 0x1FFF]
+    assert way(bench, address, b"\xff" * 4, b"\x00\x20\x00\x00") == OUT_OF_RANGE
     assert way(bench, address, b"\xff" * 4, b"\x00\x00\x00\x80") == OUT_OF_RANGE
-    assert stored(bench, WRITABLE["param.features"]) == [0x0F2F, 0x0FFF]
+    assert stored(bench, WRITABLE["param.features"]) == [0x0F2F, 0x1FFF]
 
 
 @WAYS

@@ -78,12 +78,10 @@ def until_written(rig: Rig, name: str) -> list[tuple[int, int]]:
 
 def stream(rig: Rig, joints: tuple[bool, bool] = (True, True)) -> None:
     """A ramp, until points of it have reached the link."""
-    sent = 0
+    begin = time.monotonic()
 
     def arrived() -> bool:
-        nonlocal sent
-        sent += 1
-        t = 0.01 * sent
+        t = time.monotonic() - begin
         values = [(2.0 * t, 2.0) if joint else (NAN, NAN) for joint in joints]
         send(rig, [p for p, _ in values], [v for _, v in values], stamp=5000.0 + t)
         return len(points(rig)) >= 20
@@ -100,7 +98,7 @@ def test_positions_with_velocities_become_timed_points(ready: Rig) -> None:
         mine = [point for point in points(ready) if point.axis == axis]
         ticks = [point.tick for point in mine[-5:]]
         assert [b - a for a, b in pairwise(ticks)] == [PERIODS] * 4
-        assert mine[-1].velocity > 0.0
+        assert max(point.velocity for point in mine) > 1.0
     ready.until(lambda: "axis1, axis2" in ready.diagnosis("stream").message)
     values = {pair.key: pair.value for pair in ready.diagnosis("stream").values}
     assert int(values["received"]) >= 5

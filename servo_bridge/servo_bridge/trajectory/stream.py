@@ -262,8 +262,9 @@ class Stream:
             position, velocity, _, _ = state.reference(stamp, bridge)
             _, ahead, effort, state.starved = state.reference(stamp + rate * h, bridge)
             tracker = state.tracker
+            rest, may_rest = tracker.stopped(h)
             tracker.advance(position, rate * velocity, rate * (ahead - velocity) / h, h)
             speed = max(map(abs, (tracker.velocity, velocity, ahead)))
-            if state.starved and abs(tracker.position - position) < _REST and speed < _REST_SPEED:
-                state.active, tracker.velocity = False, 0.0
+            if state.starved and may_rest and abs(rest - position) < _REST and speed < _REST_SPEED:
+                state.active, tracker.position, tracker.velocity = False, rest, 0.0
             state.out.append((self._tick, tracker.position, tracker.velocity, effort))

@@ -52,6 +52,16 @@ class Tracker:
         self.position += step * (self.velocity + 0.5 * step * u)
         self.velocity += step * u
 
+    def stopped(self, step: float) -> tuple[float, bool]:
+        """Where an even deceleration to rest within one step ends [rad], and whether it keeps the limit.
+
+        Parameters
+        ----------
+        step : float
+            [s]
+        """
+        return self.position + 0.5 * step * self.velocity, abs(self.velocity) <= step * self.acceleration_max
+
 
 def _time_optimal(x1: float, x2: float, r: float, h: float) -> float:
     """Acceleration, |u| <= r, that brings an error x1 and its rate x2 to zero without chatter.
