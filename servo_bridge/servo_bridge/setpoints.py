@@ -162,10 +162,11 @@ def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[Reques
 
 
 class Repeats:
-    """Finds set-points that only repeat one from before the axes obeyed.
+    """Finds positions that only repeat one from before the axes obeyed.
 
-    Some senders command a position all the time, also before anyone has told them where to go. Enabling the axes must
-    not send a shaft there: such a set-point moves nothing until it changes, or until the sender has paused.
+    Some senders command a position all the time, also before they have been told a target. Enabling the axes must
+    not send a shaft there: such a set-point moves nothing until it changes, or until the sender has paused. A velocity
+    or an effort alone names no place; it counts as soon as the axes obey.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ class Repeats:
 
     def refused(self, time: float, points: Mapping[int, JointSetPoint]) -> None:
         """Note set-points that came while the axes did not obey; `time` in seconds."""
-        self._refused.update({axis: (time, point) for axis, point in points.items()})
+        self._refused.update({axis: (time, point) for axis, point in points.items() if point.position is not None})
 
     def fresh(self, time: float, points: Mapping[int, JointSetPoint]) -> dict[int, JointSetPoint]:
         """Those that repeat nothing."""

@@ -81,6 +81,13 @@ def test_repeats_of_what_came_before_enabling() -> None:
     assert repeats.fresh(5.2, zero) == zero, "after a pause it is meant"
 
 
+def test_a_velocity_that_is_held_counts_as_soon_as_the_axes_obey() -> None:
+    repeats = Repeats(pause=1.0)
+    held = {0: JointSetPoint(velocity=50.0)}
+    repeats.refused(1.0, held)
+    assert repeats.fresh(1.1, held) == held
+
+
 @pytest.mark.parametrize(
     ("fields", "sentence"),
     [
