@@ -30,6 +30,7 @@ ARGUMENTS = {
         "serial port of the board, or a pyserial URL; empty: /dev/ttyUSB0, /tmp/servo_board for a virtual board",
     ),
     "baud": ("115200", "line speed [bit/s]"),
+    "autostart": ("true", "false: the bridge waits for the transitions configure and activate"),
     "namespace": ("", "put before `servo` and `twin`: one for each board"),
     "params": (_defaults("servo_bridge", "servo_bridge.yaml"), "parameter file of the bridge"),
     "twin_params": (_defaults("servo_twin", "servo_twin.yaml"), "parameter file of the twin"),
@@ -53,7 +54,11 @@ def generate_launch_description() -> LaunchDescription:
         namespace="servo",
         parameters=[
             value["params"],
-            {"port": port, "baud": ParameterValue(value["baud"], value_type=int)},
+            {
+                "port": port,
+                "baud": ParameterValue(value["baud"], value_type=int),
+                "autostart": ParameterValue(value["autostart"], value_type=bool),
+            },
             sim_time,
         ],
         **common,

@@ -144,6 +144,11 @@ class Arbiter:
         Per joint.
     sources : Sources, optional
         Finds sources that contradict each other.
+
+    Attributes
+    ----------
+    inactive : str
+        Why no set-point passes, enabled or not, and what to do; empty while the node is active.
     """
 
     def __init__(
@@ -162,6 +167,7 @@ class Arbiter:
         self._axes: list[AxisStatus] | None = None
         self._link = "the board has not been seen yet"
         self._blocked = _NOT_ENABLED
+        self.inactive = ""
         self._modes: list[Mode | None] = [None] * AXES
         self._targets: list[_Target | None] = [None] * AXES
         self._paths: PathSource | None = None
@@ -208,7 +214,8 @@ class Arbiter:
     @property
     def armed(self) -> bool:
         """True when a set-point for every joint would be obeyed."""
-        return self._axes is not None and not self._blocked and all(axis.spinning for axis in self._axes)
+        blocked = self._blocked or self.inactive
+        return self._axes is not None and not blocked and all(axis.spinning for axis in self._axes)
 
     # ---- commands
     def submit(self, *requests: Request) -> None:
@@ -259,6 +266,8 @@ class Arbiter:
         """
         if self._axes is None:
             raise NotReady(f"{source}: not connected ({self._link}); see state and /diagnostics")
+        if self.inactive:
+            raise NotReady(f"{source}: {self.inactive}; then call the service enable with data: true")
         for axis in axes:
             status, joint = self._axes[axis], self._joints[axis]
             if status.faulted:

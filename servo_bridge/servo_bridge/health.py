@@ -160,12 +160,14 @@ class Health:
             values[f"{column} [{unit}]"] = _number(frame.values[f"{prefix}.{column}"])
         return self._status(name, level, "; ".join(faults) or status.label + at_limit, values)
 
-    def commands(self, figures: CommandFigures, *, armed: bool, conflict: str = "") -> DiagnosticStatus:
+    def commands(
+        self, figures: CommandFigures, *, armed: bool, conflict: str = "", inactive: str = ""
+    ) -> DiagnosticStatus:
         """Status of the set-points."""
         fresh = figures.rejected - self._last_rejected
         self._last_rejected = figures.rejected
         level = _WARN if fresh or conflict else _OK
-        message = f"rejected: {figures.last_rejection}" if fresh else "armed" if armed else "not armed"
+        message = f"rejected: {figures.last_rejection}" if fresh else "armed" if armed else inactive or "not armed"
         message = conflict or message
         return self._status(
             "commands",

@@ -90,6 +90,8 @@ class MotionServices:
             return self._stop(
                 "cmd.enable", 0, "disabled by the service enable", "ramping down and switching off; see state"
             )
+        if self._arbiter.inactive:
+            return _answered(False, f"{self._arbiter.inactive}; then call enable again")
         frame = self._frame
         if frame is None:
             return _answered(False, self._not_connected())
@@ -130,12 +132,12 @@ class MotionServices:
         answer.set_result(outcome)
         return True
 
-    def quick_stop(self) -> Future[Outcome]:
-        """Ramp down at the limit and hold; set-points stay refused until ``enable`` is called."""
+    def quick_stop(self, reason: str = "stopped by the service quick_stop") -> Future[Outcome]:
+        """Ramp down at the limit and hold; set-points stay refused, for this reason, until ``enable`` is called."""
         return self._stop(
             "cmd.quick_stop",
             1,
-            "stopped by the service quick_stop",
+            reason,
             "stopping at the limit, then holding; call enable with data: true to let set-points through again",
         )
 

@@ -1,4 +1,7 @@
-"""Parameters of the bridge node: declared with descriptors, checked, and handed on as one typed object."""
+"""Parameters of the bridge node: declared with descriptors, checked, and handed on as one typed object.
+
+Most say what the bridge is made of: they can change only while it is unconfigured.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,31 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from servo_msgs_py.board_parameters import Assignment, merged
 from servo_msgs_py.catalogue import AXES, Catalogue
-from servo_msgs_py.node_shell import ParameterError, Spec
+from servo_msgs_py.node_shell import ParameterError, Spec, full_name
 from servo_msgs_py.node_shell import declare as declare_all
 
 from servo_bridge.arbiter import JointLimits
 from servo_bridge.telemetry import telemetry_variables
 from servo_msgs_py import board_parameters, topics
 
-__all__ = ["PARAMETERS", "ParameterError", "Settings", "Spec", "declare", "settings_from", "watch"]
+__all__ = [
+    "PARAMETERS",
+    "Configured",
+    "ParameterError",
+    "Settings",
+    "Spec",
+    "declare",
+    "settings_from",
+    "values_of",
+    "watch",
+]
 
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -28,7 +41,11 @@ _NO_LIMIT = 1.0e15
 """Farther than any shaft comes [rad]. Infinity, and what Python writes with an exponent, is a string to some of the
 tools through whose YAML a parameter goes."""
 
-PARAMETERS: Mapping[str, Spec] = {
+_AT_START: Mapping[str, Spec] = {
+    "autostart": Spec(True, "whether the node configures and activates itself at the start; nothing is enabled by it"),
+}
+
+_SETTINGS: Mapping[str, Spec] = {
     "port": Spec(
         "/dev/ttyUSB0", "serial port of the board: a device path or any pyserial URL such as socket://host:port"
     ),
@@ -98,6 +115,8 @@ PARAMETERS: Mapping[str, Spec] = {
         read_only=False,
     ),
 }
+
+PARAMETERS: Mapping[str, Spec] = {**_AT_START, **_SETTINGS}
 """Every parameter of the node. ``config/servo_bridge.yaml`` lists the same defaults."""
 
 
@@ -212,20 +231,33 @@ def _limits(values: Mapping[str, Any]) -> tuple[JointLimits, ...]:
     return limits
 
 
-def declare(node: Node, catalogue: Catalogue) -> Settings:
-    """Declare every parameter and read its value.
+def declare(node: Node) -> dict[str, Any]:
+    """Declare every parameter and return the values at the start.
 
     Raises
     ------
     ParameterError
-        If a given value has the wrong type, is out of range or does not make sense.
+        If a given value has the wrong type or is out of range.
     """
-    return settings_from(declare_all(node, PARAMETERS), catalogue)
+    return {**declare_all(node, _AT_START), **declare_all(node, _SETTINGS, managed=True)}
 
 
-def watch(
-    node: Node, catalogue: Catalogue, changed: Callable[[Settings], None], refuses: Callable[[Settings], str]
-) -> None:
+def values_of(node: Node) -> dict[str, Any]:
+    """Values of the declared parameters, for `settings_from`."""
+    return {name: node.get_parameter(name).value for name in PARAMETERS}
+
+
+class Configured(Protocol):
+    """What works with settings."""
+
+    def refuse_settings(self, settings: Settings) -> str:
+        """Say why new settings cannot be taken now; nothing if they can."""
+
+    def settings_changed(self, settings: Settings) -> None:
+        """Take new settings."""
+
+
+def watch(node: Node, catalogue: Catalogue, configured: Callable[[], Configured | None]) -> None:
     """Check changes at run time; a change that does not make sense is refused with its reason.
 
     Parameters
@@ -234,26 +266,42 @@ def watch(
         Node whose parameters are declared.
     catalogue : Catalogue
         For the checks.
-    changed : callable
-        Gets the new settings after a change.
-    refuses : callable
-        Says why new settings cannot be taken now; nothing if they can.
+    configured : callable
+        What gets the changes; None while the node is unconfigured.
     """
 
-    def values() -> dict[str, Any]:
-        return {name: node.get_parameter(name).value for name in PARAMETERS}
-
     def check(parameters: list[Parameter]) -> SetParametersResult:
-        try:
-            settings = settings_from(values() | {p.name: p.value for p in parameters}, catalogue)
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        reason = refuses(settings)
+        before = values_of(node)
+        reason = refusal(before, before | {p.name: p.value for p in parameters})
         return SetParametersResult(successful=not reason, reason=reason)
 
+    def refusal(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+        target = configured()
+        fixed = [name for name, spec in PARAMETERS.items() if spec.read_only and after[name] != before[name]]
+        if fixed and target is not None:
+            return (
+                f"parameter {fixed[0]} changes only while the node is unconfigured: ros2 lifecycle set "
+                f"/{full_name(node)} deactivate, then cleanup"
+            )
+        try:
+            settings = settings_from(after, catalogue)
+        except ParameterError as error:
+            # Several wrong ones are put right one by one; to configure tells what is still wrong.
+            return "" if target is None and not _makes_sense(before, catalogue) else str(error)
+        return "" if target is None else target.refuse_settings(settings)
+
     def apply(parameters: list[Parameter]) -> None:
-        if any(p.name in PARAMETERS for p in parameters):
-            changed(settings_from(values(), catalogue))
+        target = configured()
+        if target is not None and any(p.name in PARAMETERS for p in parameters):
+            target.settings_changed(settings_from(values_of(node), catalogue))
 
     node.add_on_set_parameters_callback(check)
     node.add_post_set_parameters_callback(apply)
+
+
+def _makes_sense(values: Mapping[str, Any], catalogue: Catalogue) -> bool:
+    try:
+        settings_from(values, catalogue)
+    except ParameterError:
+        return False
+    return True

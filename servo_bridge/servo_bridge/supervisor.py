@@ -1,4 +1,4 @@
-"""The board on a serial port behind topics and services of a node.
+"""The board on a serial port behind topics and services of a node, from its configuration to its clean-up.
 
 The way of a set-point: `setpoint_topics` -> `setpoints` (form) -> `arbiter` (may it pass?) -> `dispatcher` (one write
 at a time) -> `link` (serial port, own thread) -> firmware. The way back: `link` -> `inbox` (into the executor's thread)
@@ -36,7 +36,7 @@ from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import error_of
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
-from servo_bridge.services import DeferredService
+from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.setpoint_topics import SetPointTopics
 from servo_bridge.telemetry import Frame, Telemetry
 from servo_bridge.trajectory.check import Limits, require
@@ -94,7 +94,7 @@ class LinkFactory(Protocol):
 
 
 class Supervisor:
-    """One board behind its topics and services; in the executor's thread.
+    """One board behind its topics and services; in the executor's thread. It begins inactive.
 
     Parameters
     ----------
@@ -135,6 +135,8 @@ class Supervisor:
         self._wall = WallClock(lambda: node.get_clock().now().nanoseconds)
         self._arbiter = Arbiter(self._catalogue, self._joints, settings.limits)
         self._arbiter.sources.preferred = settings.preferred_source
+        self._inactive = f"the bridge is inactive; activate it first (ros2 lifecycle set /{full_name(node)} activate)"
+        self._arbiter.inactive = self._inactive
         self._dispatcher = Dispatcher(self._send, self._arbiter, self._warn)
         self._publications = Publications(
             node,
@@ -237,6 +239,23 @@ class Supervisor:
         node.create_timer(1.0, self._every_second, clock=steady)
         if self._settings.variables:
             node.create_timer(1.0 / self._settings.variable_rate, self._publish_variables, clock=steady)
+
+    # ---- lifecycle and parameters
+    def activate(self) -> None:
+        """Let ``enable`` open the gate of set-points; nothing is enabled by this."""
+        self._arbiter.inactive = ""
+
+    def deactivate(self) -> None:
+        """Shut the gate of set-points and stop the axes at the limit; telemetry goes on."""
+        self._arbiter.inactive = self._inactive
+
+        def told(stop: Future[Outcome]) -> None:
+            success, message = stop.result()
+            if not success and not self._ended:  # the end switches off
+                self._warn(f"no quick stop: {message}")
+
+        self._motion.quick_stop("stopped because the bridge was deactivated").add_done_callback(told)
+        self._publish_state()
 
     def refuse_settings(self, settings: Settings) -> str:
         """Say why new settings cannot be taken now; nothing if they can."""
@@ -430,13 +449,20 @@ class Supervisor:
             self._variables.publish(self._frame.values)
 
     def _every_second(self) -> None:
+        if self._ended:
+            return  # the executor had it waiting
         self._wall.refresh()
         health, frame = self._health, self._frame
         statuses = [
             health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
             health.board(self._link.board, frame, self._counts),
             *(health.axis(axis, frame, self._fault_records.records[axis]) for axis in range(AXES)),
-            health.commands(self._set_points.figures, armed=self._arbiter.armed, conflict=self._set_points.conflict()),
+            health.commands(
+                self._set_points.figures,
+                armed=self._arbiter.armed,
+                conflict=self._set_points.conflict(),
+                inactive=self._arbiter.inactive,
+            ),
             health.stream(self._streamer.report),
             health.parameters(self._board_parameters.values, self._board_parameters.trouble),
         ]
@@ -447,10 +473,11 @@ class Supervisor:
         self._log.warning(text)
 
     # ---- end
-    def close(self) -> None:
-        """Switch both axes off, close the port and say so; takes a few seconds at most."""
-        if self._ended:
-            return
+    def close(self, reason: str) -> None:
+        """Switch both axes off, close the port and say so; takes a few seconds at most.
+
+        Its topics, services and timers are left to the owner of the node.
+        """
         self._ended = True
         connected = self._status.state is LinkState.CONNECTED
         self._inbox.close()
@@ -459,9 +486,12 @@ class Supervisor:
             self._warn(
                 "the board did not confirm that it was switched off; it does so by itself when the host is silent"
             )
-        self._arbiter.link_lost("the bridge was stopped")
+        self._frame = None
+        self._arbiter.link_lost(reason)
+        self._dispatcher.close(reason)
+        self._motion.link_lost(reason)
         self._publications.flush()
-        self._publications.state("DISCONNECTED the bridge was stopped", armed=False)
+        self._publications.state(f"DISCONNECTED {reason}", armed=False)
 
 
 def _scalar(value: Value) -> float:

@@ -203,11 +203,12 @@ class Rig:
         self.clear_client = self.user.create_client(Trigger, topics.CLEAR_FAULTS)
         self.executor.add_node(self.bridge)
         self.executor.add_node(self.user)
-        try:
-            self.until(self._matched, 20.0)
-        except BaseException:
-            self.__exit__()
-            raise
+        if self.bridge.supervisor is not None:
+            try:
+                self.discover()
+            except BaseException:
+                self.__exit__()
+                raise
 
     @property
     def link(self) -> FakeLink:
@@ -233,6 +234,10 @@ class Rig:
         """Collect the messages of a topic."""
         self.messages[name] = []
         self.user.create_subscription(kind, name, self.messages[name].append, qos)
+
+    def discover(self) -> None:
+        """Wait until bridge and user have found each other's topics and services."""
+        self.until(self._matched, 20.0)
 
     def _matched(self) -> bool:
         publishers = (self.joint_commands, self.commands, self.position)
@@ -306,6 +311,11 @@ class Rig:
 
     def logs(self, level: int = Log.WARN) -> list[str]:
         return [m.msg for m in self.messages["/rosout"] if m.name == "servo.servo_bridge" and m.level >= level]
+
+    def accepted(self) -> int:
+        """How many set-points have been let through."""
+        assert self.bridge.supervisor is not None
+        return self.bridge.supervisor._set_points.figures.accepted
 
     def rejections(self) -> list[str]:
         return [text for text in self.logs() if text.startswith("rejected")]

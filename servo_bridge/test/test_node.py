@@ -587,11 +587,11 @@ def test_two_sources_are_named_in_log_and_diagnostics_and_one_can_have_precedenc
         rig.until(lambda: velocity.get_subscription_count())
 
         def fight() -> None:
-            accepted = rig.bridge.supervisor._set_points.figures.accepted
+            accepted = rig.accepted()
             rig.position.publish(Float64(data=1.0))
-            rig.until(lambda: rig.bridge.supervisor._set_points.figures.accepted > accepted)
+            rig.until(lambda: rig.accepted() > accepted)
             velocity.publish(JointState(name=["axis2"], velocity=[5.0]))
-            rig.until(lambda: rig.bridge.supervisor._set_points.figures.accepted > accepted + 1)
+            rig.until(lambda: rig.accepted() > accepted + 1)
 
         for _ in range(5):
             fight()

@@ -34,7 +34,7 @@ def test_ros2_param_load_reads_every_value_of_the_file_as_what_it_is() -> None:
     assert {name: parameter_value_to_python(parameter.value) for name, parameter in loaded.items()} == DEFAULTS
 
 
-def test_the_file_names_what_can_only_be_set_at_the_start() -> None:
+def test_the_file_names_what_a_configured_node_does_not_take() -> None:
     blocks = re.split(r"\n(?=    #)", FILE.read_text(encoding="utf-8"))
     for name, spec in PARAMETERS.items():
         block = next(b for b in blocks if re.search(rf"^    {name}:", b, re.MULTILINE))
@@ -46,6 +46,8 @@ def test_descriptors_carry_text_range_and_access() -> None:
         descriptor = spec.descriptor()
         assert len(descriptor.description) > 10, name
         assert descriptor.read_only == spec.read_only
+        managed = spec.descriptor(managed=True)
+        assert (managed.read_only, bool(managed.additional_constraints)) == (False, spec.read_only)
     assert PARAMETERS["baud"].descriptor().integer_range[0].to_value == 4_000_000
     assert PARAMETERS["variable_rate"].descriptor().floating_point_range[0].from_value == 0.1
 

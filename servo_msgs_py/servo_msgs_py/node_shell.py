@@ -48,7 +48,10 @@ class NameTakenError(RuntimeError):
 
 @dataclass(frozen=True)
 class Spec:
-    """One parameter: default, description, range, and whether it can change while the node runs."""
+    """One parameter: default, description, range, and whether it can change while the node runs.
+
+    In a managed node `read_only` means: it changes only while the node is unconfigured.
+    """
 
     default: Any
     description: str
@@ -56,9 +59,11 @@ class Spec:
     high: float | None = None
     read_only: bool = True
 
-    def descriptor(self) -> ParameterDescriptor:
-        """ROS descriptor."""
-        result = ParameterDescriptor(description=self.description, read_only=self.read_only)
+    def descriptor(self, *, managed: bool = False) -> ParameterDescriptor:
+        """ROS descriptor; of a managed node nothing is read-only to ROS, so the node has to refuse changes itself."""
+        result = ParameterDescriptor(description=self.description, read_only=self.read_only and not managed)
+        if self.read_only and managed:
+            result.additional_constraints = "changes only while the node is unconfigured"
         if self.low is not None and self.high is not None:
             if isinstance(self.default, int):
                 result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=0)]
@@ -67,8 +72,17 @@ class Spec:
         return result
 
 
-def declare(node: Node, parameters: Mapping[str, Spec]) -> dict[str, Any]:
+def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False) -> dict[str, Any]:
     """Declare parameters and return their values.
+
+    Parameters
+    ----------
+    node : Node
+        Owner.
+    parameters : mapping of str to Spec
+        What to declare.
+    managed : bool
+        The node has a lifecycle; see `Spec`.
 
     Raises
     ------
@@ -78,7 +92,7 @@ def declare(node: Node, parameters: Mapping[str, Spec]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, spec in parameters.items():
         try:
-            values[name] = node.declare_parameter(name, spec.default, spec.descriptor()).value
+            values[name] = node.declare_parameter(name, spec.default, spec.descriptor(managed=managed)).value
         except ParameterException as error:
             raise ParameterError(f"parameter {name}: {error}; it is meant as: {spec.description}") from None
     return values
@@ -134,6 +148,9 @@ class Runnable(Protocol):
     failure: str
     """Why it cannot go on; empty while it can."""
 
+    finished: bool
+    """Whether it has ended in order by itself."""
+
     def shutdown(self) -> None: ...
 
 
@@ -155,7 +172,7 @@ def run(
     make: Callable[[EventsExecutor], Runnable],
     args: Sequence[str] | None,
 ) -> int:
-    """Run a node until Ctrl-C, SIGTERM or its own failure.
+    """Run a node until Ctrl-C, SIGTERM, its own end or failure.
 
     Parameters
     ----------
@@ -195,7 +212,7 @@ def run(
     try:
         node = make(executor)
         executor.add_node(node)
-        while ok() and not stop.is_set() and not node.failure:
+        while ok() and not stop.is_set() and not node.failure and not node.finished:
             executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
         if node.failure:
             return _complain(name, node.failure, 1)

@@ -83,6 +83,8 @@ class ServoTwin(Node):
         If a parameter does not make sense.
     """
 
+    finished = False  # goes on until it is told to end
+
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("servo_twin", namespace="twin", **node_arguments)
         with setting_up(self):

@@ -63,6 +63,8 @@ class ServoViewer(Node):
         If a parameter does not make sense or asks for what is not possible here.
     """
 
+    finished = False  # goes on until it is told to end
+
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("servo_viewer", **node_arguments)
         with setting_up(self):

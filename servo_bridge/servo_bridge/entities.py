@@ -1,0 +1,45 @@
+"""What a node has created since a moment, to be destroyed together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from rclpy.node import Node
+
+__all__ = ["Entities"]
+
+
+class Entities:
+    """Publishers, subscriptions, services, clients, timers and waitables that a node creates from now on.
+
+    Parameters
+    ----------
+    node : Node
+        Their owner.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._before = frozenset(_all(node))
+
+    def destroy(self) -> None:
+        """Destroy them; in the executor's thread, also out of a callback."""
+        node = self._node
+        for entities, destroy in (
+            (node.publishers, node.destroy_publisher),
+            (node.subscriptions, node.destroy_subscription),
+            (node.services, node.destroy_service),
+            (node.clients, node.destroy_client),
+            (node.timers, node.destroy_timer),
+            (node.waitables, lambda waitable: waitable.destroy()),  # such as actions; they leave the node by themselves
+        ):
+            for entity in self._new(entities):
+                destroy(entity)
+
+    def _new(self, entities: Iterable[Any]) -> list[Any]:
+        return [entity for entity in entities if entity not in self._before]
+
+
+def _all(node: Node) -> list[Any]:
+    return [*node.publishers, *node.subscriptions, *node.services, *node.clients, *node.timers, *node.waitables]

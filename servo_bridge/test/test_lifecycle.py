@@ -1,0 +1,265 @@
+"""The lifecycle of the bridge, by the services that ``ros2 lifecycle`` calls. The link is driven by the test."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from bridge_rig import SPIN, STOP, Rig
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from servo_bridge.parameters import ParameterError
+from servo_bridge.supervisor import Supervisor
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
+
+from servo_msgs_py import topics
+
+pytestmark = pytest.mark.realtime
+
+UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = "unconfigured", "inactive", "active", "finalized"
+ACTIVATE_FIRST = "the bridge is inactive; activate it first (ros2 lifecycle set /servo/servo_bridge activate)"
+
+
+def call(rig: Rig, kind: Any, service: str, request: Any) -> Any:
+    client = rig.user.create_client(kind, f"servo_bridge/{service}")
+    rig.until(client.service_is_ready)
+    future = client.call_async(request)
+    rig.until(future.done)
+    rig.user.destroy_client(client)
+    return future.result()
+
+
+def state(rig: Rig) -> str:
+    return str(call(rig, GetState, "get_state", GetState.Request()).current_state.label)
+
+
+def change(rig: Rig, transition: str, identifier: int = 0) -> tuple[bool, str]:
+    """Ask for a transition by its label, or by its number; returns whether it was made, and the state then."""
+    request = ChangeState.Request(transition=Transition(id=identifier, label=transition))
+    return bool(call(rig, ChangeState, "change_state", request).success), state(rig)
+
+
+def endpoints(rig: Rig) -> tuple[list[str], ...]:
+    """Names of everything that the node offers at this time, as often as it does."""
+    node = rig.bridge
+    return (
+        sorted(each.topic_name for each in node.publishers),
+        sorted(each.topic_name for each in node.subscriptions),
+        sorted(each.srv_name for each in node.services),
+        sorted(str(each.timer_period_ns) for each in node.timers),
+    )
+
+
+def rejected(rig: Rig) -> str:
+    """Why a set-point is refused."""
+    before = len(rig.rejections())
+    rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
+    rig.until_rejected(before)
+    return rig.rejections()[-1]
+
+
+def test_every_transition_from_unconfigured_to_finalized() -> None:
+    with Rig(autostart=False) as rig:
+        assert state(rig) == UNCONFIGURED
+        assert rig.links == []
+        assert rig.user.count_publishers(topics.STATE) == 0
+        assert not rig.enable_client.service_is_ready()
+
+        assert change(rig, "", Transition.TRANSITION_CONFIGURE) == (True, INACTIVE)
+        rig.discover()
+        rig.up(SPIN, SPIN)
+        assert rig.diagnosis("commands").message == ACTIVATE_FIRST
+        assert rig.enable(True) == (False, f"{ACTIVATE_FIRST}; then call enable again")
+        assert f"commands: {ACTIVATE_FIRST}; then call the service enable" in rejected(rig)
+        assert rig.clear_faults()[0], "what moves nothing works"
+
+        rig.link.written.clear()
+        assert change(rig, "activate") == (True, ACTIVE)
+        assert "outputs have not been enabled over this bridge" in rejected(rig)
+        assert rig.link.written == []
+        assert not rig.armed()
+        assert rig.enable(True)[0]
+        rig.until(rig.armed)
+
+        assert change(rig, "deactivate") == (True, INACTIVE)
+        assert change(rig, "cleanup") == (True, UNCONFIGURED)
+        rig.until(lambda: not rig.enable_client.service_is_ready())
+        assert change(rig, "shutdown") == (True, FINALIZED)
+        assert rig.bridge.finished
+
+
+def test_deactivate_stops_the_axes_and_telemetry_goes_on() -> None:
+    with Rig() as rig:
+        rig.ready()
+        rig.commands.publish(Float64MultiArray(data=[1.0, 2.0]))
+        rig.until(lambda: ("cmd.position", 0) in {write[:2] for write in writes(rig)})
+        rig.link.written.clear()
+        assert change(rig, "deactivate") == (True, INACTIVE)
+        rig.until(lambda: ("cmd.quick_stop", 0, (1, 1)) in writes(rig))
+        rig.until(lambda: not rig.armed())
+        assert ACTIVATE_FIRST in rejected(rig)
+        seen = len(rig.messages[topics.JOINT_STATES])
+        rig.link.sample()
+        rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) > seen)
+
+        rig.link.written.clear()
+        assert change(rig, "activate") == (True, ACTIVE)
+        assert "stopped because the bridge was deactivated; call the service enable" in rejected(rig)
+        assert not writes(rig)
+        assert not rig.armed()
+
+
+def writes(rig: Rig) -> list[Any]:
+    """What has been written, after one more sample."""
+    rig.link.sample()
+    return rig.link.written
+
+
+@pytest.mark.parametrize("asked", ["deactivate", "cleanup"])
+def test_an_enable_under_way_does_not_outlive_the_transition(asked: str) -> None:
+    with Rig() as rig:
+        rig.up(STOP, STOP)
+        enable = rig.enable_client.call_async(SetBool.Request(data=True))
+        rig.until(lambda: ("cmd.enable", 0, (1, 1)) in writes(rig))
+        if asked == "cleanup":
+            assert change(rig, "deactivate")[0]
+        assert change(rig, asked)[0]
+
+        def answered() -> bool:
+            rig.link.sample()
+            return bool(enable.done())
+
+        rig.until(answered)
+        assert not enable.result().success
+        assert not rig.armed()
+
+
+def test_what_is_not_possible_is_answered_and_the_node_lives_on() -> None:
+    with Rig(autostart=False) as rig:
+        for label, identifier in (("activate", 0), ("", Transition.TRANSITION_DEACTIVATE), ("fly", 0), ("", 200)):
+            assert change(rig, label, identifier) == (False, UNCONFIGURED)
+        rig.until(lambda: len(rig.logs()) >= 4)
+        assert rig.logs() == [
+            f"no transition {asked} from state unconfigured; there are configure, shutdown"
+            for asked in ("activate", Transition.TRANSITION_DEACTIVATE, "fly", 200)
+        ]
+        assert change(rig, "configure")[0]
+        assert change(rig, "configure") == (False, INACTIVE)
+        assert change(rig, "activate")[0]
+        assert change(rig, "cleanup") == (False, ACTIVE)
+        assert len(rig.links) == 1
+
+
+def test_a_clean_up_takes_everything_back_and_other_parameters_count_then() -> None:
+    with Rig() as rig:
+        configured = endpoints(rig)
+        rig.ready()
+        taken, reason = rig.set_parameter("port", "/dev/other")
+        assert not taken
+        assert reason == (
+            "parameter port changes only while the node is unconfigured: ros2 lifecycle set /servo/servo_bridge "
+            "deactivate, then cleanup"
+        )
+        assert rig.set_parameter("port", "/dev/ttyUSB0")[0], "it is that already"
+        first = rig.link
+        assert change(rig, "deactivate")[0]
+        for _ in range(20):
+            rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))  # come while it cleans up
+        assert change(rig, "cleanup") == (True, UNCONFIGURED)
+        assert [(name, list(values)) for name, values in first.final] == [("cmd.enable", [0.0, 0.0])]
+        rig.until(lambda: rig.user.count_publishers(topics.JOINT_STATES) == 0)
+        first.sample()  # of a link that is closed
+        for name, value in (("port", "/dev/other"), ("baud", 9600), ("joints", ["pan", "axis2"])):
+            assert rig.set_parameter(name, value)[0]
+        assert not rig.set_parameter("autostart", False)[0]
+
+        assert change(rig, "configure")[0]
+        assert change(rig, "activate")[0]
+        assert rig.link is not first
+        assert (rig.link.config.url, rig.link.config.baud) == ("/dev/other", 9600)
+        renamed = tuple([name.replace("axis1", "pan") for name in names] for names in configured)
+        assert tuple(map(sorted, renamed)) == endpoints(rig)
+        rig.until(lambda: rig.user.count_publishers(topics.JOINT_STATES) == 1)
+        rig.until(lambda: rig.user.count_subscribers("axis1/position") == 0)
+        rig.until(lambda: rig.enable_client.service_is_ready())
+        rig.until(lambda: rig.state() == "DISCONNECTED connecting to a test")
+        rig.up()
+        assert rig.state() == "pan=STOP axis2=STOP"
+
+
+def test_parameters_that_make_no_sense_are_answered_and_put_right_one_by_one() -> None:
+    wrong = {"joints": ["one"], "velocity_max": [-1.0, 1.0]}
+    with Rig(autostart=False, **wrong) as rig:
+        assert change(rig, "configure") == (False, UNCONFIGURED)
+        rig.until(rig.logs)
+        assert "not configured: parameter joints is ['one']" in rig.logs()[-1]
+        assert rig.set_parameter("joints", ["a", "b"])[0]
+        assert change(rig, "configure") == (False, UNCONFIGURED)
+        rig.until(lambda: len(rig.logs()) > 1)
+        assert "parameter velocity_max" in rig.logs()[-1]
+        assert rig.set_parameter("velocity_max", [1.0, 1.0])[0]
+        assert not rig.set_parameter("velocity_max", [1.0])[0], "all of them make sense now"
+        assert change(rig, "configure") == (True, INACTIVE)
+        assert len(rig.links) == 1
+
+
+def test_a_lost_link_does_not_change_the_state_of_the_lifecycle() -> None:
+    with Rig() as rig:
+        rig.ready()
+        rig.link.lose(reason="pulled")
+        rig.until(lambda: not rig.armed())
+        assert state(rig) == ACTIVE
+        assert change(rig, "deactivate") == (True, INACTIVE)
+        rig.until(lambda: rig.warnings("no quick stop: not connected: pulled"))
+        rig.up(SPIN, SPIN)
+        assert not rig.enable(True)[0]
+        assert change(rig, "activate") == (True, ACTIVE)
+        assert not rig.armed()
+        assert rig.enable(True)[0]
+
+
+@pytest.mark.parametrize(("transition", "method"), [("activate", "activate"), ("cleanup", "close")])
+def test_an_exception_is_told_and_leaves_the_node_unconfigured(
+    transition: str, method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Rig() as rig:
+        rig.up(SPIN, SPIN)
+        assert change(rig, "deactivate")[0]
+        link, works = rig.link, getattr(Supervisor, method)
+
+        def fails(*arguments: Any) -> None:
+            if method == "close":
+                works(*arguments)
+            raise ZeroDivisionError("of the test")
+
+        monkeypatch.setattr(Supervisor, method, fails)
+        assert change(rig, transition) == (False, UNCONFIGURED)
+        monkeypatch.undo()
+        rig.until(lambda: any("ZeroDivisionError: of the test" in text for text in rig.logs(40)))
+        assert link.final
+        rig.until(lambda: not rig.enable_client.service_is_ready())
+        assert change(rig, "configure")[0]
+        assert change(rig, "activate") == (True, ACTIVE)
+        rig.discover()
+        rig.ready()
+
+
+def test_a_node_that_starts_by_itself_does_not_hide_an_exception(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_: Supervisor) -> None:
+        raise ZeroDivisionError("of the test")
+
+    monkeypatch.setattr(Supervisor, "activate", fails)
+    with pytest.raises(ZeroDivisionError, match="of the test"):
+        Rig()
+
+
+def test_a_link_that_refuses_its_parameters_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuses(*_: object) -> None:
+        raise ParameterError("parameter telemetry: too much")
+
+    with Rig(autostart=False) as rig:
+        before = endpoints(rig)
+        monkeypatch.setattr(Supervisor, "_start_timers", refuses)
+        assert change(rig, "configure") == (False, UNCONFIGURED)
+        assert endpoints(rig) == before
