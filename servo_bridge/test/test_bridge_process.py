@@ -20,6 +20,8 @@ import rclpy
 from bridge_rig import DOMAIN
 from fake_port import Device, FakePort, NoiseDevice, V3Target
 from fake_servo import FakeServo
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -137,6 +139,14 @@ class Bridge:
         assert future.result().success, future.result().message
         self.until(self.armed)
 
+    def change(self, transition: str) -> None:
+        """As ``ros2 lifecycle set``."""
+        client = self.user.create_client(ChangeState, "servo_bridge/change_state")
+        self.until(client.service_is_ready)
+        future = client.call_async(ChangeState.Request(transition=Transition(label=transition)))
+        self.until(future.done)
+        assert future.result().success
+
     def end(self, number: int = signal.SIGINT) -> int:
         self.process.send_signal(number)
         return self.process.wait(15)
@@ -172,6 +182,21 @@ def test_from_topic_to_board_and_off_at_the_end(board: tuple[Spinning, FakePort]
         bridge.until(lambda: bridge.seen[topics.JOINT_STATES])
         assert len(bridge.seen[topics.JOINT_STATES][-1].position) == 2
         assert bridge.end() == 0
+        assert servo.command_writes()[-1] == ("cmd.enable", 0, b"\0\0\0\0")
+        assert "Traceback" not in bridge.log()
+
+
+def test_the_transition_shutdown_ends_the_program_in_order(board: tuple[Spinning, FakePort], tmp_path: Path) -> None:
+    servo, port = board
+    with Bridge(tmp_path, *port_arguments(port), "-p", "autostart:=false") as bridge:
+        bridge.change("configure")
+        bridge.change("activate")
+        bridge.until(lambda: bridge.state() == "axis1=STOP axis2=STOP")
+        bridge.enable()
+        client = bridge.user.create_client(ChangeState, "servo_bridge/change_state")
+        bridge.until(client.service_is_ready)
+        client.call_async(ChangeState.Request(transition=Transition(label="shutdown")))
+        assert bridge.process.wait(15) == 0, bridge.log()
         assert servo.command_writes()[-1] == ("cmd.enable", 0, b"\0\0\0\0")
         assert "Traceback" not in bridge.log()
 
