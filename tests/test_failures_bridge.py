@@ -30,10 +30,7 @@ from servo_twin.level import Level
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
-LOSSY = (1_000_000, "registers")
-"""There the receive handler waits behind both control loops, and a request in some hundred is lost. The rows of the
-board (test_failures_board.py) cover it, where time is simulated."""
-COMBINATIONS = [each for each in itertools.product(BAUDS, get_args(Level)) if each != LOSSY]
+COMBINATIONS = list(itertools.product(BAUDS, get_args(Level)))
 
 CATALOGUE = Catalogue.load()
 BOTH = ["axis1", "axis2"]
