@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite, JointLimits
+from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.setpoints import JointSetPoint
 from servo_bridge.trajectory.check import require
@@ -19,13 +19,14 @@ from servo_bridge.trajectory_limits import path_limits
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name, numbers
 from servo_msgs_py.convert import state_label
+from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.board_memory import BoardError
 from servo_twin.simulation import enable
 
 CATALOGUE: Final = Catalogue.load()
-JOINTS: Final = ("axis1", "axis2")
+JOINTS: Final = tuple(joint_names(DEFAULT_JOINTS))
 COUNT: Final = CATALOGUE["axis1.position"].lsb
 SAMPLE_NS: Final = 10_000_000
 """Between two samples of the telemetry."""
@@ -44,6 +45,8 @@ class PathWorld:
         Just switched on.
     delay_max : float, optional
         Of the streamer [s].
+    joints : sequence of Joint
+        In the order of the axes, with the names of `JOINTS`.
 
     Attributes
     ----------
@@ -51,17 +54,17 @@ class PathWorld:
         Let no write through: the bridge is dead.
     """
 
-    def __init__(self, board: Board, delay_max: float | None = None) -> None:
+    def __init__(self, board: Board, delay_max: float | None = None, joints: Sequence[Joint] = DEFAULT_JOINTS) -> None:
         self.board = board
         self.troubles: list[str] = []
         self.ends: list[float] = []
         self.refusals: list[TrajectoryError] = []
         self.held_back = False
         self.log: list[NDArray[np.void]] = []
-        self.arbiter = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * AXES)
-        self.follower = Follower(CATALOGUE, JOINTS, self._check)
+        self.arbiter = Arbiter(CATALOGUE, joints)
+        self.follower = Follower(CATALOGUE, joints, self._check)
         self.arbiter.follow(self.follower)
-        self.streamer = Streamer(JOINTS, self.follower, stream_lead(115_200), delay_max)
+        self.streamer = Streamer(joints, self.follower, stream_lead(115_200), delay_max)
         self._acknowledge: list[tuple[CommandWrite, str | None]] = []
         self.dispatcher = Dispatcher(self._send, self.arbiter, self.troubles.append)
         enable(board)
@@ -71,7 +74,7 @@ class PathWorld:
         self.limits = path_limits(
             CATALOGUE,
             {v.name: board.read_raw(v.name) for v in parameters(CATALOGUE)},
-            self.arbiter.limits,
+            joints,
             constants,
         )
         self.arbiter.release()

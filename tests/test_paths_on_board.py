@@ -11,6 +11,8 @@ from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.shapes import lissajous, move
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.waypoints import Waypoints
+from servo_msgs_py.catalogue import numbers
+from servo_msgs_py.joints import Joint
 from servo_twin.board import Board
 
 
@@ -64,6 +66,35 @@ def test_a_circle_is_followed_in_time(world: PathWorld) -> None:
         assert table[f"{joint}.points_late"][-1] == 0
         assert abs(table[f"{joint}.position_ref"][-1] * COUNT - path.end[JOINTS.index(joint)]) <= COUNT
         assert not table[f"{joint}.faults"].any()
+
+
+def test_geared_joints_are_followed_in_their_own_units() -> None:
+    joints = [Joint(JOINTS[0], 50.0, -1, 0.3), Joint(JOINTS[1], 4.0, 1, -1.0)]
+    goal = [0.8, 2.0]
+    with Board(seed=4, level="ideal") as board:
+        world = PathWorld(board, joints=joints)
+
+        def plan(running: Path, now: float) -> Path:
+            return path_through(Waypoints.of(JOINTS, [now + 1.0], [goal]), running.state(now), now)
+
+        world.follow(plan)
+        world.run(1.5)
+        assert not world.refusals
+        assert not world.troubles
+        table = world.table()
+        for joint, end in zip(joints, goal, strict=True):
+            motor = table[f"{joint.name}.position"][-1] * COUNT
+            assert joint.position(motor) == pytest.approx(end, abs=4 * COUNT / joint.gear_ratio)
+            assert not table[f"{joint.name}.faults"].any()
+
+        def too_fast(running: Path, now: float) -> Path:
+            return path_through(Waypoints.of(JOINTS, [now + 0.2], [[5.0, 2.0]]), running.state(now), now)
+
+        world.follow(too_fast)
+        world.run(0.5)
+        assert world.limits[0].velocity_max == pytest.approx(numbers(board.read("param.speed_limit"))[0] / 50.0)
+    (refusal,) = world.refusals
+    assert f"acceleration of {JOINTS[0]} goes above its limit 80 rad/s^2" in str(refusal), "4000 rad/s^2 of the motor"
 
 
 def test_another_path_takes_over_without_a_step(world: PathWorld) -> None:

@@ -4,24 +4,25 @@ A request passes four gates: the link is up, set-points are released (only the s
 commanded axis is in RUN/SPIN, and every value is inside the limits of the board and of the configuration. It passes
 as a whole or not at all. What passed waits here as raw firmware integers until the dispatcher fetches it: mode
 first where it changes, then one write for all axes that move together. A newer set-point replaces one that is still
-waiting; the board itself ends a velocity or effort that is not written again. Pure.
+waiting; the board itself ends a velocity or effort that is not written again. Requests are in joint units, writes in
+those of the motors. Pure.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
+from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.timed_points import axes_of_points
 from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.setpoints import Mode, NotReady, Rejected, Request
 from servo_bridge.sources import Source, Sources
 
-__all__ = ["Arbiter", "AxisStatus", "CommandWrite", "JointLimits", "PathSource"]
+__all__ = ["Arbiter", "AxisStatus", "CommandWrite", "PathSource"]
 
 _POINTS = "cmd.points"
 _TARGET = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
@@ -64,31 +65,6 @@ class CommandWrite:
         numbers = [0] * AXES
         numbers[self.first : self.first + len(self.raw)] = self.raw
         return tuple(numbers)
-
-
-@dataclass(frozen=True)
-class JointLimits:
-    """Limits of one joint on top of those of the board; infinite where there are none.
-
-    Attributes
-    ----------
-    position_min, position_max : float
-        [rad]
-    velocity_max, effort_max : float
-        Magnitudes, [rad/s] and [N m].
-    """
-
-    position_min: float = -math.inf
-    position_max: float = math.inf
-    velocity_max: float = math.inf
-    effort_max: float = math.inf
-
-    def of(self, mode: Mode) -> tuple[float, float]:
-        """Lowest and highest set-point of a mode."""
-        if mode is Mode.POSITION:
-            return self.position_min, self.position_max
-        magnitude = self.velocity_max if mode is Mode.SPEED else self.effort_max
-        return -magnitude, magnitude
 
 
 @dataclass(frozen=True)
@@ -138,10 +114,8 @@ class Arbiter:
     ----------
     catalogue : Catalogue
         Scales and limits of the command variables.
-    joints : sequence of str
-        Joint names in the order of the axes.
-    limits : sequence of JointLimits
-        Per joint.
+    joints : sequence of Joint
+        In the order of the axes.
     sources : Sources, optional
         Finds sources that contradict each other.
 
@@ -154,14 +128,13 @@ class Arbiter:
     def __init__(
         self,
         catalogue: Catalogue,
-        joints: Sequence[str],
-        limits: Sequence[JointLimits],
+        joints: Sequence[Joint],
         sources: Sources | None = None,
     ) -> None:
         self.sources = sources or Sources()
         self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in _TARGET.items()}
-        self._joints = list(joints)
-        self.limits = list(limits)
+        self._joints = joint_names(joints)
+        self.joints = list(joints)
         self._reach = catalogue.bits["position"]["REACH"]
         self._torque_constants: list[float] | None = None
         self._axes: list[AxisStatus] | None = None
@@ -326,32 +299,37 @@ class Arbiter:
         self.sources.claim(source, axes, self._joints, () if self._paths is None else self._paths.axes)
 
     def _raw(self, request: Request, axis: int) -> int:
-        value, mode, joint = request.values[axis], request.mode, self._joints[axis]
+        value, mode, joint = request.values[axis], request.mode, self.joints[axis]
         variable = self._variables[mode]
-        wanted_low, wanted_high = self.limits[axis].of(mode)
+        wanted_low, wanted_high = _wanted(joint.limits, mode)
         factor = 1.0
         if mode is Mode.POSITION:
             assert self._axes is not None
             position = self._axes[axis].position
-            low, high = ((position + way) * variable.lsb for way in (-self._reach, self._reach))
+            ends = [joint.position((position + way) * variable.lsb) for way in (-self._reach, self._reach)]
+            motor = joint.motor_position(value)
+        elif mode is Mode.SPEED:
+            ends = [joint.velocity(end) for end in (variable.minimum, variable.maximum)]
+            motor = joint.motor_velocity(value)
         else:
-            if mode is Mode.TORQUE:
-                factor = self._amperes_per_newton_metre(request.source, axis)
-            low, high = variable.minimum / factor, variable.maximum / factor
+            factor = self._amperes_per_newton_metre(request.source, axis)
+            ends = [joint.effort(end / factor) for end in (variable.minimum, variable.maximum)]
+            motor = joint.motor_effort(value)
+        low, high = sorted(ends)
         boards = (value > high and high <= wanted_high) or (value < low and low >= wanted_low)
         remedy = (_FARTHER if mode is Mode.POSITION else _BOARD) if boards else _REMEDY
         low, high = max(low, wanted_low), min(high, wanted_high)
         if not low <= value <= high:
             quantity, unit = _QUANTITY[mode]
             raise Rejected(
-                f"{request.source}: {quantity} of {joint} is {value:g} {unit}, outside {low:g} .. {high:g} {unit}; "
-                f"{remedy}"
+                f"{request.source}: {quantity} of {joint.name} is {value:g} {unit}, outside {low:g} .. {high:g} "
+                f"{unit}; {remedy}"
             )
         if mode is Mode.POSITION:
             # Positions of the board wrap at 32 bits, and it takes the shorter way.
-            return unwrap_u32(round(value / variable.lsb) & 0xFFFF_FFFF, 0)
+            return unwrap_u32(round(motor / variable.lsb) & 0xFFFF_FFFF, 0)
         # A value at the limit itself must not fall outside by the last bit of the product.
-        return variable.to_raw(min(max(value * factor, variable.minimum), variable.maximum))
+        return variable.to_raw(min(max(motor * factor, variable.minimum), variable.maximum))
 
     def _amperes_per_newton_metre(self, source: str, axis: int) -> float:
         if self._torque_constants is None or self._torque_constants[axis] <= 0.0:
@@ -359,6 +337,14 @@ class Arbiter:
                 f"{source}: the board has not told its torque constant of {self._joints[axis]}; try again in a second"
             )
         return 1.0 / self._torque_constants[axis]
+
+
+def _wanted(limits: JointLimits, mode: Mode) -> tuple[float, float]:
+    """Lowest and highest set-point of a mode that the configuration lets pass."""
+    if mode is Mode.POSITION:
+        return limits.position_min, limits.position_max
+    magnitude = limits.velocity_max if mode is Mode.SPEED else limits.effort_max
+    return -magnitude, magnitude
 
 
 def _joined(variable: str, elements: Mapping[int, int]) -> CommandWrite:

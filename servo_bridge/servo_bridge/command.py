@@ -36,6 +36,8 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, find, merged, parameters, parse, si
 from servo_msgs_py.catalogue import Catalogue, Variable
 from servo_msgs_py.convert import parameters_from_message
+from servo_msgs_py.joints import Joint
+from servo_msgs_py.robot_description import joints_of
 from servo_msgs_py.value_text import value_text
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -145,10 +147,14 @@ class Commander(Node):
         return "\n".join(lines)
 
     def _state(self) -> str:
-        states: list[str] = []
-        self.create_subscription(String, self._of(topics.STATE), lambda m: states.append(m.data), topics.latched_qos())
-        self.wait_for(lambda: states, f"no {self._of(topics.STATE)} was heard")
-        return states[-1]
+        return self._latched(topics.STATE)
+
+    def _latched(self, name: str) -> str:
+        """What a latched topic says."""
+        texts: list[str] = []
+        self.create_subscription(String, self._of(name), lambda m: texts.append(m.data), topics.latched_qos())
+        self.wait_for(lambda: texts, f"no {self._of(name)} was heard")
+        return texts[-1]
 
     # ---- parameters of the board
     def parameters(self, wanted: Callable[[RawParameters], bool] = lambda _: True) -> RawParameters:
@@ -244,6 +250,19 @@ class Commander(Node):
         self.wait_for(lambda: applied or rejected, "the bridge neither took nor rejected the set-points")
         if rejected:
             raise CommandError(rejected[0])
+
+    def joints(self) -> list[Joint]:
+        """The joints, in the order of the axes.
+
+        Raises
+        ------
+        CommandError
+            If the bridge does not tell them.
+        """
+        try:
+            return joints_of(self._latched(topics.ROBOT_DESCRIPTION))
+        except ValueError as error:
+            raise CommandError(f"{self._of(topics.ROBOT_DESCRIPTION)}: {error}") from None
 
     def positions(self) -> dict[str, float]:
         """Where the joints are [rad], by name."""

@@ -13,9 +13,9 @@ import numpy as np
 from builtin_interfaces.msg import Duration
 from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import Joint, joint_names
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from servo_bridge.arbiter import JointLimits
 from servo_bridge.trajectory.check import Limits, require
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.files import read_waypoints
@@ -36,6 +36,9 @@ class PathUser(Protocol):
 
     def positions(self) -> dict[str, float]:
         """Where the joints are [rad]."""
+
+    def joints(self) -> list[Joint]:
+        """The joints, in the order of the axes."""
 
     def parameters(self) -> RawParameters:
         """Raw parameters of the board."""
@@ -100,8 +103,8 @@ def run_path(user: PathUser, args: argparse.Namespace) -> str:
         If there is no such path, or it leaves the limits; nothing has moved then.
     """
     positions = user.positions()
-    joints = list(positions)
-    limits = dict(zip(joints, _limits(user.parameters(), len(joints)), strict=True))
+    joints = user.joints()
+    limits = dict(zip(joint_names(joints), _limits(user.parameters(), joints), strict=True))
     path = _plan(args, positions, limits)
     require(path, [limits[joint] for joint in path.joints])
     report = _report(path, limits)
@@ -119,8 +122,8 @@ def run_path(user: PathUser, args: argparse.Namespace) -> str:
     return f"done: {', '.join(parts)}"
 
 
-def _limits(raw: RawParameters, joints: int) -> list[Limits]:
-    return path_limits(Catalogue.load(), raw, [JointLimits()] * joints, [math.inf] * joints)
+def _limits(raw: RawParameters, joints: Sequence[Joint]) -> list[Limits]:
+    return path_limits(Catalogue.load(), raw, joints, [math.inf] * len(joints))
 
 
 def _plan(args: argparse.Namespace, positions: dict[str, float], limits: dict[str, Limits]) -> Path:

@@ -16,10 +16,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from servo_msgs_py.board_parameters import Assignment, merged
 from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.node_shell import ParameterError, Spec, full_name
 from servo_msgs_py.node_shell import declare as declare_all
+from servo_msgs_py.robot_description import NO_LIMIT
 
-from servo_bridge.arbiter import JointLimits
 from servo_bridge.telemetry import telemetry_variables
 from servo_msgs_py import board_parameters, topics
 
@@ -37,10 +38,6 @@ __all__ = [
 
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
-_NO_LIMIT = 1.0e15
-"""Farther than any shaft comes [rad]. Infinity, and what Python writes with an exponent, is a string to some of the
-tools through whose YAML a parameter goes."""
-
 _AT_START: Mapping[str, Spec] = {
     "autostart": Spec(True, "whether the node configures and activates itself at the start; nothing is enabled by it"),
 }
@@ -51,6 +48,9 @@ _SETTINGS: Mapping[str, Spec] = {
     ),
     "baud": Spec(115200, "line speed of the serial port [bit/s]", 1200, 4_000_000),
     "joints": Spec(["axis1", "axis2"], "joint names in the order of the axes"),
+    "gear_ratio": Spec([1.0, 1.0], "turns of the motor per turn of the joint, per joint; 1.0e-4 .. 1.0e+5"),
+    "direction": Spec([1, 1], "1, or -1 where the joint turns the other way than the motor, per joint"),
+    "offset": Spec([0.0, 0.0], "position of the joint where the motor is at 0, per joint [rad]"),
     "telemetry": Spec(
         [
             "u_dc",
@@ -76,17 +76,20 @@ _SETTINGS: Mapping[str, Spec] = {
         0.02, "shortest time between two snapshot messages, which carry all samples since the last one [s]", 0.0, 1.0
     ),
     "position_min": Spec(
-        [-_NO_LIMIT, -_NO_LIMIT], "lowest position set-point per joint [rad]; -1.0e+15 is none", read_only=False
+        [-NO_LIMIT, -NO_LIMIT],
+        "lowest position set-point per joint [rad]; -1.0e+15 is none. A joint with neither is continuous",
+        read_only=False,
     ),
     "position_max": Spec(
-        [_NO_LIMIT, _NO_LIMIT], "highest position set-point per joint [rad]; 1.0e+15 is none", read_only=False
+        [NO_LIMIT, NO_LIMIT], "highest position set-point per joint [rad]; 1.0e+15 is none", read_only=False
     ),
     "velocity_max": Spec(
         [419.0, 419.0], "largest velocity set-point per joint [rad/s], inside the board's own limit", read_only=False
     ),
     "effort_max": Spec(
         [1.0, 1.0],
-        "largest effort set-point per joint [N m], inside the board's own limit: current limit times torque constant",
+        "largest effort set-point per joint [N m], inside the board's own limit: current limit times torque constant "
+        "times gear ratio",
         read_only=False,
     ),
     "command_interfaces": Spec(
@@ -126,18 +129,22 @@ class Settings:
 
     port: str
     baud: int
-    joints: tuple[str, ...]
+    joints: tuple[Joint, ...]
     telemetry: tuple[str, ...]
     telemetry_rate: float
     variables: tuple[str, ...]
     variable_rate: float
     joint_states_rate: float
     snapshot_period: float
-    limits: tuple[JointLimits, ...]
     command_interfaces: Mapping[str, frozenset[str]] | None
     stream_delay_max: float
     board_parameters: tuple[Assignment, ...]
     preferred_source: str
+
+    @property
+    def names(self) -> list[str]:
+        """Joint names in the order of the axes."""
+        return joint_names(self.joints)
 
 
 def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
@@ -148,10 +155,10 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
     ParameterError
         If one does not make sense.
     """
-    joints = tuple(values["joints"])
-    if len(joints) != AXES or len(set(joints)) != AXES or not all(map(_JOINT.fullmatch, joints)):
+    names = tuple(values["joints"])
+    if len(names) != AXES or len(set(names)) != AXES or not all(map(_JOINT.fullmatch, names)):
         raise ParameterError(
-            f"parameter joints is {list(joints)}; give {AXES} different names of letters, digits and underscores"
+            f"parameter joints is {list(names)}; give {AXES} different names of letters, digits and underscores"
         )
     if not values["port"]:
         raise ParameterError("parameter port is empty; give a device path or a pyserial URL")
@@ -169,18 +176,17 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
     return Settings(
         port=values["port"],
         baud=values["baud"],
-        joints=joints,
+        joints=_joints(values),
         telemetry=telemetry,
         telemetry_rate=values["telemetry_rate"],
         variables=variables,
         variable_rate=values["variable_rate"],
         joint_states_rate=values["joint_states_rate"],
         snapshot_period=values["snapshot_period"],
-        limits=_limits(values),
-        command_interfaces=_interfaces(values["command_interfaces"], joints),
+        command_interfaces=_interfaces(values["command_interfaces"], names),
         stream_delay_max=values["stream_delay_max"],
         board_parameters=_board_parameters(values["board_parameters"], catalogue),
-        preferred_source=_preferred_source(values["preferred_source"], joints),
+        preferred_source=_preferred_source(values["preferred_source"], names),
     )
 
 
@@ -214,21 +220,41 @@ def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assig
     return tuple(result)
 
 
-def _limits(values: Mapping[str, Any]) -> tuple[JointLimits, ...]:
-    names = ("position_min", "position_max", "velocity_max", "effort_max")
-    for name in names:
-        numbers: Sequence[float] = values[name]
-        if len(numbers) != AXES or any(math.isnan(x) for x in numbers):
-            raise ParameterError(f"parameter {name} is {list(numbers)}; give {AXES} numbers, one per joint")
-        if name in ("velocity_max", "effort_max") and min(numbers) < 0.0:
-            raise ParameterError(f"parameter {name} is {list(numbers)}; it is a magnitude and cannot be negative")
-    limits = tuple(JointLimits(*row) for row in zip(*(values[name] for name in names), strict=True))
+def _joints(values: Mapping[str, Any]) -> tuple[Joint, ...]:
+    columns = (values["joints"], *(_per_joint(values, name) for name in ("gear_ratio", "direction", "offset")))
+    try:
+        return tuple(
+            Joint(name, ratio, direction, offset, limits)
+            for name, ratio, direction, offset, limits in zip(*columns, _limits(values), strict=True)
+        )
+    except ValueError as error:
+        raise ParameterError(f"parameter {error}") from None
+
+
+def _limits(values: Mapping[str, Any]) -> list[JointLimits]:
+    rows = {name: _per_joint(values, name) for name in ("position_min", "position_max", "velocity_max", "effort_max")}
+    for name in ("velocity_max", "effort_max"):
+        if min(rows[name]) < 0.0:
+            raise ParameterError(f"parameter {name} is {list(values[name])}; it is a magnitude and cannot be negative")
+    limits = [JointLimits(*map(_unlimited, row)) for row in zip(*rows.values(), strict=True)]
     for limit in limits:
         if limit.position_min > limit.position_max:
             raise ParameterError(
                 f"parameter position_min {limit.position_min:g} is above position_max {limit.position_max:g}"
             )
     return limits
+
+
+def _per_joint(values: Mapping[str, Any], name: str) -> Sequence[Any]:
+    numbers: Sequence[Any] = values[name]
+    if len(numbers) != AXES or any(math.isnan(x) for x in numbers):
+        raise ParameterError(f"parameter {name} is {list(numbers)}; give {AXES} numbers, one per joint")
+    return numbers
+
+
+def _unlimited(limit: float) -> float:
+    """Infinity, and what Python writes with an exponent, is a string to some tools through whose YAML a limit goes."""
+    return limit if abs(limit) < NO_LIMIT else math.copysign(math.inf, limit)
 
 
 def declare(node: Node) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from servo_msgs_py.convert import (
 )
 from servo_msgs_py.fault_record import COLUMNS as RECORD_COLUMNS
 from servo_msgs_py.fault_record import FaultRecord
+from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Bool, Float64MultiArray, String
 
@@ -33,8 +34,8 @@ class Publications:
     ----------
     node : Node
         Owner.
-    joints : sequence of str
-        Joint names in the order of the axes.
+    joints : sequence of Joint
+        In the order of the axes.
     names : sequence of str
         Columns of a frame.
     joint_states_rate : float
@@ -46,7 +47,7 @@ class Publications:
     def __init__(
         self,
         node: Node,
-        joints: Sequence[str],
+        joints: Sequence[Joint],
         names: Sequence[str],
         *,
         joint_states_rate: float,
@@ -59,6 +60,7 @@ class Publications:
         self._next_joint = self._next_snapshot = 0
         self._epoch = 0
         self._rows: list[list[float]] = []
+        self._last_description = ""
         self._last_state: str | None = None
         self._last_armed: bool | None = None
         deep, latched = topics.telemetry_qos(), topics.latched_qos()
@@ -67,8 +69,9 @@ class Publications:
         self._applied = node.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
         self._parameters = node.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self._fault_records = [
-            node.create_publisher(Float64MultiArray, topics.fault_record_topic(joint), latched) for joint in joints
+            node.create_publisher(Float64MultiArray, topics.fault_record_topic(joint.name), latched) for joint in joints
         ]
+        self._description = node.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
         self._state = node.create_publisher(String, topics.STATE, latched)
         self._armed = node.create_publisher(Bool, topics.ARMED, latched)
 
@@ -82,7 +85,7 @@ class Publications:
         stamp_ns : int
             ROS time of its tick [ns].
         torque_constants : sequence of float, optional
-            Per axis [N m/A]; efforts are left out until they are known.
+            Of the motors, per axis [N m/A]; efforts are left out until they are known.
         """
         if frame.epoch != self._epoch:
             self.flush()
@@ -117,6 +120,12 @@ class Publications:
     def parameters(self, values: RawParameters, catalogue: Catalogue) -> None:
         """Publish the parameters of the board."""
         self._parameters.publish(parameters_message(values, catalogue))
+
+    def description(self, text: str) -> None:
+        """Publish the robot description where it has changed."""
+        if text != self._last_description:
+            self._last_description = text
+            self._description.publish(String(data=text))
 
     def state(self, text: str, *, armed: bool) -> None:
         """Publish state and armed where they have changed."""

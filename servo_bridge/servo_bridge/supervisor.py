@@ -21,6 +21,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
 from servo_msgs_py.convert import diagnostic_array, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.node_shell import full_name
+from servo_msgs_py.robot_description import describe
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
@@ -129,18 +130,18 @@ class Supervisor:
         self._settings = settings
         self._inbox = Inbox(call_soon)
         self._link = self._make_link(link_factory)
-        self._joints = settings.joints
+        self._joints = settings.names
         self._telemetry = Telemetry(self._catalogue, self._link.layout.variables)
         self._board_clock = BoardClock(minimum_delay_ns=self._link.layout.size * 10 * 1_000_000_000 // settings.baud)
         self._wall = WallClock(lambda: node.get_clock().now().nanoseconds)
-        self._arbiter = Arbiter(self._catalogue, self._joints, settings.limits)
+        self._arbiter = Arbiter(self._catalogue, settings.joints)
         self._arbiter.sources.preferred = settings.preferred_source
         self._inactive = f"the bridge is inactive; activate it first (ros2 lifecycle set /{full_name(node)} activate)"
         self._arbiter.inactive = self._inactive
         self._dispatcher = Dispatcher(self._send, self._arbiter, self._warn)
         self._publications = Publications(
             node,
-            self._joints,
+            settings.joints,
             self._telemetry.columns,
             joint_states_rate=settings.joint_states_rate,
             snapshot_period=settings.snapshot_period,
@@ -156,7 +157,7 @@ class Supervisor:
         self._diagnostics = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
         self._health = Health(self._catalogue, full_name(node), settings.port, self._joints)
         self._set_points = SetPointTopics(node, self._joints, self._arbiter, self._dispatcher.pump, self._warn)
-        self._follower = Follower(self._catalogue, self._joints, self._check_path)
+        self._follower = Follower(self._catalogue, settings.joints, self._check_path)
         self._arbiter.follow(self._follower)
         self._trajectories = TrajectoryTopics(
             node,
@@ -169,7 +170,7 @@ class Supervisor:
             say=lambda text: self._log.info(text),
         )
         self._streamer = Streamer(
-            self._joints, self._follower, stream_lead(settings.baud), settings.stream_delay_max or None
+            settings.joints, self._follower, stream_lead(settings.baud), settings.stream_delay_max or None
         )
         self._joint_commands = JointCommands(
             node,
@@ -205,6 +206,7 @@ class Supervisor:
         self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
         self._offer_services()
         self._start_timers()
+        self._publish_description()
         self._publish_state()
         self._link.start()
 
@@ -267,8 +269,9 @@ class Supervisor:
         if settings.board_parameters != self._settings.board_parameters:
             self._board_parameters.want(settings.board_parameters)
         self._settings = settings
-        self._arbiter.limits = list(settings.limits)
+        self._arbiter.joints = list(settings.joints)
         self._arbiter.sources.preferred = settings.preferred_source
+        self._publish_description()
         self._pace_keep_alive()
 
     # ---- commands
@@ -298,7 +301,7 @@ class Supervisor:
         values, constants = self._board_parameters.values, self._torque_constants
         if values is None or constants is None:
             return None
-        return path_limits(self._catalogue, values, self._settings.limits, constants)
+        return path_limits(self._catalogue, values, self._settings.joints, constants)
 
     def _check_path(self, path: Path) -> None:
         limits = self._path_limits()
@@ -433,7 +436,18 @@ class Supervisor:
 
         futures[-1].add_done_callback(lambda _: self._inbox.post(take))
 
-    # ---- what goes out regularly
+    # ---- what goes out regularly, or when it changes
+    def _publish_description(self) -> None:
+        resolve = self._node.resolve_topic_name
+        text = describe(
+            self._settings.joints,
+            self._catalogue,
+            commands_topic=resolve(topics.JOINT_COMMANDS),
+            states_topic=resolve(topics.JOINT_STATES),
+            interfaces=self._settings.command_interfaces,
+        )
+        self._publications.description(text)
+
     def _publish_state(self) -> None:
         frame = self._frame
         if self._status.state is not LinkState.CONNECTED:

@@ -1,4 +1,4 @@
-"""Limits that a path has to keep: those of the board and those of the configuration, the tighter ones. Pure."""
+"""Limits that a path has to keep, in joint units: those of the board and of the joints, the tighter ones. Pure."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Mapping, Sequence
 
 from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import Joint
 
-from servo_bridge.arbiter import JointLimits
 from servo_bridge.trajectory.check import Limits
 
 __all__ = ["path_limits"]
 
 
 def path_limits(
-    catalogue: Catalogue, raw: RawParameters, joints: Sequence[JointLimits], torque_constants: Sequence[float]
+    catalogue: Catalogue, raw: RawParameters, joints: Sequence[Joint], torque_constants: Sequence[float]
 ) -> list[Limits]:
     """Limits of every joint.
 
@@ -25,23 +25,28 @@ def path_limits(
         Scales of the parameters, and the bit of the feature POSITION_LIMITS.
     raw : mapping
         Parameters of the board.
-    joints : sequence of JointLimits
-        Of the configuration.
+    joints : sequence of Joint
+        In the order of the axes.
     torque_constants : sequence of float
-        [N m/A]
+        Of the motors [N m/A].
     """
     confine = next(flag.mask for flag in catalogue.flags["features"] if flag.name == "POSITION_LIMITS")
     values = _si(catalogue, raw)
     limits: list[Limits] = []
     for axis, joint in enumerate(joints):
         confined = bool(raw["param.features"][axis] & confine)
+        ends = sorted(joint.position(values[f"param.position_{end}"][axis]) for end in ("min", "max"))
+        low, high = ends if confined else (-math.inf, math.inf)
+        own = joint.limits
         limits.append(
             Limits(
-                position_min=max(joint.position_min, values["param.position_min"][axis] if confined else -math.inf),
-                position_max=min(joint.position_max, values["param.position_max"][axis] if confined else math.inf),
-                velocity_max=min(joint.velocity_max, values["param.speed_limit"][axis]),
-                acceleration_max=values["param.acceleration_limit"][axis],
-                torque_max=min(joint.effort_max, values["param.i_q_limit"][axis] * torque_constants[axis]),
+                position_min=max(own.position_min, low),
+                position_max=min(own.position_max, high),
+                velocity_max=min(own.velocity_max, abs(joint.velocity(values["param.speed_limit"][axis]))),
+                acceleration_max=abs(joint.velocity(values["param.acceleration_limit"][axis])),
+                torque_max=min(
+                    own.effort_max, abs(joint.effort(values["param.i_q_limit"][axis] * torque_constants[axis]))
+                ),
             )
         )
     return limits

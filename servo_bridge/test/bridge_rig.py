@@ -110,7 +110,8 @@ class FakeLink:
         elif name in self.blocks:
             done.set_result(self.blocks[name])
         else:
-            done.set_result(KT.get(name, self.values.get(name, 1.5)))
+            count = self.catalogue[name].count
+            done.set_result(KT.get(name, self.values.get(name, 1.5 if count == 1 else [1.5] * count)))
         return done
 
     def run_command(self, code: int, *, urgent: bool = False) -> Future[int]:

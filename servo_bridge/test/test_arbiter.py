@@ -8,13 +8,14 @@ from collections.abc import Mapping
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite, JointLimits
+from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
 from servo_bridge.setpoints import Mode, Rejected, Request
 from servo_bridge.sources import Conflict, Source, Sources
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, JointLimits, joint_names
 
 CATALOGUE = Catalogue.load()
-JOINTS = ["axis1", "axis2"]
+JOINTS = joint_names(DEFAULT_JOINTS)
 KT = [0.0462, 0.0414]
 LSB = CATALOGUE["cmd.position"].lsb
 REACH = CATALOGUE.bits["position"]["REACH"]
@@ -26,7 +27,7 @@ FAULTED = AxisStatus("FAULT", spinning=False, faulted=True)
 
 def arbiter(*axes: AxisStatus, limits: JointLimits | None = None) -> Arbiter:
     """Connected and released; both axes spin unless `axes` says otherwise."""
-    result = Arbiter(CATALOGUE, JOINTS, [limits or JointLimits()] * 2)
+    result = Arbiter(CATALOGUE, [Joint(name, limits=limits or JointLimits()) for name in JOINTS])
     result.set_torque_constants(KT)
     result.release()
     result.board_seen(axes or (SPINNING, SPINNING))
@@ -179,13 +180,43 @@ def refused(subject: Arbiter, what: Request) -> str:
     return str(caught.value)
 
 
+def geared(limits: JointLimits | None = None) -> Arbiter:
+    """A joint that turns the other way and 50 times slower than the motor of axis 1."""
+    subject = Arbiter(CATALOGUE, [Joint("lift", 50.0, -1, 0.3, limits or JointLimits()), Joint("pan")])
+    subject.set_torque_constants(KT)
+    subject.release()
+    subject.board_seen((SPINNING, SPINNING))
+    return subject
+
+
+@pytest.mark.parametrize(
+    ("mode", "value", "motor"),
+    [(Mode.POSITION, 1.3, -50.0), (Mode.SPEED, -2.0, 100.0), (Mode.TORQUE, 2.0, -0.04 / KT[0])],
+)
+def test_a_geared_joint_reaches_the_board_in_units_of_its_motor(mode: Mode, value: float, motor: float) -> None:
+    subject = geared()
+    subject.submit(request({0: value}, mode))
+    write = drain(subject)[-1]
+    variable = CATALOGUE[write.variable]
+    assert write.raw[0] * variable.lsb == pytest.approx(motor, abs=variable.lsb)
+
+
+def test_limits_of_a_reversed_joint_are_told_in_its_own_units() -> None:
+    subject = geared(JointLimits(-1.0, 2.0, 5.0, 20.0))
+    text = refused(subject, request({0: 2.5}))
+    assert "position of lift is 2.5 rad, outside -1 .. 2 rad" in text
+    board = CATALOGUE["cmd.speed"].maximum / 50.0
+    text = refused(geared(), request({0: 1000.0}, Mode.SPEED))
+    assert f"outside {-board:g} .. {board:g} rad/s; the board takes no other" in text
+
+
 def test_nothing_moves_before_the_board_is_seen() -> None:
-    subject = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * 2)
+    subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
     assert "not connected (the board has not been seen yet)" in refused(subject, request({0: 1.0}))
 
 
 def test_nothing_moves_before_enable_even_if_the_board_spins() -> None:
-    subject = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * 2)
+    subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
     subject.board_seen([SPINNING, SPINNING])
     assert not subject.armed
     assert "call the service enable with data: true first" in refused(subject, request({0: 1.0}))
@@ -237,7 +268,7 @@ def test_the_largest_effort_of_the_board_passes() -> None:
 
 
 def test_effort_without_a_torque_constant() -> None:
-    subject = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * 2)
+    subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
     subject.release()
     subject.board_seen([SPINNING, SPINNING])
     assert "torque constant of axis2" in refused(subject, request({1: 0.01}, Mode.TORQUE))
@@ -346,7 +377,7 @@ class Clock:
 def watched() -> tuple[Arbiter, Sources, Clock]:
     clock = Clock()
     sources = Sources(clock)
-    subject = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * 2, sources)
+    subject = Arbiter(CATALOGUE, DEFAULT_JOINTS, sources)
     subject.set_torque_constants(KT)
     subject.release()
     subject.board_seen((SPINNING, SPINNING))

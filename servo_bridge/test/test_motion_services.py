@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite, JointLimits
+from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.telemetry import Frame
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 
 pytestmark = pytest.mark.realtime
 
 CATALOGUE = Catalogue.load()
-JOINTS = ["axis1", "axis2"]
+JOINTS = joint_names(DEFAULT_JOINTS)
 SPINNING = AxisStatus("RUN/SPIN", spinning=True)
 STOPPED = AxisStatus("STOP", spinning=False)
 
@@ -22,7 +23,7 @@ class Rig:
 
     def __init__(self) -> None:
         self.sent: list[CommandWrite] = []
-        self.arbiter = Arbiter(CATALOGUE, JOINTS, [JointLimits()] * 2)
+        self.arbiter = Arbiter(CATALOGUE, DEFAULT_JOINTS)
         self.dispatcher = Dispatcher(self.sent.append, self.arbiter, lambda _: None)
         self.events: list[str] = []
         self.services = MotionServices(CATALOGUE, JOINTS, self.arbiter, self.dispatcher, self.events.append)

@@ -11,6 +11,7 @@ import yaml
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from servo_bridge.parameters import PARAMETERS, ParameterError, settings_from
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import Joint, JointLimits
 
 CATALOGUE = Catalogue.load()
 FILE = Path(__file__).resolve().parents[1] / "config" / "servo_bridge.yaml"
@@ -54,8 +55,8 @@ def test_descriptors_carry_text_range_and_access() -> None:
 
 def test_defaults_make_sense_and_reach_the_settings() -> None:
     settings = settings_from(DEFAULTS, CATALOGUE)
-    assert settings.joints == ("axis1", "axis2")
-    assert settings.limits[1].velocity_max == 419.0
+    assert settings.names == ["axis1", "axis2"]
+    assert settings.joints[1] == Joint("axis2", limits=JointLimits(velocity_max=419.0, effort_max=1.0))
     assert settings.telemetry[:3] == ("tick", "applied_tick", "applied_count")
     assert "axis2.limits" in settings.telemetry
 

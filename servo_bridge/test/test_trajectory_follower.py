@@ -14,10 +14,11 @@ from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.waypoints import Waypoints
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 from servo_msgs_py.timed_points import TimedPoint, decode_points
 
 CATALOGUE = Catalogue.load()
-JOINTS = ["axis1", "axis2"]
+JOINTS = joint_names(DEFAULT_JOINTS)
 SAMPLE = 160  # ticks between two samples
 
 
@@ -30,7 +31,7 @@ class Rig:
         self.sent: list[TimedPoint] = []
         self.leads: list[int] = []  # of each of them, from the sample before it was sent [PWM periods]
         self.checked: list[Path] = []
-        self.follower = Follower(CATALOGUE, JOINTS, self.checked.append)
+        self.follower = Follower(CATALOGUE, DEFAULT_JOINTS, self.checked.append)
         self.tick = 8000
         self.references = [1.0, -2.0]
         self.follows = [True, True]
@@ -156,7 +157,7 @@ def test_a_path_that_is_refused_moves_nothing(rig: Rig) -> None:
     def refuse(_: Path) -> None:
         raise TrajectoryError("too fast")
 
-    rig.follower = Follower(CATALOGUE, JOINTS, refuse)
+    rig.follower = Follower(CATALOGUE, DEFAULT_JOINTS, refuse)
     rig.sample(2)
     rig.move([2.0, 2.0])
     rig.sample(5)

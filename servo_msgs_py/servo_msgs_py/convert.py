@@ -21,6 +21,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from servo_msgs_py.board_parameters import RawParameters, parameters, si
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
+from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.timed_points import POINT_WORDS
 from servo_msgs_py.topics import COMMAND_COLUMNS, COMMAND_VARIABLES, PARAMETERS
 from servo_msgs_py.units import to_raw
@@ -95,33 +96,36 @@ def joint_state(
 
 
 def joint_state_from_values(
-    joints: Sequence[str],
+    joints: Sequence[Joint],
     stamp_ns: int,
     values: Mapping[str, Value],
     torque_constants: Sequence[float] | None = None,
 ) -> JointState:
-    """Joint states of one sample: position [rad], velocity [rad/s], effort = torque constant times i_q [N m].
+    """Joint states of one sample, in joint units: position [rad], velocity [rad/s], effort [N m].
 
     Parameters
     ----------
-    joints : sequence of str
-        Joint names in the order of the axes.
+    joints : sequence of Joint
+        In the order of the axes.
     stamp_ns : int
         Time of the sample since the epoch [ns].
     values : mapping
         Variable name to SI value; needs ``axisN.position``, ``axisN.speed`` and ``axisN.i_q``.
     torque_constants : sequence of float, optional
-        Per axis [N m/A]; without them `effort` stays empty.
+        Of the motors, per axis [N m/A]; without them `effort` stays empty.
     """
-    axes = [axis_name(axis) for axis in range(len(joints))]
+    axes = [(joint, axis_name(axis)) for axis, joint in enumerate(joints)]
     effort: list[float] = []
     if torque_constants is not None:
-        effort = [k * _number(values[f"{a}.i_q"]) for k, a in zip(torque_constants, axes, strict=True)]
+        effort = [
+            joint.effort(k * _number(values[f"{axis}.i_q"]))
+            for k, (joint, axis) in zip(torque_constants, axes, strict=True)
+        ]
     return joint_state(
-        joints,
+        joint_names(joints),
         stamp_ns,
-        [_number(values[f"{a}.position"]) for a in axes],
-        [_number(values[f"{a}.speed"]) for a in axes],
+        [joint.position(_number(values[f"{axis}.position"])) for joint, axis in axes],
+        [joint.velocity(_number(values[f"{axis}.speed"])) for joint, axis in axes],
         effort,
     )
 

@@ -25,6 +25,8 @@ PARAMETERS: Final = "parameters"
 FAULT_RECORD: Final = "fault_record"
 """std_msgs/Float64MultiArray, latched, ``<joint>/fault_record``: samples before the first fault in the form of
 `SNAPSHOT`; ``layout.dim[0].label`` names the fault."""
+ROBOT_DESCRIPTION: Final = "robot_description"
+"""std_msgs/String, latched: URDF of the joints, see `servo_msgs_py.robot_description`."""
 STATE: Final = "state"
 ARMED: Final = "armed"
 DIAGNOSTICS: Final = "/diagnostics"

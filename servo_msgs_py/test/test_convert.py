@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 from servo_msgs_py.timed_points import POINT_WORDS
 from servo_msgs_py.topics import COMMAND_VARIABLES
 from std_msgs.msg import Float64MultiArray
@@ -20,7 +21,7 @@ from std_msgs.msg import Float64MultiArray
 from servo_msgs_py import convert
 
 CATALOGUE = Catalogue.load()
-JOINTS = ["axis1", "axis2"]
+JOINTS = joint_names(DEFAULT_JOINTS)
 VALUES = {
     "axis1.position": 1.5, "axis1.speed": -2.0, "axis1.i_q": 0.5,
     "axis2.position": -3, "axis2.speed": 4.0, "axis2.i_q": -1.0,
@@ -34,7 +35,7 @@ def test_stamps_survive(nanoseconds: int) -> None:
 
 
 def test_joint_state_of_a_sample() -> None:
-    message = convert.joint_state_from_values(JOINTS, 3_000_000_007, VALUES, [0.04, 0.05])
+    message = convert.joint_state_from_values(DEFAULT_JOINTS, 3_000_000_007, VALUES, [0.04, 0.05])
     message = deserialize_message(serialize_message(message), JointState)
     assert list(message.name) == JOINTS
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 7)
@@ -44,7 +45,7 @@ def test_joint_state_of_a_sample() -> None:
 
 
 def test_effort_stays_empty_without_torque_constants() -> None:
-    assert list(convert.joint_state_from_values(JOINTS, 0, VALUES).effort) == []
+    assert list(convert.joint_state_from_values(DEFAULT_JOINTS, 0, VALUES).effort) == []
 
 
 @pytest.mark.parametrize(
@@ -58,7 +59,7 @@ def test_bad_joint_states_are_never_made(position: list[float], velocity: list[f
 
 def test_a_list_is_no_single_number() -> None:
     with pytest.raises(ValueError, match="not a single number"):
-        convert.joint_state_from_values(["axis1"], 0, VALUES | {"axis1.position": [1.0, 2.0]})
+        convert.joint_state_from_values(DEFAULT_JOINTS[:1], 0, VALUES | {"axis1.position": [1.0, 2.0]})
 
 
 # ---- telemetry tables

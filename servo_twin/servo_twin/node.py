@@ -16,7 +16,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import (
     applied_from_message,
     diagnostic_array,
@@ -27,7 +27,9 @@ from servo_msgs_py.convert import (
     snapshot_message,
     snapshot_table,
 )
+from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.node_shell import ParameterError, Spec, claim_name, declare, full_name, run, setting_up
+from servo_msgs_py.robot_description import joints_of
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -48,12 +50,11 @@ PARAMETERS: Final = {
         "namespace of the node that is followed; without a leading slash it lies beside the twin's: "
         "servo is /a/servo for a twin in /a/twin",
     ),
-    "joints": Spec(["axis1", "axis2"], "joint names in the order of the axes"),
     "plant": Spec("", "TOML file with what differs from the packaged plant.toml; empty: nothing"),
     "seed": Spec(1, "of the sensor noise of the twin's board", 0, 2**31 - 1),
-    "position_tolerance": Spec(0.05, "largest position residual of a healthy twin [rad]", 1e-4, 1e3),
-    "velocity_tolerance": Spec(10.0, "largest velocity residual of a healthy twin [rad/s]", 1e-3, 1e4),
-    "effort_tolerance": Spec(0.05, "largest effort residual of a healthy twin [N m]", 1e-5, 1e3),
+    "position_tolerance": Spec(0.05, "largest position residual of a healthy twin [rad of the joint]", 1e-4, 1e3),
+    "velocity_tolerance": Spec(10.0, "largest velocity residual of a healthy twin [rad/s of the joint]", 1e-3, 1e4),
+    "effort_tolerance": Spec(0.05, "largest effort residual of a healthy twin [N m at the joint]", 1e-5, 1e3),
     "healthy_after": Spec(0.5, "how long the residual has to be small first [s]", 0.0, 60.0),
     "unhealthy_after": Spec(0.1, "how long the residual may be large [s]", 0.0, 60.0),
     "patience": Spec(
@@ -95,7 +96,6 @@ class ServoTwin(Node):
         self._log = Node.get_logger(self)
         claim_name(self)
         self._values = declare(self, PARAMETERS)
-        self._joints = _joints(self._values["joints"])
         self._board_namespace = topics.within(self.get_namespace().rpartition("/")[0], self._values["board_namespace"])
         self._catalogue = Catalogue.load()
         self._twin = Twin(self._board_factory(), TwinSettings(patience=self._values["patience"]), self._catalogue)
@@ -108,7 +108,9 @@ class ServoTwin(Node):
                 grace=self._values["unhealthy_after"],
             )
         )
-        self._lock = threading.Lock()  # the monitor and what was said last are used by both threads
+        self._lock = threading.Lock()  # the monitor, the joints and what was said last are used by both threads
+        self._joints: list[Joint] = []  # as the board's node describes them; none before
+        self._variables: dict[str, Any] = {}
         self._board_trouble = ""
         self._fault = ""  # of the board
         self._parameter_trouble = ""
@@ -140,9 +142,6 @@ class ServoTwin(Node):
         self._joint_states = self.create_publisher(JointState, topics.JOINT_STATES, deep)
         self._snapshot = self.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self._residual = self.create_publisher(JointState, topics.RESIDUAL, deep)
-        self._variables = {
-            name: self.create_publisher(Float64, topics.residual_topic(name, self._joints), deep) for name in COMPARED
-        }
         self._state = self.create_publisher(String, topics.STATE, latched)
         self._healthy = self.create_publisher(Bool, topics.HEALTHY, latched)
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
@@ -155,6 +154,8 @@ class ServoTwin(Node):
         parameters = f"{board}/{topics.PARAMETERS}"
         self.create_subscription(Float64MultiArray, parameters, self._on_parameters, topics.latched_qos())
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, topics.latched_qos())
+        description = f"{board}/{topics.ROBOT_DESCRIPTION}"
+        self.create_subscription(String, description, self._on_description, topics.latched_qos())
 
     # ---- what comes in
     def _on_snapshot(self, message: Float64MultiArray) -> None:
@@ -184,6 +185,23 @@ class ServoTwin(Node):
         with self._lock:
             self._parameter_trouble = ""
         self._worker.parameters(values)
+
+    def _on_description(self, message: String) -> None:
+        try:
+            joints = joints_of(message.data)
+        except ValueError as error:
+            self._log.warning(f"{self._board_namespace}/{topics.ROBOT_DESCRIPTION}: {error}")
+            return
+        with self._lock:
+            if joint_names(joints) != joint_names(self._joints):
+                for publisher in self._variables.values():
+                    self.destroy_publisher(publisher)
+                names, deep = joint_names(joints), topics.telemetry_qos()
+                self._variables = {
+                    name: self.create_publisher(Float64, topics.residual_topic(name, names), deep) for name in COMPARED
+                }
+            self._joints = joints
+        self._say()
 
     def _on_board_state(self, message: String) -> None:
         with self._lock:
@@ -223,9 +241,11 @@ class ServoTwin(Node):
             self._fault = pair.fault
             if pair.fault or pair.difference:
                 self._monitor.interrupt(self._board_trouble or pair.fault or f"synchronising: {pair.difference}")
-            if pair.difference:
+            elif not self._joints:
+                self._monitor.interrupt(self._board_trouble or self._undescribed())
+            if pair.difference or not self._joints:
                 return None
-            result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants)
+            result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants, self._joints)
             if not (self._board_trouble or pair.fault):
                 self._monitor.update(result, pair.stopping)
             self._worst = result if self._worst is None else _larger(self._worst, result)
@@ -239,17 +259,20 @@ class ServoTwin(Node):
         self._snapshot.publish(snapshot_message([*names, *topics.STAMP_COLUMNS], rows))
 
     def _publish_joints(self, pair: Pair, difference: Residual | None) -> None:
-        stamp = pair.stamp_ns
-        self._joint_states.publish(joint_state_from_values(self._joints, stamp, pair.twin, self._twin.torque_constants))
+        stamp, joints = pair.stamp_ns, self._joints
+        if joints:
+            message = joint_state_from_values(joints, stamp, pair.twin, self._twin.torque_constants)
+            self._joint_states.publish(message)
         if difference is None:
             return
         self._residual.publish(
-            joint_state(self._joints, stamp, difference.position, difference.velocity, difference.effort)
+            joint_state(difference.joints, stamp, difference.position, difference.velocity, difference.effort)
         )
         if stamp >= self._next_variables or self._next_variables - stamp > 2_000_000_000:
             self._next_variables = stamp + round(1e9 / self._values["variable_rate"])
-            for name, publisher in self._variables.items():
-                publisher.publish(Float64(data=difference.values[name]))
+            with self._lock:
+                for name, publisher in self._variables.items():
+                    publisher.publish(Float64(data=difference.values[name]))
 
     def _worker_failed(self, error: Exception) -> None:
         self.failure = f"the simulation failed: {error!r}"
@@ -261,8 +284,11 @@ class ServoTwin(Node):
             labels = self._twin.labels()
             if self._twin.status or not labels:
                 text = f"SYNCHRONISING {self._twin.status}"
+            elif not self._joints:
+                text = f"SYNCHRONISING {self._undescribed()}"
             else:
-                text = " ".join(f"{joint}={label}" for joint, label in zip(self._joints, labels, strict=True))
+                names = joint_names(self._joints)
+                text = " ".join(f"{joint}={label}" for joint, label in zip(names, labels, strict=True))
             healthy, fault = self._monitor.healthy, self._fault
             if self._said.get(topics.STATE) != text:
                 self._said[topics.STATE] = text
@@ -316,6 +342,9 @@ class ServoTwin(Node):
         ]
         self._diagnostics.publish(diagnostic_array(self.get_clock().now().nanoseconds, statuses))
 
+    def _undescribed(self) -> str:
+        return f"nothing on {self._board_namespace}/{topics.ROBOT_DESCRIPTION}: the joints are not known"
+
     def _reason(self) -> str:
         """Why the twin is not healthy, with what may have led to it."""
         note = self._parameter_note() if self._monitor.differs else self._parameter_trouble
@@ -340,13 +369,7 @@ class ServoTwin(Node):
 def _larger(first: Residual, second: Residual) -> Residual:
     """Per variable the value that is further from zero."""
     values = {name: max(first.values[name], second.values[name], key=abs) for name in COMPARED}
-    return Residual(second.tick, values, second.position, second.velocity, second.effort)
-
-
-def _joints(names: Sequence[str]) -> list[str]:
-    if len(names) != AXES or len(set(names)) != AXES:
-        raise ParameterError(f"parameter joints is {list(names)}; give {AXES} different names")
-    return list(names)
+    return Residual(second.tick, second.joints, values, second.position, second.velocity, second.effort)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import from_stamp, snapshot_table
 from servo_msgs_py.node_shell import ParameterError, Spec, declare, run, setting_up
+from servo_msgs_py.robot_description import joints_of
 from std_msgs.msg import Bool, Float64MultiArray, String
 
 from servo_msgs_py import topics
@@ -82,6 +83,7 @@ class ServoViewer(Node):
         except (RecordingError, WebPageError) as error:
             raise ParameterError(str(error)) from None
         self._dropped = 0
+        self._described = False
         self._viewer = Viewer(recording, Catalogue.load(), self._now())
         self._viewer.start()
         self._subscribe()
@@ -124,6 +126,8 @@ class ServoViewer(Node):
         for namespace, take in ((board, viewer.board), (twin, viewer.twin)):
             topic = f"{namespace}/{topics.SNAPSHOT}"
             self.create_subscription(Float64MultiArray, topic, partial(self._on_snapshot, topic, take), deep)
+        description = f"{board}/{topics.ROBOT_DESCRIPTION}"
+        self.create_subscription(String, description, partial(self._on_description, description), latched)
         self.create_subscription(JointState, f"{twin}/{topics.RESIDUAL}", self._on_residual, deep)
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, latched)
         self.create_subscription(Bool, f"{twin}/{topics.HEALTHY}", self._on_healthy, latched)
@@ -138,7 +142,20 @@ class ServoViewer(Node):
         except ValueError as error:
             self._log.warning(f"{topic}: {error}", throttle_duration_sec=10.0)
             return
+        if not self._described:  # its units are not known
+            text = f"{topic} is not shown: the joints are not known without robot_description in the same namespace"
+            self._log.warning(text, throttle_duration_sec=10.0, skip_first=True)
+            return
         take(columns, table)
+
+    def _on_description(self, topic: str, message: String) -> None:
+        try:
+            joints = joints_of(message.data)
+        except ValueError as error:
+            self._log.warning(f"{topic}: {error}")
+            return
+        self._described = True
+        self._viewer.joints(joints)
 
     def _on_residual(self, message: JointState) -> None:
         fields = {field: list(getattr(message, field)) for field in scene.RESIDUALS}

@@ -27,7 +27,9 @@ from servo_msgs_py.convert import (
     snapshot_message,
     snapshot_table,
 )
+from servo_msgs_py.joints import DEFAULT_JOINTS, Joint
 from servo_msgs_py.node_shell import ParameterError
+from servo_msgs_py.robot_description import describe
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.harm import HotPowerStage, SlippedEncoder
 from servo_twin.node import PARAMETERS, ServoTwin, main
@@ -47,7 +49,9 @@ BATCH = 5  # samples in a message, as the bridge sends them
 class Rig:
     """Twin node, a node in the part of bridge and user, and the board behind it, on one executor."""
 
-    def __init__(self, cli_args: list[str] | None = None, **parameters: Any) -> None:
+    def __init__(
+        self, cli_args: list[str] | None = None, joints: Sequence[Joint] = DEFAULT_JOINTS, **parameters: Any
+    ) -> None:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
         self.executor = EventsExecutor(context=self.context)
@@ -63,11 +67,14 @@ class Rig:
         self.applied = self.user.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
         self.state = self.user.create_publisher(String, topics.STATE, latched)
         self.board_parameters = self.user.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
+        self.description = self.user.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
+        text = describe(joints, CATALOGUE, commands_topic="/servo/joint_commands", states_topic="/servo/joint_states")
+        self.description.publish(String(data=text))
         self.messages: dict[str, list[Any]] = {}
         self._listen("/twin/joint_states", JointState, deep)
         self._listen("/twin/snapshot", Float64MultiArray, deep)
         self._listen("/twin/residual", JointState, deep)
-        self._listen("/twin/residual/axis1/position", Float64, deep)
+        self._listen(f"/twin/residual/{joints[0].name}/position", Float64, deep)
         self._listen("/diagnostics", DiagnosticArray, deep)
         self._listen("/twin/state", String, latched)
         self._listen("/twin/healthy", Bool, latched)
@@ -198,6 +205,27 @@ def test_follows_and_publishes_the_boards_topics(rig: Rig) -> None:
     assert list(joints[-1].name) == ["axis1", "axis2"]
     # 3/2 p psi_m of the firmware's beliefs
     assert joints[-1].effort[0] == pytest.approx(rows[-1]["axis1.i_q"] * 0.0462, rel=1e-3)
+
+
+def test_joints_residuals_and_state_are_those_of_the_description() -> None:
+    joints = [Joint("lift", 50.0, -1, 0.3), Joint("pan", 2.0)]
+    with Rig(joints=joints) as rig:
+        rig.board.up()
+        rig.board.move([2.0, -1.0])
+        rig.caught_up()
+        rig.until(lambda: len(rig.messages["/twin/joint_states"]) == len(rig.rows()))
+        last, row = rig.messages["/twin/joint_states"][-1], rig.rows()[-1]
+        assert list(last.name) == ["lift", "pan"]
+        for k, joint in enumerate(joints):
+            assert last.position[k] == joint.position(row[f"axis{k + 1}.position"])
+            assert last.velocity[k] == joint.velocity(row[f"axis{k + 1}.speed"])
+        assert last.position[0] == pytest.approx(0.3 - 4.0 * np.pi / 50.0, abs=0.001)
+        rig.until(lambda: row["tick"] in rig.residual_ticks())
+        worst = [max(abs(m.position[k]) for m in rig.residual_ticks().values()) for k in range(2)]
+        assert 0.0 < worst[0] < 0.03 / 50.0
+        assert 0.0 < worst[1] < 0.03 / 2.0
+        assert rig.last("/twin/state") == "lift=RUN/SPIN pan=RUN/SPIN"
+        assert rig.messages["/twin/residual/lift/position"]
 
 
 def test_residuals_are_stamped_with_the_real_sample_and_left_out_while_searching(rig: Rig) -> None:
@@ -373,7 +401,6 @@ def test_messages_of_another_form_do_no_harm(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
-        ({"joints": ["a", "a"]}, "joints"),
         ({"plant": "/nowhere/plant.toml"}, "plant"),
         ({"seed": -1}, "seed"),
         ({"position_tolerance": "small"}, "position_tolerance"),

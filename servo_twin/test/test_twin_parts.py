@@ -283,11 +283,11 @@ class TestHealth:
     def test_where_a_stopping_axis_is_says_nothing(self) -> None:
         monitor = HealthMonitor(Thresholds(0.05, 10.0, 0.05, hold=0.0, grace=0.0))
         far = dict.fromkeys(COMPARED, 0.0) | {"axis2.position": 0.1}
-        difference = Residual(0, far, (0.0, 0.1), (0.0, 0.0), (0.0, 0.0))
+        difference = Residual(0, ["axis1", "axis2"], far, (0.0, 0.1), (0.0, 0.0), (0.0, 0.0))
         assert monitor.update(difference, (False, True))
         assert not monitor.update(difference, (True, False))
         assert monitor.differs
-        fast = Residual(0, far, (0.0, 0.1), (0.0, 11.0), (0.0, 0.0))
+        fast = Residual(0, ["axis1", "axis2"], far, (0.0, 0.1), (0.0, 11.0), (0.0, 0.0))
         assert not monitor.update(fast, (False, True))
         assert monitor.reason.startswith("axis2: velocity")
 

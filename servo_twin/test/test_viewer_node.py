@@ -26,12 +26,14 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_state, snapshot_message
 from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.joints import DEFAULT_JOINTS
+from servo_msgs_py.robot_description import describe
 from servo_twin.view import scene
 from servo_twin.view.recording import RecordingError, read_scalars, read_texts
 from servo_twin.view.web_page import free_port
 from servo_twin.viewer_node import PARAMETERS
 from std_msgs.msg import Bool, Float64MultiArray, String
-from viewer_rig import COLUMNS, EVERY, FAULT, move, stamp, verify
+from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, move, stamp, verify
 
 from servo_msgs_py import topics
 
@@ -120,10 +122,13 @@ class Robot:
                 ("/twin/snapshot", Float64MultiArray, deep),
                 ("/twin/residual", JointState, deep),
                 ("/servo/state", String, latched),
+                ("/servo/robot_description", String, latched),
                 ("/twin/healthy", Bool, latched),
                 ("/diagnostics", DiagnosticArray, 10),
             )
         }
+        text = describe(DEFAULT_JOINTS, CATALOGUE, commands_topic="/a", states_topic="/b")
+        self.publish("/servo/robot_description", String(data=text))
         self.start_ns = self.node.get_clock().now().nanoseconds
 
     def wait_for_viewer(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import Recording, RecordingError, read_scalars, read_texts
@@ -113,6 +114,22 @@ def test_a_twin_without_a_board_has_no_place_in_time(record: Record, file: Path,
     record(lambda viewer: viewer.twin(COLUMNS[:width], move()[:, :width]))
     assert len(read_scalars(file, scene.series_entity(0, "i_q", scene.TWIN))[0]) == 0
     assert verify(file).returncode == 0
+
+
+def test_positions_and_speeds_are_those_of_the_joints(record: Record, file: Path) -> None:
+    joints = [Joint("lift", 50.0, -1, 0.3), Joint("pan")]
+
+    def feed(viewer: Viewer) -> None:
+        viewer.joints(joints)
+        viewer.board(COLUMNS, move())
+
+    record(feed)
+    rows = move()
+    for name, convert in (("position", joints[0].position), ("speed", joints[0].velocity)):
+        shown = read_scalars(file, scene.series_entity(0, name, scene.BOARD))[1]
+        assert shown == pytest.approx(convert(rows[:, COLUMNS.index(f"axis1.{name}")]))
+    motor = read_scalars(file, scene.series_entity(0, "i_q", scene.BOARD))[1]
+    assert motor == pytest.approx(rows[:, COLUMNS.index("axis1.i_q")])
 
 
 def test_residuals_lie_at_the_ticks_of_their_samples(record: Record, file: Path) -> None:

@@ -1,7 +1,8 @@
 """Paths on their way to the board: which points it gets when, as far ahead as its queues allow. Pure.
 
 Times are board time: PWM periods since reset, extended past 32 bits, or the same in seconds. Every axis has a path of
-its own. A new one replaces it a moment later, with the state that the old one has then.
+its own. A new one replaces it a moment later, with the state that the old one has then. Paths are in joint units,
+reports and points of the board in those of the motors.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
 
 from servo_bridge.trajectory.blend import extended, spliced
@@ -46,7 +48,7 @@ class AxisReport:
     Attributes
     ----------
     position_ref : float
-        Where the axis is meant to be [rad].
+        Where the motor is meant to be [rad].
     follows : bool
         The axis is in mode TRAJECTORY and has been for this sample.
     """
@@ -60,11 +62,11 @@ class _Axis:
     """Path of one axis and what is left to be sent of it."""
 
     path: Path | None = None
-    position_ref: float = 0.0
+    position_ref: float = 0.0  # of the joint
     waiting: deque[TimedPoint] = field(default_factory=deque)
     ticks: deque[int] = field(default_factory=deque)  # of `waiting`, extended
     sent: deque[int] = field(default_factory=deque)  # ticks of points that the board has and has not passed
-    held: float | None = None  # position reference of the last sample, while the axis follows no path
+    held: float | None = None  # position reference of the last report, while the axis follows no path
 
 
 @dataclass
@@ -83,15 +85,16 @@ class Follower:
     ----------
     catalogue : Catalogue
         Scales of the points.
-    joints : sequence of str
-        Joint names in the order of the axes.
+    joints : sequence of Joint
+        In the order of the axes.
     check : callable
         Raises `TrajectoryError` for a path that may not be followed.
     """
 
-    def __init__(self, catalogue: Catalogue, joints: Sequence[str], check: Callable[[Path], None]) -> None:
+    def __init__(self, catalogue: Catalogue, joints: Sequence[Joint], check: Callable[[Path], None]) -> None:
         self._catalogue = catalogue
-        self._joints = list(joints)
+        self._joints = joint_names(joints)
+        self._gears = list(joints)
         self._check = check
         self._axes = [_Axis() for _ in range(AXES)]
         self._request: _Request | None = None
@@ -191,9 +194,9 @@ class Follower:
                 one.path = None
         if self._request is not None and self._ready(self._request, reports):
             self._begin(self._request)
-        for one, report in zip(self._axes, reports, strict=True):
+        for one, report, joint in zip(self._axes, reports, self._gears, strict=True):
             one.held = report.position_ref if report.follows and one.path is None else None
-            one.position_ref = report.position_ref
+            one.position_ref = joint.position(report.position_ref)
 
     def _ready(self, request: _Request, reports: Sequence[AxisReport]) -> bool:
         """Whether every axis follows a path, or holds a position that has not changed since the last sample."""
@@ -221,7 +224,8 @@ class Follower:
         try:
             path = request.plan(self.running(), time)
             self._check(path)
-            points = timed_points(path)
+            ratios = [self._gears[self._joints.index(joint)].gear_ratio for joint in path.joints]
+            points = timed_points(path, gear_ratios=ratios)
         except TrajectoryError as error:
             request.refused(error)
             return
@@ -235,14 +239,16 @@ class Follower:
         request.begun(path.end_time)
 
     def _put(self, axis: int, points: TimedPoints, *, replaces: bool) -> None:
-        one, constant = self._axes[axis], self._torque_constant(axis)
+        one, joint, constant = self._axes[axis], self._gears[axis], self._torque_constant(axis)
+        positions = joint.motor_position(points.positions)
+        velocities, efforts = joint.motor_velocity(points.velocities), joint.motor_effort(points.efforts)
         for k, period in enumerate(points.periods.tolist()):
             point = TimedPoint(
                 axis,
                 period % (1 << 32),
-                float(points.positions[k]),
-                float(points.velocities[k]),
-                float(points.efforts[k]) / constant if points.efforts[k] else 0.0,
+                float(positions[k]),
+                float(velocities[k]),
+                float(efforts[k]) / constant if efforts[k] else 0.0,
                 replaces=replaces and k == 0,
             )
             one.waiting.append(point)

@@ -32,7 +32,7 @@ _STOP_SHARE = 0.5
 """Part of the acceleration with which a reference without messages stops."""
 
 _REST, _REST_SPEED = 1.0e-4, 1.0e-2
-"""Distance [rad] from where the reference has stopped, and velocity [rad/s], below which a joint is brought to rest."""
+"""Distance [rad] from where the reference has stopped, and velocity [rad/s], below which a motor is brought to rest."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,7 @@ class _Joint:
     """Set-points of one joint in the order of stamps: (stamp, position, velocity or NaN, effort)."""
 
     tracker: Tracker
+    gear_ratio: float = 1.0
     points: list[tuple[float, float, float, float]] = field(default_factory=list)
     active: bool = False
     begins: bool = False
@@ -142,6 +143,8 @@ class Stream:
         Distance of the points [PWM periods].
     begin : int, optional
         No point is before this [PWM periods].
+    gear_ratios : sequence of float, optional
+        Turns of the motor per turn of each joint; 1 by default.
 
     Raises
     ------
@@ -160,7 +163,9 @@ class Stream:
         delay_max: float | None = None,
         step: int = STEP_PERIODS,
         begin: int | None = None,
+        gear_ratios: Sequence[float] | None = None,
     ) -> None:
+        ratios = [1.0] * len(joints) if gear_ratios is None else gear_ratios
         speeds = [math.inf] * len(joints) if velocity_max is None else velocity_max
         if not all(x > 0.0 for x in (*acceleration_max, *speeds)) or step < SEGMENT_PERIODS_MIN:
             raise ValueError(f"limits must be above 0 and the step at least {SEGMENT_PERIODS_MIN} periods")
@@ -168,8 +173,10 @@ class Stream:
         self._clock = PlayoutClock(lead, delay_max)
         self._tick = begin
         self._joints: dict[str, _Joint] = {
-            joint: _Joint(Tracker(float(p), float(v), a, s))
-            for joint, p, v, a, s in zip(joints, start.position, start.velocity, acceleration_max, speeds, strict=True)
+            joint: _Joint(Tracker(float(p), float(v), a, s), ratio)
+            for joint, p, v, a, s, ratio in zip(
+                joints, start.position, start.velocity, acceleration_max, speeds, ratios, strict=True
+            )
         }
 
     def take(
@@ -265,6 +272,8 @@ class Stream:
             rest, may_rest = tracker.stopped(h)
             tracker.advance(position, rate * velocity, rate * (ahead - velocity) / h, h)
             speed = max(map(abs, (tracker.velocity, velocity, ahead)))
-            if state.starved and may_rest and abs(rest - position) < _REST and speed < _REST_SPEED:
+            distance = abs(rest - position)
+            near = max(distance / _REST, speed / _REST_SPEED) * state.gear_ratio < 1.0
+            if state.starved and may_rest and near:
                 state.active, tracker.position, tracker.velocity = False, rest, 0.0
             state.out.append((self._tick, tracker.position, tracker.velocity, effort))

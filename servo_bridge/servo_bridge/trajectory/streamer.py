@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from servo_msgs_py.joints import Joint, joint_names
+
 from servo_bridge.setpoints import JointSetPoint
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import TrajectoryError
@@ -58,8 +60,8 @@ class Streamer:
 
     Parameters
     ----------
-    joints : sequence of str
-        Joint names in the order of the axes.
+    joints : sequence of Joint
+        In the order of the axes.
     follower : Follower
         Brings them to the board.
     lead : float
@@ -68,8 +70,11 @@ class Streamer:
         Bound of the delay that bridges jitter and loss [s]; by default one period of the stream.
     """
 
-    def __init__(self, joints: Sequence[str], follower: Follower, lead: float, delay_max: float | None = None) -> None:
-        self._joints = list(joints)
+    def __init__(
+        self, joints: Sequence[Joint], follower: Follower, lead: float, delay_max: float | None = None
+    ) -> None:
+        self._joints = joint_names(joints)
+        self._gear_ratios = [joint.gear_ratio for joint in joints]
         self._follower = follower
         self._lead, self._delay_max = lead, delay_max
         self._streams: dict[int, _Joint] = {}
@@ -172,6 +177,7 @@ class Streamer:
             lead=self._lead,
             delay_max=self._delay_max,
             begin=begin,
+            gear_ratios=[self._gear_ratios[axis]],
         )
         for message in mine.waiting:
             _feed(mine.stream, *message)

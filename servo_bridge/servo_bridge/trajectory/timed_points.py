@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -27,7 +28,7 @@ SEGMENT_PERIODS_MAX = 960_000
 """Longest distance of two points, 60 s [PWM periods]."""
 
 TOLERANCE = 0.2 * 2.0 * math.pi / COUNTS_PER_TURN
-"""How far the interpolation may be from the path: 0.2 counts [rad]."""
+"""How far the interpolation may be from the path: 0.2 counts of the motor [rad]."""
 
 _KINK_SHARE = 0.1
 """Part of the tolerance for the rounding of a breakpoint at either end of a segment."""
@@ -36,7 +37,7 @@ _ACCELERATION_SHARE = 0.04
 """How far the acceleration may be from that of the path, as part of its peak: the board limits it."""
 
 _REST = 1.0e-6
-"""A path that ends slower than this is meant to end at rest [rad/s]."""
+"""A path on which the motor ends slower than this is meant to end at rest [rad/s]."""
 
 _SAMPLES = 16
 """Instants per segment at which a segment that leaves out a breakpoint is compared with the path."""
@@ -70,7 +71,9 @@ class TimedPoints:
         return result
 
 
-def timed_points(path: Path, tolerance: float = TOLERANCE) -> dict[str, TimedPoints]:
+def timed_points(
+    path: Path, tolerance: float = TOLERANCE, gear_ratios: Sequence[float] | None = None
+) -> dict[str, TimedPoints]:
     """Points of every joint, such that the interpolation of the board stays near the path.
 
     A cubic piece needs its ends only. Others are divided evenly: a cubic Hermite piece of length h is within
@@ -85,7 +88,9 @@ def timed_points(path: Path, tolerance: float = TOLERANCE) -> dict[str, TimedPoi
     path : Path
         Motion of at least 1 ms.
     tolerance : float
-        [rad]
+        At the motor [rad].
+    gear_ratios : sequence of float, optional
+        Turns of the motor per turn of each joint of the path; 1 by default.
 
     Returns
     -------
@@ -97,11 +102,15 @@ def timed_points(path: Path, tolerance: float = TOLERANCE) -> dict[str, TimedPoi
     TrajectoryError
         If the path is too short, or turns so sharply within 1 ms that the tolerance cannot be kept.
     """
-    return {joint: _points_of(path, axis, tolerance) for axis, joint in enumerate(path.joints)}
+    ratios = [1.0] * len(path.joints) if gear_ratios is None else gear_ratios
+    return {
+        joint: _points_of(path, axis, tolerance / ratio, _REST / ratio)
+        for axis, (joint, ratio) in enumerate(zip(path.joints, ratios, strict=True))
+    }
 
 
-def _points_of(path: Path, axis: int, tolerance: float) -> TimedPoints:
-    knots = _knots(path, axis, _KINK_SHARE * tolerance)
+def _points_of(path: Path, axis: int, tolerance: float, rest: float) -> TimedPoints:
+    knots = _knots(path, axis, _KINK_SHARE * tolerance, rest)
     fourth = _fourth_derivative_max(path, axis)
     peak = _acceleration_max(path, axis)
     pieces = [np.array(knots[:1], dtype=np.int64)]
@@ -119,18 +128,18 @@ def _points_of(path: Path, axis: int, tolerance: float) -> TimedPoints:
     periods = np.concatenate(pieces)
     state = path.continued(periods * PERIOD)
     positions, velocities, efforts = (x[:, axis].copy() for x in (state.position, state.velocity, state.effort))
-    if _ends_at_rest(path, axis):
+    if _ends_at_rest(path, axis, rest):
         positions[-1], velocities[-1] = path.end[axis], 0.0
     points = TimedPoints(periods, positions, velocities, efforts)
     _check_deviation(path, axis, points, tolerance)
     return points
 
 
-def _ends_at_rest(path: Path, axis: int) -> bool:
-    return bool(abs(path.state(path.end_time).velocity[axis]) < _REST)
+def _ends_at_rest(path: Path, axis: int, rest: float) -> bool:
+    return bool(abs(path.state(path.end_time).velocity[axis]) < rest)
 
 
-def _knots(path: Path, axis: int, kink: float) -> list[int]:
+def _knots(path: Path, axis: int, kink: float, rest: float) -> list[int]:
     """Breakpoints as periods, at least one segment apart, and a point 1 ms beside a sharp one.
 
     A breakpoint that is rounded to an instant in the one piece takes its velocity from there. Where the acceleration
@@ -145,7 +154,7 @@ def _knots(path: Path, axis: int, kink: float) -> list[int]:
         if min(periods[k] - periods[kept[-1]], periods[-1] - periods[k]) >= SEGMENT_PERIODS_MIN:
             kept.append(k)
     kept.append(len(periods) - 1)
-    error = _velocity_errors(path, axis, periods)[kept]
+    error = _velocity_errors(path, axis, periods, rest)[kept]
     knots = [int(x) for x in periods[kept]]
     result = knots[:1]
     for k, (begin, end) in enumerate(pairwise(knots)):
@@ -158,7 +167,7 @@ def _knots(path: Path, axis: int, kink: float) -> list[int]:
     return result
 
 
-def _velocity_errors(path: Path, axis: int, periods: NDArray[np.int64]) -> Array:
+def _velocity_errors(path: Path, axis: int, periods: NDArray[np.int64], rest: float) -> Array:
     """Error of velocity that rounding makes at each breakpoint [rad/s]; negative if in the piece that begins there."""
     h = np.diff(path.times)[:, None]
     c = path.coefficients[:, axis] * np.array([0, 0, 2, 6, 12, 20])
@@ -167,7 +176,7 @@ def _velocity_errors(path: Path, axis: int, periods: NDArray[np.int64]) -> Array
     step = np.zeros(len(path.times))
     step[1:-1] = np.abs(begin[1:] - end[:-1])
     error = step * (periods * PERIOD - path.times)
-    if _ends_at_rest(path, axis):
+    if _ends_at_rest(path, axis, rest):
         # The last point is at rest, wherever rounding has put it.
         error[-1] = abs(end[-1] * (periods[-1] * PERIOD - path.times[-1]))
     result: Array = error

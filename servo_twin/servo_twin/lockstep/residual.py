@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 from servo_msgs_py.units import PERIOD_NS
 
 __all__ = ["COMPARED", "HealthMonitor", "Residual", "Thresholds", "residual"]
 
 COMPARED: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in ("position", "speed", "i_q"))
-"""Variables whose difference is a residual."""
+"""Variables whose difference is a residual; those of position and speed are compared in joint units."""
 
 
 @dataclass(frozen=True)
@@ -23,13 +24,16 @@ class Residual:
     ----------
     tick : int
         PWM periods since reset of the real board.
+    joints : sequence of str
+        Names in the order of the axes.
     values : mapping
-        Difference of every variable of `COMPARED`, SI.
+        Difference of every variable of `COMPARED`; position [rad] and speed [rad/s] of the joint, i_q of the motor [A].
     position, velocity, effort : tuple of float
-        Per axis [rad], [rad/s], [N m].
+        Per joint [rad], [rad/s], [N m].
     """
 
     tick: int
+    joints: Sequence[str]
     values: Mapping[str, float]
     position: tuple[float, ...]
     velocity: tuple[float, ...]
@@ -37,7 +41,11 @@ class Residual:
 
 
 def residual(
-    tick: int, real: Mapping[str, float], twin: Mapping[str, float], torque_constants: Sequence[float]
+    tick: int,
+    real: Mapping[str, float],
+    twin: Mapping[str, float],
+    torque_constants: Sequence[float],
+    joints: Sequence[Joint] = DEFAULT_JOINTS,
 ) -> Residual:
     """Real minus twin; both need the variables of `COMPARED`, SI.
 
@@ -48,22 +56,32 @@ def residual(
     real, twin : mapping
         SI values by variable name.
     torque_constants : sequence of float
-        Per axis [N m/A].
+        Of the motors, per axis [N m/A].
+    joints : sequence of Joint
+        In the order of the axes.
     """
-    values = {name: real[name] - twin[name] for name in COMPARED}
     axes = [axis_name(axis) for axis in range(AXES)]
+    values = {name: real[name] - twin[name] for name in COMPARED}
+    for axis, joint in zip(axes, joints, strict=True):
+        # An offset cancels; adding it to both would only round.
+        for name in (f"{axis}.position", f"{axis}.speed"):
+            values[name] = joint.velocity(values[name])
     return Residual(
         tick,
+        joint_names(joints),
         values,
         tuple(values[f"{axis}.position"] for axis in axes),
         tuple(values[f"{axis}.speed"] for axis in axes),
-        tuple(k * values[f"{axis}.i_q"] for k, axis in zip(torque_constants, axes, strict=True)),
+        tuple(
+            joint.effort(k * values[f"{axis}.i_q"])
+            for k, axis, joint in zip(torque_constants, axes, joints, strict=True)
+        ),
     )
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What counts as small.
+    """What counts as small, in joint units.
 
     Attributes
     ----------
@@ -156,7 +174,7 @@ class HealthMonitor:
         ):
             for axis, value in enumerate(values):
                 if abs(value) > limit and not (name == "position" and stopping[axis]):
-                    return f"{axis_name(axis)}: {name} differs by {value:+.3g} {unit}, allowed are {limit:g}"
+                    return f"{residual.joints[axis]}: {name} differs by {value:+.3g} {unit}, allowed are {limit:g}"
         return ""
 
 

@@ -6,7 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.joints import Joint
 
 __all__ = [
     "BOARD",
@@ -72,6 +75,12 @@ class Quantity:
     unit: str
     measured: str
     set_point: str
+
+    def of_joint(self, joint: Joint, motor: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values of the joint; currents, and what a monitor output shows, remain those of the motor."""
+        if self.name == "position":
+            return joint.position(motor)
+        return joint.velocity(motor) if self.name == "speed" else motor
 
     def column(self, source: str, axis: int) -> str:
         """Column of the telemetry for a series."""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import flag_texts, state_label
+from servo_msgs_py.joints import DEFAULT_JOINTS, Joint
 from servo_msgs_py.topics import STAMP_COLUMNS
 
 from servo_twin.view import scene
@@ -85,6 +86,7 @@ class Viewer:
         # Of the thread alone:
         self._held: list[_Job] = []
         self._time = BoardTime(start_ns)
+        self._joints: Sequence[Joint] = DEFAULT_JOINTS
         self._curves = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)}
         self._hands = [{source: Hand() for source in (scene.BOARD, scene.TWIN)} for _ in range(AXES)]
         self._labels: list[str] = [""] * AXES
@@ -108,8 +110,12 @@ class Viewer:
         """Why writing has ended; empty while it goes on."""
         return self._failure
 
+    def joints(self, joints: Sequence[Joint]) -> None:
+        """What the axes move: telemetry from now on is shown in the units of these joints."""
+        self._post(lambda: self._set_joints(joints))
+
     def board(self, columns: Sequence[str], table: _Table) -> None:
-        """Telemetry of the board: samples by columns, SI."""
+        """Telemetry of the board: samples by columns, SI, of the motors."""
         self._post(lambda: self._board(columns, table))
 
     def twin(self, columns: Sequence[str], table: _Table) -> None:
@@ -201,6 +207,9 @@ class Viewer:
             self._say("viewer", self._time.newest, "WARN", f"a message was left out: {text}")
 
     # ---- telemetry
+    def _set_joints(self, joints: Sequence[Joint]) -> None:
+        self._joints = joints
+
     def _board(self, columns: Sequence[str], table: _Table) -> None:
         if not len(table):
             return
@@ -233,9 +242,11 @@ class Viewer:
             for quantity in (*scene.QUANTITIES, scene.MONITOR):
                 for curve in (scene.SET_POINT, source) if source == scene.BOARD else (source,):
                     if (column := where.get(quantity.column(curve, axis))) is not None:
-                        points[scene.series_entity(axis, quantity.name, curve)] = table[:, column]
-            if (column := where.get(scene.QUANTITIES[0].column(source, axis))) is not None:
-                self._hands[axis][source].add(times, table[:, column])
+                        values = quantity.of_joint(self._joints[axis], table[:, column])
+                        points[scene.series_entity(axis, quantity.name, curve)] = values
+            angles = points.get(scene.series_entity(axis, scene.QUANTITIES[0].name, source))
+            if angles is not None:
+                self._hands[axis][source].add(times, angles)
         self._curves[source].add(times, points)
 
     def _residual(self, stamp_ns: int, fields: Mapping[str, Sequence[float]]) -> None:

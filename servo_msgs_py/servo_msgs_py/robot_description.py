@@ -1,0 +1,192 @@
+"""The joints of a servo as a robot description (URDF), and back. Pure.
+
+The description has what robot_state_publisher and MoveIt need, and a ``ros2_control`` tag for hardware that speaks by
+the topics of the bridge. Gear ratio, direction and offset stand in the transmissions of that tag: twin, viewer and
+commander take them from there.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Mapping, Sequence
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.joints import Joint, JointLimits
+
+__all__ = ["COMMAND_INTERFACES", "NO_LIMIT", "describe", "joints_of"]
+
+NO_LIMIT: Final = 1.0e15
+"""Stands for an infinite limit, which not every reader of XML or YAML takes."""
+
+COMMAND_INTERFACES: Final = ("position", "velocity")
+"""Of a joint for which nothing else is given."""
+
+_STATE_INTERFACES: Final = ("position", "velocity", "effort")
+_BASE: Final = "servo_base"
+_PLUGIN: Final = "joint_state_topic_hardware_interface/JointStateTopicSystem"
+_TRANSMISSION: Final = "transmission_interface/SimpleTransmission"
+
+# A dial of each joint, side by side [m].
+_DISTANCE: Final = 0.26
+_RADIUS: Final = 0.1
+_HEIGHT: Final = 0.01
+
+
+# ---- writing
+def describe(
+    joints: Sequence[Joint],
+    catalogue: Catalogue,
+    *,
+    commands_topic: str,
+    states_topic: str,
+    interfaces: Mapping[str, Collection[str]] | None = None,
+) -> str:
+    """Description of the joints of one board.
+
+    Parameters
+    ----------
+    joints : sequence of Joint
+        In the order of the axes.
+    catalogue : Catalogue
+        For the largest speed of the board, which bounds the velocity of a joint, too.
+    commands_topic, states_topic : str
+        Names of the topics of set-points and of states, fully resolved.
+    interfaces : mapping of str to collection of str, optional
+        Command interfaces by joint; by default `COMMAND_INTERFACES`.
+
+    Returns
+    -------
+    str
+        URDF.
+    """
+    speed_max = catalogue["cmd.speed"].maximum
+    robot = ET.Element("robot", name="servo")
+    _link(robot, _BASE, [])
+    for axis, joint in enumerate(joints):
+        _link(robot, _link_name(joint), _pointer())
+        _joint(robot, joint, axis, speed_max)
+    control = ET.SubElement(robot, "ros2_control", name="servo", type="system")
+    hardware = ET.SubElement(control, "hardware")
+    ET.SubElement(hardware, "plugin").text = _PLUGIN
+    for name, topic in (("joint_commands_topic", commands_topic), ("joint_states_topic", states_topic)):
+        ET.SubElement(hardware, "param", name=name).text = topic
+    for joint in joints:
+        given = COMMAND_INTERFACES if interfaces is None else interfaces[joint.name]
+        part = ET.SubElement(control, "joint", name=joint.name)
+        for interface in _STATE_INTERFACES:
+            if interface in given:
+                ET.SubElement(part, "command_interface", name=interface)
+        for interface in _STATE_INTERFACES:
+            ET.SubElement(part, "state_interface", name=interface)
+    for axis, joint in enumerate(joints):
+        gear = ET.SubElement(control, "transmission", name=f"{joint.name}_transmission")
+        ET.SubElement(gear, "plugin").text = _TRANSMISSION
+        ET.SubElement(gear, "actuator", name=f"{axis_name(axis)}_motor", role="actuator1")
+        part = ET.SubElement(gear, "joint", name=joint.name, role="joint1")
+        ET.SubElement(part, "mechanical_reduction").text = _text(joint.reduction)
+        ET.SubElement(part, "offset").text = _text(joint.offset)
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _joint(robot: ET.Element, joint: Joint, axis: int, speed_max: float) -> None:
+    limits = joint.limits
+    kind = "revolute" if limits.bounded else "continuous"
+    part = ET.SubElement(robot, "joint", name=joint.name, type=kind)
+    ET.SubElement(part, "parent", link=_BASE)
+    ET.SubElement(part, "child", link=_link_name(joint))
+    ET.SubElement(part, "origin", xyz=f"{axis * _DISTANCE:g} 0 0", rpy="0 0 0")
+    ET.SubElement(part, "axis", xyz="0 0 1")
+    velocity = min(limits.velocity_max, abs(joint.velocity(speed_max)))
+    values = {"effort": limits.effort_max, "velocity": velocity}
+    if limits.bounded:
+        values |= {"lower": limits.position_min, "upper": limits.position_max}
+    ET.SubElement(part, "limit", {name: _text(value) for name, value in values.items()})
+
+
+def _link_name(joint: Joint) -> str:
+    return f"{joint.name}_link"
+
+
+def _pointer() -> list[tuple[str, dict[str, str], str]]:
+    """A dial, and a pointer along x on it: shape, its sizes, its place."""
+    return [
+        ("cylinder", {"radius": f"{_RADIUS:g}", "length": f"{_HEIGHT:g}"}, "0 0 0"),
+        ("box", {"size": f"{_RADIUS:g} 0.01 0.005"}, f"{0.5 * _RADIUS:g} 0 {0.5 * _HEIGHT + 0.0025:g}"),
+    ]
+
+
+def _link(robot: ET.Element, name: str, shapes: list[tuple[str, dict[str, str], str]]) -> None:
+    link = ET.SubElement(robot, "link", name=name)
+    for shape, sizes, place in shapes:
+        visual = ET.SubElement(link, "visual")
+        ET.SubElement(visual, "origin", xyz=place, rpy="0 0 0")
+        ET.SubElement(ET.SubElement(visual, "geometry"), shape, sizes)
+        colour = ET.SubElement(visual, "material", name="servo_dial" if shape == "cylinder" else "servo_pointer")
+        ET.SubElement(colour, "color", rgba="0.25 0.27 0.30 1" if shape == "cylinder" else "0.16 0.47 0.84 1")
+
+
+def _text(value: float) -> str:
+    """A number that every reader takes, from which the same number can be read."""
+    return repr(min(max(float(value), -NO_LIMIT), NO_LIMIT))
+
+
+# ---- reading
+def joints_of(description: str) -> list[Joint]:
+    """Joints of a description made by `describe`, in the order of the axes.
+
+    Raises
+    ------
+    ValueError
+        If it is no such description.
+    """
+    try:
+        robot = ET.fromstring(description)
+    except ET.ParseError as error:
+        raise ValueError(f"the robot description is not XML: {error}") from None
+    joints = []
+    for gear in robot.iterfind("ros2_control/transmission"):
+        part = _only(gear, "joint")
+        name = part.get("name", "")
+        moved = [joint for joint in robot.iterfind("joint") if joint.get("name") == name]
+        if len(moved) != 1:
+            raise ValueError(f"the robot description has a transmission of joint {name!r}, but no such joint")
+        reduction = _number(_only(part, "mechanical_reduction").text, f"mechanical_reduction of {name}")
+        offset = _number(_only(part, "offset").text, f"offset of {name}")
+        direction = -1 if reduction < 0.0 else 1
+        joints.append(Joint(name, abs(reduction), direction, offset, _limits(moved[0])))
+    if len(joints) != AXES:
+        raise ValueError(f"the robot description has {len(joints)} transmissions; that of a servo bridge has {AXES}")
+    return joints
+
+
+def _limits(joint: ET.Element) -> JointLimits:
+    name, limit = joint.get("name"), _only(joint, "limit")
+    required = ("lower", "upper", "velocity", "effort") if joint.get("type") == "revolute" else ("velocity", "effort")
+    found = {key: _number(limit.get(key), f"limit {key} of {name}") for key in required}
+    finite = {key: value for key, value in found.items() if abs(value) < NO_LIMIT}
+    return JointLimits(
+        finite.get("lower", -math.inf),
+        finite.get("upper", math.inf),
+        finite.get("velocity", math.inf),
+        finite.get("effort", math.inf),
+    )
+
+
+def _only(parent: ET.Element, tag: str) -> ET.Element:
+    found = parent.find(tag)
+    if found is None:
+        raise ValueError(f"the robot description has a {parent.tag} {parent.get('name', '')} without {tag}")
+    return found
+
+
+def _number(text: str | None, what: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"the robot description has {text!r} as {what}, which is no number")
+    return value

@@ -1,0 +1,123 @@
+"""Joints behind gears, and the robot description that carries them."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, JointLimits
+from servo_msgs_py.robot_description import describe, joints_of
+
+CATALOGUE = Catalogue.load()
+SMALL = st.floats(-1e4, 1e4)
+RATIOS = st.floats(0.01, 1000.0)
+DIRECTIONS = st.sampled_from([1, -1])
+LIMITS = st.builds(
+    lambda low, width, speed, effort: JointLimits(low, low + width, speed, effort),
+    SMALL,
+    st.floats(0.0, 1e4),
+    st.floats(0.0, 0.4),  # slower than any gear lets the motor turn, so that the board does not bind
+    st.floats(0.0, 1e3) | st.just(math.inf),
+)
+JOINTS = st.builds(
+    Joint, st.just("elbow"), RATIOS, DIRECTIONS, SMALL, LIMITS | st.just(JointLimits(velocity_max=0.4, effort_max=1.0))
+)
+LIFT = Joint("lift", 50.0, -1, 0.3, JointLimits(-1.0, 2.0, 5.0, 20.0))
+
+
+def described(*joints: Joint) -> str:
+    return describe(joints, CATALOGUE, commands_topic="/servo/joint_commands", states_topic="/servo/joint_states")
+
+
+def test_a_geared_reversed_joint_turns_slower_stronger_and_the_other_way() -> None:
+    assert LIFT.position(100.0) == pytest.approx(0.3 - 2.0)
+    assert LIFT.velocity(100.0) == pytest.approx(-2.0)
+    assert LIFT.effort(0.1) == pytest.approx(-5.0)
+    assert LIFT.motor_position(0.3) == 0.0
+    assert LIFT.motor_velocity(1.0) == pytest.approx(-50.0)
+
+
+@given(JOINTS, SMALL)
+def test_every_conversion_has_an_inverse(joint: Joint, value: float) -> None:
+    resolution = 1e-12 * joint.gear_ratio * (1.0 + abs(joint.offset))
+    assert joint.motor_position(joint.position(value)) == pytest.approx(value, rel=1e-12, abs=resolution)
+    assert joint.motor_velocity(joint.velocity(value)) == pytest.approx(value, rel=1e-12)
+    assert joint.motor_effort(joint.effort(value)) == pytest.approx(value, rel=1e-12)
+
+
+@given(JOINTS, st.floats(-400.0, 400.0), st.floats(-1.0, 1.0))
+def test_a_gear_keeps_the_power(joint: Joint, speed: float, torque: float) -> None:
+    assert joint.velocity(speed) * joint.effort(torque) == pytest.approx(speed * torque, rel=1e-12)
+
+
+@given(st.floats(-1e9, 1e9))
+def test_the_default_joint_is_the_shaft_bit_for_bit(value: float) -> None:
+    for joint in DEFAULT_JOINTS:
+        assert joint.position(value) == joint.velocity(value) == joint.effort(value) == value
+        assert joint.motor_position(value) == joint.motor_velocity(value) == joint.motor_effort(value) == value
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [((0.0, 1, 0.0), "gear_ratio of lift"), ((1.0, 2, 0.0), "direction of lift"), ((1.0, 1, math.nan), "offset of")],
+)
+def test_what_is_no_gear_is_refused(values: tuple[float, int, float], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        Joint("lift", *values)
+
+
+@given(JOINTS)
+def test_a_description_gives_its_joints_back(joint: Joint) -> None:
+    assert joints_of(described(joint, LIFT)) == [joint, LIFT]
+
+
+def test_a_description_is_a_tree_with_the_limits_that_its_readers_require() -> None:
+    robot = ET.fromstring(described(Joint("pan"), LIFT))
+    links = {link.get("name") for link in robot.iterfind("link")}
+    children = set()
+    for joint in robot.iterfind("joint"):
+        parent, child, limit = (joint.find(tag) for tag in ("parent", "child", "limit"))
+        assert parent is not None
+        assert child is not None
+        assert limit is not None
+        assert {parent.get("link"), child.get("link")} <= links
+        children.add(child.get("link"))
+        wanted = {"effort", "velocity"} | ({"lower", "upper"} if joint.get("type") == "revolute" else set())
+        assert set(limit.attrib) == wanted
+        assert all(math.isfinite(float(value)) for value in limit.attrib.values())
+    assert len(links - children) == 1, "one root"
+    assert [joint.get("type") for joint in robot.iterfind("joint")] == ["continuous", "revolute"]
+
+
+def test_the_hardware_of_ros2_control_has_a_state_for_every_command() -> None:
+    control = ET.fromstring(described(Joint("pan"), LIFT)).find("ros2_control")
+    assert control is not None
+    parameters = {param.get("name"): param.text for param in control.iterfind("hardware/param")}
+    assert parameters == {
+        "joint_commands_topic": "/servo/joint_commands",
+        "joint_states_topic": "/servo/joint_states",
+    }
+    for joint in control.iterfind("joint"):
+        commands, states = (
+            {part.get("name") for part in joint.iterfind(f"{kind}_interface")} for kind in ("command", "state")
+        )
+        assert commands == {"position", "velocity"}
+        assert states == {"position", "velocity", "effort"}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<robot", "is not XML"),
+        ("<robot name='arm'/>", "0 transmissions"),
+        (described(LIFT, Joint("pan")).replace('<joint name="pan" type', '<joint name="tilt" type'), "no such joint"),
+        (described(LIFT, Joint("pan")).replace("-50.0", "fifty"), "'fifty' as mechanical_reduction of lift"),
+    ],
+)
+def test_another_description_is_refused_with_a_reason(text: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        joints_of(text)
