@@ -16,8 +16,12 @@ LEVEL ?=
 ifneq ($(LEVEL),)
 export SERVO_TWIN_LEVEL := $(LEVEL)
 endif
+# A test that hangs fails; one that hangs where Python cannot interrupt it ends the run with the stack of every thread.
+TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeout=true
 # In a worker of its own, so that one that hangs beyond Python's reach is ended and the others go on.
 REALTIME := -n 1 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout 120 -o faulthandler_timeout=180
+# The pytest of Ubuntu 24.04, which `colcon test` has to do with there.
+UBUNTU_PYTEST := $(VENV)/pytest-7.4
 # Tests publish commands: they keep away from the nodes of whoever runs them.
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 90 + 10 )))
 
@@ -109,7 +113,7 @@ targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on 
 # The machine may be busy for a moment: a test that keeps the time of the wall gets a second try, and is then listed.
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@status=0; $(MAKE) --no-print-directory lint || { status=1; echo "make lint fails (above)"; }; \
-	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(PYTEST_ARGS) "$$@"; result=$$?; \
+	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS) "$$@"; result=$$?; \
 	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; }; \
 	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --max-worker-restart 0; \
 	run "one at a time" -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
@@ -191,4 +195,5 @@ $(VENV)/.native: $(VENV)/.packages $(NATIVE)
 $(VENV)/.dev: $(VENV)/.packages pyproject.toml
 	@echo "[dev] tools for tests and checks"
 	@$(INSTALL) --group dev
+	@$(PIP) install --quiet --no-deps --upgrade --target $(UBUNTU_PYTEST) pytest==7.4.4
 	@touch $@

@@ -5,12 +5,14 @@ from __future__ import annotations
 import ast
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import sysconfig
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -333,26 +335,124 @@ def test_no_file_mentions_what_it_should_not() -> None:
     assert findings == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", [(), ("--symlink-install",)], ids=["install", "symlink"])
-def test_colcon_builds_the_checkout(prefix: Path, tmp_path: Path, mode: tuple[str, ...]) -> None:
-    colcon = prefix / "bin" / "colcon"
+# ---- colcon ---------------------------------------------------------------------------------------------------------
+
+COLLECTED = re.compile(r"^(\d+) tests collected", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A colcon workspace of copies of the checkout's files.
+
+    Attributes
+    ----------
+    folder : Path
+        The workspace; its packages are in ``src``.
+    """
+
+    folder: Path
+
+    def run(self, command: str, folder: str = ".", **environment: str) -> subprocess.CompletedProcess[str]:
+        """Run a command line of the shell after the workspace has been sourced."""
+        setup = shlex.quote(str(self.folder / "install" / "setup.sh"))
+        env = {**clean_environment(), **environment}
+        return run("bash", "-c", f". {setup} && {command}", cwd=self.folder / folder, env=env)
+
+    def python(self, program: str, folder: str = ".") -> str:
+        """What a program prints that the Python of the tests runs in a folder of the workspace."""
+        ended = self.run(f"{shlex.quote(sys.executable)} -c {shlex.quote(program)}", folder)
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout.strip()
+
+
+def build_workspace(folder: Path, *options: str) -> Workspace:
+    colcon = Path(sys.prefix) / "bin" / "colcon"
     if not colcon.exists() or shutil.which("cmake") is None:
         pytest.skip("colcon or cmake is missing")
-    source = tmp_path / "src"
     for name in git_files():
-        (source / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, source / name)
-    build = run(colcon, "--log-base", "log", "build", "--base-paths", source, *mode, cwd=tmp_path)
+        (folder / "src" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, folder / "src" / name)
+    build = run(colcon, "build", *options, cwd=folder)
     assert build.returncode == 0, build.stdout + build.stderr
-    install = tmp_path / "install"
+    return Workspace(folder)
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """What a plain ``colcon build`` makes."""
+    return build_workspace(tmp_path_factory.mktemp("workspace"))
+
+
+@pytest.fixture
+def pytest_of_ubuntu(prefix: Path) -> dict[str, str]:
+    """Environment in which pytest is that of Ubuntu 24.04, and has no plugins."""
+    folder = prefix / "pytest-7.4"
+    if not folder.exists():
+        pytest.skip(f"there is no {folder}: `make lint` installs it")
+    return {"PYTHONPATH": str(folder), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+
+
+def check_build(workspace: Workspace) -> None:
+    """Executables are in place and run, and the compiled board is that of the workspace."""
+    install = workspace.folder / "install"
     for package, name in EXECUTABLE_NAMES:
         assert os.access(install / package / "lib" / package / name, os.X_OK)
     assert (install / "servo_firmware" / "lib" / "libservo_firmware.a").exists()
+    native = workspace.python("import servo_bridge.node, servo_twin._native as native; print(native.__file__)")
+    assert native.startswith(str(workspace.folder))
+    tool = workspace.run("install/servo_bridge/lib/servo_bridge/servo-tool --help")
+    assert tool.returncode == 0, tool.stderr
 
-    program = "import servo_bridge.node, servo_twin._native as native; print(native.__file__)"
-    tool = "install/servo_bridge/lib/servo_bridge/servo-tool --help"
-    command = f'. install/setup.sh && "{sys.executable}" -c "{program}" && {tool}'
-    started = run("bash", "-c", command, cwd=tmp_path)
-    assert started.returncode == 0, started.stderr
-    assert started.stdout.startswith(str(tmp_path)), "the compiled board of the colcon workspace, not of the checkout"
+
+@pytest.mark.slow
+def test_colcon_builds_the_checkout(workspace: Workspace) -> None:
+    check_build(workspace)
+
+
+@pytest.mark.slow
+def test_colcon_builds_with_links_to_the_checkout(tmp_path: Path) -> None:
+    check_build(build_workspace(tmp_path, "--symlink-install"))
+
+
+@pytest.mark.slow
+def test_source_folders_of_a_workspace_have_the_compiled_board(workspace: Workspace) -> None:
+    program = "import servo_twin, servo_twin._native as native; print(servo_twin.__file__, native.__file__)"
+    package, native = workspace.python(program, "src/servo_twin").split()
+    assert package.startswith(str(workspace.folder / "src"))
+    assert native.startswith(str(workspace.folder / "install"))
+
+
+@pytest.mark.slow
+def test_programs_of_one_package_find_those_of_another(workspace: Workspace) -> None:
+    program = "from servo_twin.processes import executable as e; print(*map(e, ('servo-command', 'servo_twin')))"
+    lib = workspace.folder / "install" / "{0}" / "lib" / "{0}"
+    expected = [str(lib).format("servo_bridge") + "/servo-command", str(lib).format("servo_twin") + "/servo_twin"]
+    assert workspace.python(program).split() == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("package", "arguments"),
+    [("servo_msgs_py", ()), ("servo_twin", ("test/test_board.py", "-k", "write_and_read or stands_still"))],
+)
+def test_colcon_tests_with_the_pytest_of_ubuntu(
+    workspace: Workspace, pytest_of_ubuntu: dict[str, str], package: str, arguments: tuple[str, ...]
+) -> None:
+    colcon = Path(sys.prefix) / "bin" / "colcon"
+    options = ["--pytest-args", *arguments] if arguments else []
+    command = shlex.join([str(colcon), "test", "--packages-select", package, "--return-code-on-test-failure", *options])
+    ended = workspace.run(command, **pytest_of_ubuntu)
+    log = (workspace.folder / "log" / "latest_test" / package / "stdout_stderr.log").read_text()
+    assert ended.returncode == 0, log
+    assert "pytest-7.4" in log
+    assert re.search(r"== \d+ passed", log)
+
+
+@pytest.mark.slow
+def test_every_test_is_collected_by_the_pytest_of_ubuntu(pytest_of_ubuntu: dict[str, str]) -> None:
+    env = {**clean_environment(), **pytest_of_ubuntu}
+    listing = run(sys.executable, "-m", "pytest", "--collect-only", "--quiet", "-p", "no:cacheprovider", env=env)
+    assert listing.returncode == 0, listing.stdout[-2000:] + listing.stderr
+    found = COLLECTED.search(listing.stdout)
+    assert found is not None
+    assert int(found[1]) > 1000

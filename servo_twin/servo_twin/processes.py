@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -25,17 +26,27 @@ class ChildError(RuntimeError):
 
 
 def executable(name: str) -> Path:
-    """Path of a console script, beside the running Python.
+    """Path of a program: in a sourced workspace, beside the running Python, or on the search path.
+
+    The order is that of Python's imports, where a sourced workspace comes before the environment, too.
 
     Raises
     ------
     ChildError
         If it is not installed.
     """
-    path = Path(sys.executable).with_name(name)
-    if not path.exists():
-        raise ChildError(f"{name} is not installed beside {sys.executable}: run `make setup`")
-    return path
+    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    installed = (path for prefix in prefixes for path in sorted(Path(prefix).glob(f"lib/*/{name}")))
+    for path in (*installed, Path(sys.executable).with_name(name)):
+        if os.access(path, os.X_OK):
+            return path
+    on_path = shutil.which(name)
+    if on_path is None:
+        raise ChildError(
+            f"{name} is not installed, neither in a sourced workspace nor beside {sys.executable}: run `make setup`, "
+            "or source install/setup.bash of the workspace"
+        )
+    return Path(on_path)
 
 
 class Child:

@@ -47,11 +47,11 @@ With ROS 2 (in another terminal{domain}):
     "{{name: [axis1, axis2], position: [31.4, -31.4]}}"
   ros2 topic echo /servo/joint_states
 Without:
-  {bin}/servo-command enable
-  {bin}/servo-command position axis1=6.28 axis2=-6.28
-  {bin}/servo-command state
-  {bin}/servo-command set param.speed_limit=100,100
-  {bin}/servo-command disable
+  {command} enable
+  {command} position axis1=6.28 axis2=-6.28
+  {command} state
+  {command} set param.speed_limit=100,100
+  {command} disable
 Ctrl-C ramps down, switches the outputs off and ends everything."""
 
 
@@ -271,7 +271,7 @@ def _bring_up(stack: Stack, args: argparse.Namespace, folder: Path, record: Path
 def _stay(stack: Stack, args: argparse.Namespace) -> NoReturn:
     domain = os.environ.get("ROS_DOMAIN_ID") if args.domain_id is None else str(args.domain_id)
     setting = f", ROS_DOMAIN_ID={domain}" if domain not in (None, "0") else ""
-    _say(_HOW_TO.format(bin=Path(sys.executable).parent, domain=setting))
+    _say(_HOW_TO.format(command=executable("servo-command"), domain=setting))
     while True:
         wait_until(lambda: False, stack.children, 1.0)
         stack.tell_warnings()
