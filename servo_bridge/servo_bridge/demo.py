@@ -1,8 +1,8 @@
 """``servo-demo``: moves both axes over ROS topics and measures how well they got there.
 
 A separate process that knows the servo by its topics and services alone. It enables the axes, runs point-to-point
-moves, simultaneous moves, a reversal and a stop, shows what happens and ends with a table of figures. The axes are
-disabled at the end, whatever happened.
+moves, simultaneous moves, a reversal, a stop and a path of both axes, shows what happens and ends with tables of
+figures. The axes are disabled at the end, whatever happened.
 """
 
 from __future__ import annotations
@@ -29,8 +29,11 @@ from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
 from servo_bridge.demo_client import DemoError, ServoClient
-from servo_bridge.demo_report import Residual, Row, passed, report, table
+from servo_bridge.demo_report import PathRow, Residual, Row, passed, path_table, report, table
 from servo_bridge.move_metrics import measure_move, rms
+from servo_bridge.path_metrics import measure_path
+from servo_bridge.trajectory.path import Path as Motion
+from servo_bridge.trajectory.shapes import lissajous
 
 __all__ = ["Demo", "main"]
 
@@ -38,6 +41,12 @@ TURN: Final = 2.0 * math.pi
 _HOLD: Final = 0.25  # how long an axis has to stay on its target before the next move [s]
 _APPLY_TIMEOUT: Final = 2.0  # from publishing a set-point to its effect [s]
 _REACHED: Final = 0.1 * TURN  # a stop this close to the target has not stopped the move [rad]
+_AMPLITUDE: Final = 1.0  # of the path [turns]
+_FREQUENCIES: Final = (1.0, 1.5)  # of its axes [Hz]
+_PATH_TIME: Final = 4.0  # [s]
+_AHEAD: Final = 0.5  # from publishing the path to its start [s]
+_ATTEMPTS: Final = 3  # to have the path taken
+_PATH_ERROR: Final = 0.02  # largest distance from the path [rad]
 _TWIN_TIMEOUT: Final = 3.0  # for the twin to catch up with a move [s]
 
 
@@ -65,6 +74,7 @@ class Demo:
         self._base: list[float] = []
         self.twin = False
         self.rows: list[Row] = []
+        self.paths: list[PathRow] = []
 
     # ---- phases
     def connect(self, patience: float, *, require_twin: bool) -> None:
@@ -96,7 +106,7 @@ class Demo:
             self._base = [round(self._position(axis) / TURN) * TURN for axis in self._axes]
 
     def run(self) -> None:
-        """Run all moves."""
+        """Run all moves and the path."""
         self._move("point to point", {0: 5.0})
         self._move("point to point", {1: -5.0})
         self._move("simultaneous", {0: 0.0, 1: 0.0})
@@ -104,6 +114,7 @@ class Demo:
         self._stop("stop", {0: 30.0, 1: -30.0})
         self.enable()
         self._move("return", {0: 0.0, 1: 0.0})
+        self._path("Lissajous")
 
     def disable(self) -> None:
         """Switch both axes off and wait until they are."""
@@ -144,6 +155,42 @@ class Demo:
             if abs(hold_point(axis) - self._target(axis, value)) < _REACHED:
                 raise DemoError(f"{title}: {self._client.joints[axis]} went on to its target; quick_stop had no effect")
 
+    def _path(self, title: str) -> None:
+        """A path in time of both axes, commanded as planners do it."""
+        client = self._client
+        low, high = _FREQUENCIES
+        self._say(f"{title}: {client.joints[0]} at {low:g} Hz, {client.joints[1]} at {high:g} Hz, {_PATH_TIME:g} s")
+        # Without a phase the figure encloses most; with others it may run back on itself.
+        path = lissajous(client.joints, self._base, [_AMPLITUDE * TURN] * 2, _FREQUENCIES, _PATH_TIME, phase=0.0)
+        start_ns, tick = self._follow(path)
+        end = tick + round((_AHEAD + _PATH_TIME) * 1e9 / PERIOD_NS)
+        self._wait(lambda: all(self._rests(axis, self._base[axis], end) for axis in self._axes), title, _PATH_TIME)
+        names = [f"{axis_name(axis)}.{name}" for name in ("position", "position_ref") for axis in self._axes]
+        ticks, *columns = client.since(tick, ["tick", *names])
+        position, reference = np.array_split(np.column_stack(columns), 2, axis=1)
+        time = (ticks - ticks[0]) * (PERIOD_NS * 1e-9)
+        try:
+            figures = measure_path(time, position, reference, path, (start_ns - client.stamp_ns(tick)) * 1e-9)
+        except ValueError as error:
+            raise DemoError(f"{title}: the axes did not follow ({error}); see the log of servo_bridge") from None
+        residuals = tuple(filter(None, self._residuals(start_ns, client.now_ns())))
+        self.paths.append(PathRow(title, tuple(client.joints), figures, _PATH_ERROR, self._tolerance, residuals))
+        for joint, distance in zip(client.joints, figures.error_max, strict=True):
+            self._say(f"  {joint}: at most {distance / TURN * COUNTS_PER_TURN:.1f} counts from the path")
+        self._say(f"  both began {figures.ticks_apart} ticks apart")
+
+    def _follow(self, path: Motion) -> tuple[int, int]:
+        """Publish a path; returns its start in ROS time [ns] and the tick at which its first points took effect."""
+        for _ in range(_ATTEMPTS):
+            known, start_ns = len(self._client.applied), self._client.now_ns() + round(_AHEAD * 1e9)
+            self._client.follow(path, start_ns)
+            try:
+                return start_ns, self._applied_since(known, "cmd.points")
+            except DemoError as error:
+                # Points that a busy computer sends too late are refused as a whole, and nothing moves.
+                self._say(f"  {error}")
+        raise DemoError(f"the path was not taken in {_ATTEMPTS} attempts; see the log of servo_bridge")
+
     def _announce(self, title: str, turns: Mapping[int, float]) -> None:
         parts = (f"{self._client.joints[axis]} to {value:+g} turns" for axis, value in turns.items())
         self._say(f"{title}: {', '.join(parts)}")
@@ -175,9 +222,9 @@ class Demo:
             raise DemoError(f"no {variable} took effect within {_APPLY_TIMEOUT:g} s; see the log of servo_bridge")
         return next(a.tick for a in client.applied[known:] if a.variable == variable)
 
-    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+    def _wait(self, condition: Callable[[], bool], what: str, planned: float = 0.0) -> None:
         """Wait for the condition; a move that takes too long ends here and shows up in the table."""
-        done = self._client.wait_for(lambda: condition() or self._faulted(), self._timeout)
+        done = self._client.wait_for(lambda: condition() or self._faulted(), planned + self._timeout)
         if self._faulted():
             raise DemoError(f"{what}: {self._fault_text()}")
         if not done:
@@ -186,26 +233,29 @@ class Demo:
     def _judge(self, title: str, tick: int, start_ns: int, targets: Mapping[int, float]) -> None:
         """Measure every axis of a move and show it."""
         client = self._client
-        end_ns = client.now_ns()
-        self.twin = self.twin or client.twin_present
-        if self.twin and not client.wait_for(lambda: client.residual_after(end_ns), _TWIN_TIMEOUT):
-            self._say(f"  the twin has sent nothing for {_TWIN_TIMEOUT:g} s")
-        residuals = client.residuals(start_ns, end_ns)
+        residuals = self._residuals(start_ns, client.now_ns())
         for axis, target in targets.items():
             prefix = axis_name(axis)
             ticks, position, reference = client.since(tick, ["tick", f"{prefix}.position", f"{prefix}.position_ref"])
             time = (ticks - tick) * (PERIOD_NS * 1e-9)
             figures = measure_move(time, position, target, self._tolerance, reference=reference)
-            residual = None
-            if len(residuals):
-                difference = residuals[:, axis]
-                residual = Residual(rms(difference), float(np.max(np.abs(difference))), len(difference))
-            self.rows.append(Row(title, client.joints[axis], figures, residual))
+            self.rows.append(Row(title, client.joints[axis], figures, residuals[axis]))
             settled = "did not settle" if figures.settling_time is None else f"settled in {figures.settling_time:.3f} s"
             error = figures.error / TURN * COUNTS_PER_TURN
             self._say(
                 f"  {client.joints[axis]}: {settled}, {figures.reached / TURN:+.4f} turns, {error:+.1f} counts off"
             )
+
+    def _residuals(self, start_ns: int, end_ns: int) -> list[Residual | None]:
+        """Per axis, how far board and twin were apart in a span of ROS time [ns]; None without data of a twin."""
+        client = self._client
+        self.twin = self.twin or client.twin_present
+        if self.twin and not client.wait_for(lambda: client.residual_after(end_ns), _TWIN_TIMEOUT):
+            self._say(f"  the twin has sent nothing for {_TWIN_TIMEOUT:g} s")
+        table = client.residuals(start_ns, end_ns)
+        if not len(table):
+            return [None for _ in self._axes]
+        return [Residual(rms(one), float(np.max(np.abs(one))), len(one)) for one in table.T]
 
     # ---- looking
     @property
@@ -297,20 +347,33 @@ def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
             demo.disable()
     except DemoError as error:
         trouble = trouble or str(error)
-    figures = report(demo.rows, tolerance_counts=arguments.tolerance, twin=demo.twin) | {"trouble": trouble or None}
+    figures = report(demo.rows, demo.paths, tolerance_counts=arguments.tolerance, twin=demo.twin)
+    figures["trouble"] = trouble or None
     if arguments.json is not None:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     if demo.rows:
         _say("\n" + table(demo.rows) + "\n")
+    if demo.paths:
+        _say(path_table(demo.paths) + "\n")
     if trouble:
         _say(f"stopped: {trouble}")
         return 1
-    if not passed(demo.rows, twin=demo.twin):
-        _say("not every axis got there" if not all(r.figures.arrived for r in demo.rows) else "the twin sent no data")
+    if not passed(demo.rows, demo.paths, twin=demo.twin):
+        _say(_shortcoming(demo))
         return 1
-    _say(f"both axes got there, within {arguments.tolerance:g} counts")
+    _say(
+        f"both axes got there, within {arguments.tolerance:g} counts, and followed the path within {_PATH_ERROR:g} rad"
+    )
     return 0
+
+
+def _shortcoming(demo: Demo) -> str:
+    if not all(row.figures.arrived for row in demo.rows):
+        return "not every axis got there"
+    if not all(row.followed(axis) for row in demo.paths for axis in range(len(row.axes))):
+        return f"not every axis followed the path within {_PATH_ERROR:g} rad, together with the other, to its end"
+    return "the twin sent no data"
 
 
 def main(args: Sequence[str] | None = None) -> int:

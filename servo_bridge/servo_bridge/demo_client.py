@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from rclpy.executors import Executor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table
+from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table, to_stamp
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
+from servo_bridge.command_paths import path_message
+from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
 __all__ = ["DemoError", "ServoClient"]
@@ -58,6 +61,7 @@ class ServoClient(Node):
         self.create_subscription(String, self._of(topics.STATE), self._on_state, topics.latched_qos())
         self.create_subscription(JointState, self._residual_topic, self._on_residual, deep)
         self._commands = self.create_publisher(JointState, self._of(topics.JOINT_COMMANDS), topics.command_qos())
+        self._paths = self.create_publisher(JointTrajectory, self._of(topics.JOINT_TRAJECTORY), topics.command_qos())
         self._single: dict[str, Any] = {}
         self._enable = self.create_client(SetBool, self._of(topics.ENABLE))
         self._quick_stop = self.create_client(Trigger, self._of(topics.QUICK_STOP))
@@ -94,6 +98,7 @@ class ServoClient(Node):
             and self._enable.service_is_ready()
             and self._quick_stop.service_is_ready()
             and self._commands.get_subscription_count()
+            and self._paths.get_subscription_count()
             and all(publisher.get_subscription_count() for publisher in self._single.values())
         )
 
@@ -128,6 +133,12 @@ class ServoClient(Node):
         names = [self.joints[axis] for axis in targets]
         self._commands.publish(JointState(name=names, position=list(targets.values())))
 
+    def follow(self, path: Path, start_ns: int) -> None:
+        """Publish a path that begins where the joints are, to be followed from a ROS time on [ns]."""
+        message = path_message(path)
+        message.header.stamp = to_stamp(start_ns)
+        self._paths.publish(message)
+
     def close(self) -> None:
         """End the node."""
         self._runner.remove_node(self)
@@ -151,6 +162,11 @@ class ServoClient(Node):
             first -= 1
         chosen = np.array(self._rows[first:]).reshape(-1, len(self.columns))
         return [chosen[:, self.columns.index(name)] for name in columns]
+
+    def stamp_ns(self, tick: int) -> int:
+        """ROS time of the first sample from `tick` on [ns]."""
+        seconds, nanoseconds = self.since(tick, topics.STAMP_COLUMNS)
+        return int(seconds[0]) * 1_000_000_000 + int(nanoseconds[0])
 
     def residuals(self, start_ns: int, end_ns: int) -> NDArray[np.float64]:
         """Position residuals, samples by joints, stamped within a span of ROS time [ns]."""

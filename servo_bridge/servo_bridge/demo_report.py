@@ -1,4 +1,4 @@
-"""Figures of the demonstration as a table for people and as JSON. Pure."""
+"""Figures of the demonstration as tables for people and as JSON. Pure."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_bridge.move_metrics import MoveFigures
+from servo_bridge.path_metrics import PathFigures
 
-__all__ = ["Residual", "Row", "passed", "report", "table"]
+__all__ = ["PathRow", "Residual", "Row", "passed", "path_table", "report", "table"]
 
 _COUNTS = COUNTS_PER_TURN / (2.0 * math.pi)
 _COLUMNS = (
@@ -19,6 +20,10 @@ _COLUMNS = (
     "twin rms", "max", "",
 )  # fmt: skip
 _UNITS = ("", "", "turns", "turns", "counts", "ms", "counts", "counts", "", "counts", "", "")
+_PATH_COLUMNS = (
+    "path", "axis", "duration", "following rms", "max", "max", "at the end", "axes apart", "twin rms", "max", "",
+)  # fmt: skip
+_PATH_UNITS = ("", "", "s", "counts", "counts", "mrad", "counts", "ticks", "counts", "", "")
 
 
 @dataclass(frozen=True)
@@ -40,10 +45,53 @@ class Row:
     residual: Residual | None
 
 
+@dataclass(frozen=True)
+class PathRow:
+    """All axes on one path.
+
+    Attributes
+    ----------
+    path : str
+        Title.
+    axes : tuple of str
+        Joints of the path.
+    figures : PathFigures
+        How it was followed.
+    error_max : float
+        Largest distance from the path that is good enough [rad].
+    tolerance : float
+        The same of the mean position after its end [rad].
+    residuals : tuple of Residual
+        Per joint; empty without a twin.
+    """
+
+    path: str
+    axes: tuple[str, ...]
+    figures: PathFigures
+    error_max: float
+    tolerance: float
+    residuals: tuple[Residual, ...]
+
+    def followed(self, axis: int) -> bool:
+        """Whether an axis kept to the path, began it together with the others, and stayed at its end."""
+        f = self.figures
+        near = f.error_max[axis] <= self.error_max and abs(f.end_error[axis]) <= self.tolerance
+        return near and f.ticks_apart == 0
+
+
 def table(rows: Sequence[Row]) -> str:
-    """Rows laid out in columns, with a line of units below the heading."""
-    cells = [_COLUMNS, _UNITS, *(tuple(_cells(row)) for row in rows)]
-    widths = [max(len(line[k]) for line in cells) for k in range(len(_COLUMNS))]
+    """Moves laid out in columns, with a line of units below the heading."""
+    return _laid_out([_COLUMNS, _UNITS, *(tuple(_cells(row)) for row in rows)])
+
+
+def path_table(rows: Sequence[PathRow]) -> str:
+    """Paths laid out in the same way, a line for each axis."""
+    lines = [tuple(_path_cells(row, axis)) for row in rows for axis in range(len(row.axes))]
+    return _laid_out([_PATH_COLUMNS, _PATH_UNITS, *lines])
+
+
+def _laid_out(cells: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(line[k]) for line in cells) for k in range(len(cells[0]))]
     lines = [
         "  ".join(
             cell.ljust(width) if k < 2 else cell.rjust(width)
@@ -70,6 +118,22 @@ def _cells(row: Row) -> Iterable[str]:
     yield "ok" if f.arrived else "NOT REACHED"
 
 
+def _path_cells(row: PathRow, axis: int) -> Iterable[str]:
+    f = row.figures
+    residual = row.residuals[axis] if row.residuals else None
+    yield row.path
+    yield row.axes[axis]
+    yield f"{f.duration:.2f}"
+    yield _counts(f.error_rms[axis])
+    yield _counts(f.error_max[axis])
+    yield f"{f.error_max[axis] * 1e3:.1f}"
+    yield f"{f.end_error[axis] * _COUNTS:+.1f}"
+    yield str(f.ticks_apart)
+    yield _counts(None if residual is None else residual.rms)
+    yield _counts(None if residual is None else residual.max)
+    yield "ok" if row.followed(axis) else "NOT FOLLOWED"
+
+
 def _turns(angle: float) -> float:
     return angle / (2.0 * math.pi)
 
@@ -78,15 +142,17 @@ def _counts(angle: float | None) -> str:
     return "-" if angle is None else f"{angle * _COUNTS:.1f}"
 
 
-def passed(rows: Sequence[Row], *, twin: bool) -> bool:
-    """True when there are rows, every axis got there, and the twin, if there is one, sent data for every move."""
-    return bool(rows) and all(row.figures.arrived and (row.residual is not None or not twin) for row in rows)
+def passed(rows: Sequence[Row], paths: Sequence[PathRow], *, twin: bool) -> bool:
+    """True when there are rows, every axis got there and followed, and the twin, if any, sent data for every row."""
+    moved = bool(rows) and all(row.figures.arrived and (row.residual is not None or not twin) for row in rows)
+    followed = all(all(map(row.followed, range(len(row.axes)))) and (bool(row.residuals) or not twin) for row in paths)
+    return moved and bool(paths) and followed
 
 
-def report(rows: Sequence[Row], *, tolerance_counts: float, twin: bool) -> dict[str, Any]:
+def report(rows: Sequence[Row], paths: Sequence[PathRow], *, tolerance_counts: float, twin: bool) -> dict[str, Any]:
     """Everything as plain numbers, SI, ready for JSON."""
     return {
-        "passed": passed(rows, twin=twin),
+        "passed": passed(rows, paths, twin=twin),
         "twin": twin,
         "tolerance_counts": tolerance_counts,
         "counts_per_turn": COUNTS_PER_TURN,
@@ -98,5 +164,14 @@ def report(rows: Sequence[Row], *, tolerance_counts: float, twin: bool) -> dict[
                 "residual": None if row.residual is None else asdict(row.residual),
             }
             for row in rows
+        ],
+        "paths": [
+            {
+                "path": row.path,
+                "axes": row.axes,
+                **asdict(row.figures),
+                "residuals": [asdict(residual) for residual in row.residuals],
+            }
+            for row in paths
         ],
     }

@@ -17,8 +17,10 @@ from bridge_rig import DOMAIN
 from numpy.typing import NDArray
 from servo_bridge.demo import Demo
 from servo_bridge.demo_client import DemoError, ServoClient
-from servo_bridge.demo_report import Residual, Row, passed, report, table
+from servo_bridge.demo_report import PathRow, Residual, Row, passed, path_table, report, table
 from servo_bridge.move_metrics import MoveFigures
+from servo_bridge.path_metrics import PathFigures
+from servo_bridge.trajectory.path import Path as Motion
 from servo_msgs_py.convert import AppliedCommand
 
 from servo_bridge import demo as demo_module
@@ -42,6 +44,9 @@ class FakeClient:
         self.position = list(position)
         self.target = list(self.position)
         self.error = [0.0, 0.0]  # steady error
+        self.path: Motion | None = None
+        self.path_error = 0.0
+        self.refusals = 0  # of paths
         self.rows: list[dict[str, float]] = []
         self.twin_present = True
         self.twin_gap = twin_gap
@@ -58,8 +63,12 @@ class FakeClient:
         if self.fault_at is not None and self.tick >= self.fault_at:
             self.faults, self.state = 2, "axis1=FAULT axis2=RUN/SPIN"
         row = {"tick": float(self.tick)}
+        on_path = self.path is not None and self.tick <= self.path.end_time * 16000
+        if self.path is not None:
+            self.target = list(self.path.state(self.tick / 16000).position)
         for axis in range(2):
             aim = self.target[axis] + self.error[axis]
+            aim += self.path_error if on_path else 0.0
             self.position[axis] += max(-SPEED, min(SPEED, aim - self.position[axis]))
             row[f"axis{axis + 1}.position"] = self.position[axis]
             row[f"axis{axis + 1}.position_ref"] = self.target[axis]
@@ -97,12 +106,23 @@ class FakeClient:
             self.target[axis] = value
         self.applied.append(AppliedCommand("cmd.position", self.tick + 8, (0, 0), 3))
 
+    def follow(self, path: Motion, start_ns: int) -> None:
+        self.log.append(f"path {list(path.joints)}")
+        if self.refusals:
+            self.refusals -= 1
+            return
+        self.path = path.shifted(start_ns * 1e-9)
+        self.applied.append(AppliedCommand("cmd.points", self.tick + 8, (0,) * 8, 3))
+
     def latest(self, column: str) -> float:
         return self.rows[-1][column]
 
     def since(self, tick: int, columns: Sequence[str]) -> list[NDArray[np.float64]]:
         chosen = list(itertools.takewhile(lambda row: row["tick"] >= tick, reversed(self.rows)))[::-1]
         return [np.array([row[name] for row in chosen]) for name in columns]
+
+    def stamp_ns(self, tick: int) -> int:
+        return next(round(row["tick"]) for row in self.rows if row["tick"] >= tick) * 62_500
 
     def residuals(self, start_ns: int, end_ns: int) -> NDArray[np.float64]:
         return np.array([v for t, v in self._residuals if start_ns <= t <= end_ns]).reshape(-1, 2)
@@ -139,9 +159,14 @@ def test_every_kind_of_move_is_made_and_measured() -> None:
     ]
     assert client.log == [
         "enable True", "move [0]", "move [1]", "move [0, 1]", "move [0, 1]", "move [0, 1]", "move [0, 1]",
-        "quick_stop", "enable True", "move [0, 1]", "enable False",
+        "quick_stop", "enable True", "move [0, 1]", "path ['axis1', 'axis2']", "enable False",
     ]  # fmt: skip
-    assert passed(demo.rows, twin=demo.twin)
+    assert passed(demo.rows, demo.paths, twin=demo.twin)
+    (path,) = demo.paths
+    assert path.figures.ticks_apart == 0
+    assert path.figures.start == pytest.approx(0.499, abs=1e-4)  # after the tick at which the points took effect
+    assert max(path.figures.error_max) < 1e-3
+    assert path.residuals[1].max == pytest.approx(3 * COUNT)
     first = demo.rows[0]
     assert first.figures.commanded == pytest.approx(5 * TURN)
     assert first.figures.settling_time == pytest.approx(5 * TURN / SPEED * 1e-3, abs=0.003)
@@ -162,9 +187,30 @@ def test_an_axis_that_stops_short_fails_but_the_rest_is_shown() -> None:
     client = FakeClient()
     client.error[1] = 3 * COUNT
     demo = run(client)
-    assert not passed(demo.rows, twin=True)
+    assert not passed(demo.rows, demo.paths, twin=True)
     assert [row.figures.arrived for row in demo.rows if row.axis == "axis1"] == [True] * 5
     assert not any(row.figures.arrived for row in demo.rows if row.axis == "axis2" and row.move != "stop")
+
+
+def test_an_axis_that_leaves_the_path_fails() -> None:
+    client = FakeClient()
+    client.path_error = 0.03
+    demo = run(client)
+    assert all(row.figures.arrived for row in demo.rows)
+    assert not passed(demo.rows, demo.paths, twin=demo.twin)
+    assert demo.paths[0].figures.error_max == pytest.approx((0.03, 0.03), abs=1e-3)
+
+
+def test_a_path_that_the_board_refuses_is_sent_again() -> None:
+    client, said = FakeClient(), list[str]()
+    client.refusals = 2
+    demo = run(client, said)
+    assert passed(demo.rows, demo.paths, twin=demo.twin)
+    assert sum("no cmd.points took effect" in line for line in said) == 2
+    client = FakeClient()
+    client.refusals = 3
+    with pytest.raises(DemoError, match="not taken in 3 attempts"):
+        run(client)
 
 
 def test_a_silent_twin_fails_and_a_missing_one_does_not() -> None:
@@ -172,12 +218,12 @@ def test_a_silent_twin_fails_and_a_missing_one_does_not() -> None:
     client.residuals = lambda start_ns, end_ns: np.empty((0, 2))  # type: ignore[method-assign]
     demo = run(client)
     assert demo.twin
-    assert not passed(demo.rows, twin=demo.twin)
+    assert not passed(demo.rows, demo.paths, twin=demo.twin)
     client = FakeClient()
     client.twin_present = False
     demo = run(client)
     assert not demo.twin
-    assert passed(demo.rows, twin=demo.twin)
+    assert passed(demo.rows, demo.paths, twin=demo.twin)
     client = FakeClient()
     client.twin_present = False
     client._residuals.clear()
@@ -214,6 +260,20 @@ def row(arrived: bool = True, residual: Residual | None = None) -> Row:
     return Row("point to point", "axis1", figures, residual)
 
 
+def path_row(ticks_apart: int = 0) -> PathRow:
+    figures = PathFigures(4.0, 0.04, ticks_apart, (COUNT, COUNT), (2 * COUNT, 20 * COUNT), (0.0, 0.0))
+    residuals = (Residual(COUNT, 3 * COUNT, 9),) * 2
+    return PathRow("Lissajous", ("axis1", "axis2"), figures, 0.02, COUNT, residuals)
+
+
+def test_path_table_has_a_line_per_axis() -> None:
+    lines = path_table([path_row()]).splitlines()
+    assert lines[3].split() == ["Lissajous", "axis1", "4.00", "1.0", "2.0", "3.1", "+0.0", "0", "1.0", "3.0", "ok"]
+    assert lines[4].split()[4:6] == ["20.0", "31.4"]
+    assert lines[4].endswith("NOT FOLLOWED")
+    assert path_table([path_row(ticks_apart=1)]).count("NOT FOLLOWED") == 2
+
+
 def test_table_shows_figures_in_handy_units() -> None:
     lines = table([row(residual=Residual(COUNT, 4 * COUNT, 9)), row(arrived=False)]).splitlines()
     assert lines[3].split()[3:7] == ["axis1", "5.0000", "5.0003", "+1.0"]
@@ -224,14 +284,18 @@ def test_table_shows_figures_in_handy_units() -> None:
 
 
 def test_no_rows_is_no_success() -> None:
-    assert not passed([], twin=False)
+    assert not passed([], [path_row()], twin=False)
+    assert not passed([row()], [], twin=False)
 
 
 def test_report_is_json() -> None:
-    figures = json.loads(json.dumps(report([row(), row(arrived=False)], tolerance_counts=2.0, twin=False)))
+    figures = json.loads(
+        json.dumps(report([row(), row(arrived=False)], [path_row()], tolerance_counts=2.0, twin=False))
+    )
     assert figures["passed"] is False
     assert figures["moves"][0]["reached"] == pytest.approx(5 * TURN + COUNT)
     assert figures["moves"][1]["settling_time"] is None
+    assert figures["paths"][0]["ticks_apart"] == 0
 
 
 # ---- command line

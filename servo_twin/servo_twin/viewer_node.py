@@ -19,7 +19,7 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.convert import from_stamp, snapshot_table
+from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_table
 from servo_msgs_py.node_shell import ParameterError, Spec, declare, run, setting_up
 from servo_msgs_py.robot_description import joints_of
 from std_msgs.msg import Bool, Float64MultiArray, String
@@ -128,6 +128,7 @@ class ServoViewer(Node):
             self.create_subscription(Float64MultiArray, topic, partial(self._on_snapshot, topic, take), deep)
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, partial(self._on_description, description), latched)
+        self.create_subscription(Float64MultiArray, f"{board}/{topics.COMMANDS_APPLIED}", self._on_applied, deep)
         self.create_subscription(JointState, f"{twin}/{topics.RESIDUAL}", self._on_residual, deep)
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, latched)
         self.create_subscription(Bool, f"{twin}/{topics.HEALTHY}", self._on_healthy, latched)
@@ -156,6 +157,14 @@ class ServoViewer(Node):
             return
         self._described = True
         self._viewer.joints(joints)
+
+    def _on_applied(self, message: Float64MultiArray) -> None:
+        try:
+            command = applied_from_message(message)
+        except ValueError as error:
+            self._log.warning(str(error), throttle_duration_sec=10.0)
+            return
+        self._viewer.applied(command)
 
     def _on_residual(self, message: JointState) -> None:
         fields = {field: list(getattr(message, field)) for field in scene.RESIDUALS}

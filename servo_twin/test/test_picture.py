@@ -11,7 +11,7 @@ from servo_twin.view import scene
 from servo_twin.view.picture import draw, figure, main
 from servo_twin.view.recording import Recording, RecordingError
 from servo_twin.view.viewer import Viewer
-from viewer_rig import CATALOGUE, COLUMNS, EVERY, START_NS, move, stamp
+from viewer_rig import CATALOGUE, COLUMNS, EVERY, START_NS, move, points, stamp
 
 pytest.importorskip("rerun")
 image = pytest.importorskip("matplotlib.image")
@@ -60,6 +60,24 @@ def test_curves_lie_at_their_times_in_turns_and_counts(tmp_path: Path) -> None:
     assert set(np.round(np.asarray(residual.lines[0].get_ydata()), 6)) == {round(0.004 * 4000 / (2 * np.pi), 6)}
     # From a little before the first movement to a little after the last.
     assert position.get_xlim() == pytest.approx((0.51, 3.5), abs=0.05)
+
+
+def test_a_path_is_drawn_as_one_axis_over_the_other(tmp_path: Path) -> None:
+    viewer = Viewer(Recording(tmp_path / "run.rrd"), CATALOGUE, START_NS)
+    viewer.start()
+    rows = move(lag=0.01)
+    viewer.applied(points(375 * EVERY, 625 * EVERY, replaces=True))
+    viewer.board(COLUMNS, rows)
+    assert viewer.close()
+    *_, plane, error = figure(tmp_path / "run.rrd").axes
+    set_point, board = (np.asarray(line.get_xydata()) for line in plane.lines)
+    assert set_point[:, 1] == pytest.approx(-0.4 * set_point[:, 0], abs=1e-9)
+    assert board[:, 1] == pytest.approx(-0.4 * board[:, 0], abs=1e-9)
+    assert plane.get_aspect() == 1.0
+    first, second = (np.asarray(line.get_ydata()) for line in error.lines)
+    place, reference = (rows[375:626, COLUMNS.index(f"axis1.{name}")] for name in ("position", "position_ref"))
+    assert np.abs(first).max() == pytest.approx(np.abs(place - reference).max() * 4000 / (2 * np.pi))
+    assert second == pytest.approx(-0.4 * first)
 
 
 def test_without_a_twin_there_is_a_picture_of_the_board(tmp_path: Path) -> None:

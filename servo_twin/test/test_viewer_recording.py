@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import Recording, RecordingError, read_scalars, read_texts
 from servo_twin.view.viewer import Viewer
-from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, START_NS, move, stamp, verify
+from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, START_NS, move, points, stamp, verify
 
 pytest.importorskip("rerun")
 
@@ -50,6 +52,19 @@ def record(file: Path) -> Callable[[Callable[[Viewer], None]], Viewer]:
 
 
 Record = Callable[[Callable[[Viewer], None]], Viewer]
+
+
+def read_strips(file: Path, entity: str) -> list[NDArray[np.float64]]:
+    """Strips of a curve in the plane, in the order of time."""
+    from rerun.chunk import RrdReader
+
+    component = "LineStrips2D:strips"
+    found: list[tuple[int, Any]] = []
+    for chunk in RrdReader(file).stream().filter(content=entity, is_static=False, components=component):
+        batch = chunk.to_record_batch()
+        times = np.asarray(batch[scene.TIMELINE].cast("int64")).tolist()
+        found += zip(times, batch[component].to_pylist(), strict=True)
+    return [np.array(strips[0]) for _, strips in sorted(found, key=lambda pair: pair[0])]
 
 
 def test_board_and_twin_come_back_to_the_tick(record: Record, file: Path) -> None:
@@ -171,6 +186,41 @@ def test_states_and_faults_are_told_at_their_tick_with_cause_and_remedy(record: 
     assert [text for _, text in read_texts(file, "/log/axis1")] == ["axis1: STOP", "axis1: STOP -> RUN/SPIN"]
 
 
+def test_the_axes_are_drawn_over_each_other_while_they_follow_a_path(record: Record, file: Path) -> None:
+    rows = move(lag=0.01)
+
+    def feed(viewer: Viewer) -> None:
+        viewer.board(COLUMNS, rows[:250])
+        viewer.applied(points(300 * EVERY, 400 * EVERY, replaces=True))
+        viewer.applied(points(500 * EVERY, 600 * EVERY, replaces=False))
+        for k in range(250, 1000, 50):
+            viewer.board(COLUMNS, rows[k : k + 50])
+
+    record(feed)
+    states = read_texts(file, scene.state_entity("path"), "StateChange:state")
+    assert [state for _, state in states] == ["NO PATH", "ON PATH", "NO PATH"]
+    assert [moment for moment, _ in states] == pytest.approx([0.0, 300 * 0.004, 601 * 0.004], abs=1e-6)
+    for source, column in ((scene.SET_POINT, "position_ref"), (scene.BOARD, "position")):
+        drawn = np.concatenate(read_strips(file, scene.path_entity(source)))
+        wanted = rows[300:601][:, [COLUMNS.index(f"axis{n}.{column}") for n in (1, 2)]]
+        # A strip begins where the one before ends; the vertical axis of the view points downwards.
+        places = np.unique(drawn, axis=0)
+        assert len(places) == len(np.unique(wanted.astype(np.float32), axis=0))
+        assert np.abs(drawn[0] - wanted[0] * (1, -1)).max() < 1e-5
+        assert np.abs(drawn[-1] - wanted[-1] * (1, -1)).max() < 1e-5
+
+
+def test_a_stop_ends_a_path(record: Record, file: Path) -> None:
+    def feed(viewer: Viewer) -> None:
+        viewer.applied(points(100 * EVERY, 400 * EVERY, replaces=True))
+        viewer.applied(AppliedCommand("cmd.quick_stop", 200 * EVERY, (1, 1), 3))
+        viewer.board(COLUMNS, move())
+
+    record(feed)
+    moments = [moment for moment, _ in read_texts(file, scene.state_entity("path"), "StateChange:state")]
+    assert moments == pytest.approx([0.0, 100 * 0.004, 201 * 0.004], abs=1e-6)
+
+
 def test_the_link_and_the_twin_have_states(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         viewer.board_state(START_NS + 50_000_000, "DISCONNECTED no board answers on /dev/ttyUSB0")
@@ -264,6 +314,7 @@ class _Stalled:
         assert self.go.wait(30.0)
 
     def angles(self, *_: Any) -> None: ...
+    def strip(self, *_: Any) -> None: ...
     def state(self, *_: Any) -> None: ...
 
     def text(self, source: str, moment: float, level: str, text: str) -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
@@ -61,6 +63,16 @@ def move(
         parts.append(np.column_stack([place[0] + error, place[1], *speed, *current, *words, np.zeros(samples)]))
     stamps = [divmod(stamp(int(tick), start_ns), 1_000_000_000) for tick in ticks]
     return np.column_stack([*parts, np.array(stamps, dtype=np.float64)])
+
+
+def points(first_tick: int, last_tick: int, *, replaces: bool) -> AppliedCommand:
+    """Points of both axes at two ticks, as the board took them."""
+    chosen = [
+        TimedPoint(axis, tick, 0.0, 0.0, replaces=replaces and tick == first_tick)
+        for tick in (first_tick, last_tick)
+        for axis in (0, 1)
+    ]
+    return AppliedCommand("cmd.points", first_tick - 100, tuple(encode_points(CATALOGUE, chosen)), 3)
 
 
 def verify(path: Path) -> subprocess.CompletedProcess[str]:

@@ -12,7 +12,7 @@ _WINDOW: Final = 15.0  # what the plots show of the past [s]
 
 
 def blueprint() -> Any:
-    """Per axis position, speed, current and residual; beside them shafts, states and log."""
+    """Per axis position, speed, current and residual; beside them shafts and path, states and log."""
     import rerun.blueprint as rrb
     from rerun.blueprint.encodings import TextLogColumnKind
 
@@ -50,11 +50,18 @@ def blueprint() -> Any:
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=[0.13, -0.03, 0.43], look_target=[0.13, 0.0, 0.0], eye_up=[0, 1, 0]),
     )
+    first, second = (name for _, name in scene.axes())
+    path = rrb.Spatial2DView(
+        name=f"path: {second} over {first}",
+        origin="/path",
+        time_ranges=[rrb.VisibleTimeRange(scene.TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=end)],
+    )
     states = rrb.StateTimelineView(name="states", origin="/state", time_view=time_axis)
     kinds = [TextLogColumnKind.LogLevel, TextLogColumnKind.Body]
     log = rrb.TextLogView(name="log", origin="/log", columns=rrb.TextLogColumns(text_log_columns=kinds))
+    views = rrb.Vertical(shafts, path, states, log, row_shares=[3, 4, 3, 3])
     return rrb.Blueprint(
-        rrb.Horizontal(*columns, rrb.Vertical(shafts, states, log, row_shares=[4, 3, 3]), column_shares=[3, 3, 2]),
+        rrb.Horizontal(*columns, views, column_shares=[3, 3, 2]),
         rrb.TimePanel(state="collapsed", timeline=scene.TIMELINE, play_state="following"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),

@@ -1,5 +1,8 @@
 """A picture of a recording: position and speed of both axes with set-point, board and twin, and the residual.
 
+When the axes have followed a path, the last one is shown beside them: one axis over the other, and how far the shafts
+were from their set-points.
+
 Run as ``python -m servo_twin.view.picture RECORDING PICTURE``.
 """
 
@@ -28,11 +31,13 @@ __all__ = ["draw", "figure", "main"]
 _Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 _SIZE: Final = (16.0, 10.0)  # [inch]
+_PATH_WIDTH: Final = 6.5  # of the column that shows a path [inch]
 _DPI: Final = 100
 _MARGIN: Final = 0.5  # shown before the first and after the last movement [s]
 _MOVING: Final = 0.5  # speed above which a shaft moves [rad/s]
 _TURN: Final = 2.0 * np.pi
 _INK: Final = "#2b2f36"
+_PALE: Final = "#7fb2ec"  # the second axis where the first has the colour of the board
 _FAINT: Final = "#e4e7ec"
 
 
@@ -96,7 +101,14 @@ def figure(rrd: Path) -> Figure:
         raise RecordingError(f"{rrd} holds no telemetry of a board: was the bridge connected while it was recorded?")
     speeds = [curves[axis, "speed", scene.BOARD] for axis, _ in scene.axes()]
     states = [read_texts(rrd, scene.state_entity(name), "StateChange:state") for _, name in scene.axes()]
-    return _figure(curves, residuals, states, _span(speeds))
+    spans = _path_spans(read_texts(rrd, scene.state_entity("path"), "StateChange:state"))
+    return _figure(curves, residuals, states, _span(speeds), spans[-1] if spans else None)
+
+
+def _path_spans(states: Sequence[tuple[float, str]]) -> list[tuple[float, float]]:
+    """Begin and end of every path [s]."""
+    ends = [time for time, _ in states[1:]] + [np.inf]
+    return [(time, end) for (time, state), end in zip(states, ends, strict=True) if state == scene.PATH_STATES[1]]
 
 
 def _span(speeds: Sequence[_Curve]) -> tuple[float, float]:
@@ -114,6 +126,7 @@ def _figure(
     residuals: Sequence[_Curve],
     states: Sequence[list[tuple[float, str]]],
     span: tuple[float, float],
+    path_span: tuple[float, float] | None,
 ) -> Figure:
     try:
         from matplotlib.figure import Figure
@@ -121,8 +134,17 @@ def _figure(
     except ImportError as error:
         raise RecordingError(f"matplotlib cannot be imported ({error}); install it: pip install matplotlib") from None
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
-    result = Figure(figsize=_SIZE, layout=layout, facecolor="white")
-    grid: Any = result.subplots(len(_ROWS) + 1, len(residuals), sharex=True, squeeze=False, height_ratios=[3, 3, 2])
+    width, height = _SIZE
+    beside = _PATH_WIDTH if path_span is not None else 0.0
+    result = Figure(figsize=(width + beside, height), layout=layout, facecolor="white")
+    widths = [width / len(residuals)] * len(residuals) + ([beside] if beside else [])
+    places = result.add_gridspec(len(_ROWS) + 1, len(widths), height_ratios=[3, 3, 2], width_ratios=widths)
+    grid = np.empty((len(_ROWS) + 1, len(residuals)), dtype=object)
+    for row, axis in np.ndindex(*grid.shape):
+        grid[row, axis] = result.add_subplot(places[row, axis], sharex=grid[0, 0])
+        grid[row, axis].tick_params(labelbottom=row == len(_ROWS))
+    if path_span is not None:
+        _path(result.add_subplot(places[:-1, -1]), result.add_subplot(places[-1, -1]), curves, path_span)
     for axis, name in scene.axes():
         column: list[Axes] = list(grid[:, axis])
         column[0].set_title(name, fontsize=15, fontweight="bold", color=_INK, loc="left")
@@ -142,6 +164,32 @@ def _figure(
     handles, labels = grid[0, 0].get_legend_handles_labels()
     result.legend(handles, labels, loc="outside upper right", ncols=len(labels), frameon=False, fontsize=13)
     return result
+
+
+def _path(plane: Axes, error: Axes, curves: dict[tuple[int, str, str], _Curve], span: tuple[float, float]) -> None:
+    """One axis over the other along a path, and below it how far each shaft is from its set-point."""
+    names = [name for _, name in scene.axes()]
+    time = curves[0, "position", scene.BOARD][0]
+    time = time[(time >= span[0]) & (time <= span[1])]
+    places = {
+        source: [np.interp(time, *curves[axis, "position", source]) for axis, _ in scene.axes()]
+        for source in (scene.SET_POINT, scene.BOARD)
+        if all(len(curves[axis, "position", source][0]) for axis, _ in scene.axes())
+    }
+    for source, values in places.items():
+        plane.plot(*(value / _TURN for value in values), color=_colour(source), **_STYLES[source])
+    plane.set_aspect("equal", adjustable="datalim")
+    plane.set_title(f"path: {names[1]} over {names[0]} [turns]", fontsize=15, fontweight="bold", color=_INK, loc="left")
+    _dress(plane, "")
+    _dress(error, "board − set-point [counts]")
+    error.set_xlabel("board time [s]", color=_INK, fontsize=11)
+    if scene.SET_POINT in places:
+        errors = np.subtract(places[scene.BOARD], places[scene.SET_POINT]) * (COUNTS_PER_TURN / _TURN)
+        for values, name, colour in zip(errors, names, (_colour(scene.BOARD), _PALE), strict=True):
+            error.plot(time, values, color=colour, linewidth=1.5, label=name)
+        error.margins(y=0.2)  # room for the legend
+        error.legend(loc="upper left", ncols=len(names), frameon=False, fontsize=10)
+        error.set_title(f"largest {np.abs(errors).max():.1f} counts", loc="right", fontsize=10, color=_INK)
 
 
 def _residual(plot: Axes, curve: _Curve, span: tuple[float, float]) -> None:

@@ -28,6 +28,8 @@ _FLUSH_TIMEOUT: Final = 3.0  # [s]
 _LEVELS: Final = ("DEBUG", "INFO", "WARN", "ERROR")
 # The three curves often lie on each other: drawn in this order and ever thinner, all can be seen.
 _WIDTHS: Final = {scene.BOARD: 3.5, scene.SET_POINT: 2.0, scene.TWIN: 1.0}
+# The same in the plane, from the bottom to the top [pixel].
+_RADII: Final = {scene.SET_POINT: 2.5, scene.BOARD: 0.8}
 _DIAL: Final = 0.10  # radius of the dial behind the hands [m]
 
 
@@ -112,7 +114,12 @@ class Recording:
                 )
                 log(scene.residual_entity(axis, field), style)
             log(scene.state_entity(name), self._states())
-        for name in ("link", "twin"):
+        for order, (source, radius) in enumerate(_RADII.items()):
+            style = rr.LineStrips2D.from_fields(
+                colors=[scene.COLOURS[source]], radii=rr.Radius.ui_points(radius), draw_order=order
+            )
+            log(scene.path_entity(source), style)
+        for name in ("link", "twin", "path"):
             log(scene.state_entity(name), self._states())
 
     def _states(self) -> Any:
@@ -170,6 +177,12 @@ class Recording:
         quaternions = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
         columns = self._rr.Transform3D.columns(quaternion=quaternions)
         self._stream.send_columns(entity, indexes=[self._column(times)], columns=columns)
+
+    def strip(self, entity: str, time: float, points: NDArray[np.float64]) -> None:
+        """A piece of a curve in the plane, samples by 2; drawn with the second number upwards."""
+        self._stream.set_time(scene.TIMELINE, duration=time)
+        # The vertical axis of a view in 2D points downwards.
+        self._stream.log(entity, self._rr.LineStrips2D.from_fields(strips=[points * (1.0, -1.0)]))
 
     def state(self, name: str, time: float, state: str) -> None:
         """A state from `time` on."""

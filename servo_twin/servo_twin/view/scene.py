@@ -14,6 +14,7 @@ from servo_msgs_py.joints import Joint
 __all__ = [
     "BOARD",
     "COLOURS",
+    "PATH_STATES",
     "QUANTITIES",
     "RESIDUAL",
     "RESIDUALS",
@@ -24,6 +25,7 @@ __all__ = [
     "Colour",
     "Quantity",
     "axes",
+    "path_entity",
     "residual_entity",
     "series_entity",
     "shaft_entity",
@@ -62,8 +64,13 @@ STATE_COLOURS: Final[dict[str, Colour]] = {
     "CONNECTED": (50, 160, 80),
     "FOLLOWS": (50, 160, 80),
     "APART": (200, 130, 40),
+    "NO PATH": (95, 105, 120),
+    "ON PATH": (50, 160, 80),
 }
-"""States of the axes, of the link and of the twin."""
+"""States of the axes, of the link, of the twin and of the path."""
+
+PATH_STATES: Final = ("NO PATH", "ON PATH")
+"""States of the path: whether the axes follow one."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +122,13 @@ def residual_entity(axis: int, field: str) -> str:
 
 
 def state_entity(name: str) -> str:
-    """Where a state lies: of an axis, of the ``link`` or of the ``twin``."""
+    """Where a state lies: of an axis, of the ``link``, of the ``twin`` or of the ``path``."""
     return f"/state/{name}"
+
+
+def path_entity(source: str) -> str:
+    """Where the positions of both axes against each other lie: ``/path/board``."""
+    return f"/path/{source}"
 
 
 def shaft_entity(axis: int, source: str) -> str:

@@ -17,13 +17,14 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue
-from servo_msgs_py.convert import flag_texts, state_label
+from servo_msgs_py.convert import AppliedCommand, flag_texts, state_label
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint
 from servo_msgs_py.topics import STAMP_COLUMNS
 
 from servo_twin.view import scene
 from servo_twin.view.board_time import BoardTime
 from servo_twin.view.curves import Curves, Hand
+from servo_twin.view.path_span import PathSpan
 
 __all__ = ["Recorder", "Viewer"]
 
@@ -33,6 +34,7 @@ _Table = NDArray[np.float64]
 _NS: Final = 1_000_000_000
 _TOLERANCE: Final = 1e-6  # of times that are meant to be the same [s]
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
+_USUAL: Final = ("CONNECTED", "FOLLOWS", *scene.PATH_STATES)  # states that are no trouble
 _LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of diagnostics: OK, WARN, ERROR, STALE
 
 
@@ -41,6 +43,7 @@ class Recorder(Protocol):
 
     def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None: ...
     def angles(self, entity: str, times: NDArray[np.float64], angles: NDArray[np.float64]) -> None: ...
+    def strip(self, entity: str, time: float, points: NDArray[np.float64]) -> None: ...
     def state(self, name: str, time: float, state: str) -> None: ...
     def text(self, source: str, time: float, level: str, text: str) -> None: ...
     def close(self) -> None: ...
@@ -89,6 +92,8 @@ class Viewer:
         self._joints: Sequence[Joint] = DEFAULT_JOINTS
         self._curves = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)}
         self._hands = [{source: Hand() for source in (scene.BOARD, scene.TWIN)} for _ in range(AXES)]
+        self._span = PathSpan(catalogue)
+        self._drawn: dict[str, NDArray[np.float64]] = {}  # where the strips of a path end
         self._labels: list[str] = [""] * AXES
         self._faults = [0] * AXES
         self._states: dict[str, str] = {}
@@ -121,6 +126,10 @@ class Viewer:
     def twin(self, columns: Sequence[str], table: _Table) -> None:
         """Telemetry of the twin, at ticks of the board."""
         self._post(lambda: self._rows(scene.TWIN, columns, table), follows=True)
+
+    def applied(self, command: AppliedCommand) -> None:
+        """A command took effect on the board; timed points tell when it follows a path."""
+        self._post(lambda: self._span.applied(command))
 
     def residual(self, stamp_ns: int, fields: Mapping[str, Sequence[float]]) -> None:
         """Residual: per field of `scene.RESIDUALS` one number per axis."""
@@ -219,6 +228,7 @@ class Viewer:
         if self._time.resets != resets:
             self._say("board", float(times[-1]), "WARN", "the board was reset: its ticks and positions begin anew")
         self._plot(scene.BOARD, times, columns, table)
+        self._path(times, columns, table, self._span.contains(ticks))
         for axis, name in scene.axes():
             wanted = [f"{name}.{column}" for column in ("state", "substate", "faults")]
             if all(column in columns for column in wanted):
@@ -248,6 +258,26 @@ class Viewer:
             if angles is not None:
                 self._hands[axis][source].add(times, angles)
         self._curves[source].add(times, points)
+
+    def _path(
+        self, times: NDArray[np.float64], columns: Sequence[str], table: _Table, inside: NDArray[np.bool_]
+    ) -> None:
+        """Draw the axes against each other while they follow a path."""
+        for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(inside)) + 1):
+            on_path = bool(inside[part[0]])
+            self._state(float(times[part[0]]), "path", scene.PATH_STATES[on_path])
+            if not on_path:
+                self._drawn.clear()
+                continue
+            for source in (scene.SET_POINT, scene.BOARD):
+                position = scene.QUANTITIES[0]
+                wanted = [position.column(source, axis) for axis, _ in scene.axes()]
+                if all(column in columns for column in wanted):
+                    motors = (table[part, columns.index(column)] for column in wanted)
+                    points = np.column_stack(list(map(position.of_joint, self._joints, motors)))
+                    strip = np.vstack([self._drawn.get(source, points[:1]), points])
+                    self._drawn[source] = points[-1:]
+                    self._recording.strip(scene.path_entity(source), float(times[part[-1]]), strip)
 
     def _residual(self, stamp_ns: int, fields: Mapping[str, Sequence[float]]) -> None:
         moment = self._time.of_stamp(stamp_ns)
@@ -291,11 +321,11 @@ class Viewer:
                     self._recording.state(name, moment, "DISCONNECTED")
 
     def _state(self, moment: float, name: str, state: str, text: str = "") -> None:
-        """State of the link or of the twin."""
+        """State of the link, of the twin or of the path."""
         if self._states.get(name) != state:
             self._states[name] = state
             self._recording.state(name, moment, state)
-            self._say(name, moment, "INFO" if state in ("CONNECTED", "FOLLOWS") else "WARN", text or state)
+            self._say(name, moment, "INFO" if state in _USUAL else "WARN", text or state)
 
     def _diagnosis(self, stamp_ns: int, name: str, level: int, message: str) -> None:
         """Note a status when its level changes, and trouble also when it becomes another one."""

@@ -1,0 +1,52 @@
+"""Figures of a path from samples of two shafts that follow it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from servo_bridge.path_metrics import PathFigures, measure_path
+from servo_bridge.trajectory.shapes import lissajous
+
+COUNT = 2.0 * np.pi / 4000
+TICK = 62.5e-6
+JOINTS = ("axis1", "axis2")
+PATH = lissajous(JOINTS, [1.0, -2.0], [6.0, 6.0], [1.0, 1.5], 4.0, phase=0.0)
+TIME = np.arange(0.0, 4.3, 0.005)
+
+
+def places(*starts: float) -> NDArray[np.float64]:
+    """Both joints on the path, begun at times of their own, in whole counts."""
+    columns = [PATH.state(TIME - start).position[:, k] for k, start in enumerate(starts)]
+    return np.round(np.column_stack(columns) / COUNT) * COUNT
+
+
+def measured(first: int, second: int, lag: float = 0.0, guess: float = 0.0) -> PathFigures:
+    """Joints that begin at these ticks; the shafts are late by a lag [s]."""
+    return measure_path(
+        TIME, places(first * TICK + lag, second * TICK + lag), places(first * TICK, second * TICK), PATH, guess
+    )
+
+
+@pytest.mark.parametrize(("first", "second"), [(640, 640), (640, 641), (643, 640), (640, 656)])
+def test_ticks_between_the_starts_are_found_to_the_tick(first: int, second: int) -> None:
+    figures = measured(first, second)
+    assert figures.ticks_apart == abs(first - second)
+    assert figures.start == pytest.approx(TICK * (first + second) / 2, abs=TICK / 4)
+    assert figures.duration == 4.0
+
+
+@pytest.mark.parametrize("guess", [0.0, 0.15])
+def test_a_late_shaft_is_a_following_error_of_its_speed(guess: float) -> None:
+    figures = measured(640, 640, lag=2e-3, guess=guess)
+    speeds = np.abs(PATH.state(np.linspace(0.0, 4.0, 4001)).velocity).max(axis=0)
+    assert figures.ticks_apart == 0
+    assert figures.error_max == pytest.approx(tuple(2e-3 * speeds), abs=2 * COUNT)
+    assert figures.end_error == pytest.approx((0.0, 0.0), abs=COUNT)
+
+
+def test_samples_that_do_not_hold_the_path_are_named() -> None:
+    with pytest.raises(ValueError, match="do not hold a path from"):
+        measure_path(TIME[:700], places(0.04, 0.04)[:700], places(0.04, 0.04)[:700], PATH, 0.0)
+    with pytest.raises(ValueError, match="shape"):
+        measure_path(TIME, places(0.04, 0.04)[:, :1], places(0.04, 0.04), PATH, 0.0)
