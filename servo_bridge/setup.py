@@ -25,6 +25,7 @@ setup(
         (SHARE, ["package.xml"]),
         (f"{SHARE}/launch", sorted(glob("launch/*.launch.py"))),
         (f"{SHARE}/config", sorted(glob("config/*.yaml"))),
+        (f"{SHARE}/urdf", sorted(glob("urdf/*.urdf"))),
         # pip puts console scripts into bin/, where `ros2 run` and launch do not look.
         (f"lib/{PACKAGE}", sorted(glob("scripts/*"))),
     ],

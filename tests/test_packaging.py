@@ -304,7 +304,7 @@ def test_ros_executable_runs_in_the_environment_it_was_installed_into(prefix: Pa
 def test_launch_and_configuration_files_are_installed(prefix: Path, package: str) -> None:
     share = prefix / "share"
     assert (share / "ament_index" / "resource_index" / "packages" / package).exists()
-    for pattern in ("package.xml", "launch/*.launch.py", "config/*.yaml"):
+    for pattern in ("package.xml", "launch/*.launch.py", "config/*.yaml", "urdf/*.urdf"):
         for path in (ROOT / package).glob(pattern):
             installed = share / package / path.relative_to(ROOT / package)
             assert installed.read_bytes() == path.read_bytes()

@@ -29,11 +29,12 @@ REASON = "no `ros2 launch`: it has no wheel; source a ROS 2, or `make launch-too
 class Launch:
     """One ``ros2 launch``, in a process group of its own."""
 
-    def __init__(self, folder: Path, file: str, *arguments: str) -> None:
+    def __init__(self, folder: Path, file: str, *arguments: str, prefix: Path | None = None) -> None:
         folder.mkdir(exist_ok=True)
         self.log_file = folder / "log"
         python_path = [str(TOOLS), *filter(None, [os.environ.get("PYTHONPATH")])]
-        prefixes = [sys.prefix, *filter(None, [os.environ.get("AMENT_PREFIX_PATH")])]
+        given = os.environ.get("AMENT_PREFIX_PATH", "")
+        prefixes = [path for path in (str(prefix or ""), sys.prefix, given) if path]
         environment = {
             **os.environ,
             "ROS_DOMAIN_ID": str(DOMAIN),
@@ -42,6 +43,8 @@ class Launch:
             "AMENT_PREFIX_PATH": os.pathsep.join(prefixes),
             "PYTHONUNBUFFERED": "1",
         }
+        if prefix is not None:
+            environment["PATH"] = os.pathsep.join([str(prefix / "bin"), os.environ["PATH"]])
         command = [sys.executable, "-c", ROS2, "launch", str(FOLDER / file), "viewer:=false", *arguments]
         with self.log_file.open("w") as output:
             self.process = subprocess.Popen(bound_to_us(command), stdout=output, stderr=output, env=environment)
@@ -82,8 +85,8 @@ def launch(tmp_path: Path) -> Iterator[Start]:
         pytest.skip(REASON)
     started: list[Launch] = []
 
-    def start(file: str, *arguments: str) -> Launch:
-        started.append(Launch(tmp_path / f"launch{len(started)}", file, *arguments))
+    def start(file: str, *arguments: str, prefix: Path | None = None) -> Launch:
+        started.append(Launch(tmp_path / f"launch{len(started)}", file, *arguments, prefix=prefix))
         return started[-1]
 
     yield start
@@ -150,4 +153,49 @@ def test_parameters_simulated_time_and_respawn(launch: Start, tmp_path: Path) ->
     one.until("parameter healthy_after")  # 99 s is out of its range, so the twin says that it has read the file
     one.kill_bridge()
     one.until("connected to servo at ", count=2)
+    assert one.interrupt() == 0, one.log()
+
+
+@pytest.fixture
+def control_packages(tmp_path: Path) -> Path:
+    """An installation in which each program of ros2_control prints its arguments, and waits to be ended."""
+    prefix = tmp_path / "prefix"
+    programs = {
+        "lib/controller_manager/ros2_control_node": "sleep 600",
+        "lib/controller_manager/spawner": "",
+        "lib/robot_state_publisher/robot_state_publisher": "sleep 600",
+        "bin/ros2": "",
+    }
+    for name, then in programs.items():
+        program = prefix / name
+        program.parent.mkdir(parents=True, exist_ok=True)
+        program.write_text(f'#!/bin/sh\necho "{program.name} runs with $*"\nexec {then}\n')
+        program.chmod(0o755)
+    index = prefix / "share" / "ament_index" / "resource_index" / "packages"
+    index.mkdir(parents=True)
+    for package in ("controller_manager", "robot_state_publisher"):
+        (index / package).touch()
+        (prefix / "share" / package).mkdir()
+    return prefix
+
+
+def test_ros2_control_gets_the_joints_of_the_bridge(launch: Start, tmp_path: Path, control_packages: Path) -> None:
+    parameters = tmp_path / "bridge.yaml"
+    parameters.write_text("/**:\n  ros__parameters:\n    joints: [lift, pan]\n    gear_ratio: [50.0, 4.0]\n")
+    one = launch(
+        "ros2_control.launch.py", "virtual:=true", "baud:=115200", "namespace:=robotA", f"port:={tmp_path}/board",
+        f"params:={parameters}", prefix=control_packages,
+    )  # fmt: skip
+    one.until(r"\[robotA\.servo\.servo_bridge\]: connected to servo at ")
+    (files,) = one.until(r"robot_state_publisher runs with .*--params-file (\S+)")
+    text = Path(files).read_text()
+    assert "/robotA/servo/joint_commands" in text
+    assert "mechanical_reduction>50.0<" in text
+    (manager,) = one.until(r"ros2_control_node runs with (.*)")
+    assert "__ns:=/robotA" in manager
+    assert "~/robot_description:=robot_description" in manager
+    assert "ros2_controllers.yaml" in manager
+    (spawner,) = one.until(r"spawner runs with (.*)")
+    assert spawner.startswith("joint_state_broadcaster joint_trajectory_controller --param-file ")
+    assert one.log().index("ros2_control_node runs") < one.log().index("spawner runs")
     assert one.interrupt() == 0, one.log()

@@ -1,0 +1,82 @@
+"""The two axes under ros2_control: bridge, robot_state_publisher, controller_manager and two controllers.
+
+ros2 launch servo_bridge ros2_control.launch.py port:=/dev/ttyUSB0
+ros2 launch servo_bridge ros2_control.launch.py virtual:=true
+ros2 service call /servo/enable std_srvs/srv/SetBool "{data: true}"       # then the controllers move the axes
+
+Needs ros-jazzy-ros2-control, ros-jazzy-ros2-controllers, ros-jazzy-joint-state-topic-hardware-interface and
+ros-jazzy-robot-state-publisher. doc/ros2_control.md says how it works.
+"""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+    RegisterEventHandler,
+)
+from launch.event_handlers import OnProcessExit
+from launch.launch_description_entity import LaunchDescriptionEntity
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution, ThisLaunchFileDir
+from launch_ros.actions import Node, PushRosNamespace
+from launch_ros.parameter_descriptions import ParameterValue
+from servo_bridge.description import description_from_file
+
+CONFIG = Path(get_package_share_directory("servo_bridge")) / "config"
+
+ARGUMENTS = {
+    "virtual": ("false", "true: start a virtual board"),
+    "port": ("", "serial port of the board, or a pyserial URL; empty: as for bridge.launch.py"),
+    "baud": ("1000000", "line speed [bit/s]; of a real board what its firmware was built for"),
+    "namespace": ("", "put before everything: one for each board"),
+    "params": (str(CONFIG / "servo_bridge.yaml"), "parameter file of the bridge; joints and limits are taken from it"),
+    "controllers": (str(CONFIG / "ros2_controllers.yaml"), "parameter file of controller_manager and controllers"),
+    "twin": ("false", "true: the twin, too"),
+    "viewer": ("false", "true: the rerun viewer, too"),
+}
+
+
+def _under_control(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """What needs the robot description, which follows from the parameter file."""
+    value = {name: context.perform_substitution(LaunchConfiguration(name)) for name in ARGUMENTS}
+    text = description_from_file(value["params"], value["namespace"])
+    robot = {"robot_description": ParameterValue(text, value_type=str)}
+    publisher = Node(
+        package="robot_state_publisher", executable="robot_state_publisher", parameters=[robot], output="screen"
+    )
+    manager = Node(
+        package="controller_manager",
+        executable="ros2_control_node",
+        parameters=[value["controllers"]],
+        remappings=[("~/robot_description", "robot_description")],
+        output="screen",
+    )
+    spawner = Node(
+        package="controller_manager",
+        executable="spawner",
+        arguments=["joint_state_broadcaster", "joint_trajectory_controller", "--param-file", value["controllers"]],
+        output="screen",
+    )
+    # A controller that starts before the first state would take NaN for the position of its joints.
+    namespace = value["namespace"].strip("/")
+    states = f"{'/' if namespace else ''}{namespace}/servo/joint_states"
+    first_state = ExecuteProcess(cmd=["ros2", "topic", "echo", "--once", states], output="log")
+    spawn = RegisterEventHandler(OnProcessExit(target_action=first_state, on_exit=[spawner]))
+    return [GroupAction([PushRosNamespace(value["namespace"]), publisher, manager, spawn, first_state])]
+
+
+def generate_launch_description() -> LaunchDescription:
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    passed = {name: LaunchConfiguration(name) for name in ARGUMENTS if name != "controllers"}
+    file = PathJoinSubstitution([ThisLaunchFileDir(), "bridge.launch.py"])
+    bridge = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=passed.items())
+    return LaunchDescription([*declared, GroupAction([bridge]), OpaqueFunction(function=_under_control)])

@@ -1,0 +1,83 @@
+"""The robot description of a bridge that does not run yet, from its parameter file.
+
+``python -m servo_bridge.description --params my.yaml > servo.urdf``
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.robot_description import describe
+
+from servo_bridge.parameters import PARAMETERS, ParameterError, settings_from
+from servo_msgs_py import topics
+
+__all__ = ["description_from_file", "main"]
+
+
+def description_from_file(params: str = "", namespace: str = "") -> str:
+    """Robot description as the bridge will publish it.
+
+    Parameters
+    ----------
+    params : str
+        Parameter file of the bridge; empty: the defaults.
+    namespace : str
+        Put before ``servo``, as in the launch files.
+
+    Returns
+    -------
+    str
+        URDF.
+
+    Raises
+    ------
+    ParameterError
+        If the file cannot be read, or its values make no sense.
+    """
+    board = f"{'/' if namespace.strip('/') else ''}{namespace.strip('/')}/servo"
+    values = {name: spec.default for name, spec in PARAMETERS.items()}
+    if params:
+        node = f"{board}/servo_bridge"
+        try:
+            sections = yaml.safe_load(Path(params).read_text(encoding="utf-8"))
+            named = [key for key in sections if key in (node, node[1:])]
+            given = parameter_dict_from_yaml_file(params, True, target_nodes=named or ["/**"])
+        except (OSError, RuntimeError, TypeError, ValueError, yaml.YAMLError) as error:
+            raise ParameterError(f"parameter file {params}: {error}") from None
+        values |= {name: parameter_value_to_python(given[name].value) for name in PARAMETERS if name in given}
+    catalogue = Catalogue.load()
+    settings = settings_from(values, catalogue)
+    return describe(
+        settings.joints,
+        catalogue,
+        commands_topic=f"{board}/{topics.JOINT_COMMANDS}",
+        states_topic=f"{board}/{topics.JOINT_STATES}",
+        interfaces=settings.command_interfaces,
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line; exit status 2 when the parameter file makes no sense."""
+    parser = argparse.ArgumentParser(
+        prog="servo_bridge.description", description="Print the robot description (URDF) of a bridge."
+    )
+    parser.add_argument("--params", default="", metavar="FILE", help="parameter file (default: the bridge's defaults)")
+    parser.add_argument("--namespace", default="", metavar="NS", help="of the launch, before `servo`")
+    args = parser.parse_args(argv)
+    try:
+        print(description_from_file(args.params, args.namespace), end="")
+    except ParameterError as error:
+        print(f"servo_bridge.description: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
