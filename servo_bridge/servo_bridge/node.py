@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.node_shell import claim_name, run, setting_up
+from servo_msgs_py.node_shell import claim_name, full_name, run, setting_up
 
 from servo_bridge.entities import Entities
 from servo_bridge.parameters import PARAMETERS, ParameterError, declare, settings_from, values_of, watch
@@ -77,6 +77,8 @@ class ServoBridge(LifecycleNode):
             self._answer_every_transition()
             if values["autostart"]:
                 self._start()
+            else:
+                self.get_logger().info(f"unconfigured; go on with: ros2 lifecycle set /{full_name(self)} configure")
 
     def shutdown(self) -> None:
         """Switch both axes off, close the port and end the node; takes a few seconds at most."""

@@ -199,3 +199,10 @@ def test_ros2_control_gets_the_joints_of_the_bridge(launch: Start, tmp_path: Pat
     assert spawner.startswith("joint_state_broadcaster joint_trajectory_controller --param-file ")
     assert one.log().index("ros2_control_node runs") < one.log().index("spawner runs")
     assert one.interrupt() == 0, one.log()
+
+
+def test_a_bridge_without_autostart_waits_for_its_transitions(launch: Start, tmp_path: Path) -> None:
+    one = launch("bridge.launch.py", f"port:={tmp_path}/board", "twin:=false", "autostart:=false")
+    one.until(r"unconfigured; go on with: ros2 lifecycle set /servo/servo_bridge configure")
+    assert one.interrupt() == 0, one.log()
+    assert "connecting to" not in one.log()
