@@ -151,7 +151,7 @@ def test_what_is_not_possible_is_answered_and_the_node_lives_on() -> None:
         assert len(rig.links) == 1
 
 
-def test_a_clean_up_takes_everything_back_and_other_parameters_count_then() -> None:
+def test_a_clean_up_takes_everything_back_and_other_parameters_count_then(monkeypatch: pytest.MonkeyPatch) -> None:
     with Rig() as rig:
         configured = endpoints(rig)
         rig.ready()
@@ -162,14 +162,24 @@ def test_a_clean_up_takes_everything_back_and_other_parameters_count_then() -> N
             "deactivate, then cleanup"
         )
         assert rig.set_parameter("port", "/dev/ttyUSB0")[0], "it is that already"
-        first = rig.link
+        first, supervisor = rig.link, rig.bridge.supervisor
+        assert supervisor is not None
         assert change(rig, "deactivate")[0]
-        for _ in range(20):
-            rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))  # come while it cleans up
+        close = first.close
+
+        def close_under_load(*arguments: Any) -> bool:
+            for _ in range(20):
+                rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
+            return close(*arguments)
+
+        monkeypatch.setattr(first, "close", close_under_load)
         assert change(rig, "cleanup") == (True, UNCONFIGURED)
         assert [(name, list(values)) for name, values in first.final] == [("cmd.enable", [0.0, 0.0])]
         rig.until(lambda: rig.user.count_publishers(topics.JOINT_STATES) == 0)
-        first.sample()  # of a link that is closed
+        first.sample()  # what is under way when it ends comes to nothing
+        supervisor._every_second()
+        supervisor._publish_variables()
+        supervisor._keep_alive.send()
         for name, value in (("port", "/dev/other"), ("baud", 9600), ("joints", ["pan", "axis2"])):
             assert rig.set_parameter(name, value)[0]
         assert not rig.set_parameter("autostart", False)[0]
