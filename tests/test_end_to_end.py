@@ -211,6 +211,24 @@ class TestNormalWork:
         assert me.last("/servo/state") == SPIN
         assert said in me.rejections()[-1].lower()
 
+    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    def test_a_path_of_the_command_line_stops_with_it_and_holds(self, me: User, tmp_path: Path, number: int) -> None:
+        terminal = Chain(tmp_path)
+        try:
+            command = terminal.script(
+                "servo-command", "sine", "axis1", "--amplitude", "6", "--frequency", "1", "--for", "10"
+            )
+            me.until(lambda: abs(me.messages["/servo/joint_states"][-1].velocity[0]) > 30.0, 20.0, "no motion")
+            assert command.stop(number) == 130
+        finally:
+            terminal.end()
+            print(terminal.logs())
+        assert "stopped: axis1 at " in command.text()
+        me.until(lambda: at_rest(me), 5.0, "the shaft does not hold")
+        me.seconds(1.0)  # a period of the sine
+        assert at_rest(me)
+        assert me.last("/servo/state") == SPIN
+
     def test_disabled_means_off_and_set_points_are_refused(self, me: User) -> None:
         assert me.enable(False)[0]
         me.until(lambda: me.last("/servo/state") == STOP)

@@ -168,10 +168,16 @@ def test_wrong_command_lines(arguments: list[str], text: str, capsys: pytest.Cap
     assert text in capsys.readouterr().err
 
 
-def test_parameters_reach_the_board(started: list[Up], tmp_path: Path) -> None:
-    up = Up(tmp_path, "--set", "param.features[0]=ANTI_WINDUP+FRICTION", "--set", "param.host_timeout=0.25")
+def test_parameters_and_plant_reach_board_and_twin(started: list[Up], tmp_path: Path) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text("[axis1]\ninertia = 1.2e-5\n")
+    options = ("--set", "param.features[0]=ANTI_WINDUP+FRICTION", "--set", "param.host_timeout=0.25")
+    up = Up(tmp_path, *options, "--plant", str(plant))
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
+    for name, argument in (("virtual_board", str(plant)), ("servo_twin", f"plant:={plant}")):
+        entry = next(entry for entry in Path("/proc").glob("[0-9]*") if _is(entry, f"bin/{name}\0", up.mark))
+        assert argument in (entry / "cmdline").read_text().split("\0")
     get = [str(executable("servo-command")), "get", "param.features[0]", "param.host_timeout"]
     environment = {**os.environ, "ROS_DOMAIN_ID": domain(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     done = subprocess.run(get, env=environment, capture_output=True, text=True, timeout=30.0, check=True)
@@ -197,5 +203,16 @@ def test_ctrl_c_ends_the_demonstration(started: list[Up], tmp_path: Path, when: 
 
 def test_help_names_every_option() -> None:
     text = parser().format_help()
-    for option in ("--port", "--baud", "--seed", "--no-web", "--record", "--domain-id", "--set", "--demo", "--out"):
+    for option in (
+        "--port",
+        "--baud",
+        "--seed",
+        "--no-web",
+        "--record",
+        "--domain-id",
+        "--set",
+        "--demo",
+        "--out",
+        "--twin-plant",
+    ):
         assert option in text

@@ -17,7 +17,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
@@ -31,6 +33,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 from sensor_msgs.msg import JointState
 from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, find, merged, parameters, parse, si
@@ -65,10 +68,27 @@ class CommandError(RuntimeError):
 
 
 class Commander(Node):
-    """A user of one servo."""
+    """A user of one servo.
 
-    def __init__(self, executor: EventsExecutor, namespace: str, patience: float) -> None:
+    Parameters
+    ----------
+    executor : EventsExecutor
+        Runs this node; only `wait_for` and `turn` turn it.
+    namespace : str
+        Of the bridge.
+    patience : float
+        For answers [s].
+    interrupted : threading.Event
+        Set by a signal; what waits then raises `KeyboardInterrupt`, and clears it: a motion has to be stopped after
+        that.
+    """
+
+    def __init__(self, executor: EventsExecutor, namespace: str, patience: float, interrupted: threading.Event) -> None:
         super().__init__("servo_command")
+        self._interrupted = interrupted
+        self._log_lines: list[str] | None = None
+        self._path_log: Callable[[str], list[str]] = lambda _: []
+        self._matched_publishers: dict[str, Any] = {}
         self._runner = executor
         self._namespace = namespace
         self._patience = patience
@@ -95,7 +115,13 @@ class Commander(Node):
         while not condition():
             if time.monotonic() >= deadline:
                 raise CommandError(f"{what} within {patience:g} s; is `make up` running in the same ROS domain?")
-            self._runner.spin_once(timeout_sec=_STEP)
+            self._spin()
+
+    def _spin(self) -> None:
+        if self._interrupted.is_set():
+            self._interrupted.clear()
+            raise KeyboardInterrupt
+        self._runner.spin_once(timeout_sec=_STEP)
 
     def _call(self, kind: Any, request: Any, name: str) -> Any:
         client = self.create_client(kind, self._of(name))
@@ -231,11 +257,10 @@ class Commander(Node):
             If the bridge rejects them, or does not say within the patience that they took effect.
         """
         applied: list[Float64MultiArray] = []
-        rejected: list[str] = []
+        heard = self._bridge_log()
         self.create_subscription(
             Float64MultiArray, self._of(topics.COMMANDS_APPLIED), applied.append, topics.telemetry_qos()
         )
-        self._listen_to_log("rejected", rejected)
         publisher = self._publisher(JointState, topics.JOINT_COMMANDS)
         message = JointState(name=list(targets))
         setattr(message, quantity, list(targets.values()))
@@ -244,12 +269,12 @@ class Commander(Node):
             publisher.publish(message)
             pause = time.monotonic() + _REPEAT
             while time.monotonic() < min(pause, end):
-                self._runner.spin_once(timeout_sec=_STEP)
-            if rejected or time.monotonic() >= end:
+                self._spin()
+            if heard("rejected") or time.monotonic() >= end:
                 break
-        self.wait_for(lambda: applied or rejected, "the bridge neither took nor rejected the set-points")
-        if rejected:
-            raise CommandError(rejected[0])
+        self.wait_for(lambda: applied or heard("rejected"), "the bridge neither took nor rejected the set-points")
+        if heard("rejected"):
+            raise CommandError(heard("rejected")[0])
 
     def joints(self) -> list[Joint]:
         """The joints, in the order of the axes.
@@ -281,35 +306,45 @@ class Commander(Node):
         CommandError
             If the bridge rejects it, or does not say within the patience that it follows it.
         """
-        follows: list[str] = []
-        rejected: list[str] = []
-        self._listen_to_log("following a trajectory", follows)
-        self._listen_to_log("rejected", rejected)
+        heard = self._bridge_log()
         self._publisher(JointTrajectory, topics.JOINT_TRAJECTORY).publish(message)
-        self.wait_for(lambda: follows or rejected, "the bridge neither followed nor rejected the trajectory")
-        if rejected:
-            raise CommandError(rejected[0])
+        self.wait_for(
+            lambda: heard("following a trajectory") or heard("rejected"),
+            "the bridge neither followed nor rejected the trajectory",
+        )
+        if heard("rejected"):
+            raise CommandError(heard("rejected")[0])
+        self._path_log = heard
+
+    def path_refusal(self) -> str:
+        """What the bridge says of points of the last trajectory that the board has refused; empty if there are none."""
+        return next(iter(self._path_log("the board has refused points")), "")
 
     def turn(self, seconds: float) -> None:
         """Let the executor turn for so long."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
-            self._runner.spin_once(timeout_sec=_STEP)
+            self._spin()
 
-    def _listen_to_log(self, beginning: str, found: list[str]) -> None:
-        """Collect what the bridge logs with this beginning."""
-        logger = self._of(_BRIDGE).strip("/").replace("/", ".")
+    def _bridge_log(self) -> Callable[[str], list[str]]:
+        """Listen to the log of the bridge; the result gives the lines from now on that begin in a way."""
+        if self._log_lines is None:
+            self._log_lines = []
+            self.create_subscription(Log, "/rosout", self._on_log, topics.telemetry_qos())
+        lines = self._log_lines
+        first = len(lines)
+        return lambda beginning: [line for line in lines[first:] if line.startswith(beginning)]
 
-        def take(message: Log) -> None:
-            if message.name == logger and message.msg.startswith(beginning):
-                found.append(message.msg)
-
-        self.create_subscription(Log, "/rosout", take, topics.telemetry_qos())
+    def _on_log(self, message: Log) -> None:
+        if self._log_lines is not None and message.name == self._of(_BRIDGE).strip("/").replace("/", "."):
+            self._log_lines.append(message.msg)
 
     def _publisher(self, kind: Any, name: str) -> Any:
         """A publisher that the bridge hears, with the log of the bridge heard, too."""
+        if name in self._matched_publishers:
+            return self._matched_publishers[name]
         topic = self._of(name)
-        publisher = self.create_publisher(kind, topic, topics.command_qos())
+        publisher = self._matched_publishers[name] = self.create_publisher(kind, topic, topics.command_qos())
         self.wait_for(publisher.get_subscription_count, f"nobody listens to {topic}")
         self.wait_for(lambda: self.count_publishers("/rosout") > 1, "the log of the bridge was not found")
         self.turn(_MATCH)  # until the new subscriptions are matched: what is published before is not heard
@@ -433,7 +468,8 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when the command was accepted, 1 when it was refused or nobody answered, 2 for a wrong usage.
+        0 when the command was accepted, 1 when it was refused or nobody answered, 2 for a wrong usage, 130 after Ctrl-C
+        or SIGTERM.
     """
     argv = list(sys.argv if args is None else ["servo-command", *args])
     parser = _parser()
@@ -443,9 +479,14 @@ def main(args: Sequence[str] | None = None) -> int:
     if twice is not None:
         parser.error(f"{twice} is named twice")
     commander: Commander | None = None
+    interrupted = threading.Event()
     try:
-        rclpy.init(args=argv)
-        commander = Commander(EventsExecutor(), arguments.namespace.rstrip("/"), arguments.wait)
+        # Ctrl-C during a motion has to stop it: the context must live on, and an exception from within a signal handler
+        # would not come out of the executor as one.
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: interrupted.set())
+        commander = Commander(EventsExecutor(), arguments.namespace.rstrip("/"), arguments.wait, interrupted)
         print(_perform(commander, arguments))
         return 0
     except (CommandError, NameValidationException, RuntimeError, TrajectoryError) as error:

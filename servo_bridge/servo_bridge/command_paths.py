@@ -46,6 +46,9 @@ class PathUser(Protocol):
     def send_path(self, message: JointTrajectory) -> None:
         """Publish a trajectory, and return when the bridge follows it."""
 
+    def path_refusal(self) -> str:
+        """Why the board has refused a part of it since; empty if it has not."""
+
     def turn(self, seconds: float) -> None:
         """Let so much time pass."""
 
@@ -99,27 +102,37 @@ def run_path(user: PathUser, args: argparse.Namespace) -> str:
 
     Raises
     ------
+    KeyboardInterrupt
+        If the user has been interrupted; the joints have been stopped and hold.
     TrajectoryError
-        If there is no such path, or it leaves the limits; nothing has moved then.
+        If there is no such path, or it leaves the limits; nothing has moved then. Or if the board refuses a part of it.
     """
     positions = user.positions()
-    joints = user.joints()
-    limits = dict(zip(joint_names(joints), _limits(user.parameters(), joints), strict=True))
+    joints, raw = user.joints(), user.parameters()
+    names = joint_names(joints)
+    limits = dict(zip(names, _limits(raw, joints), strict=True))
+    lsb = Catalogue.load()["param.i_q_limit"].lsb
+    currents = {name: limit * lsb for name, limit in zip(names, raw["param.i_q_limit"], strict=True)}
     path = _plan(args, positions, limits)
     require(path, [limits[joint] for joint in path.joints])
-    report = _report(path, limits)
+    report = _report(path, limits, currents)
     if args.dry_run:
         return report
     print(report)
-    user.send_path(path_message(path))
     try:
+        user.send_path(path_message(path))
         _wait(user, path.duration)
     except KeyboardInterrupt:
         user.send_path(JointTrajectory(joint_names=list(path.joints)))
+        user.turn(_STEADY)
+        print(f"stopped: {_places(user, path)}", file=sys.stderr)
         raise
+    return f"done: {_places(user, path)}"
+
+
+def _places(user: PathUser, path: Path) -> str:
     reached = user.positions()
-    parts = (f"{joint} at {reached[joint]:.4f} rad" for joint in path.joints)
-    return f"done: {', '.join(parts)}"
+    return ", ".join(f"{joint} at {reached[joint]:.4f} rad" for joint in path.joints)
 
 
 def _limits(raw: RawParameters, joints: Sequence[Joint]) -> list[Limits]:
@@ -145,14 +158,19 @@ def _check_joints(names: Sequence[str] | dict[str, float], positions: dict[str, 
         raise TrajectoryError(f"joint {unknown[0]!r} does not exist; the joints are {', '.join(positions)}")
 
 
-def _report(path: Path, limits: dict[str, Limits]) -> str:
+def _report(path: Path, limits: dict[str, Limits], currents: dict[str, float]) -> str:
+    """What a path takes, against the limits.
+
+    The current depends on the inertia, which the board does not tell: only its limit is known here.
+    """
     state = path.state(np.linspace(path.start_time, path.end_time, _SAMPLES))
     lines = [f"{path.duration:g} s"]
     for k, joint in enumerate(path.joints):
         speed, acceleration = (np.abs(x[:, k]).max() for x in (state.velocity, state.acceleration))
         lines.append(
             f"  {joint}: to {path.end[k]:g} rad, at most {speed:.4g} of {limits[joint].velocity_max:.4g} rad/s, "
-            f"{acceleration:.4g} of {limits[joint].acceleration_max:.4g} rad/s^2"
+            f"{acceleration:.4g} of {limits[joint].acceleration_max:.4g} rad/s^2, with a current (not predicted) "
+            f"of up to {currents[joint]:.3g} A"
         )
     return "\n".join(lines)
 
@@ -161,6 +179,8 @@ def _wait(user: PathUser, duration: float) -> None:
     begin = time.monotonic()
     while (passed := time.monotonic() - begin) < duration + _STEADY:
         user.turn(min(0.1, duration + _STEADY - passed))
+        if refusal := user.path_refusal():
+            raise TrajectoryError(f"{refusal}; the joints have stopped. Send it again")
         if sys.stderr.isatty():
             done = min(passed / duration, 1.0)
             print(f"\r{100.0 * done:3.0f} %", end="", file=sys.stderr, flush=True)
