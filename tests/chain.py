@@ -152,21 +152,29 @@ class Chain:
         For the port and the logs.
     baud : int
         Line speed.
+    environment : mapping, optional
+        Variables that every process gets besides those of this one.
+
+    Attributes
+    ----------
+    environment : dict
+        Environment of every process.
     """
 
-    def __init__(self, folder: Path, baud: int = 115200) -> None:
+    def __init__(self, folder: Path, baud: int = 115200, environment: Mapping[str, str] | None = None) -> None:
         self.folder = folder
         self.port = folder / "board"
         self.baud = baud
         self._mark = uuid.uuid4().hex
         self._started: list[Process] = []
-        self._environment = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN), MARK: self._mark, "PYTHONUNBUFFERED": "1"}
+        own = {"ROS_DOMAIN_ID": str(DOMAIN), MARK: self._mark, "PYTHONUNBUFFERED": "1"}
+        self.environment = os.environ | own | dict(environment or {})
 
     def _start(self, module: str, *arguments: str) -> Process:
         return self._launch(module, [sys.executable, "-m", module, *arguments])
 
     def _launch(self, name: str, command: Sequence[str]) -> Process:
-        process = Process(name, command, self.folder / f"{len(self._started)}-{name}.log", self._environment)
+        process = Process(name, command, self.folder / f"{len(self._started)}-{name}.log", self.environment)
         self._started.append(process)
         return process
 
@@ -219,7 +227,7 @@ class Chain:
     def tool(self, *arguments: str) -> str:
         """Run a command of ``servo-tool`` past the bridge, which must not be running."""
         command = [sys.executable, "-m", TOOL, "--port", str(self.port), "--baud", str(self.baud), *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, env=self._environment)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, env=self.environment)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

@@ -62,7 +62,7 @@ class PathWorld:
         self.held_back = False
         self.log: list[NDArray[np.void]] = []
         self.arbiter = Arbiter(CATALOGUE, joints)
-        self.follower = Follower(CATALOGUE, joints, self._check)
+        self.follower = Follower(CATALOGUE, joints, self._check, clock=lambda: 0.0)
         self.arbiter.follow(self.follower)
         self.streamer = Streamer(joints, self.follower, stream_lead(115_200), delay_max)
         self._acknowledge: list[tuple[CommandWrite, str | None]] = []

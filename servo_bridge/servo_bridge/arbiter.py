@@ -143,6 +143,7 @@ class Arbiter:
         self.inactive = ""
         self._modes: list[Mode | None] = [None] * AXES
         self._targets: list[_Target | None] = [None] * AXES
+        self._halted: set[int] = set()  # axes whose points the board has refused; it may still have earlier ones
         self._paths: PathSource | None = None
 
     def follow(self, paths: PathSource) -> None:
@@ -168,6 +169,7 @@ class Arbiter:
         if self._axes is not None:
             self.block("the link to the board was lost")
         self._modes = [None] * AXES
+        self._halted.clear()
         self._axes = None
         self._torque_constants = None
 
@@ -262,6 +264,9 @@ class Arbiter:
 
     def next_write(self) -> CommandWrite | None:
         """Fetch the next write: modes before set-points, both axes in one write where they share the variable."""
+        if self._halted:
+            halted, self._halted = self._halted, set()
+            return _joined("cmd.mode", dict.fromkeys(halted, Mode.POSITION.value))
         waiting = {axis: target for axis, target in enumerate(self._targets) if target is not None}
         modes = dict.fromkeys(self._paths.axes if self._paths is not None else (), Mode.TRAJECTORY)
         modes.update({axis: target.mode for axis, target in waiting.items()})
@@ -284,11 +289,16 @@ class Arbiter:
                 self._modes[write.first + k] = Mode(raw)
 
     def failed(self, write: CommandWrite) -> None:
-        """Note that the board did not take a write: what waited for these axes is void, their mode unknown."""
+        """Note that the board did not take a write: what waited for these axes is void, their mode unknown.
+
+        Of a path the board may have points that it still follows: another mode makes it stop and hold.
+        """
         for axis in range(AXES):
             if write.mask >> axis & 1:
                 self._targets[axis] = self._modes[axis] = None
                 self._leave_path(axis, f"the board refused {write.variable}")
+                if write.variable == _POINTS:
+                    self._halted.add(axis)
 
     # ---- details
     def _leave_path(self, axis: int, reason: str) -> None:

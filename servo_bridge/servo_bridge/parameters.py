@@ -22,6 +22,8 @@ from servo_msgs_py.node_shell import declare as declare_all
 from servo_msgs_py.robot_description import NO_LIMIT
 
 from servo_bridge.telemetry import telemetry_variables
+from servo_bridge.trajectory.goal import GoalDefaults
+from servo_bridge.trajectory.tolerances import Tolerance
 from servo_msgs_py import board_parameters, topics
 
 __all__ = [
@@ -104,6 +106,28 @@ _SETTINGS: Mapping[str, Spec] = {
         0.0,
         1.0,
     ),
+    "path_tolerance": Spec(
+        [0.0, 0.0],
+        "of goals of follow_joint_trajectory that give none: how far a joint may be from its path [rad]; 0.0: any",
+    ),
+    "goal_tolerance": Spec(
+        [0.02, 0.02],
+        "of goals of follow_joint_trajectory that give none: how far a joint may be from the end of its path [rad]; "
+        "0.0: any",
+    ),
+    "stopped_velocity_tolerance": Spec(
+        0.0,
+        "of goals of follow_joint_trajectory: how fast a joint may be at the end of its path [rad/s]; 0.0: any",
+        0.0,
+        1000.0,
+    ),
+    "goal_time": Spec(
+        1.0,
+        "of goals of follow_joint_trajectory that give none: how long to wait after the end of the path for the joints "
+        "to come within their tolerances [s]; 0.0 does not wait",
+        0.0,
+        3600.0,
+    ),
     "preferred_source": Spec(
         "",
         "topic with precedence, such as joint_commands: while it commands an axis, and 1 s longer, the set-points of "
@@ -138,6 +162,7 @@ class Settings:
     snapshot_period: float
     command_interfaces: Mapping[str, frozenset[str]] | None
     stream_delay_max: float
+    goal_defaults: GoalDefaults
     board_parameters: tuple[Assignment, ...]
     preferred_source: str
 
@@ -185,6 +210,7 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         snapshot_period=values["snapshot_period"],
         command_interfaces=_interfaces(values["command_interfaces"], names),
         stream_delay_max=values["stream_delay_max"],
+        goal_defaults=_goal_defaults(values, names),
         board_parameters=_board_parameters(values["board_parameters"], catalogue),
         preferred_source=_preferred_source(values["preferred_source"], names),
     )
@@ -250,6 +276,17 @@ def _per_joint(values: Mapping[str, Any], name: str) -> Sequence[Any]:
     if len(numbers) != AXES or any(math.isnan(x) for x in numbers):
         raise ParameterError(f"parameter {name} is {list(numbers)}; give {AXES} numbers, one per joint")
     return numbers
+
+
+def _goal_defaults(values: Mapping[str, Any], names: Sequence[str]) -> GoalDefaults:
+    rows = {name: _per_joint(values, name) for name in ("path_tolerance", "goal_tolerance")}
+    for name, numbers in rows.items():
+        if min(numbers) < 0.0:
+            raise ParameterError(f"parameter {name} is {list(numbers)}; it cannot be negative, and 0.0 is any distance")
+    speed = values["stopped_velocity_tolerance"] or math.inf
+    path = {joint: Tolerance(x or math.inf) for joint, x in zip(names, rows["path_tolerance"], strict=True)}
+    goal = {joint: Tolerance(x or math.inf, speed) for joint, x in zip(names, rows["goal_tolerance"], strict=True)}
+    return GoalDefaults(path, goal, values["goal_time"])
 
 
 def _unlimited(limit: float) -> float:

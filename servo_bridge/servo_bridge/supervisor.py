@@ -28,6 +28,7 @@ from servo_bridge.arbiter import Arbiter, CommandWrite
 from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
+from servo_bridge.follow_action import FollowAction, action_interfaces
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import BOARD_COUNTERS, Health
 from servo_bridge.inbox import Inbox
@@ -169,6 +170,7 @@ class Supervisor:
             origin_ns=self._origin_ns,
             say=lambda text: self._log.info(text),
         )
+        self._action = self._offer_action()
         self._streamer = Streamer(
             settings.joints, self._follower, stream_lead(settings.baud), settings.stream_delay_max or None
         )
@@ -233,6 +235,19 @@ class Supervisor:
             DeferredService(node, Trigger, topics.QUICK_STOP, lambda _: motion.quick_stop()),
             DeferredService(node, Trigger, topics.CLEAR_FAULTS, lambda _: motion.clear_faults()),
         ]
+
+    def _offer_action(self) -> FollowAction | None:
+        interfaces = action_interfaces()
+        if interfaces is None:
+            self._log.info(
+                f"the action {topics.FOLLOW_JOINT_TRAJECTORY} is not offered: control_msgs is not installed (it comes "
+                "with ros-jazzy-control-msgs)"
+            )
+            return None
+        settings = self._settings
+        return FollowAction(
+            self._node, interfaces, settings.names, self._trajectories, self._follower, settings.goal_defaults
+        )
 
     def _start_timers(self) -> None:
         node, steady = self._node, Clock(clock_type=ClockType.STEADY_TIME)
@@ -340,6 +355,8 @@ class Supervisor:
             self._board_parameters.link_lost()
             self._variables.link_lost()
             self._arbiter.link_lost(status.reason)
+            if self._action is not None:
+                self._action.link_lost(f"the link to the board was lost: {status.reason}")
             self._dispatcher.close(status.reason)
             self._motion.link_lost(status.reason)
             self._fault_records.link_lost()
@@ -363,6 +380,14 @@ class Supervisor:
         self._arbiter.board_seen(frame.axes)
         self._follower.on_sample(frame.tick, self._axis_reports(frame))
         self._joint_commands.advance()
+        if self._action is not None:
+            axes = [(joint, axis_name(axis)) for axis, joint in enumerate(self._settings.joints)]
+            self._action.on_sample(
+                frame.tick,
+                stamp,
+                [joint.position(frame.values[f"{axis}.position"]) for joint, axis in axes],
+                [joint.velocity(frame.values[f"{axis}.speed"]) for joint, axis in axes],
+            )
         applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
         self._motion.on_frame(frame)
         if applied is not None:

@@ -67,13 +67,39 @@ class TrajectoryTopics:
     def _on_trajectory(self, message: JointTrajectory) -> None:
         source = topics.JOINT_TRAJECTORY
         try:
-            self._request(source, message)
+            self.follow(source, message, refused=lambda error: self._set_points.reject(source, error))
         except Rejected as error:
             self._set_points.reject(source, error)
-        else:
-            self._set_points.accept()
 
-    def _request(self, source: str, message: JointTrajectory) -> None:
+    def follow(
+        self,
+        source: str,
+        message: JointTrajectory,
+        *,
+        refused: Callable[[TrajectoryError], None],
+        begun: Callable[[float], None] | None = None,
+        abandoned: Callable[[str], None] | None = None,
+    ) -> None:
+        """Check a trajectory and have it followed.
+
+        Parameters
+        ----------
+        source : str
+            Topic or action that it came from.
+        message : JointTrajectory
+            The trajectory.
+        refused : callable
+            Called when it turns out that it cannot begin.
+        begun : callable, optional
+            Called with the end of its path [s of board time] when it begins.
+        abandoned : callable, optional
+            Called with the reason when it has begun, but is not followed to its end.
+
+        Raises
+        ------
+        Rejected
+            If it is refused at once; nothing has changed then.
+        """
         joints = [joint for joint in self._joints if joint in message.joint_names or not message.joint_names]
         self._arbiter.admit(source, [self._joints.index(joint) for joint in joints])
         limits, origin_ns = self._limits(), self._origin_ns()
@@ -86,13 +112,20 @@ class TrajectoryTopics:
         def plan(running: Path, now: float) -> Path:
             return from_message(message, running, now, origin_ns, deceleration, source=source)
 
+        def told(end: float) -> None:
+            self._say(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s")
+            if begun is not None:
+                begun(end)
+
         # What is wrong with it by itself is said at once, and not when the axes are ready for it.
         running = self._follower.running()
         plan(running, running.start_time)
         self._follower.request(
             joints,
             plan,
-            begun=lambda end: self._say(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s"),
-            refused=lambda error: self._set_points.reject(source, error),
+            begun=told,
+            refused=refused,
             start=(stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else 0.0,
+            abandoned=abandoned,
         )
+        self._set_points.accept()

@@ -13,6 +13,7 @@ from servo_bridge.setpoints import Mode, Rejected, Request
 from servo_bridge.sources import Conflict, Source, Sources
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, JointLimits, joint_names
+from servo_msgs_py.timed_points import TimedPoint, encode_points
 
 CATALOGUE = Catalogue.load()
 JOINTS = joint_names(DEFAULT_JOINTS)
@@ -178,6 +179,17 @@ def refused(subject: Arbiter, what: Request) -> str:
     with pytest.raises(Rejected) as caught:
         subject.submit(what)
     return str(caught.value)
+
+
+def test_an_axis_whose_points_are_refused_stops() -> None:
+    """The board may still follow the points that it has."""
+    subject = arbiter()
+    words = encode_points(CATALOGUE, [TimedPoint(1, 800, 1.0, 0.0, 0.0)])
+    subject.failed(CommandWrite("cmd.points", 0, tuple(words)))
+    assert drain(subject) == [CommandWrite("cmd.mode", 1, (Mode.POSITION.value,))]
+    subject.failed(CommandWrite("cmd.points", 0, tuple(words)))
+    subject.link_lost("gone")
+    assert drain(subject) == []
 
 
 def geared(limits: JointLimits | None = None) -> Arbiter:

@@ -31,8 +31,9 @@ class Rig:
         self.sent: list[TimedPoint] = []
         self.leads: list[int] = []  # of each of them, from the sample before it was sent [PWM periods]
         self.checked: list[Path] = []
-        self.follower = Follower(CATALOGUE, DEFAULT_JOINTS, self.checked.append)
+        self.follower = Follower(CATALOGUE, DEFAULT_JOINTS, self.checked.append, clock=lambda: self.time)
         self.tick = 8000
+        self.time = 0.0  # of the computer [s]
         self.references = [1.0, -2.0]
         self.follows = [True, True]
 
@@ -76,7 +77,7 @@ def rig() -> Rig:
 
 def test_a_path_begins_from_where_the_axes_hold_and_ends_where_it_says(rig: Rig) -> None:
     rig.move([2.0, 2.0])
-    rig.sample(70)
+    rig.sample(75)
     (end,) = rig.ends
     for axis, (begin, goal) in enumerate(((1.0, 2.0), (-2.0, 2.0))):
         points = rig.of(axis)
@@ -89,6 +90,21 @@ def test_a_path_begins_from_where_the_axes_hold_and_ends_where_it_says(rig: Rig)
         assert all(a.tick < b.tick for a, b in pairwise(points))
     assert rig.of(0)[0].tick == rig.of(1)[0].tick
     assert rig.follower.axes == frozenset()
+
+
+def test_a_path_that_takes_long_to_work_out_begins_so_much_later(rig: Rig) -> None:
+    def plan(running: Path, now: float) -> Path:
+        rig.time += 0.3
+        waypoints = Waypoints.of(JOINTS, [now + 0.5], [[2.0, 2.0]])
+        return path_through(waypoints, running.state(now), now)
+
+    rig.follower.request(JOINTS, plan, rig.ends.append, lambda error: rig.refusals.append(str(error)))
+    rig.tick += SAMPLE
+    known = rig.tick * PERIOD
+    rig.follower.on_sample(rig.tick, [AxisReport(place, follows=True) for place in rig.references])
+    assert not rig.refusals
+    begin = rig.follower.paths()["axis1"].start_time
+    assert known + rig.time + 0.03 < begin < known + 5.0
 
 
 def test_it_waits_until_the_axes_follow_points_and_hold(rig: Rig) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from time import monotonic
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue
@@ -24,8 +25,15 @@ from servo_bridge.trajectory.timed_points import PERIOD, TimedPoints, timed_poin
 
 __all__ = ["LEAD", "AxisReport", "Follower", "Plan"]
 
-LEAD: Final = 0.06
-"""From the newest telemetry to the first point [s]: a sample on its way, two writes, and the board's own 1.5 ms."""
+LEAD: Final = 0.1
+"""From the newest telemetry to the first point [s]: a sample on its way, two writes, the board's own 1.5 ms, and what a
+busy computer adds."""
+
+_LEFT: Final = 0.7
+"""Part of `LEAD` that has to be left when a path has been worked out."""
+
+_LEAD_MAX: Final = 5.0
+"""Longest lead [s]."""
 
 _SOON: Final = 0.2
 """How long before its start a path is worked out and sent [s]; until then a path that runs goes on."""
@@ -63,6 +71,7 @@ class _Axis:
 
     path: Path | None = None
     position_ref: float = 0.0  # of the joint
+    abandoned: Callable[[str], None] | None = None  # whom to tell that `path` has not been followed to its end
     waiting: deque[TimedPoint] = field(default_factory=deque)
     ticks: deque[int] = field(default_factory=deque)  # of `waiting`, extended
     sent: deque[int] = field(default_factory=deque)  # ticks of points that the board has and has not passed
@@ -76,6 +85,7 @@ class _Request:
     start: float
     begun: Callable[[float], None]
     refused: Callable[[TrajectoryError], None]
+    abandoned: Callable[[str], None] | None
 
 
 class Follower:
@@ -89,9 +99,18 @@ class Follower:
         In the order of the axes.
     check : callable
         Raises `TrajectoryError` for a path that may not be followed.
+    clock : callable, optional
+        How late it is [s], from any origin: working out a path takes time.
     """
 
-    def __init__(self, catalogue: Catalogue, joints: Sequence[Joint], check: Callable[[Path], None]) -> None:
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        joints: Sequence[Joint],
+        check: Callable[[Path], None],
+        clock: Callable[[], float] = monotonic,
+    ) -> None:
+        self._clock = clock
         self._catalogue = catalogue
         self._joints = joint_names(joints)
         self._gears = list(joints)
@@ -109,6 +128,7 @@ class Follower:
         begun: Callable[[float], None],
         refused: Callable[[TrajectoryError], None],
         start: float = 0.0,
+        abandoned: Callable[[str], None] | None = None,
     ) -> None:
         """Follow another path as soon as the axes can; a request that still waits is replaced.
 
@@ -124,19 +144,28 @@ class Follower:
             Called instead when it is not to be.
         start : float
             Begin no sooner than that [s].
+        abandoned : callable, optional
+            Called with the reason when the path has begun, but a joint does not follow it to its end; for each joint.
         """
         if self._request is not None:
             self._request.refused(TrajectoryError("another trajectory came before this one could begin"))
         axes = tuple(self._joints.index(joint) for joint in joints)
-        self._request = _Request(axes, plan, start, begun, refused)
+        self._request = _Request(axes, plan, start, begun, refused, abandoned)
 
     def cancel(self, axis: int, reason: str) -> None:
         """Forget the path of an axis, and the request that names it."""
-        self._axes[axis] = _Axis()
+        before, self._axes[axis] = self._axes[axis], _Axis()
+        if before.abandoned is not None:
+            before.abandoned(reason)
         request = self._request
         if request is not None and axis in request.joints:
             self._request = None
             request.refused(TrajectoryError(reason))
+
+    @property
+    def waits(self) -> bool:
+        """Whether a request has not begun yet."""
+        return self._request is not None
 
     @property
     def axes(self) -> frozenset[int]:
@@ -191,7 +220,7 @@ class Follower:
             while one.sent and one.sent[0] <= tick:
                 one.sent.popleft()
             if one.path is not None and not one.waiting and tick * PERIOD > one.path.end_time + LEAD:
-                one.path = None
+                one.path = one.abandoned = None
         if self._request is not None and self._ready(self._request, reports):
             self._begin(self._request)
         for one, report, joint in zip(self._axes, reports, self._gears, strict=True):
@@ -220,12 +249,17 @@ class Follower:
 
     def _begin(self, request: _Request) -> None:
         self._request = None
-        time = (self._now + round(LEAD / PERIOD)) * PERIOD
+        begin = self._clock()
+        lead = LEAD
         try:
-            path = request.plan(self.running(), time)
-            self._check(path)
-            ratios = [self._gears[self._joints.index(joint)].gear_ratio for joint in path.joints]
-            points = timed_points(path, gear_ratios=ratios)
+            while True:
+                time = (self._now + round((self._clock() - begin + lead) / PERIOD)) * PERIOD
+                path, points = self._plan(request, time)
+                # The work takes longer the more points there are; the board must get the first one in time.
+                spent = self._now * PERIOD + self._clock() - begin
+                if path.start_time - spent > _LEFT * LEAD or lead > _LEAD_MAX:
+                    break
+                lead += LEAD + 2.0 * (self._clock() - begin)
         except TrajectoryError as error:
             request.refused(error)
             return
@@ -236,7 +270,17 @@ class Follower:
             self._put(axis, mine, replaces=True)
             own = path.select([joint])
             one.path = own if one.path is None else spliced(one.path, own, time)
+            before, one.abandoned = one.abandoned, request.abandoned
+            if before is not None:
+                before("another trajectory took over")
         request.begun(path.end_time)
+
+    def _plan(self, request: _Request, time: float) -> tuple[Path, dict[str, TimedPoints]]:
+        """Path of a request that begins at a time [s] or later, and its points by joint."""
+        path = request.plan(self.running(), time)
+        self._check(path)
+        ratios = [self._gears[self._joints.index(joint)].gear_ratio for joint in path.joints]
+        return path, timed_points(path, gear_ratios=ratios)
 
     def _put(self, axis: int, points: TimedPoints, *, replaces: bool) -> None:
         one, joint, constant = self._axes[axis], self._gears[axis], self._torque_constant(axis)

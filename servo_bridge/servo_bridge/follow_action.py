@@ -1,0 +1,241 @@
+"""The action ``follow_joint_trajectory``: goals of control_msgs/FollowJointTrajectory."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.node import Node
+from rclpy.task import Future
+from servo_msgs_py.convert import to_stamp
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from servo_bridge.setpoints import Rejected
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.follower import Follower
+from servo_bridge.trajectory.goal import PREEMPTED, Goal, GoalDefaults, Step
+from servo_bridge.trajectory.merge import merged
+from servo_bridge.trajectory.path import Path, State
+from servo_bridge.trajectory.timed_points import PERIOD
+from servo_bridge.trajectory.tolerances import Phase, goal_time_from, tolerances_from
+from servo_bridge.trajectory_topics import TrajectoryTopics
+from servo_msgs_py import topics
+
+__all__ = ["FollowAction", "action_interfaces"]
+
+_SOURCE: Final = topics.FOLLOW_JOINT_TRAJECTORY
+_FEEDBACK_PERIODS: Final = 800  # 50 ms
+
+
+def action_interfaces() -> ModuleType | None:
+    """The package ``control_msgs.action``, None where it is not installed."""
+    try:
+        return importlib.import_module("control_msgs.action")
+    except ImportError:
+        return None
+
+
+@dataclass
+class _Active:
+    """A goal whose result has not been sent."""
+
+    handle: Any
+    goal: Goal
+    done: Any  # rclpy.task.Future, which ends the execution
+    paths: Mapping[str, Path] = field(default_factory=dict)  # by joint, as the follower has them
+    path: Path | None = None  # the same of all its joints together
+    next_feedback: int = 0  # tick
+
+
+class FollowAction:
+    """Action server.
+
+    Parameters
+    ----------
+    node : Node
+        Owner.
+    interfaces : module
+        ``control_msgs.action``.
+    joints : sequence of str
+        Joint names in the order of the axes.
+    trajectories : TrajectoryTopics
+        Checks a trajectory and has it followed.
+    follower : Follower
+        Knows the paths of the joints.
+    defaults : GoalDefaults
+        Tolerances.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        interfaces: ModuleType,
+        joints: Sequence[str],
+        trajectories: TrajectoryTopics,
+        follower: Follower,
+        defaults: GoalDefaults,
+    ) -> None:
+        self._node = node
+        self._type: Any = interfaces.FollowJointTrajectory
+        self._joints = list(joints)
+        self._trajectories = trajectories
+        self._follower = follower
+        self._defaults = defaults
+        self._active: list[_Active] = []
+        self._orphans: dict[str, Path] = {}  # paths of goals that have been given up, by joint
+        self._server = ActionServer(
+            node, self._type, _SOURCE, self._execute, cancel_callback=lambda _handle: CancelResponse.ACCEPT
+        )
+
+    # ---- goals
+    async def _execute(self, handle: Any) -> Any:
+        """One goal, from its acceptance to its result."""
+        active = self._accept(handle)
+        if not active.goal.ended:
+            self._active.append(active)
+            await active.done
+        outcome = active.goal.outcome
+        if active.goal.canceled:
+            handle.canceled()
+        elif outcome.phase is Phase.SUCCEEDED:
+            handle.succeed()
+        else:
+            handle.abort()
+        return self._type.Result(error_code=int(outcome.code), error_string=outcome.text)
+
+    def _accept(self, handle: Any) -> _Active:
+        request = handle.request
+        names = list(request.trajectory.joint_names)
+        joints = [joint for joint in self._joints if joint in names or not names]
+        goal = Goal(joints, {}, {}, 0.0)
+        try:
+            goal = self._goal(request, joints)
+            active = _Active(handle, goal, Future(executor=self._node.executor))
+
+            def begun(end: float) -> None:
+                goal.begun(end)
+                paths = self._follower.paths()
+                active.paths = {joint: paths[joint] for joint in goal.joints}
+                active.path = merged(list(active.paths.values()))
+
+            replaced = [each for each in self._active if set(each.goal.joints) & set(joints)]
+            self._trajectories.follow(
+                _SOURCE, request.trajectory, begun=begun, refused=goal.refused, abandoned=goal.abandoned
+            )
+        except Rejected as error:
+            goal.refused(error)
+            return _Active(handle, goal, Future())
+        for each in replaced:
+            each.goal.abandoned(PREEMPTED)
+        return active
+
+    def _goal(self, request: Any, joints: Sequence[str]) -> Goal:
+        if len(request.multi_dof_trajectory.points) or len(request.multi_dof_trajectory.joint_names):
+            raise TrajectoryError(f"{_SOURCE}: multi_dof_trajectory is not supported; leave it empty")
+        if len(request.component_path_tolerance) or len(request.component_goal_tolerance):
+            raise TrajectoryError(f"{_SOURCE}: tolerances of components are not supported; leave them empty")
+        wanted = request.goal_time_tolerance
+        goal_time = goal_time_from(wanted.sec + wanted.nanosec * 1e-9, self._defaults.goal_time)
+        path = tolerances_from(request.path_tolerance, joints, self._defaults.path)
+        goal = tolerances_from(request.goal_tolerance, joints, self._defaults.goal)
+        return Goal(joints, path, goal, goal_time)
+
+    # ---- time
+    def on_sample(self, tick: int, stamp_ns: int, position: Sequence[float], velocity: Sequence[float]) -> None:
+        """Take a sample of the board.
+
+        Parameters
+        ----------
+        tick : int
+            Extended tick.
+        stamp_ns : int
+            ROS time of the tick [ns].
+        position, velocity : sequence of float
+            Of every joint [rad], [rad/s].
+        """
+        for active in list(self._active):
+            axes = [self._joints.index(joint) for joint in active.goal.joints]
+            actual = _measured([position[axis] for axis in axes], [velocity[axis] for axis in axes])
+            desired = None if active.path is None else active.path.state(tick * PERIOD)
+            if active.handle.is_cancel_requested:
+                active.goal.cancel()
+            moving = active.goal.moving
+            step = active.goal.sample(tick * PERIOD, desired, actual)
+            if step is Step.STOP:
+                self._stop(active.goal)
+            if active.goal.ended:
+                self._active.remove(active)
+                active.done.set_result(None)
+                if active.goal.outcome.phase is Phase.ABORTED:
+                    self._orphans.update(active.paths)
+            elif moving and desired is not None and tick >= active.next_feedback:
+                active.next_feedback = tick + _FEEDBACK_PERIODS
+                active.handle.publish_feedback(self._feedback(active, stamp_ns, desired, actual))
+        self._stop_orphans()
+
+    def link_lost(self, reason: str) -> None:
+        """End every goal: there are no samples any more."""
+        active, self._active = self._active, []
+        for each in active:
+            each.goal.stop_failed(reason)
+            each.done.set_result(None)
+
+    def _stop(self, goal: Goal) -> None:
+        """Have the joints of a cancelled goal stop and hold, as an empty trajectory does."""
+        try:
+            self._trajectories.follow(
+                _SOURCE,
+                JointTrajectory(joint_names=goal.joints),
+                begun=goal.stopping,
+                refused=lambda error: goal.stop_failed(str(error)),
+            )
+        except Rejected as error:
+            goal.stop_failed(str(error))
+
+    def _stop_orphans(self) -> None:
+        """Stop joints that still follow a goal that has been given up, once no other request waits."""
+        if not self._orphans or self._follower.waits:
+            return
+        paths, orphans = self._follower.paths(), self._orphans
+        self._orphans = {}
+        joints = [joint for joint, path in orphans.items() if paths.get(joint) is path]
+        if joints:
+            try:
+                self._trajectories.follow(_SOURCE, JointTrajectory(joint_names=joints), refused=self._not_stopped)
+            except Rejected as error:
+                self._not_stopped(error)
+
+    def _not_stopped(self, error: Rejected) -> None:
+        self._node.get_logger().warning(f"joints of a goal that was given up are not stopped by it: {error}")
+
+    def _feedback(self, active: _Active, stamp_ns: int, desired: State, actual: State) -> Any:
+        feedback = self._type.Feedback(joint_names=active.goal.joints)
+        feedback.header.stamp = to_stamp(stamp_ns)
+        feedback.desired = _point(desired)
+        feedback.actual = _point(actual)
+        error = State(
+            desired.position - actual.position,
+            desired.velocity - actual.velocity,
+            desired.acceleration - actual.acceleration,
+            desired.effort,
+        )
+        feedback.error = _point(error)
+        return feedback
+
+
+def _measured(position: Sequence[float], velocity: Sequence[float]) -> State:
+    unknown = np.full(len(position), math.nan)
+    return State(np.array(position), np.array(velocity), unknown, unknown)
+
+
+def _point(state: State) -> JointTrajectoryPoint:
+    """A state as a message; what is not known stays empty."""
+    values = {"positions": state.position, "velocities": state.velocity, "accelerations": state.acceleration}
+    known = {name: column.tolist() for name, column in values.items() if not np.isnan(column).any()}
+    return JointTrajectoryPoint(**known)

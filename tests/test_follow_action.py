@@ -1,0 +1,86 @@
+"""Goals of ``follow_joint_trajectory`` over a real action client, bridge and board."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from chain import Chain
+from interface_build import action_environment
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+CLIENT = Path(__file__).with_name("follow_action_client.py")
+Answers = dict[str, dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
+    """What the client has seen, by case."""
+    chain = Chain(tmp_path_factory.mktemp("action"), baud=1_000_000, environment=action_environment())
+    try:
+        chain.board(level="ideal")
+        chain.bridge()
+        command = [sys.executable, str(CLIENT)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=110.0, env=chain.environment)
+        found = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+        assert done.returncode == 0, f"{found}\n{done.stderr[-4000:]}"
+        yield {answer["case"]: answer for answer in found}
+    finally:
+        chain.end()
+        print(chain.logs())
+
+
+@pytest.mark.parametrize(
+    ("case", "status", "code", "said"),
+    [
+        ("succeeds", "SUCCEEDED", 0, "Goal successfully reached!"),
+        ("one_joint", "SUCCEEDED", 0, "Goal successfully reached!"),
+        ("cancelled", "CANCELED", 0, "cancelled"),
+        ("preempted", "ABORTED", -1, "Current goal preempted by new incoming action."),
+        ("path_tolerance", "ABORTED", -4, "position of axis1 is "),
+        ("goal_tolerance", "ABORTED", -5, "Aborted due to goal_time_tolerance exceeding by "),
+        ("unknown_joint", "ABORTED", -2, "joint 'elbow' does not exist; the joints are axis1, axis2"),
+        ("old_stamp", "ABORTED", -3, "the trajectory ended "),
+        ("future_stamp", "SUCCEEDED", 0, "Goal successfully reached!"),
+        ("too_fast", "ABORTED", -1, "goes above its limit"),
+        ("empty", "SUCCEEDED", 0, "Goal successfully reached!"),
+        ("set_point", "ABORTED", -1, "a set-point on joint_commands took over"),
+        ("disabled", "ABORTED", -1, "disabled by the service enable"),
+    ],
+)
+def test_result(answers: Answers, case: str, status: str, code: int, said: str) -> None:
+    answer = answers[case]
+    assert (answer["status"], answer["code"]) == (status, code), answer
+    assert said in answer["text"]
+
+
+def test_a_goal_that_succeeds_ends_where_it_was_sent_and_says_so_on_the_way(answers: Answers) -> None:
+    answer = answers["succeeds"]
+    assert answer["ways"] == pytest.approx([3.0, 3.0], abs=0.02)
+    assert answer["feedback"] >= 5
+    assert answer["joints"] == ["axis1", "axis2"]
+    assert answer["errors"] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_a_joint_that_the_goal_does_not_name_stays(answers: Answers) -> None:
+    assert answers["one_joint"]["ways"] == pytest.approx([0.0, 1.0], abs=0.02)
+
+
+@pytest.mark.parametrize("case", ["cancelled", "path_tolerance", "preempted", "set_point"])
+def test_a_goal_that_is_given_up_stops_every_joint_of_it(answers: Answers, case: str) -> None:
+    assert max(map(abs, answers[case]["ways"])) < 20.0, "of 30 rad"
+
+
+def test_a_goal_preempts_another_and_goes_on(answers: Answers) -> None:
+    assert answers["preempted"]["second"] == "SUCCEEDED"
+    assert answers["empty"]["first"] == "ABORTED"
+
+
+def test_a_stamp_in_the_future_is_waited_for(answers: Answers) -> None:
+    assert answers["future_stamp"]["lasted"] > 1.4
