@@ -22,6 +22,8 @@ from servo_twin.node import ServoTwin
 from servo_twin.viewer_node import PARAMETERS as VIEWER_PARAMETERS
 from servo_twin.viewer_node import ServoViewer
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).resolve().parents[1]
 
 

@@ -17,6 +17,8 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_msgs_py import topics
 
+pytestmark = pytest.mark.realtime
+
 CATALOGUE = Catalogue.load()
 PERIODS = 160
 NAN = math.nan
@@ -77,14 +79,16 @@ def until_written(rig: Rig, name: str) -> list[tuple[int, int]]:
 
 
 def stream(rig: Rig, joints: tuple[bool, bool] = (True, True)) -> None:
-    """A ramp, until points of it have reached the link."""
+    """A ramp, until points of it that move have reached the link."""
     begin = time.monotonic()
 
     def arrived() -> bool:
         t = time.monotonic() - begin
         values = [(2.0 * t, 2.0) if joint else (NAN, NAN) for joint in joints]
         send(rig, [p for p, _ in values], [v for _, v in values], stamp=5000.0 + t)
-        return len(points(rig)) >= 20
+        sent = points(rig)
+        fastest = {point.axis: point.velocity for point in sorted(sent, key=lambda point: point.velocity)}
+        return len(sent) >= 20 and all(fastest.get(axis, 0.0) > 1.0 for axis, moves in enumerate(joints) if moves)
 
     rig.until(arrived)
 
@@ -98,7 +102,6 @@ def test_positions_with_velocities_become_timed_points(ready: Rig) -> None:
         mine = [point for point in points(ready) if point.axis == axis]
         ticks = [point.tick for point in mine[-5:]]
         assert [b - a for a, b in pairwise(ticks)] == [PERIODS] * 4
-        assert max(point.velocity for point in mine) > 1.0
     ready.until(lambda: "axis1, axis2" in ready.diagnosis("stream").message)
     values = {pair.key: pair.value for pair in ready.diagnosis("stream").values}
     assert int(values["received"]) >= 5

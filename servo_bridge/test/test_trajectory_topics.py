@@ -14,6 +14,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from servo_msgs_py import topics
 
+pytestmark = pytest.mark.realtime
+
 CATALOGUE = Catalogue.load()
 TRAJECTORY = CATALOGUE.enums["control_mode_t"]["TRAJECTORY"]
 
