@@ -106,7 +106,6 @@ def test_positions_with_velocities_become_timed_points(ready: Rig) -> None:
     values = {pair.key: pair.value for pair in ready.diagnosis("stream").values}
     assert int(values["received"]) >= 5
     assert float(values["delay [ms]"]) > 20.0
-    assert values["lost"] == "0"
 
 
 def test_a_joint_of_nan_is_left_alone(ready: Rig) -> None:
