@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from path_world import COUNT, JOINTS, PathWorld
 from servo_bridge.trajectory.path import Path
-from servo_bridge.trajectory.shapes import lissajous, move
+from servo_bridge.trajectory.shapes import lissajous, move, stop
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.waypoints import Waypoints
 from servo_msgs_py.catalogue import numbers
@@ -138,3 +138,23 @@ def test_a_bridge_that_dies_leaves_a_controlled_stop(world: PathWorld) -> None:
         assert table[f"{joint}.limits"][-1] & 0x100
         assert table[f"{joint}.speed_ref"][-1] == 0
         assert not table[f"{joint}.faults"].any()
+
+
+def test_every_stop_is_taken_and_keeps_the_limits(world: PathWorld) -> None:
+    def go(running: Path, now: float) -> Path:
+        return moved(running, now, move(JOINTS, [0.0, 0.0], [60.0, -1.0], 2.0))
+
+    def halt(running: Path, now: float) -> Path:
+        return stop(JOINTS, running.state(now), [limit.acceleration_max for limit in world.limits], now)
+
+    for pause in (0.15, 0.2, 0.3):
+        world.follow(go)
+        world.run(pause)
+        assert abs(world.follower.running().state(world.now).velocity).max() > 0.1
+        world.follow(halt)
+        world.run(0.3)
+        assert not world.troubles
+        table = world.table()
+        for joint in JOINTS:
+            assert np.ptp(table[f"{joint}.position_ref"][-10:]) == 0
+    assert not world.refusals

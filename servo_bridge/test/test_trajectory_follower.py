@@ -169,6 +169,32 @@ def test_a_path_for_later_waits_for_its_time(rig: Rig) -> None:
     assert rig.of(0)[0].tick * PERIOD == pytest.approx(start, abs=PERIOD)
 
 
+@pytest.mark.parametrize("spacing", [20, 50, 400])
+def test_no_two_points_are_closer_than_the_board_takes_them(spacing: int) -> None:
+    """Wherever the first point of a path falls among those of the path that it replaces."""
+
+    def plan(running: Path, now: float) -> Path:
+        since = np.arange(1, 60) * spacing * PERIOD
+        waypoints = Waypoints.of(["axis1"], now + since, 1.0 + np.sin(3.0 * since)[:, None])
+        return path_through(waypoints, running.select(["axis1"]).state(now), now)
+
+    for phase in range(0, spacing, 2):
+        rig = Rig()
+        rig.sample(2)
+        rig.follower.request(["axis1"], plan, rig.ends.append, lambda error: pytest.fail(str(error)))
+        rig.sample(3)
+        rig.tick += phase
+        rig.move([1.5], joints=["axis1"])
+        rig.sample(30)
+        assert not rig.refusals
+        queue: list[int] = []
+        for point in rig.of(0):
+            if point.replaces:
+                queue = [tick for tick in queue if tick < point.tick]
+            queue.append(point.tick)
+        assert min(np.diff(queue)) >= 16
+
+
 def test_a_path_that_is_refused_moves_nothing(rig: Rig) -> None:
     def refuse(_: Path) -> None:
         raise TrajectoryError("too fast")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import Final
 
+import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
@@ -21,7 +22,7 @@ from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
-from servo_bridge.trajectory.timed_points import PERIOD, TimedPoints, timed_points
+from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, timed_points
 
 __all__ = ["LEAD", "AxisReport", "Follower", "Plan"]
 
@@ -265,7 +266,8 @@ class Follower:
             return
         for axis in map(self._joints.index, path.joints):
             joint = self._joints[axis]
-            one, mine = self._axes[axis], points[joint]
+            one = self._axes[axis]
+            mine = _after(one, points[joint])
             self._drop_from(one, int(mine.periods[0]))
             self._put(axis, mine, replaces=True)
             own = path.select([joint])
@@ -325,3 +327,26 @@ class Follower:
             chosen.append(one.waiting.popleft())
             one.sent.append(one.ticks.popleft())
         return tuple(encode_points(self._catalogue, chosen)) if chosen else None
+
+
+def _after(one: _Axis, points: TimedPoints) -> TimedPoints:
+    """Points that replace those of an axis from their first one on, as the board takes them.
+
+    It takes no segment shorter than 1 ms. Where a point of the old path lies so close before the first new one, a point
+    of the old path that lies far enough before both replaces it.
+    """
+    first = int(points.periods[0])
+    kept = [tick for tick in (*one.sent, *one.ticks) if tick < first]
+    if one.path is None or not kept or first - kept[-1] >= SEGMENT_PERIODS_MIN:
+        return points
+    last = first - SEGMENT_PERIODS_MIN
+    before = max((tick for tick in kept if tick <= last), default=None)
+    if before is not None and last - before < SEGMENT_PERIODS_MIN:
+        last = before
+    state = one.path.state(last * PERIOD)
+    return TimedPoints(
+        np.concatenate(([last], points.periods)),
+        np.concatenate((state.position, points.positions)),
+        np.concatenate((state.velocity, points.velocities)),
+        np.concatenate((state.effort, points.efforts)),
+    )

@@ -20,6 +20,9 @@ __all__ = ["lissajous", "move", "sine", "stop"]
 _SHORTEST = 2.0e-3
 """Shortest motion that is planned [s]: two of the shortest segments of the board."""
 
+_SHORTEST_STOP = 0.02
+"""Shortest stop [s]: in less, rounding to PWM periods takes more of the acceleration than `_RESERVE` leaves."""
+
 _LONGEST = 1.0e6
 """A motion that does not keep its limits in this time keeps them in none [s]."""
 
@@ -106,7 +109,7 @@ def stop(joints: Sequence[str], start: State, deceleration_max: Sequence[float],
         efforts = np.vstack((start.effort, np.zeros_like(start.effort)))
         return Path(joints, [start_time, start_time + time], c, end, efforts)
 
-    return _shortest(in_time, limits)
+    return _shortest(in_time, limits, _SHORTEST_STOP)
 
 
 def sine(
@@ -213,15 +216,15 @@ def _envelope(t: Array, rise: float, duration: float) -> tuple[Array, Array, Arr
     return s**3 * (10.0 + s * (6.0 * s - 15.0)), first, second
 
 
-def _shortest(in_time: Callable[[float], Path], limits: Sequence[Limits]) -> Path:
+def _shortest(in_time: Callable[[float], Path], limits: Sequence[Limits], shortest: float = _SHORTEST) -> Path:
     """The motion of the shortest duration, to a thousandth, that keeps the limits with a reserve of acceleration."""
     limits = [replace(limit, acceleration_max=_RESERVE * limit.acceleration_max) for limit in limits]
-    slow = _SHORTEST
+    slow = shortest
     while (violation := first_violation(in_time(slow), limits)) is not None:
         slow *= 2.0
         if slow > _LONGEST:
             raise TrajectoryError(f"no duration is long enough: {violation}")
-    fast = max(0.5 * slow, _SHORTEST)
+    fast = max(0.5 * slow, shortest)
     while slow > 1.001 * fast:
         middle = math.sqrt(slow * fast)
         if first_violation(in_time(middle), limits) is None:
