@@ -79,4 +79,5 @@ def generate_launch_description() -> LaunchDescription:
     passed = {name: LaunchConfiguration(name) for name in ARGUMENTS if name != "controllers"}
     file = PathJoinSubstitution([ThisLaunchFileDir(), "bridge.launch.py"])
     bridge = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=passed.items())
-    return LaunchDescription([*declared, GroupAction([bridge]), OpaqueFunction(function=_under_control)])
+    # First what can fail because of a file: nothing has been started then.
+    return LaunchDescription([*declared, OpaqueFunction(function=_under_control), GroupAction([bridge])])
