@@ -172,6 +172,14 @@ def future_stamp(client: Client) -> dict[str, Any]:
     return result | {"lasted": client.me.node.get_clock().now().nanoseconds * 1e-9 - begin}
 
 
+def withdrawn(client: Client) -> dict[str, Any]:
+    """A goal for later is cancelled while another one of the same joints runs."""
+    running = client.go((1.5, 1.0)).moving()
+    later = client.go((1.0, 1.0), stamp=client.me.node.get_clock().now().nanoseconds * 1e-9 + 60.0)
+    later.handle.cancel_goal_async()
+    return later.result() | {"first": running.result()["status"]}
+
+
 def too_fast(client: Client) -> dict[str, Any]:
     return client.go((0.1, 300.0)).result()
 
@@ -200,7 +208,7 @@ def disabled(client: Client) -> dict[str, Any]:
 
 CASES: Sequence[Callable[[Client], dict[str, Any]]] = (
     succeeds, one_joint, cancelled, preempted, path_tolerance, goal_tolerance, unknown_joint, old_stamp, future_stamp,
-    too_fast, empty, set_point, disabled,
+    withdrawn, too_fast, empty, set_point, disabled,
 )  # fmt: skip
 
 

@@ -42,6 +42,7 @@ def _built() -> Path:
     key = hashlib.sha256(b"".join(path.read_bytes() for path in files) + sys.executable.encode()).hexdigest()[:12]
     prefix = BUILDS / key / "install"
     BUILDS.mkdir(parents=True, exist_ok=True)
+    (BUILDS / "COLCON_IGNORE").touch()
     with (BUILDS / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (prefix / "done").exists():

@@ -48,6 +48,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
         ("unknown_joint", "ABORTED", -2, "joint 'elbow' does not exist; the joints are axis1, axis2"),
         ("old_stamp", "ABORTED", -3, "the trajectory ended "),
         ("future_stamp", "SUCCEEDED", 0, "Goal successfully reached!"),
+        ("withdrawn", "CANCELED", 0, "cancelled before it began"),
         ("too_fast", "ABORTED", -1, "goes above its limit"),
         ("empty", "SUCCEEDED", 0, "Goal successfully reached!"),
         ("set_point", "ABORTED", -1, "a set-point on joint_commands took over"),
@@ -80,6 +81,10 @@ def test_a_goal_that_is_given_up_stops_every_joint_of_it(answers: Answers, case:
 def test_a_goal_preempts_another_and_goes_on(answers: Answers) -> None:
     assert answers["preempted"]["second"] == "SUCCEEDED"
     assert answers["empty"]["first"] == "ABORTED"
+
+
+def test_a_goal_for_later_leaves_the_one_that_runs(answers: Answers) -> None:
+    assert answers["withdrawn"]["first"] == "SUCCEEDED"
 
 
 def test_a_stamp_in_the_future_is_waited_for(answers: Answers) -> None:

@@ -409,6 +409,16 @@ def test_colcon_builds_the_checkout(workspace: Workspace) -> None:
     check_build(workspace)
 
 
+def test_colcon_finds_the_packages_of_the_project_and_no_other(prefix: Path) -> None:
+    """A package of the tests would hide the one of that name in the ROS installation."""
+    colcon = prefix / "bin" / "colcon"
+    if not colcon.exists():
+        pytest.skip("colcon is missing")
+    found = run(colcon, "--log-base", os.devnull, "list", "--names-only", "--base-paths", ROOT)
+    assert found.returncode == 0, found.stderr
+    assert sorted(found.stdout.split()) == sorted([*PACKAGES, "servo_firmware"])
+
+
 @pytest.mark.slow
 def test_colcon_builds_with_links_to_the_checkout(tmp_path: Path) -> None:
     check_build(build_workspace(tmp_path, "--symlink-install"))

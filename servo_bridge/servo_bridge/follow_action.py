@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, Final
@@ -12,13 +12,12 @@ from typing import Any, Final
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.node import Node
-from rclpy.task import Future
 from servo_msgs_py.convert import to_stamp
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from servo_bridge.setpoints import Rejected
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.follower import Follower
+from servo_bridge.trajectory.follower import Follower, Plan
 from servo_bridge.trajectory.goal import PREEMPTED, Goal, GoalDefaults, Step
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path, State
@@ -41,13 +40,28 @@ def action_interfaces() -> ModuleType | None:
         return None
 
 
+class _Server(ActionServer):
+    """An action server whose goals end when its owner says so.
+
+    Of rclpy's own ways, a function that returns the result would block the executor, and a coroutine that waits for it
+    is resumed by the events executor again and again, which takes a whole core.
+    """
+
+    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
+        """Do nothing yet: the goal is executing from now on."""
+
+    def finish(self, goal_handle: Any, execute_callback: Callable[[Any], Any]) -> None:
+        """Have the executor end a goal and send the result that the callback returns."""
+        super().notify_execute(goal_handle, execute_callback)
+
+
 @dataclass
 class _Active:
     """A goal whose result has not been sent."""
 
     handle: Any
     goal: Goal
-    done: Any  # rclpy.task.Future, which ends the execution
+    plan: Plan
     paths: Mapping[str, Path] = field(default_factory=dict)  # by joint, as the follower has them
     path: Path | None = None  # the same of all its joints together
     next_feedback: int = 0  # tick
@@ -89,34 +103,41 @@ class FollowAction:
         self._defaults = defaults
         self._active: list[_Active] = []
         self._orphans: dict[str, Path] = {}  # paths of goals that have been given up, by joint
-        self._server = ActionServer(
-            node, self._type, _SOURCE, self._execute, cancel_callback=lambda _handle: CancelResponse.ACCEPT
+        self._server = _Server(
+            node,
+            self._type,
+            _SOURCE,
+            lambda _handle: None,  # every goal is ended by `finish`
+            handle_accepted_callback=self._accept,
+            cancel_callback=self._cancel,
         )
 
     # ---- goals
-    async def _execute(self, handle: Any) -> Any:
-        """One goal, from its acceptance to its result."""
-        active = self._accept(handle)
-        if not active.goal.ended:
-            self._active.append(active)
-            await active.done
-        outcome = active.goal.outcome
-        if active.goal.canceled:
-            handle.canceled()
-        elif outcome.phase is Phase.SUCCEEDED:
-            handle.succeed()
-        else:
-            handle.abort()
-        return self._type.Result(error_code=int(outcome.code), error_string=outcome.text)
+    def _cancel(self, handle: Any) -> CancelResponse:
+        """Accept, unless the result is on its way."""
+        known = any(active.handle == handle for active in self._active)
+        return CancelResponse.ACCEPT if known else CancelResponse.REJECT
 
-    def _accept(self, handle: Any) -> _Active:
+    def _end(self, handle: Any, goal: Goal) -> None:
+        def end(handle: Any) -> Any:
+            if goal.canceled:
+                handle.canceled()
+            elif goal.outcome.phase is Phase.SUCCEEDED:
+                handle.succeed()
+            else:
+                handle.abort()
+            return self._type.Result(error_code=int(goal.outcome.code), error_string=goal.outcome.text)
+
+        self._server.finish(handle, end)
+
+    def _accept(self, handle: Any) -> None:
+        handle.execute()
         request = handle.request
         names = list(request.trajectory.joint_names)
         joints = [joint for joint in self._joints if joint in names or not names]
         goal = Goal(joints, {}, {}, 0.0)
         try:
             goal = self._goal(request, joints)
-            active = _Active(handle, goal, Future(executor=self._node.executor))
 
             def begun(end: float) -> None:
                 goal.begun(end)
@@ -124,16 +145,20 @@ class FollowAction:
                 active.paths = {joint: paths[joint] for joint in goal.joints}
                 active.path = merged(list(active.paths.values()))
 
-            replaced = [each for each in self._active if set(each.goal.joints) & set(joints)]
-            self._trajectories.follow(
-                _SOURCE, request.trajectory, begun=begun, refused=goal.refused, abandoned=goal.abandoned
+            plan = self._trajectories.follow(
+                _SOURCE,
+                request.trajectory,
+                begun=begun,
+                refused=goal.refused,
+                abandoned=goal.abandoned,
+                takes_over=PREEMPTED,
             )
         except Rejected as error:
             goal.refused(error)
-            return _Active(handle, goal, Future())
-        for each in replaced:
-            each.goal.abandoned(PREEMPTED)
-        return active
+            self._end(handle, goal)
+            return
+        active = _Active(handle, goal, plan)
+        self._active.append(active)
 
     def _goal(self, request: Any, joints: Sequence[str]) -> Goal:
         if len(request.multi_dof_trajectory.points) or len(request.multi_dof_trajectory.joint_names):
@@ -169,9 +194,11 @@ class FollowAction:
             step = active.goal.sample(tick * PERIOD, desired, actual)
             if step is Step.STOP:
                 self._stop(active.goal)
+            elif step is Step.WITHDRAW:
+                self._follower.withdraw(active.plan)
             if active.goal.ended:
                 self._active.remove(active)
-                active.done.set_result(None)
+                self._end(active.handle, active.goal)
                 if active.goal.outcome.phase is Phase.ABORTED:
                     self._orphans.update(active.paths)
             elif moving and desired is not None and tick >= active.next_feedback:
@@ -184,7 +211,7 @@ class FollowAction:
         active, self._active = self._active, []
         for each in active:
             each.goal.stop_failed(reason)
-            each.done.set_result(None)
+            self._end(each.handle, each.goal)
 
     def _stop(self, goal: Goal) -> None:
         """Have the joints of a cancelled goal stop and hold, as an empty trajectory does."""

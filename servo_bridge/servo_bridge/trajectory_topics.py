@@ -12,7 +12,7 @@ from servo_bridge.setpoint_topics import SetPointTopics
 from servo_bridge.setpoints import Rejected
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_bridge.trajectory.follower import Follower
+from servo_bridge.trajectory.follower import Follower, Plan
 from servo_bridge.trajectory.from_message import from_message
 from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
@@ -79,7 +79,8 @@ class TrajectoryTopics:
         refused: Callable[[TrajectoryError], None],
         begun: Callable[[float], None] | None = None,
         abandoned: Callable[[str], None] | None = None,
-    ) -> None:
+        takes_over: str | None = None,
+    ) -> Plan:
         """Check a trajectory and have it followed.
 
         Parameters
@@ -94,6 +95,13 @@ class TrajectoryTopics:
             Called with the end of its path [s of board time] when it begins.
         abandoned : callable, optional
             Called with the reason when it has begun, but is not followed to its end.
+        takes_over : str, optional
+            This reason for what it replaces; by default that a trajectory from this source took over.
+
+        Returns
+        -------
+        Plan
+            For `Follower.withdraw`.
 
         Raises
         ------
@@ -127,5 +135,7 @@ class TrajectoryTopics:
             refused=refused,
             start=(stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else 0.0,
             abandoned=abandoned,
+            takes_over=takes_over or f"a trajectory on {source} took over",
         )
         self._set_points.accept()
+        return plan

@@ -75,6 +75,14 @@ def test_a_cancelled_goal_ends_when_the_joints_have_stopped() -> None:
     assert subject.canceled
 
 
+def test_a_goal_that_is_cancelled_before_it_begins_stops_nothing() -> None:
+    subject = goal()
+    subject.cancel()
+    assert subject.sample(0.5, None, at(0.0)) is Step.WITHDRAW
+    assert subject.canceled
+    assert subject.ended
+
+
 def test_a_cancelled_goal_whose_stop_is_refused_is_aborted() -> None:
     subject = goal()
     subject.begun(2.0)

@@ -87,6 +87,7 @@ class _Request:
     begun: Callable[[float], None]
     refused: Callable[[TrajectoryError], None]
     abandoned: Callable[[str], None] | None
+    takes_over: str
 
 
 class Follower:
@@ -130,6 +131,7 @@ class Follower:
         refused: Callable[[TrajectoryError], None],
         start: float = 0.0,
         abandoned: Callable[[str], None] | None = None,
+        takes_over: str = "another trajectory took over",
     ) -> None:
         """Follow another path as soon as the axes can; a request that still waits is replaced.
 
@@ -147,11 +149,18 @@ class Follower:
             Begin no sooner than that [s].
         abandoned : callable, optional
             Called with the reason when the path has begun, but a joint does not follow it to its end; for each joint.
+        takes_over : str
+            This reason for the paths and the request that this one replaces.
         """
         if self._request is not None:
-            self._request.refused(TrajectoryError("another trajectory came before this one could begin"))
+            self._request.refused(TrajectoryError(takes_over))
         axes = tuple(self._joints.index(joint) for joint in joints)
-        self._request = _Request(axes, plan, start, begun, refused, abandoned)
+        self._request = _Request(axes, plan, start, begun, refused, abandoned, takes_over)
+
+    def withdraw(self, plan: Plan) -> None:
+        """Forget a request that has not begun, and tell nothing."""
+        if self._request is not None and self._request.plan is plan:
+            self._request = None
 
     def cancel(self, axis: int, reason: str) -> None:
         """Forget the path of an axis, and the request that names it."""
@@ -274,7 +283,7 @@ class Follower:
             one.path = own if one.path is None else spliced(one.path, own, time)
             before, one.abandoned = one.abandoned, request.abandoned
             if before is not None:
-                before("another trajectory took over")
+                before(request.takes_over)
         request.begun(path.end_time)
 
     def _plan(self, request: _Request, time: float) -> tuple[Path, dict[str, TimedPoints]]:

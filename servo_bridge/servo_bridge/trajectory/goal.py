@@ -15,12 +15,14 @@ from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import State
 from servo_bridge.trajectory.tolerances import GoalMonitor, Outcome, Phase, Tolerance
 
-__all__ = ["CANCELED", "PREEMPTED", "Goal", "GoalDefaults", "Step"]
+__all__ = ["CANCELED", "PREEMPTED", "WITHDRAWN", "Goal", "GoalDefaults", "Step"]
 
 PREEMPTED = "Current goal preempted by new incoming action."
 """What joint_trajectory_controller says of a goal that another one replaces."""
 
 CANCELED = "cancelled; the joints have stopped and hold"
+
+WITHDRAWN = "cancelled before it began"
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class Step(Enum):
     NOTHING = "nothing"
     STOP = "stop"
     """Have the joints of the goal stop and hold."""
+    WITHDRAW = "withdraw"
+    """Its path has not begun: forget it, and send the result."""
     END = "end"
     """Send the result, `Goal.outcome`; joints that still follow the path of a goal that was given up have to stop."""
 
@@ -138,6 +142,10 @@ class Goal:
             self.canceled = True
             self.outcome = Outcome(Phase.ABORTED, ErrorCode.SUCCESSFUL, CANCELED)
             return Step.END
+        if self._canceling and self._monitor is None:
+            self.canceled = True
+            self.outcome = Outcome(Phase.ABORTED, ErrorCode.SUCCESSFUL, WITHDRAWN)
+            return Step.WITHDRAW
         if self._canceling:
             self._stopping = True
             return Step.STOP
