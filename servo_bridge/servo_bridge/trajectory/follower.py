@@ -164,7 +164,8 @@ class Follower:
 
     def cancel(self, axis: int, reason: str) -> None:
         """Forget the path of an axis, and the request that names it."""
-        before, self._axes[axis] = self._axes[axis], _Axis()
+        before = self._axes[axis]
+        self._axes[axis] = _Axis(position_ref=before.position_ref)
         if before.abandoned is not None:
             before.abandoned(reason)
         request = self._request
