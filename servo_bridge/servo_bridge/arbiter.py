@@ -143,7 +143,7 @@ class Arbiter:
         self.inactive = ""
         self._modes: list[Mode | None] = [None] * AXES
         self._targets: list[_Target | None] = [None] * AXES
-        self._halted: set[int] = set()  # axes whose points the board has refused; it may still have earlier ones
+        self._halted: set[int] = set()  # axes that have to be stopped
         self._paths: PathSource | None = None
 
     def follow(self, paths: PathSource) -> None:
@@ -258,6 +258,16 @@ class Arbiter:
                     "data: true and wait until armed is true"
                 )
 
+    def halt(self, axes: Iterable[int], reason: str) -> None:
+        """Have axes stop at the acceleration limit of the board and hold, whatever path or set-point they follow.
+
+        A change of mode does that on the board: nothing has to be planned, and nothing can be refused.
+        """
+        for axis in axes:
+            self._targets[axis] = self._modes[axis] = None
+            self._leave_path(axis, reason)
+            self._halted.add(axis)
+
     def obeys_points(self, axis: int) -> bool:
         """Whether an axis has been told to follow timed points."""
         return self._modes[axis] is Mode.TRAJECTORY
@@ -296,9 +306,10 @@ class Arbiter:
         for axis in range(AXES):
             if write.mask >> axis & 1:
                 self._targets[axis] = self._modes[axis] = None
-                self._leave_path(axis, f"the board refused {write.variable}")
                 if write.variable == _POINTS:
-                    self._halted.add(axis)
+                    self.halt([axis], "the board refused points of the trajectory")
+                else:
+                    self._leave_path(axis, f"the board refused {write.variable}")
 
     # ---- details
     def _leave_path(self, axis: int, reason: str) -> None:

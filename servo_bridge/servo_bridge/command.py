@@ -345,7 +345,7 @@ class Commander(Node):
             return self._matched_publishers[name]
         topic = self._of(name)
         publisher = self._matched_publishers[name] = self.create_publisher(kind, topic, topics.command_qos())
-        self.wait_for(publisher.get_subscription_count, f"nobody listens to {topic}")
+        self.wait_for(publisher.get_subscription_count, f"no subscriber on {topic}")
         self.wait_for(lambda: self.count_publishers("/rosout") > 1, "the log of the bridge was not found")
         self.turn(_MATCH)  # until the new subscriptions are matched: what is published before is not heard
         return publisher
@@ -468,7 +468,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when the command was accepted, 1 when it was refused or nobody answered, 2 for a wrong usage, 130 after Ctrl-C
+        0 when the command was accepted, 1 when it was refused or no answer came, 2 for a wrong usage, 130 after Ctrl-C
         or SIGTERM.
     """
     argv = list(sys.argv if args is None else ["servo-command", *args])

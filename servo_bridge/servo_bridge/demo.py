@@ -92,6 +92,11 @@ class Demo:
                 f"no residuals of a twin within {patience:g} s. Start it with `servo_twin` and see its log, "
                 "or leave out --require-twin"
             )
+        if client.geared:
+            raise DemoError(
+                f"{', '.join(client.geared)} has a gear, a direction or an offset, and the demonstration turns bare "
+                "shafts by several turns; run it with the default gear_ratio, direction and offset"
+            )
         self.twin = require_twin or client.wait_for(lambda: client.twin_present, 1.0)
         self._say(f"servo found: {client.state}; " + ("comparing with the twin" if self.twin else "no twin is running"))
 

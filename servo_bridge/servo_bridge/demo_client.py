@@ -13,6 +13,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table, to_stamp
+from servo_msgs_py.robot_description import joints_of
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -48,6 +49,7 @@ class ServoClient(Node):
         self._interrupted = interrupted
         self._servo = servo
         self.joints: list[str] = []
+        self.geared: list[str] | None = None  # joints that are no bare shafts
         self.state = ""
         self.columns: list[str] = []
         self.applied: list[AppliedCommand] = []
@@ -60,6 +62,8 @@ class ServoClient(Node):
         self.create_subscription(Float64MultiArray, self._of(topics.COMMANDS_APPLIED), self._on_applied, deep)
         self.create_subscription(String, self._of(topics.STATE), self._on_state, topics.latched_qos())
         self.create_subscription(JointState, self._residual_topic, self._on_residual, deep)
+        self._description = self._of(topics.ROBOT_DESCRIPTION)
+        self.create_subscription(String, self._description, self._on_description, topics.latched_qos())
         self._commands = self.create_publisher(JointState, self._of(topics.JOINT_COMMANDS), topics.command_qos())
         self._paths = self.create_publisher(JointTrajectory, self._of(topics.JOINT_TRAJECTORY), topics.command_qos())
         self._single: dict[str, Any] = {}
@@ -95,6 +99,7 @@ class ServoClient(Node):
             self.joints
             and self._rows
             and self.state
+            and self.geared is not None
             and self._enable.service_is_ready()
             and self._quick_stop.service_is_ready()
             and self._commands.get_subscription_count()
@@ -104,7 +109,7 @@ class ServoClient(Node):
 
     @property
     def twin_present(self) -> bool:
-        """Somebody publishes residuals."""
+        """Whether a twin publishes residuals."""
         return bool(self.count_publishers(self._residual_topic))
 
     # ---- commanding
@@ -199,6 +204,14 @@ class ServoClient(Node):
 
     def _on_applied(self, message: Float64MultiArray) -> None:
         self.applied.append(applied_from_message(message))
+
+    def _on_description(self, message: String) -> None:
+        try:
+            joints = joints_of(message.data)
+        except ValueError as error:
+            self.get_logger().warning(f"{self._description}: {error}")
+            return
+        self.geared = [joint.name for joint in joints if (joint.reduction, joint.offset) != (1.0, 0.0)]
 
     def _on_state(self, message: String) -> None:
         self.state = message.data

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import math
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import ModuleType
@@ -13,12 +15,12 @@ import numpy as np
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.node import Node
 from servo_msgs_py.convert import to_stamp
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectoryPoint
 
 from servo_bridge.setpoints import Rejected
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
-from servo_bridge.trajectory.goal import PREEMPTED, Goal, GoalDefaults, Step
+from servo_bridge.trajectory.goal import CANCELED, PREEMPTED, Goal, GoalDefaults, Step
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.timed_points import PERIOD
@@ -61,7 +63,7 @@ class _Active:
 
     handle: Any
     goal: Goal
-    plan: Plan
+    plan: Plan | None = None  # until it has begun, for `Follower.withdraw`
     paths: Mapping[str, Path] = field(default_factory=dict)  # by joint, as the follower has them
     path: Path | None = None  # the same of all its joints together
     next_feedback: int = 0  # tick
@@ -102,7 +104,6 @@ class FollowAction:
         self._follower = follower
         self._defaults = defaults
         self._active: list[_Active] = []
-        self._orphans: dict[str, Path] = {}  # paths of goals that have been given up, by joint
         self._server = _Server(
             node,
             self._type,
@@ -137,28 +138,47 @@ class FollowAction:
         joints = [joint for joint in self._joints if joint in names or not names]
         goal = Goal(joints, {}, {}, 0.0)
         try:
-            goal = self._goal(request, joints)
-
-            def begun(end: float) -> None:
-                goal.begun(end)
-                paths = self._follower.paths()
-                active.paths = {joint: paths[joint] for joint in goal.joints}
-                active.path = merged(list(active.paths.values()))
-
-            plan = self._trajectories.follow(
-                _SOURCE,
-                request.trajectory,
-                begun=begun,
-                refused=goal.refused,
-                abandoned=goal.abandoned,
-                takes_over=PREEMPTED,
-            )
+            active = self._begin(handle, joints)
         except Rejected as error:
             goal.refused(error)
-            self._end(handle, goal)
+        except Exception as error:  # the executor would end the node
+            self._node.get_logger().error(f"{_SOURCE}: {traceback.format_exc()}")
+            goal.failed(f"{_SOURCE}: internal error: {error!r}")
+        else:
+            self._active.append(active)
             return
-        active = _Active(handle, goal, plan)
-        self._active.append(active)
+        self._end(handle, goal)
+
+    def _begin(self, handle: Any, joints: Sequence[str]) -> _Active:
+        """Have a goal followed.
+
+        Raises
+        ------
+        Rejected
+            If it is refused at once.
+        """
+        request = handle.request
+        goal = self._goal(request, joints)
+        if not len(request.trajectory.points):
+            goal.stopping(self._trajectories.stop(_SOURCE, request.trajectory.joint_names, PREEMPTED))
+            return _Active(handle, goal)
+
+        def begun(end: float) -> None:
+            goal.begun(end)
+            paths = self._follower.paths()
+            active.paths = {joint: paths[joint] for joint in goal.joints}
+            active.path = merged(list(active.paths.values()))
+
+        active = _Active(handle, goal)
+        active.plan = self._trajectories.follow(
+            _SOURCE,
+            request.trajectory,
+            begun=begun,
+            refused=goal.refused,
+            abandoned=goal.abandoned,
+            takes_over=PREEMPTED,
+        )
+        return active
 
     def _goal(self, request: Any, joints: Sequence[str]) -> Goal:
         if len(request.multi_dof_trajectory.points) or len(request.multi_dof_trajectory.joint_names):
@@ -194,52 +214,40 @@ class FollowAction:
             step = active.goal.sample(tick * PERIOD, desired, actual)
             if step is Step.STOP:
                 self._stop(active.goal)
-            elif step is Step.WITHDRAW:
+            elif step is Step.WITHDRAW and active.plan is not None:
                 self._follower.withdraw(active.plan)
             if active.goal.ended:
                 self._active.remove(active)
                 self._end(active.handle, active.goal)
                 if active.goal.outcome.phase is Phase.ABORTED:
-                    self._orphans.update(active.paths)
+                    self._stop_rest(active)
             elif moving and desired is not None and tick >= active.next_feedback:
                 active.next_feedback = tick + _FEEDBACK_PERIODS
                 active.handle.publish_feedback(self._feedback(active, stamp_ns, desired, actual))
-        self._stop_orphans()
 
     def link_lost(self, reason: str) -> None:
         """End every goal: there are no samples any more."""
         active, self._active = self._active, []
         for each in active:
-            each.goal.stop_failed(reason)
+            each.goal.failed(reason)
             self._end(each.handle, each.goal)
 
     def _stop(self, goal: Goal) -> None:
-        """Have the joints of a cancelled goal stop and hold, as an empty trajectory does."""
+        """Have the joints of a cancelled goal stop and hold."""
         try:
-            self._trajectories.follow(
-                _SOURCE,
-                JointTrajectory(joint_names=goal.joints),
-                begun=goal.stopping,
-                refused=lambda error: goal.stop_failed(str(error)),
-            )
+            end = self._trajectories.stop(_SOURCE, goal.joints, CANCELED)
         except Rejected as error:
-            goal.stop_failed(str(error))
+            goal.failed(str(error))
+        else:
+            goal.stopping(end)
 
-    def _stop_orphans(self) -> None:
-        """Stop joints that still follow a goal that has been given up, once no other request waits."""
-        if not self._orphans or self._follower.waits:
-            return
-        paths, orphans = self._follower.paths(), self._orphans
-        self._orphans = {}
-        joints = [joint for joint, path in orphans.items() if paths.get(joint) is path]
+    def _stop_rest(self, active: _Active) -> None:
+        """Stop the joints that still follow the path of an aborted goal."""
+        paths = self._follower.paths()
+        joints = [joint for joint, path in active.paths.items() if paths.get(joint) is path]
         if joints:
-            try:
-                self._trajectories.follow(_SOURCE, JointTrajectory(joint_names=joints), refused=self._not_stopped)
-            except Rejected as error:
-                self._not_stopped(error)
-
-    def _not_stopped(self, error: Rejected) -> None:
-        self._node.get_logger().warning(f"joints of a goal that was given up are not stopped by it: {error}")
+            with contextlib.suppress(Rejected):  # the board has stopped them: the axes obey nothing
+                self._trajectories.stop(_SOURCE, joints, active.goal.outcome.text)
 
     def _feedback(self, active: _Active, stamp_ns: int, desired: State, actual: State) -> Any:
         feedback = self._type.Feedback(joint_names=active.goal.joints)

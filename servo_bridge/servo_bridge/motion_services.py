@@ -19,9 +19,10 @@ Outcome = tuple[bool, str]
 """Success and message."""
 
 _RECHECK = 4 * SLOW_PERIODS
+"""PWM periods after which a fault whose cause is still there has come back."""
+
 _ENABLE_PATIENCE = 40_000
 """PWM periods (2.5 s) after which an enable is answered though the axes are still on their way."""
-"""PWM periods after which a fault whose cause is still there has come back."""
 
 
 class MotionServices:
@@ -72,7 +73,7 @@ class MotionServices:
             entry[1].set_result((not faults, f"still there: {faults}" if faults else "no faults"))
 
     def link_lost(self, reason: str) -> None:
-        """Answer everybody who waits."""
+        """Answer every call that waits."""
         self._frame = None
         self._reason = reason
         waiting, self._rechecks = self._rechecks, []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -229,7 +230,13 @@ def _interfaces(texts: Sequence[str], joints: Sequence[str]) -> Mapping[str, fro
 
 
 def _preferred_source(topic: str, joints: Sequence[str]) -> str:
-    known = [topics.JOINT_COMMANDS, topics.COMMANDS, topics.JOINT_TRAJECTORY, *map(topics.joint_position_topic, joints)]
+    known = [
+        topics.JOINT_COMMANDS,
+        topics.COMMANDS,
+        topics.JOINT_TRAJECTORY,
+        topics.FOLLOW_JOINT_TRAJECTORY,
+        *map(topics.joint_position_topic, joints),
+    ]
     if topic and topic not in known:
         raise ParameterError(f"parameter preferred_source is {topic!r}; give one of {', '.join(known)}, or nothing")
     return topic
@@ -307,7 +314,12 @@ def declare(node: Node) -> dict[str, Any]:
 
 def values_of(node: Node) -> dict[str, Any]:
     """Values of the declared parameters, for `settings_from`."""
-    return {name: node.get_parameter(name).value for name in PARAMETERS}
+    return {name: _plain(node.get_parameter(name).value) for name in PARAMETERS}
+
+
+def _plain(value: Any) -> Any:
+    """An array as the list that it was declared as."""
+    return value.tolist() if isinstance(value, array) else value
 
 
 class Configured(Protocol):
@@ -335,7 +347,7 @@ def watch(node: Node, catalogue: Catalogue, configured: Callable[[], Configured 
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
         before = values_of(node)
-        reason = refusal(before, before | {p.name: p.value for p in parameters})
+        reason = refusal(before, before | {p.name: _plain(p.value) for p in parameters})
         return SetParametersResult(successful=not reason, reason=reason)
 
     def refusal(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:

@@ -391,7 +391,7 @@ class Supervisor:
         applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
         self._motion.on_frame(frame)
         if applied is not None:
-            # Before the sample that shows its effect, so that whoever replays has it in time.
+            # Before the sample that shows its effect, so that a twin that replays has it in time.
             self._publications.applied(applied)
         self._publications.sample(frame, stamp, self._torque_constants)
         self._publish_state()

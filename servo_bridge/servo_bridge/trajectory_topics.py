@@ -9,15 +9,18 @@ from trajectory_msgs.msg import JointTrajectory
 
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.setpoint_topics import SetPointTopics
-from servo_bridge.setpoints import Rejected
+from servo_bridge.setpoints import NotReady, Rejected
 from servo_bridge.trajectory.check import Limits
-from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
 from servo_bridge.trajectory.from_message import from_message
 from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
 __all__ = ["TrajectoryTopics"]
+
+_STOP_DELAY = 0.1
+"""Until a stop takes effect on the board, and the shaft has followed it [s]."""
 
 
 class TrajectoryTopics:
@@ -67,9 +70,52 @@ class TrajectoryTopics:
     def _on_trajectory(self, message: JointTrajectory) -> None:
         source = topics.JOINT_TRAJECTORY
         try:
+            if not len(message.points):
+                self.stop(source, message.joint_names)
+                return
             self.follow(source, message, refused=lambda error: self._set_points.reject(source, error))
         except Rejected as error:
             self._set_points.reject(source, error)
+
+    def stop(self, source: str, names: Sequence[str], reason: str = "") -> float:
+        """Have joints stop at the acceleration limit and hold.
+
+        Parameters
+        ----------
+        source : str
+            Topic or action that asks for it.
+        names : sequence of str
+            Joints; none: all.
+        reason : str
+            For paths that end by it; by default that an empty trajectory came.
+
+        Returns
+        -------
+        float
+            When they have stopped, at the latest [s of board time].
+
+        Raises
+        ------
+        Rejected
+            If a joint does not exist, or the axes obey nothing.
+        """
+        for name in names:
+            if name not in self._joints:
+                known = ", ".join(self._joints)
+                raise TrajectoryError(
+                    f"{source}: joint {name!r} does not exist; the joints are {known}", ErrorCode.INVALID_JOINTS
+                )
+        joints = [joint for joint in self._joints if joint in names or not len(names)]
+        axes = [self._joints.index(joint) for joint in joints]
+        self._arbiter.check_ready(source, axes)
+        limits = self._limits()
+        if limits is None:
+            raise NotReady(f"{source}: the board has not told its limits yet; call quick_stop to stop now")
+        speeds = self._follower.running().select(joints).state(self._follower.now).velocity
+        times = [abs(speed) / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
+        self._arbiter.halt(axes, reason or f"an empty trajectory on {source} stopped it")
+        self._set_points.accept()
+        return float(self._follower.now + max(times) + _STOP_DELAY)
 
     def follow(
         self,
@@ -109,7 +155,8 @@ class TrajectoryTopics:
             If it is refused at once; nothing has changed then.
         """
         joints = [joint for joint in self._joints if joint in message.joint_names or not message.joint_names]
-        self._arbiter.admit(source, [self._joints.index(joint) for joint in joints])
+        axes = [self._joints.index(joint) for joint in joints]
+        self._arbiter.check_ready(source, axes)
         limits, origin_ns = self._limits(), self._origin_ns()
         if limits is None or origin_ns is None:
             raise TrajectoryError(f"{source}: the board has not told its limits yet; try again in a second")
@@ -128,6 +175,7 @@ class TrajectoryTopics:
         # What is wrong with it by itself is said at once, and not when the axes are ready for it.
         running = self._follower.running()
         plan(running, running.start_time)
+        self._arbiter.admit(source, axes)
         self._follower.request(
             joints,
             plan,

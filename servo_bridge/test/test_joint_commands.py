@@ -142,6 +142,7 @@ def test_what_was_sent_before_enabling_moves_nothing_until_it_changes(rig: Rig) 
     rig.until(lambda: rig.messages[topics.PARAMETERS])
     for _ in range(3):
         send(rig, [0.0, 0.0])
+    rig.until(rig.rejections)
     assert "not been enabled" in rig.rejections()[-1]
     rig.link.axes(SPIN, SPIN)
     rig.enable(True)

@@ -88,7 +88,7 @@ def test_a_cancelled_goal_whose_stop_is_refused_is_aborted() -> None:
     subject.begun(2.0)
     subject.cancel()
     subject.sample(0.5, TARGET, at(0.9))
-    subject.stop_failed("axis1 is in FAULT")
+    subject.failed("axis1 is in FAULT")
     assert subject.sample(0.6, TARGET, at(0.9)) is Step.END
     assert not subject.canceled
     assert subject.outcome.text == "axis1 is in FAULT"

@@ -20,6 +20,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_table
+from servo_msgs_py.joints import joint_names
 from servo_msgs_py.node_shell import ParameterError, Spec, declare, run, setting_up
 from servo_msgs_py.robot_description import joints_of
 from std_msgs.msg import Bool, Float64MultiArray, String
@@ -155,6 +156,8 @@ class ServoViewer(Node):
         except ValueError as error:
             self._log.warning(f"{topic}: {error}")
             return
+        if not self._described:
+            self._log.info(f"shows the joints {', '.join(joint_names(joints))}")
         self._described = True
         self._viewer.joints(joints)
 

@@ -131,7 +131,8 @@ class Robot:
         self.publish("/servo/robot_description", String(data=text))
         self.start_ns = self.node.get_clock().now().nanoseconds
 
-    def wait_for_viewer(self) -> None:
+    def wait_for_viewer(self, viewer: ViewerProcess) -> None:
+        viewer.wait_for("shows the joints axis1, axis2")
         _wait(lambda: all(p.get_subscription_count() for p in self._made.values()), "subscriptions of the viewer")
         self.start_ns = self.node.get_clock().now().nanoseconds
 
@@ -194,7 +195,7 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
     file = tmp_path / "new" / "run.rrd"
     viewer = start(record=file, web="false")
     viewer.wait_for("recording to ")
-    robot.wait_for_viewer()
+    robot.wait_for_viewer(viewer)
     robot.publish("/servo/state", String(data="axis1=STOP axis2=STOP"))
     robot.publish("/twin/healthy", Bool(data=True))
     robot.rows("/servo/snapshot")
@@ -225,7 +226,7 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
 def test_without_a_twin_the_board_is_recorded_until_ctrl_c(start: Start, robot: Robot, tmp_path: Path) -> None:
     file = tmp_path / "run.rrd"
     viewer = start(record=file, web="false")
-    robot.wait_for_viewer()
+    robot.wait_for_viewer(viewer)
     robot.publish("/servo/snapshot", Float64MultiArray(data=[1.0, 2.0]))  # no telemetry table
     robot.rows("/servo/snapshot")
     _wait_points(file, {BOARD_SPEED: 500})

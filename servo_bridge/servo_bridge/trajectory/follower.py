@@ -174,9 +174,9 @@ class Follower:
             request.refused(TrajectoryError(reason))
 
     @property
-    def waits(self) -> bool:
-        """Whether a request has not begun yet."""
-        return self._request is not None
+    def now(self) -> float:
+        """Board time of the newest sample [s]."""
+        return self._now * PERIOD
 
     @property
     def axes(self) -> frozenset[int]:

@@ -15,12 +15,14 @@ from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import State
 from servo_bridge.trajectory.tolerances import GoalMonitor, Outcome, Phase, Tolerance
 
-__all__ = ["CANCELED", "PREEMPTED", "WITHDRAWN", "Goal", "GoalDefaults", "Step"]
+__all__ = ["CANCELED", "PREEMPTED", "STOPPED", "WITHDRAWN", "Goal", "GoalDefaults", "Step"]
 
 PREEMPTED = "Current goal preempted by new incoming action."
 """What joint_trajectory_controller says of a goal that another one replaces."""
 
 CANCELED = "cancelled; the joints have stopped and hold"
+
+STOPPED = "the joints have stopped and hold"
 
 WITHDRAWN = "cancelled before it began"
 
@@ -51,7 +53,7 @@ class Step(Enum):
     WITHDRAW = "withdraw"
     """Its path has not begun: forget it, and send the result."""
     END = "end"
-    """Send the result, `Goal.outcome`; joints that still follow the path of a goal that was given up have to stop."""
+    """Send the result, `Goal.outcome`; joints that still follow the path of an aborted goal have to stop."""
 
 
 class Goal:
@@ -111,16 +113,17 @@ class Goal:
             self._abort(ErrorCode.INVALID_GOAL, reason)
 
     def cancel(self) -> None:
-        """Its client asks for the end."""
+        """Cancel requested."""
         self._canceling = True
 
-    # ---- the stop that it asks for
+    # ---- a stop: after a cancellation, or because the trajectory is empty
     def stopping(self, end: float) -> None:
         """The joints stop, and rest from a time on [s]."""
+        self._stopping = True
         self._stopped_at = end
 
-    def stop_failed(self, reason: str) -> None:
-        """The joints do not follow points any more: something else has stopped them."""
+    def failed(self, reason: str) -> None:
+        """The axes obey nothing any more."""
         self._abort(ErrorCode.INVALID_GOAL, reason)
 
     # ---- time
@@ -139,8 +142,9 @@ class Goal:
         if self._stopping:
             if time < self._stopped_at:
                 return Step.NOTHING
-            self.canceled = True
-            self.outcome = Outcome(Phase.ABORTED, ErrorCode.SUCCESSFUL, CANCELED)
+            self.canceled = self._canceling
+            phase, text = (Phase.ABORTED, CANCELED) if self._canceling else (Phase.SUCCEEDED, STOPPED)
+            self.outcome = Outcome(phase, ErrorCode.SUCCESSFUL, text)
             return Step.END
         if self._canceling and self._monitor is None:
             self.canceled = True

@@ -140,9 +140,9 @@ class Streamer:
         """Ask for the axes of every stream that waits: a later request replaces an earlier one."""
         axes = [axis for axis, mine in self._streams.items() if mine.stream is None]
         joints = [self._joints[axis] for axis in axes]
+        arrival = max(self._streams[axis].waiting[0][1] for axis in axes)
 
         def plan(running: Path, now: float) -> Path:
-            arrival = max(self._streams[axis].waiting[0][1] for axis in axes)
             begin = max(round(now / PERIOD), math.ceil((arrival + self._lead) / PERIOD))
             start = running.select(joints).state(begin * PERIOD)
             for k, axis in enumerate(axes):
@@ -156,7 +156,9 @@ class Streamer:
 
         def begun(_end: float) -> None:
             for axis, joint in zip(axes, joints, strict=True):
-                self._streams[axis].path = self._follower.paths()[joint]
+                mine = self._streams[axis]
+                mine.path = self._follower.paths()[joint]
+                mine.waiting.clear()
 
         def refused(_error: TrajectoryError) -> None:
             if self._asked is not plan:
@@ -168,6 +170,7 @@ class Streamer:
         self._follower.request(joints, plan, begun, refused)
 
     def _begin(self, axis: int, start: State, begin: int) -> None:
+        """Make the stream of a joint; anew if the path is worked out again for a later begin."""
         mine = self._streams[axis]
         mine.stream = Stream(
             [self._joints[axis]],
@@ -181,7 +184,6 @@ class Streamer:
         )
         for message in mine.waiting:
             _feed(mine.stream, *message)
-        mine.waiting.clear()
 
     def _forget_those_taken_over(self) -> None:
         paths = self._follower.paths()
