@@ -305,7 +305,7 @@ class TestTwinOfTheSameBoard:
     def test_the_residual_is_exactly_zero(self, chain: Chain) -> None:
         with user() as me:
             chain.twin(seed=5)
-            chain.bridge()
+            chain.bridge(gear_ratio=[1.0, 1.5], direction=[1, -1], offset=[0.0, 0.5])
             me.until(lambda: me.matched() and me.last("/twin/state"), 30.0)
             chain.board(seed=5)  # last, so that its twin can follow it from its reset on
             me.until(me.connected, 30.0)

@@ -193,6 +193,7 @@ class Rig:
             self.listen(name, kind, topics.telemetry_qos(1000))
         self.listen("/rosout", Log, ROSOUT)
         self.listen(topics.PARAMETERS, Float64MultiArray, topics.latched_qos())
+        self.listen(topics.ROBOT_DESCRIPTION, String, topics.latched_qos())
         self.listen(topics.STATE, String, topics.latched_qos())
         self.listen(topics.ARMED, Bool, topics.latched_qos())
         qos = topics.command_qos()

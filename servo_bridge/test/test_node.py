@@ -19,6 +19,8 @@ from servo_bridge.wire.link_state import LinkState
 from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand, from_stamp, snapshot_table, to_stamp
+from servo_msgs_py.joints import Joint, JointLimits
+from servo_msgs_py.robot_description import joints_of
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool
 
@@ -27,6 +29,7 @@ from servo_msgs_py import topics
 pytestmark = pytest.mark.realtime
 
 CATALOGUE = Catalogue.load()
+COUNT = CATALOGUE["axis1.position"].lsb
 TURN = 2.0 * math.pi
 
 
@@ -476,6 +479,62 @@ def test_joint_names_reach_topics_and_messages() -> None:
         for name in ("var/pan/i_q", "var/cmd/position/pan", "var/cmd/position/axis2"):
             assert rig.user.count_publishers(name) == 1, name
         assert rig.user.count_publishers("var/axis1/i_q") == 0
+
+
+GEARS = {
+    "joints": ["arm", "axis2"],
+    "gear_ratio": [10.0, 1.0],
+    "direction": [-1, 1],
+    "offset": [0.5, 0.0],
+    "position_min": [-1.0, -1.0e15],
+    "position_max": [2.0, 1.0e15],
+}
+
+
+def test_a_geared_joint_is_in_its_units_on_ros_and_in_those_of_the_motor_on_the_board() -> None:
+    with Rig(**GEARS) as rig:
+        counts = 800
+        rig.link.values |= {"axis1.position": counts, "axis2.position": counts}
+        for name, amount in (("speed", 20.0), ("i_q", 0.5)):
+            rig.link.values[f"axis1.{name}"] = CATALOGUE[f"axis1.{name}"].to_raw(amount)
+        rig.ready()
+        states = rig.messages[topics.JOINT_STATES]
+        rig.until(lambda: states and len(states[-1].effort) == 2)
+        arm = next(iter(zip(states[-1].position, states[-1].velocity, states[-1].effort, strict=True)))
+        assert arm == pytest.approx((0.5 - counts * COUNT / 10.0, -2.0, -10.0 * 0.04 * 0.5), rel=1e-3)
+        assert states[-1].position[1] == counts * COUNT
+        rig.until(rig.snapshots)
+        assert rig.snapshots()[-1]["axis1.position"] == counts * COUNT
+
+        rig.joint_commands.publish(JointState(name=["arm"], position=[0.5 - 400.0 * COUNT]))
+
+        def written() -> list[Any]:
+            rig.link.sample()
+            return [write for write in rig.link.written if write[0] == "cmd.position"]
+
+        rig.until(written)
+        assert written() == [("cmd.position", 0, (4000,))]
+        rig.joint_commands.publish(JointState(name=["arm"], position=[2.5]))
+        rig.until_rejected(0)
+        assert "position of arm is 2.5 rad, outside -1 .. 2 rad" in rig.rejections()[0]
+
+
+def test_the_description_has_the_joints_and_follows_their_limits() -> None:
+    with Rig(**GEARS, command_interfaces=["position", "velocity"]) as rig:
+        messages = rig.messages[topics.ROBOT_DESCRIPTION]
+        rig.until(lambda: messages)
+        arm, other = joints_of(messages[-1].data)
+        assert arm == Joint("arm", 10.0, -1, 0.5, JointLimits(-1.0, 2.0, 41.9, 1.0))
+        assert other == Joint("axis2", limits=JointLimits(velocity_max=419.0, effort_max=1.0))
+        for topic in ("/servo/joint_commands", "/servo/joint_states"):
+            assert f">{topic}</param>" in messages[-1].data
+        assert messages[-1].data.count("<command_interface ") == 2
+        assert rig.set_parameter("position_max", [1.5, 1.0e15])[0]
+        rig.until(lambda: joints_of(messages[-1].data)[0].limits.position_max == 1.5)
+        assert rig.set_parameter("preferred_source", "commands")[0]
+        assert not rig.set_parameter("gear_ratio", [20.0, 1.0])[0]
+        rig.settle()
+        assert len(messages) == 2
 
 
 def test_limits_change_at_run_time_and_the_port_does_not(rig: Rig) -> None:

@@ -75,6 +75,37 @@ def test_wrong_limits_are_named(name: str, value: Any) -> None:
         settings_from(DEFAULTS | {name: value}, CATALOGUE)
 
 
+def test_joints_have_gears_and_limits_in_their_units() -> None:
+    given = {
+        "joints": ["arm", "wheel"],
+        "gear_ratio": [50.0, 1.0],
+        "direction": [-1, 1],
+        "offset": [0.25, 0.0],
+        "position_min": [-1.0, -1.0e15],
+        "position_max": [2.0, 1.0e15],
+    }
+    arm, wheel = settings_from(DEFAULTS | given, CATALOGUE).joints
+    assert arm == Joint("arm", 50.0, -1, 0.25, JointLimits(-1.0, 2.0, 419.0, 1.0))
+    assert arm.limits.bounded
+    assert not wheel.limits.bounded
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("gear_ratio", [1.0], "parameter gear_ratio is [1.0]; give 2 numbers, one per joint"),
+        ("gear_ratio", [1.0, 0.0], "parameter gear_ratio of axis2 is 0; give turns of the motor"),
+        ("direction", [0, 1], "parameter direction of axis1 is 0; give 1, or -1"),
+        ("offset", [float("nan"), 0.0], "parameter offset is [nan, 0.0]"),
+        ("offset", [0.0, 1e7], "parameter offset of axis2 is 1e+07 rad"),
+    ],
+)
+def test_wrong_gears_are_named(name: str, value: Any, said: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        settings_from(DEFAULTS | {name: value}, CATALOGUE)
+    assert said in str(caught.value)
+
+
 def test_the_preferred_source_is_a_topic_that_takes_set_points() -> None:
     named = settings_from(DEFAULTS | {"preferred_source": "arm/position", "joints": ["arm", "hand"]}, CATALOGUE)
     assert named.preferred_source == "arm/position"

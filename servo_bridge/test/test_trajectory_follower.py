@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,7 @@ from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory.waypoints import Waypoints
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
+from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 from servo_msgs_py.timed_points import TimedPoint, decode_points
 
 CATALOGUE = Catalogue.load()
@@ -25,13 +26,14 @@ SAMPLE = 160  # ticks between two samples
 class Rig:
     """A follower whose board takes everything and is where it is meant to be."""
 
-    def __init__(self) -> None:
+    def __init__(self, joints: Sequence[Joint] = DEFAULT_JOINTS) -> None:
         self.refusals: list[str] = []
         self.ends: list[float] = []
         self.sent: list[TimedPoint] = []
         self.leads: list[int] = []  # of each of them, from the sample before it was sent [PWM periods]
         self.checked: list[Path] = []
-        self.follower = Follower(CATALOGUE, DEFAULT_JOINTS, self.checked.append, clock=lambda: self.time)
+        self.joints = joints
+        self.follower = Follower(CATALOGUE, joints, self.checked.append, clock=lambda: self.time)
         self.tick = 8000
         self.time = 0.0  # of the computer [s]
         self.references = [1.0, -2.0]
@@ -43,7 +45,8 @@ class Rig:
             for axis, joint in enumerate(JOINTS):
                 path = self.follower.paths().get(joint)
                 if path is not None:
-                    self.references[axis] = float(path.state(self.tick * PERIOD).position[0])
+                    position = float(path.state(self.tick * PERIOD).position[0])
+                    self.references[axis] = self.joints[axis].motor_position(position)
             reports = [AxisReport(*pair) for pair in zip(self.references, self.follows, strict=True)]
             self.follower.on_sample(self.tick, reports)
             words = self.follower.next_points() if fetch else None
@@ -243,6 +246,33 @@ def test_efforts_become_currents() -> None:
     assert not rig.refusals
     assert rig.of(0)[0].current == pytest.approx(0.2, abs=1e-3)
     assert rig.of(0)[-1].current == pytest.approx(0.4, abs=1e-3)
+
+
+def test_points_of_a_geared_reversed_joint_are_those_of_its_motor() -> None:
+    rig = Rig([Joint("axis1", 100.0, -1, 0.5), Joint("axis2")])
+    rig.follower.torque_constants = [0.05, 0.05]
+    rig.references = [-150.0, 2.0]
+    rig.sample(2)
+    assert rig.follower.running().state(rig.tick * PERIOD).position.tolist() == [2.0, 2.0]
+
+    def plan(_: Path, now: float) -> Path:
+        ends = [[2.0], [2.5]]
+        rest = [[0.0], [0.0]]
+        return path_through(Waypoints.of(["axis1"], [now, now + 1.0], ends, rest, rest, efforts=[[0.5], [0.5]]))
+
+    rig.follower.request(["axis1"], plan, rig.ends.append, lambda error: rig.refusals.append(str(error)))
+    rig.sample(150)
+    assert not rig.refusals
+    points = rig.of(0)
+    assert (points[0].position, points[-1].position) == pytest.approx((-150.0, -200.0), abs=1e-6)
+    assert points[-1].velocity == 0.0
+    assert min(point.velocity for point in points) == pytest.approx(-100.0 * 1.875 * 0.5, rel=1e-2)
+    assert points[0].current == pytest.approx(-0.1, abs=1e-3)
+    # As many points as the same motion needs on the motor itself: its tolerance is that of the motor.
+    motor = Rig()
+    motor.move([51.0], joints=["axis1"], seconds=1.0)
+    motor.sample(150)
+    assert abs(len(points) - len(motor.of(0))) <= 1
 
 
 def test_merged_paths_are_the_same_motions() -> None:

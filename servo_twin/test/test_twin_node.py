@@ -68,13 +68,13 @@ class Rig:
         self.state = self.user.create_publisher(String, topics.STATE, latched)
         self.board_parameters = self.user.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self.description = self.user.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
-        text = describe(joints, CATALOGUE, commands_topic="/servo/joint_commands", states_topic="/servo/joint_states")
-        self.description.publish(String(data=text))
         self.messages: dict[str, list[Any]] = {}
         self._listen("/twin/joint_states", JointState, deep)
         self._listen("/twin/snapshot", Float64MultiArray, deep)
         self._listen("/twin/residual", JointState, deep)
-        self._listen(f"/twin/residual/{joints[0].name}/position", Float64, deep)
+        if joints:
+            self.describe(joints)
+            self._listen(f"/twin/residual/{joints[0].name}/position", Float64, deep)
         self._listen("/diagnostics", DiagnosticArray, deep)
         self._listen("/twin/state", String, latched)
         self._listen("/twin/healthy", Bool, latched)
@@ -92,8 +92,13 @@ class Rig:
         self.messages[name] = []
         self.user.create_subscription(kind, name, self.messages[name].append, qos)
 
+    def describe(self, joints: Sequence[Joint]) -> None:
+        """Tell what the axes of the board move."""
+        text = describe(joints, CATALOGUE, commands_topic="/servo/joint_commands", states_topic="/servo/joint_states")
+        self.description.publish(String(data=text))
+
     def _matched(self) -> bool:
-        publishers = (self.snapshot, self.applied, self.state, self.board_parameters)
+        publishers = (self.snapshot, self.applied, self.state, self.board_parameters, self.description)
         return (
             all(p.get_subscription_count() for p in publishers)
             and all(self.user.count_publishers(name) for name in self.messages)
@@ -226,6 +231,25 @@ def test_joints_residuals_and_state_are_those_of_the_description() -> None:
         assert 0.0 < worst[1] < 0.03 / 2.0
         assert rig.last("/twin/state") == "lift=RUN/SPIN pan=RUN/SPIN"
         assert rig.messages["/twin/residual/lift/position"]
+
+
+def test_without_a_description_nothing_is_compared_in_unknown_units() -> None:
+    with Rig(joints=[]) as rig:
+        rig.board.run(0.7)
+        rig.caught_up()
+        missing = "nothing on /servo/robot_description: the joints are not known"
+        rig.until(lambda: rig.last("/twin/state") == f"SYNCHRONISING {missing}")
+        rig.until(lambda: missing in rig.told())
+        assert rig.last("/twin/healthy") is False
+        assert not rig.messages["/twin/joint_states"]
+        rig.description.publish(String(data="<robot/>"))
+        rig.describe([Joint("arm", 2.0), Joint("wheel")])
+        rig.until(lambda: rig.last("/twin/state") == "arm=STOP wheel=STOP")
+        rig.board.run(0.7)
+        rig.until(lambda: rig.last("/twin/healthy"))
+        rig.describe([Joint("left"), Joint("right")])
+        rig.until(lambda: rig.user.count_publishers("/twin/residual/right/i_q"))
+        rig.until(lambda: not rig.user.count_publishers("/twin/residual/wheel/i_q"))
 
 
 def test_residuals_are_stamped_with_the_real_sample_and_left_out_while_searching(rig: Rig) -> None:

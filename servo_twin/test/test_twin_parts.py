@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.lockstep.axis_tie import AxisTie
@@ -279,6 +280,19 @@ class TestHealth:
         assert self.update(monitor, 0.0)
         assert not self.update(monitor, 0.1, **difference)
         assert monitor.reason.startswith(said)
+
+    def test_a_geared_joint_is_judged_in_its_units(self) -> None:
+        zero = dict.fromkeys(COMPARED, 0.0)
+        real = zero | {"axis1.position": 0.4, "axis1.speed": -20.0, "axis1.i_q": 0.01}
+        arm = Joint("arm", 10.0, -1, 0.5)
+        result = residual(80, real, zero, [0.5, 2.0], [arm, Joint("wheel")])
+        assert result.position[0] == result.values["axis1.position"] == pytest.approx(-0.04)
+        assert result.velocity[0] == result.values["axis1.speed"] == 2.0
+        assert result.effort[0] == pytest.approx(-0.05)
+        assert result.values["axis1.i_q"] == 0.01
+        monitor = HealthMonitor(Thresholds(0.05, 1.0, 0.06, hold=0.0, grace=0.0))
+        assert not monitor.update(result)
+        assert monitor.reason == "arm: velocity differs by +2 rad/s, allowed are 1"
 
     def test_where_a_stopping_axis_is_says_nothing(self) -> None:
         monitor = HealthMonitor(Thresholds(0.05, 10.0, 0.05, hold=0.0, grace=0.0))
