@@ -309,7 +309,7 @@ class Commander(Node):
         heard = self._bridge_log()
         self._publisher(JointTrajectory, topics.JOINT_TRAJECTORY).publish(message)
         self.wait_for(
-            lambda: heard("following a trajectory") or heard("rejected"),
+            lambda: heard("following a trajectory" if len(message.points) else "stopping ") or heard("rejected"),
             "the bridge neither followed nor rejected the trajectory",
         )
         if heard("rejected"):

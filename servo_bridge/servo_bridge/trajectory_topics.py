@@ -115,6 +115,7 @@ class TrajectoryTopics:
         times = [abs(speed) / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
         self._arbiter.halt(axes, reason or f"an empty trajectory on {source} stopped it")
         self._set_points.accept()
+        self._say(f"stopping {', '.join(joints)} for {source}")
         return float(self._follower.now + max(times) + _STOP_DELAY)
 
     def follow(

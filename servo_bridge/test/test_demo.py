@@ -38,6 +38,7 @@ class FakeClient:
 
     def __init__(self, position: Sequence[float] = (0.3 * COUNT, -2.2 * COUNT), twin_gap: float = 0.0) -> None:
         self.joints = ["axis1", "axis2"]
+        self.geared: list[str] = []
         self.state = "axis1=STOP axis2=STOP"
         self.applied: list[AppliedCommand] = []
         self.log: list[str] = []
