@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from chain import Chain, User, rows_of, user  # noqa: E402
+from servo_msgs_py.convert import applied_from_message  # noqa: E402
 from servo_msgs_py.units import PERIOD_NS  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
@@ -40,19 +41,24 @@ def rate(me: User) -> tuple[float, float]:
 
 
 def latencies(me: User, count: int) -> list[float]:
-    """From publishing a position to the tick of its effect [ms], one set-point at a time."""
+    """From publishing a position to the tick of its effect [ms], one set-point at a time.
+
+    Lists of messages are emptied at every set-point: work that grows with them would delay the user, not the bridge.
+    """
+    applied, snapshots = me.messages["/servo/commands_applied"], me.messages["/servo/snapshot"]
     result = []
     for number in range(count):
-        known = len(me.applied())
+        for messages in me.messages.values():
+            messages[:-1] = []
+        applied.clear()
         begin = me.node.get_clock().now().nanoseconds
         me.position[0].publish(Float64(data=0.01 * (number % 2)))
-        me.until(lambda known=known: len(me.applied()) > known, 5.0, "no set-point took effect")  # type: ignore[misc]
-        tick = me.applied()[known].tick
-        me.until(lambda tick=tick: me.rows()[-1]["tick"] >= tick, 5.0, "no telemetry")  # type: ignore[misc]
-        row = rows_of(me.messages["/servo/snapshot"][-1])[-1]
+        me.until(lambda: applied, 5.0, "no set-point took effect")
+        tick = applied_from_message(applied[0]).tick
+        me.until(lambda tick=tick: rows_of(snapshots[-1])[-1]["tick"] >= tick, 5.0, "no telemetry")  # type: ignore[misc]
+        row = rows_of(snapshots[-1])[-1]
         stamp = int(row["stamp.sec"]) * 1_000_000_000 + int(row["stamp.nanosec"])
         result.append((stamp - (row["tick"] - tick) * PERIOD_NS - begin) * 1e-6)
-        me.messages["/servo/snapshot"][:-1] = []
     return result
 
 
