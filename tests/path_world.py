@@ -15,11 +15,13 @@ from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import AxisReport, Follower, Plan
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
+from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory_limits import path_limits
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name, numbers
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
+from servo_msgs_py.timed_points import periods_ahead
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.board_memory import BoardError
@@ -52,6 +54,8 @@ class PathWorld:
     ----------
     held_back : bool
         Let no write through: the bridge is dead.
+    write_delay : float
+        From the bridge to the board [s].
     """
 
     def __init__(self, board: Board, delay_max: float | None = None, joints: Sequence[Joint] = DEFAULT_JOINTS) -> None:
@@ -60,6 +64,8 @@ class PathWorld:
         self.ends: list[float] = []
         self.refusals: list[TrajectoryError] = []
         self.held_back = False
+        self.write_delay = 0.0
+        self._on_the_line: list[tuple[float, CommandWrite]] = []
         self.log: list[NDArray[np.void]] = []
         self.arbiter = Arbiter(CATALOGUE, joints)
         self.follower = Follower(CATALOGUE, joints, self._check, clock=lambda: 0.0)
@@ -85,8 +91,16 @@ class PathWorld:
         require(path, [self.limits[JOINTS.index(joint)] for joint in path.joints])
 
     def _send(self, write: CommandWrite) -> None:
-        if self.held_back:
-            return
+        if not self.held_back:
+            self._on_the_line.append((self.now + self.write_delay, write))
+            self._deliver()
+
+    def _deliver(self) -> None:
+        """Hand the board what has come through the line."""
+        while self._on_the_line and self._on_the_line[0][0] <= self.now:
+            self._write(self._on_the_line.pop(0)[1])
+
+    def _write(self, write: CommandWrite) -> None:
         variable = CATALOGUE[write.variable]
         raw = [*write.raw, *[0] * (variable.count - write.first - len(write.raw))]
         data = variable.encode_raw([0] * write.first + raw)
@@ -158,6 +172,7 @@ class PathWorld:
                 rows = self.board.record(min(self.board.time_ns + WRITE_NS, sample))
                 if len(rows):
                     self.log.append(rows)
+                self._deliver()
                 written, self._acknowledge = self._acknowledge, []
                 for write, error in written:
                     self.dispatcher.acknowledged(write, error)
@@ -183,7 +198,9 @@ class PathWorld:
         self.arbiter.board_seen(axes)
         self.follower.on_sample(tick, reports)
         self.streamer.advance(self.now)
-        self.dispatcher.on_sample(tick, int(row["applied_tick"]), int(row["applied_count"]))
+        applied = self.dispatcher.on_sample(tick, int(row["applied_tick"]), int(row["applied_count"]))
+        if applied is not None and applied.variable == "cmd.points":
+            self.streamer.arrived(periods_ahead(applied.raw, applied.tick) * PERIOD)
 
     def table(self) -> NDArray[np.void]:
         """Everything that was recorded."""

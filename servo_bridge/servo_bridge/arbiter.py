@@ -21,6 +21,7 @@ from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.setpoints import Mode, NotReady, Rejected, Request
 from servo_bridge.sources import Source, Sources
+from servo_bridge.trajectory.errors import POINTS_REFUSED
 
 __all__ = ["Arbiter", "AxisStatus", "CommandWrite", "PathSource"]
 
@@ -307,7 +308,7 @@ class Arbiter:
             if write.mask >> axis & 1:
                 self._targets[axis] = self._modes[axis] = None
                 if write.variable == _POINTS:
-                    self.halt([axis], "the board refused points of the trajectory")
+                    self.halt([axis], POINTS_REFUSED)
                 else:
                     self._leave_path(axis, f"the board refused {write.variable}")
 

@@ -22,6 +22,7 @@ from servo_msgs_py.convert import diagnostic_array, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.node_shell import full_name
 from servo_msgs_py.robot_description import describe
+from servo_msgs_py.timed_points import periods_ahead
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
@@ -45,6 +46,7 @@ from servo_bridge.trajectory.check import Limits, require
 from servo_bridge.trajectory.follower import AxisReport, Follower
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.streamer import Streamer, stream_lead
+from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory_limits import path_limits
 from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_bridge.variable_topics import VariableTopics
@@ -393,6 +395,8 @@ class Supervisor:
         if applied is not None:
             # Before the sample that shows its effect, so that a twin that replays has it in time.
             self._publications.applied(applied)
+            if applied.variable == "cmd.points":
+                self._streamer.arrived(periods_ahead(applied.raw, applied.tick) * PERIOD)
         self._publications.sample(frame, stamp, self._torque_constants)
         self._publish_state()
 

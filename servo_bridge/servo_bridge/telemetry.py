@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
 from servo_msgs_py.convert import columns, state_label
@@ -118,7 +119,7 @@ class Telemetry:
             )
             for prefix in map(axis_name, range(AXES))
         ]
-        self._catalogue = catalogue
+        self._label = cache(partial(state_label, catalogue))
         self._lsb = catalogue[f"{axis_name(0)}.position"].lsb
         self._counts: list[int | None] = [None] * AXES
         self._ready_since: list[int | None] = [None] * AXES
@@ -143,7 +144,7 @@ class Telemetry:
             if at.position_ref is not None:
                 reference = unwrap_u32(raw[at.position_ref] & 0xFFFF_FFFF, counts)
                 row[at.position_ref] = reference * self._lsb
-            label = state_label(self._catalogue, raw[at.state], raw[at.substate])
+            label = self._label(raw[at.state], raw[at.substate])
             obeys = label in _OBEYS or self._waits(axis, label, sample.tick)
             axes.append(AxisStatus(label, obeys, label == "FAULT", counts, reference))
         return Frame(

@@ -333,7 +333,7 @@ class Catalogue:
 
     def active(self, flags: str, raw: int) -> list[Flag]:
         """Flags that are set in a flag word."""
-        return [flag for flag in self.flags[flags] if raw & flag.mask]
+        return [flag for flag in self.flags[flags] if raw & flag.mask] if raw else []
 
     def snapshot_variables(self) -> list[Variable]:
         """Variables that lie in the telemetry block, in the order of the table."""

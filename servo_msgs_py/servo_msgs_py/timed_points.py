@@ -15,6 +15,7 @@ __all__ = [
     "axes_of_points",
     "decode_points",
     "encode_points",
+    "periods_ahead",
     "shifted_points",
 ]
 
@@ -119,6 +120,11 @@ def axes_of_points(words: Sequence[int]) -> int:
     for last in words[POINT_WORDS - 1 :: POINT_WORDS]:
         mask |= 1 << (last >> _AXIS_BIT & 1)
     return mask
+
+
+def periods_ahead(words: Sequence[int], tick: int) -> int:
+    """How many PWM periods after a tick the first of encoded points is due; below 0 if it was before."""
+    return _signed(words[0] - tick)
 
 
 def shifted_points(words: Sequence[int], ticks: int, counts: Sequence[int], axes: int) -> list[int]:

@@ -8,6 +8,7 @@ publication to the tick at which the firmware took it, both on the ROS clock.
 from __future__ import annotations
 
 import json
+import math
 import sys
 import tempfile
 import time
@@ -20,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from chain import Chain, User, rows_of, user  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
 from servo_msgs_py.convert import applied_from_message  # noqa: E402
 from servo_msgs_py.units import PERIOD_NS  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
@@ -27,6 +29,8 @@ from std_msgs.msg import Float64  # noqa: E402
 CASES = ((115200, 0.0, 200), (1_000_000, 0.0, 200), (1_000_000, 200.0, 10_000))
 """Line speed, parameter ``telemetry_rate`` [Hz], and how many set-points are sent."""
 SECONDS = 5.0
+STREAM_PERIOD = 0.01
+"""Of the stream that is sent to both axes [s]."""
 AIMS = "at 1 Mbaud and 200 Hz: 2.0, 5.0, 20.0 ms; 20 % of a core"
 
 
@@ -60,6 +64,42 @@ def latencies(me: User, count: int) -> list[float]:
         stamp = int(row["stamp.sec"]) * 1_000_000_000 + int(row["stamp.nanosec"])
         result.append((stamp - (row["tick"] - tick) * PERIOD_NS - begin) * 1e-6)
     return result
+
+
+POINTS = [f"axis{n}.points_{what}" for n in (1, 2) for what in ("taken", "late")] + ["points_refused"]
+
+
+def fed(baud: int) -> dict[str, Any]:
+    """Samples beside a stream of both axes at 100 Hz, and what became of its points."""
+    chain = Chain(Path(tempfile.mkdtemp(prefix="bench-")), baud)
+    with user() as me:
+        try:
+            chain.board()
+            bridge = chain.bridge()
+            me.until(me.connected, 30.0, "the bridge is not connected")
+            me.spinning()
+            joints, omega, sent = ["axis1", "axis2"], 2.0 * math.pi, 0
+            snapshots = me.messages["/servo/snapshot"]
+            first = len(snapshots)
+            begin = time.monotonic()
+            while (now := time.monotonic() - begin) < SECONDS:
+                if now >= sent * STREAM_PERIOD:
+                    rise = min(now, 1.0)
+                    position = 0.5 * rise * math.sin(omega * now)
+                    velocity = 0.5 * (
+                        rise * omega * math.cos(omega * now) + (math.sin(omega * now) if now < 1.0 else 0.0)
+                    )
+                    me.joint_commands.publish(JointState(name=joints, position=[position] * 2, velocity=[velocity] * 2))
+                    sent += 1
+                me.executor.spin_once(timeout_sec=0.002)
+            rows = me.rows(first)
+            span = (rows[-1]["tick"] - rows[0]["tick"]) * PERIOD_NS * 1e-9
+            me.enable(False)
+            bridge.stop()
+            points = chain.look(*POINTS)
+        finally:
+            chain.end()
+    return {"baud": baud, "samples_per_s": (len(rows) - 1) / span, "messages_per_s": sent / SECONDS, **points}
 
 
 def measure(baud: int, telemetry_rate: float, count: int) -> dict[str, Any]:
@@ -104,6 +144,14 @@ def main() -> int:
             f" {row['set_points']:11} {p50:19.1f} {p99:5.1f} {largest:7.1f} {row['cpu_of_a_core']:18.0%}"
         )
     print(f"aims {AIMS}")
+    stream = fed(115200)
+    taken = [stream[f"axis{n}.points_taken"] / SECONDS for n in (1, 2)]
+    print(
+        f"stream of both axes at 115200 baud: {stream['messages_per_s']:.0f} messages/s, points/s {taken[0]:.0f} and "
+        f"{taken[1]:.0f}, late {stream['axis1.points_late']} and {stream['axis2.points_late']}, writes refused "
+        f"{stream['points_refused']}, beside {stream['samples_per_s']:.0f} samples/s (aim 100 points/s each, 100)"
+    )
+    rows.append(stream)
     out = ROOT / "out" / "bench" / "telemetry.json"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")

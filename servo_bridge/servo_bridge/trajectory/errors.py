@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Final
 
 from servo_bridge.setpoints import Rejected
 
-__all__ = ["ErrorCode", "TrajectoryError"]
+__all__ = ["POINTS_REFUSED", "ErrorCode", "TrajectoryError"]
+
+POINTS_REFUSED: Final = "the board refused points of the trajectory"
+"""Reason for which a path that has begun is given up."""
 
 
 class ErrorCode(IntEnum):

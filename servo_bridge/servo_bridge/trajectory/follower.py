@@ -22,7 +22,7 @@ from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
-from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, timed_points
+from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, joined, timed_points
 
 __all__ = ["LEAD", "AxisReport", "Follower", "Plan"]
 
@@ -41,6 +41,9 @@ _SOON: Final = 0.2
 
 _PAST = round(0.2 / PERIOD)
 """What is kept of a path that is extended, before now [PWM periods]: the next one leaves it a moment later."""
+
+_TAIL: Final = 32
+"""Extensions of a path that are put together at once: one by one they would take a third of a processor's time."""
 
 _QUEUE: Final = 14
 """Points that an axis of the board holds ahead; its queue has 16."""
@@ -71,12 +74,27 @@ class _Axis:
     """Path of one axis and what is left to be sent of it."""
 
     path: Path | None = None
+    plan: Plan | None = None  # that has made the path
+    tail: list[TimedPoints] = field(default_factory=list)  # by which the path has been extended since `whole`
     position_ref: float = 0.0  # of the joint
     abandoned: Callable[[str], None] | None = None  # whom to tell that `path` has not been followed to its end
     waiting: deque[TimedPoint] = field(default_factory=deque)
     ticks: deque[int] = field(default_factory=deque)  # of `waiting`, extended
     sent: deque[int] = field(default_factory=deque)  # ticks of points that the board has and has not passed
     held: float | None = None  # position reference of the last report, while the axis follows no path
+
+    def end(self) -> int:
+        """End of the path with its tail [PWM periods]."""
+        assert self.path is not None
+        return int(self.tail[-1].periods[-1]) if self.tail else round(self.path.end_time / PERIOD)
+
+    def whole(self, since: int) -> Path:
+        """Path with its tail, from a tick on."""
+        assert self.path is not None
+        if self.tail:
+            self.path = extended(self.path, joined(self.tail), since * PERIOD)
+            self.tail.clear()
+        return self.path
 
 
 @dataclass
@@ -186,34 +204,37 @@ class Follower:
 
     def paths(self) -> Mapping[str, Path]:
         """Path of every joint that has one."""
-        return {self._joints[axis]: one.path for axis, one in enumerate(self._axes) if one.path is not None}
+        return {
+            self._joints[axis]: one.whole(self._now - _PAST)
+            for axis, one in enumerate(self._axes)
+            if one.path is not None
+        }
 
-    def extend(self, joint: str, path: Path, points: TimedPoints) -> Path | None:
-        """Follow timed points after the first of a path, or of what it has been extended to.
+    def follows(self, joint: str, plan: Plan) -> bool:
+        """Whether a joint follows the path that a plan has made, or what it has been extended to."""
+        return self._axes[self._joints.index(joint)].plan is plan
+
+    def extend(self, joint: str, points: TimedPoints) -> None:
+        """Follow timed points after the first of the path of a joint, or of what it has been extended to.
 
         Parameters
         ----------
         joint : str
-            Joint of the path.
-        path : Path
-            As `paths` or the last call has it.
+            Joint with a path.
         points : TimedPoints
             The first one continues the path, within or at its end; what comes later in the path is dropped.
-
-        Returns
-        -------
-        Path or None
-            The extended path; None if the joint follows another one by now.
         """
         axis = self._joints.index(joint)
         one = self._axes[axis]
-        if one.path is not path:
-            return None
-        within = int(points.periods[0]) * PERIOD < path.end_time - 0.5 * PERIOD
-        self._drop_from(one, int(points.periods[0]))
+        first = int(points.periods[0])
+        within = first < one.end()
+        if within or len(one.tail) >= _TAIL:
+            one.whole(self._now - _PAST)
+        self._drop_from(one, first)
         self._put(axis, points, replaces=within)
-        one.path = extended(path, points, (self._now - _PAST) * PERIOD)
-        return one.path
+        one.tail.append(points)
+        if within:
+            one.whole(self._now - _PAST)
 
     # ---- what the board says
     def on_sample(self, tick: int, reports: Sequence[AxisReport]) -> None:
@@ -230,8 +251,9 @@ class Follower:
         for one in self._axes:
             while one.sent and one.sent[0] <= tick:
                 one.sent.popleft()
-            if one.path is not None and not one.waiting and tick * PERIOD > one.path.end_time + LEAD:
-                one.path = one.abandoned = None
+            if one.path is not None and not one.waiting and tick > one.end() + round(LEAD / PERIOD):
+                one.path = one.plan = one.abandoned = None
+                one.tail.clear()
         if self._request is not None and self._ready(self._request, reports):
             self._begin(self._request)
         for one, report, joint in zip(self._axes, reports, self._gears, strict=True):
@@ -253,7 +275,7 @@ class Follower:
         time = self._now * PERIOD
         return merged(
             [
-                Path.hold([joint], [one.position_ref], time) if one.path is None else one.path
+                Path.hold([joint], [one.position_ref], time) if one.path is None else one.whole(self._now - _PAST)
                 for joint, one in zip(self._joints, self._axes, strict=True)
             ]
         )
@@ -277,11 +299,14 @@ class Follower:
         for axis in map(self._joints.index, path.joints):
             joint = self._joints[axis]
             one = self._axes[axis]
+            if one.path is not None:
+                one.whole(self._now - _PAST)
             mine = _after(one, points[joint])
             self._drop_from(one, int(mine.periods[0]))
             self._put(axis, mine, replaces=True)
             own = path.select([joint])
             one.path = own if one.path is None else spliced(one.path, own, time)
+            one.plan = request.plan
             before, one.abandoned = one.abandoned, request.abandoned
             if before is not None:
                 before(request.takes_over)

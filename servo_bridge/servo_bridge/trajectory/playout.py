@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bisect import insort
 from collections import deque
-
-import numpy as np
+from itertools import pairwise
+from statistics import median
 
 __all__ = ["PlayoutClock"]
 
@@ -41,12 +41,15 @@ class PlayoutClock:
 
     Attributes
     ----------
+    lead : float
+        As above; the delay follows a change slowly.
     received, lost, late : int
         Messages; those missing in the order of stamps; and those that came after they were due.
     """
 
     def __init__(self, lead: float, delay_max: float | None = None) -> None:
-        self._lead, self._delay_max = lead, delay_max
+        self.lead = lead
+        self._delay_max = delay_max
         self.received = self.lost = self.late = 0
         self.reset()
 
@@ -81,11 +84,10 @@ class PlayoutClock:
         again = stamp in self._recent
         self._recent.append(stamp)
         self.offset = min(self._transits)
-        self.jitter = float(np.quantile(self._transits, _QUANTILE)) - self.offset
-        if len(self._recent) > 1:
-            gaps = np.diff(np.unique(self._recent))
-            self.period = float(np.median(gaps)) if len(gaps) else self.period
-        if self._shift is not None and stamp < arrival - self._shift + self._lead:
+        self.jitter = sorted(self._transits)[round(_QUANTILE * (len(self._transits) - 1))] - self.offset
+        gaps = [after - before for before, after in pairwise(sorted(set(self._recent)))]
+        self.period = median(gaps) if gaps else self.period
+        if self._shift is not None and stamp < arrival - self._shift + self.lead:
             self.late += 1
         if self._passed is None or stamp > self._passed:
             insort(self._pending, stamp)
@@ -101,7 +103,7 @@ class PlayoutClock:
     @property
     def delay(self) -> float:
         """Delay now, from the fastest message on, with the lead [s]."""
-        return self._lead if self._shift is None else self._shift - self.offset
+        return self.lead if self._shift is None else self._shift - self.offset
 
     def due(self, time: float, step: float) -> tuple[float, float]:
         """Stamp that is due at a time here, and how fast stamps pass; called once per step.
@@ -111,7 +113,7 @@ class PlayoutClock:
         time, step : float
             Now, and since the call before [s].
         """
-        target = self.offset + self._lead + self.delay_wanted
+        target = self.offset + self.lead + self.delay_wanted
         rate = 1.0
         if self._shift is None:
             self._shift = target

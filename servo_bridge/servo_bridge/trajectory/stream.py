@@ -169,7 +169,7 @@ class Stream:
         speeds = [math.inf] * len(joints) if velocity_max is None else velocity_max
         if not all(x > 0.0 for x in (*acceleration_max, *speeds)) or step < SEGMENT_PERIODS_MIN:
             raise ValueError(f"limits must be above 0 and the step at least {SEGMENT_PERIODS_MIN} periods")
-        self._lead, self._delay_max, self._step = lead, delay_max, step
+        self._delay_max, self._step = delay_max, step
         self._clock = PlayoutClock(lead, delay_max)
         self._tick = begin
         self._joints: dict[str, _Joint] = {
@@ -220,7 +220,7 @@ class Stream:
             for state in self._joints.values():
                 state.points.clear()
         self._clock.heard(stamp, arrival)
-        first = math.ceil((arrival + self._lead) / PERIOD)
+        first = math.ceil((arrival + self.lead) / PERIOD)
         if self._tick is None or not any(state.active for state in self._joints.values()):
             self._tick = max(first, self._tick or first)
         for state, p, v, e in zip(self._joints.values(), *rows.values(), strict=True):
@@ -245,6 +245,15 @@ class Stream:
         return result
 
     @property
+    def lead(self) -> float:
+        """How long before they are due points are fetched [s]; the delay follows a change slowly."""
+        return self._clock.lead
+
+    @lead.setter
+    def lead(self, value: float) -> None:
+        self._clock.lead = value
+
+    @property
     def report(self) -> StreamReport:
         """What is known of the stream now."""
         clock = self._clock
@@ -258,7 +267,7 @@ class Stream:
         h = self._step * PERIOD
         stamp, rate = self._clock.due(tick * PERIOD, h)
         bridge = self._clock.period if self._delay_max is None else self._delay_max
-        bridge += self._lead
+        bridge += self.lead
         self._tick = tick + self._step
         for state in self._joints.values():
             if not state.active:

@@ -15,7 +15,7 @@ from servo_msgs_py.joints import Joint, joint_names
 
 from servo_bridge.setpoints import JointSetPoint
 from servo_bridge.trajectory.check import Limits
-from servo_bridge.trajectory.errors import TrajectoryError
+from servo_bridge.trajectory.errors import POINTS_REFUSED, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.shapes import stop
@@ -31,18 +31,33 @@ _AT_REST: Final = 1.0e-9
 """Velocity [rad/s] and acceleration [rad/s^2] of a joint that rests."""
 
 
-def stream_lead(baud: int) -> float:
-    """How long before it is due a point of a stream has to be known [s].
+_MARGIN: Final = 0.008
+"""What a write of points has to be early at the board [s]; one that is not makes the lead longer."""
 
-    The segment that ends there takes a step, 10 ms. Then up to two writes go before, the second one of a mode, each
-    with its answer and the sample that shows its effect: on the line 130 bytes.
+_REFUSED: Final = 0.01
+"""By how much the lead grows when the board has refused points of a joint [s]."""
+
+_LEAD_MAX: Final = 0.2
+"""Longest lead [s]."""
+
+_RELAX: Final = 0.0001
+"""How much shorter the lead becomes per second, down to where it began [s/s]."""
+
+
+def stream_lead(baud: int) -> float:
+    """How long before it is due a point of a stream is sent at first [s].
+
+    The segment that ends there takes a step, 10 ms; the board wants a point 1.5 ms ahead and checks eight of them in
+    5 ms; the rest of 27 ms is for the computer. On the line the tick is as old as its sample, 83 bytes. Where a write
+    of eight points, 142 bytes, has just begun, it goes before with the sample that shows its effect, then comes the
+    write itself: 450 bytes.
 
     Parameters
     ----------
     baud : int
         [bit/s]
     """
-    return 0.022 + 2 * 130 * 10 / baud
+    return 0.027 + 450 * 10 / baud
 
 
 @dataclass
@@ -51,12 +66,15 @@ class _Joint:
 
     limits: Limits
     stream: Stream | None = None
-    path: Path | None = None
+    plan: Plan | None = None  # of the path that has begun
     waiting: deque[tuple[float, float, JointSetPoint]] = field(default_factory=lambda: deque(maxlen=_WAITING_MAX))
 
 
 class Streamer:
     """Turns streamed set-points into paths of a follower.
+
+    The lead is as long as the line and the computer need it: it grows where points come late to the board, and slowly
+    shrinks again.
 
     Parameters
     ----------
@@ -65,7 +83,7 @@ class Streamer:
     follower : Follower
         Brings them to the board.
     lead : float
-        See `stream_lead` [s].
+        Least lead, see `stream_lead` [s].
     delay_max : float, optional
         Bound of the delay that bridges jitter and loss [s]; by default one period of the stream.
     """
@@ -76,7 +94,9 @@ class Streamer:
         self._joints = joint_names(joints)
         self._gear_ratios = [joint.gear_ratio for joint in joints]
         self._follower = follower
-        self._lead, self._delay_max = lead, delay_max
+        self._lead = self._lead_min = lead
+        self._delay_max = delay_max
+        self._advanced = -math.inf
         self._streams: dict[int, _Joint] = {}
         self._asked: Plan | None = None
         self._last: StreamReport | None = None
@@ -110,15 +130,20 @@ class Streamer:
 
     def advance(self, now: float) -> None:
         """Hand the points on that are due to be sent at a time [s]."""
+        self._lead = max(self._lead_min, self._lead - _RELAX * min(max(now - self._advanced, 0.0), 1.0))
+        self._advanced = now
         for axis, mine in self._streams.items():
-            if mine.stream is None or mine.path is None:
-                continue
             joint = self._joints[axis]
+            if mine.stream is None or mine.plan is None or not self._follower.follows(joint, mine.plan):
+                continue
+            mine.stream.lead = self._lead
             for points in mine.stream.points(now + self._lead).values():
-                mine.path = self._follower.extend(joint, mine.path, points)
-                if mine.path is None:
-                    break
+                self._follower.extend(joint, points)
         self._forget_those_taken_over()
+
+    def arrived(self, margin: float) -> None:
+        """Note how long before its first point is due a write took effect [s]."""
+        self._lead = max(self._lead, min(self._lead + _MARGIN - margin, _LEAD_MAX))
 
     @property
     def report(self) -> StreamReport | None:
@@ -155,9 +180,9 @@ class Streamer:
             return Path.hold(joints, start.position, begin * PERIOD)
 
         def begun(_end: float) -> None:
-            for axis, joint in zip(axes, joints, strict=True):
+            for axis in axes:
                 mine = self._streams[axis]
-                mine.path = self._follower.paths()[joint]
+                mine.plan = plan
                 mine.waiting.clear()
 
         def refused(_error: TrajectoryError) -> None:
@@ -166,8 +191,12 @@ class Streamer:
             for axis in axes:
                 self._streams.pop(axis, None)
 
+        def abandoned(reason: str) -> None:
+            if reason == POINTS_REFUSED:
+                self._lead = min(self._lead + _REFUSED, _LEAD_MAX)
+
         self._asked = plan
-        self._follower.request(joints, plan, begun, refused)
+        self._follower.request(joints, plan, begun, refused, abandoned=abandoned)
 
     def _begin(self, axis: int, start: State, begin: int) -> None:
         """Make the stream of a joint; anew if the path is worked out again for a later begin."""
@@ -186,9 +215,8 @@ class Streamer:
             _feed(mine.stream, *message)
 
     def _forget_those_taken_over(self) -> None:
-        paths = self._follower.paths()
         for axis, mine in list(self._streams.items()):
-            followed = mine.path is not None and mine.path is paths.get(self._joints[axis])
+            followed = mine.plan is not None and self._follower.follows(self._joints[axis], mine.plan)
             if mine.stream is not None and not followed:
                 del self._streams[axis]
 

@@ -16,7 +16,7 @@ from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import cubic
 from servo_bridge.trajectory.waypoints import Array
 
-__all__ = ["PERIOD", "SEGMENT_PERIODS_MAX", "SEGMENT_PERIODS_MIN", "TOLERANCE", "TimedPoints", "timed_points"]
+__all__ = ["PERIOD", "SEGMENT_PERIODS_MAX", "SEGMENT_PERIODS_MIN", "TOLERANCE", "TimedPoints", "joined", "timed_points"]
 
 PERIOD = PERIOD_NS * 1.0e-9
 """Length of one PWM period, the unit of time of the board [s]."""
@@ -69,6 +69,12 @@ class TimedPoints:
         s = np.asarray(t) - self.periods[k] * PERIOD
         result: Array = ((c[..., 3] * s + c[..., 2]) * s + c[..., 1]) * s + c[..., 0]
         return result
+
+
+def joined(parts: Sequence[TimedPoints]) -> TimedPoints:
+    """Points of one joint that follow each other, as one."""
+    columns = zip(*((part.periods, part.positions, part.velocities, part.efforts) for part in parts), strict=True)
+    return TimedPoints(*map(np.concatenate, columns))
 
 
 def timed_points(

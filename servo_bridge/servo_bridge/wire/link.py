@@ -53,6 +53,9 @@ __all__ = [
 
 _LOG: Final = logging.getLogger(__name__)
 _MAX_DAMAGED: Final = 10
+_NEXT_WRITE: Final = 0.4
+"""What the owner has for the next write after the sample that shows the effect of the last one, as a part of the round
+trip of that sample: without a pause another sample goes before."""
 
 
 class _StopError(Exception):
@@ -312,10 +315,13 @@ class Link:
         period = round(1e9 / self._config.rate) if self._config.rate > 0.0 else 0
         due = time.monotonic_ns() + period
         timeouts = damaged = 0
+        wrote, grace = False, 0.0
         while not self._stop.is_set():
-            job = self._queue.take((due - time.monotonic_ns()) * 1e-9)
+            job = self._queue.take(max(grace, (due - time.monotonic_ns()) * 1e-9))
+            grace = 0.0
             if job is not None:
                 self._execute(job, client)
+                wrote |= job.write
             if time.monotonic_ns() < due:
                 continue
             due = max(due + period, time.monotonic_ns())
@@ -334,6 +340,8 @@ class Link:
             timeouts = damaged = 0
             if sample is not None:
                 self._deliver(sample)
+                grace = _NEXT_WRITE * (sample.response_ns - sample.request_ns) * 1e-9 if wrote else 0.0
+                wrote = False
 
     def _execute(self, job: Job, client: Client) -> None:
         try:
