@@ -161,12 +161,11 @@ class TrajectoryTopics:
         limits, origin_ns = self._limits(), self._origin_ns()
         if limits is None or origin_ns is None:
             raise TrajectoryError(f"{source}: the board has not told its limits yet; try again in a second")
-        deceleration = [limit.acceleration_max for limit in limits]
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
 
         def plan(running: Path, now: float) -> Path:
-            return from_message(message, running, now, origin_ns, deceleration, source=source)
+            return from_message(message, running, now, origin_ns, source=source)
 
         def told(end: float) -> None:
             self._say(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s")

@@ -39,7 +39,7 @@ def message(*points: SimpleNamespace, names: tuple[str, ...] = JOINTS, at: float
 
 
 def taken(trajectory: Any, running: Path = HOLD, **options: Any) -> Path:
-    return from_message(trajectory, running, NOW, ORIGIN, [50.0, 50.0], **options)
+    return from_message(trajectory, running, NOW, ORIGIN, **options)
 
 
 def same(actual: State, wanted: State) -> None:
@@ -100,16 +100,6 @@ def test_a_first_point_at_once_is_where_the_joints_are() -> None:
     path = taken(message(point(0.0, 1.005, 2.0), point(1.0, 2.0, 3.0)))
     same(path.state(NOW), HOLD.state(NOW))
     assert len(path.times) == 2
-
-
-@pytest.mark.parametrize("names", [(), ("axis2",)])
-def test_an_empty_trajectory_stops(names: tuple[str, ...]) -> None:
-    path = taken(message(names=names), MOVING)
-    assert path.joints == (names or JOINTS)
-    same(path.state(NOW), MOVING.select(path.joints).state(NOW))
-    end = path.state(path.end_time)
-    np.testing.assert_allclose(end.velocity, 0.0, atol=1e-9)
-    assert path.duration < 0.1
 
 
 STEP = point(1.0, 0.0, 0.0)

@@ -22,7 +22,7 @@ from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
-from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, joined, timed_points
+from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, concatenated, timed_points
 
 __all__ = ["LEAD", "AxisReport", "Follower", "Plan"]
 
@@ -92,7 +92,7 @@ class _Axis:
         """Path with its tail, from a tick on."""
         assert self.path is not None
         if self.tail:
-            self.path = extended(self.path, joined(self.tail), since * PERIOD)
+            self.path = extended(self.path, concatenated(self.tail), since * PERIOD)
             self.tail.clear()
         return self.path
 

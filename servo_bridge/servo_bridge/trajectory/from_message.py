@@ -1,7 +1,7 @@
 """A path from a message trajectory_msgs/JointTrajectory, with the rules of joint_trajectory_controller.
 
 As there: positions always; velocities, accelerations and effort for all joints of a point or for none; joints in any
-order; what does not fit is refused as a whole. Better than there: an empty trajectory stops and holds; a stamp in the
+order; what does not fit is refused as a whole. Better than there: a stamp in the
 future is waited for, while the running path goes on; a trajectory that has begun is joined without a step; and NaN
 and joints named twice are refused.
 """
@@ -16,7 +16,6 @@ import numpy as np
 from servo_bridge.trajectory.blend import joined
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import Path
-from servo_bridge.trajectory.shapes import stop
 from servo_bridge.trajectory.spline import START_TOLERANCE, path_through
 from servo_bridge.trajectory.waypoints import Waypoints, check_joints
 
@@ -31,7 +30,6 @@ def from_message(
     running: Path,
     now: float,
     origin_ns: int,
-    deceleration_max: Sequence[float],
     *,
     source: str = "joint_trajectory",
     start_tolerance: float = START_TOLERANCE,
@@ -50,8 +48,6 @@ def from_message(
         On the clock of the paths [s]; no stamp, or 0, means now.
     origin_ns : int
         Stamp at which this clock is 0 [ns].
-    deceleration_max : sequence of float
-        For the stop by an empty trajectory, per known joint [rad/s^2].
     source : str
         Topic or action, for refusals.
     start_tolerance : float
@@ -72,10 +68,6 @@ def from_message(
     try:
         names = list(message.joint_names)
         _check_known(names, running.joints)
-        if not len(message.points):
-            joints = [joint for joint in running.joints if joint in names or not names]
-            limits = [deceleration_max[running.joints.index(joint)] for joint in joints]
-            return stop(joints, running.select(joints).state(now), limits, now)
         check_joints(names)
         stamp_ns = _nanoseconds(message.header.stamp)
         begin = (stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else now

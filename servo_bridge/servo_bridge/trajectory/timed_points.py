@@ -16,7 +16,15 @@ from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import cubic
 from servo_bridge.trajectory.waypoints import Array
 
-__all__ = ["PERIOD", "SEGMENT_PERIODS_MAX", "SEGMENT_PERIODS_MIN", "TOLERANCE", "TimedPoints", "joined", "timed_points"]
+__all__ = [
+    "PERIOD",
+    "SEGMENT_PERIODS_MAX",
+    "SEGMENT_PERIODS_MIN",
+    "TOLERANCE",
+    "TimedPoints",
+    "concatenated",
+    "timed_points",
+]
 
 PERIOD = PERIOD_NS * 1.0e-9
 """Length of one PWM period, the unit of time of the board [s]."""
@@ -71,7 +79,7 @@ class TimedPoints:
         return result
 
 
-def joined(parts: Sequence[TimedPoints]) -> TimedPoints:
+def concatenated(parts: Sequence[TimedPoints]) -> TimedPoints:
     """Points of one joint that follow each other, as one."""
     columns = zip(*((part.periods, part.positions, part.velocities, part.efforts) for part in parts), strict=True)
     return TimedPoints(*map(np.concatenate, columns))
