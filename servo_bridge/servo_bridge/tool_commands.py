@@ -20,7 +20,7 @@ from servo_msgs_py.value_text import words_of
 from servo_bridge import parameter_file
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.sampler import Reading, Sampler
-from servo_bridge.tool_values import UsageError, describe, lookup, parse_values, value_text
+from servo_bridge.tool_values import UsageError, describe, lookup, opened, parse_values, value_text
 from servo_bridge.wire.board_clock import TickExtender
 from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import BoardMismatchError, BoardVariable, Session
@@ -99,15 +99,16 @@ def list_variables(context: Context) -> int:
 
 def get(context: Context) -> int:
     """Read variables once."""
-    selection = _select(context, context.args.names)
+    names = opened(context.session.variables, context.args.names)
+    selection = _select(context, names)
     _warn(context)
     values = [_element(context.session.read(variable), element) for variable, element in selection]
     if context.args.json:
         plain = (v.hex() if isinstance(v, bytes) else v for v in values)
-        print(json.dumps(dict(zip(context.args.names, plain, strict=True))))
+        print(json.dumps(dict(zip(names, plain, strict=True))))
         return 0
     texts = [value_text(v, value, context.catalogue) for (v, _), value in zip(selection, values, strict=True)]
-    _print_columns([(name, "=", text) for name, text in zip(context.args.names, texts, strict=True)])
+    _print_columns([(name, "=", text) for name, text in zip(names, texts, strict=True)])
     return 0
 
 
@@ -142,7 +143,8 @@ def set_variable(context: Context) -> int:
 
 def watch(context: Context) -> int:
     """Print variables again and again."""
-    selection = _select(context, context.args.names)
+    names = opened(context.session.variables, context.args.names)
+    selection = _select(context, names)
     _warn(context)
     sampler = Sampler(context.session, [variable for variable, _ in selection])
     start = time.monotonic_ns()
@@ -151,7 +153,7 @@ def watch(context: Context) -> int:
         for reading in _readings(sampler, context.args.rate, None):
             texts = (
                 f"{name}={value_text(v, _element(value, k), context.catalogue)}"
-                for name, (v, k), value in zip(context.args.names, selection, reading.values, strict=True)
+                for name, (v, k), value in zip(names, selection, reading.values, strict=True)
             )
             print(f"{(reading.time_ns - start) * 1e-9:9.3f}  " + "  ".join(texts), flush=True)
             lines += 1
@@ -164,7 +166,8 @@ def watch(context: Context) -> int:
 
 def record(context: Context) -> int:
     """Write variables to a CSV file."""
-    selection = _select(context, context.args.names)
+    names = opened(context.session.variables, context.args.names)
+    selection = _select(context, names)
     _warn(context)
     tick = context.session.variables.get(_TICK) if context.session.mismatch is None else None
     variables = [variable for variable, _ in selection]
@@ -178,9 +181,7 @@ def record(context: Context) -> int:
     started = time.monotonic()
     with Path(context.args.output).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        heads = [
-            head for (v, k), name in zip(selection, context.args.names, strict=True) for head in _heads(v, k, name)
-        ]
+        heads = [head for (v, k), name in zip(selection, names, strict=True) for head in _heads(v, k, name)]
         writer.writerow(["time [s]", *(["tick"] if tick is not None else []), *heads])
         try:
             for reading in _readings(sampler, context.args.rate, context.args.duration):
@@ -205,7 +206,9 @@ def record(context: Context) -> int:
 
 def save(context: Context) -> int:
     """Save parameters."""
-    chosen = [v for v in _matching(context, context.args.match) if v.target.writable]
+    variables = context.session.variables
+    names = opened(variables, (v.name for v in _matching(context, context.args.match)))
+    chosen = [v for v in map(variables.__getitem__, names) if v.target.writable and not v.is_block]
     if not chosen:
         print(f"servo-tool: no writable variable matches {context.args.match!r}", file=sys.stderr)
         return 1

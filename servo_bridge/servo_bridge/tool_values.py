@@ -13,7 +13,16 @@ from servo_bridge.freemaster.tsa import Number
 from servo_bridge.wire.session import BoardVariable
 from servo_msgs_py import value_text as value_text_of
 
-__all__ = ["UnknownVariableError", "UsageError", "limits_text", "lookup", "number_text", "parse_values", "value_text"]
+__all__ = [
+    "UnknownVariableError",
+    "UsageError",
+    "limits_text",
+    "lookup",
+    "number_text",
+    "opened",
+    "parse_values",
+    "value_text",
+]
 
 _INDEXED = re.compile(r"(?P<name>.+)\[(?P<index>\d+)\]\Z")
 
@@ -50,6 +59,27 @@ def lookup(variables: Mapping[str, BoardVariable], text: str) -> tuple[BoardVari
     near = difflib.get_close_matches(text, variables, n=3)
     hint = f"; did you mean {', '.join(near)}?" if near else "; `servo-tool vars` lists all"
     raise UnknownVariableError(f"the board has no variable {text!r}{hint}")
+
+
+def opened(variables: Mapping[str, BoardVariable], names: Iterable[str]) -> list[str]:
+    """Replace every structure by what is inside it; no name comes twice because of that.
+
+    Parameters
+    ----------
+    variables : mapping
+        Variables of the board.
+    names : iterable of str
+        Names as they were given; what is no structure is kept as it is.
+    """
+    result: dict[str, None] = {}
+    for name in names:
+        variable = variables.get(name)
+        if variable is not None and variable.is_block and variable.target.members:
+            inside = [member for member in variable.target.members if member in variables]
+            result.update(dict.fromkeys(opened(variables, inside)))
+        else:
+            result[name] = None
+    return list(result)
 
 
 def parse_values(variable: BoardVariable, text: str, catalogue: Catalogue) -> list[Number]:

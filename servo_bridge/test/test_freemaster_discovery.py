@@ -87,6 +87,34 @@ def test_a_structure_inside_itself_does_not_hang() -> None:
     assert list(find_all(FakeTarget(tables=[[*loop, FakeEntry("v", b"t", 0x1000, 4, RO)]]))) == ["v", "v.again"]
 
 
+def test_an_array_of_structures_shows_its_elements() -> None:
+    point = [
+        FakeEntry("point_t", STRUCT, 0, 6, NONE),
+        FakeEntry("x", b"\xf1", 0, 2, NONE),
+        FakeEntry("y", b"\xf1", 2, 4, NONE),
+    ]
+    line = [FakeEntry("line_t", STRUCT, 0, 12, NONE), FakeEntry("ends", b"point_t", 0, 12, NONE)]
+    rows = [FakeEntry("line", b"line_t", 0x1000, 12, RW), *point, *line]
+    found = find_all(FakeTarget(big_endian=True, tables=[rows, point]))  # the type is described twice
+    assert list(found) == [
+        "line", "line.ends", "line.ends[0]", "line.ends[0].x", "line.ends[0].y",
+        "line.ends[1]", "line.ends[1].x", "line.ends[1].y",
+    ]  # fmt: skip
+    assert found["line.ends"].members == ("line.ends[0]", "line.ends[1]")
+    assert (found["line.ends[1].y"].address, found["line.ends[1].y"].count) == (0x1008, 2)
+
+
+def test_structures_that_multiply_are_not_all_opened() -> None:
+    rows = []
+    for depth in range(4):
+        rows += [
+            FakeEntry(f"t{depth}", STRUCT, 0, 100**depth, NONE),
+            FakeEntry("m", f"t{depth - 1}".encode() if depth else b"\xe0", 0, 100**depth, NONE),
+        ]
+    found = find_all(FakeTarget(safety=False, tables=[[*rows, FakeEntry("v", b"t3", 0, 100**3 * 100, RO)]]))
+    assert 0 < len(found) < 100_000
+
+
 def test_enumerations() -> None:
     rows = [
         FakeEntry("state_t", ENUM, 0, 2, NONE),

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from fake_port import FakePort, NoiseDevice, V3Target
 from fake_servo import CATALOGUE, FakeServo
-from fake_target import CONST, ENUM, NONE, RO, RW, FakeEntry, FakeTarget
+from fake_target import CONST, ENUM, NONE, RO, RW, STRUCT, FakeEntry, FakeTarget
 from servo_msgs_py.end_with_parent import bound_to_us
 
 from servo_bridge import tool
@@ -44,6 +44,14 @@ def stranger(tmp_path: Path) -> Iterator[FakeTarget]:
         FakeEntry("temperature", b"\xfa", 0x1004, 4, RO),
         FakeEntry("table", b"\xf1", 0x1010, 6, RW),
         FakeEntry("memory", None, 0x1020, 20, RO),
+        FakeEntry("loop_t", STRUCT, 0, 6, NONE),
+        FakeEntry("gain", b"\xf4:3.12", 0, 2, NONE),
+        FakeEntry("limits", b"\xf1", 2, 4, NONE),
+        FakeEntry("drive_t", STRUCT, 0, 12, NONE),
+        FakeEntry("loops", b"loop_t", 0, 12, NONE),
+        FakeEntry("drive", b"drive_t", 0x1040, 12, RW),
+        FakeEntry("curve", b"\xf2", 0x1100, 400, RW),
+        FakeEntry("page.htm", b"\xec:MEMFILE", 0x5000, 100, RW),
     ]
     target = FakeTarget(tables=[rows])
     target.build()
@@ -400,6 +408,47 @@ def test_a_strange_board_is_read_and_written_by_its_own_types(
     assert "has no variable catalogue_hash" in capsys.readouterr().out
     assert run("vars") == 0
     assert "q3.12" in capsys.readouterr().out
+
+
+def test_members_of_structures_are_variables(
+    stranger: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("set", "drive.loops[1].limits", "-5,5") == 0
+    assert stranger.peek(0x1048, 4) == b"\xfb\xff\x05\x00"
+    assert run("set", "drive.loops[1].limits[0]", "-6") == 0
+    capsys.readouterr()
+    assert run("get", "--json", "drive", "drive.loops[1]") == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "drive.loops[0].gain": 0.0,
+        "drive.loops[0].limits": [0, 0],
+        "drive.loops[1].gain": 0.0,
+        "drive.loops[1].limits": [-6, 5],
+    }
+    assert run("watch", "drive.loops[0]", "--count", "1") == 0
+    assert "drive.loops[0].gain=0" in capsys.readouterr().out
+    assert run("set", "drive.loops[0]", "1") == 2
+    assert "write its members, such as drive.loops[0].gain" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("pattern", ["*", "drive"])
+def test_structures_are_saved_and_loaded_by_member(
+    stranger: FakeTarget, run: Run, tmp_path: Path, pattern: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / "x.toml")
+    assert run("set", "drive.loops[1].gain", "1.5") == 0
+    assert run("save", file, "--match", pattern) == 0
+    before = stranger.peek(0x1040, 12)
+    stranger.poke(0x1040, bytes(range(12)))
+    assert run("diff", file) == 1
+    assert run("load", file) == 0
+    assert stranger.peek(0x1040, 12) == before
+
+
+def test_an_array_longer_than_the_buffer_is_written_in_pieces(stranger: FakeTarget, run: Run) -> None:
+    assert run("set", "curve", ",".join(str(-k) for k in range(100))) == 0
+    assert [int.from_bytes(stranger.peek(0x1100 + 4 * k, 4), "little", signed=True) for k in (0, 57, 99)] == [
+        0, -57, -99,
+    ]  # fmt: skip
 
 
 def test_recording_what_no_scope_can_carry(

@@ -15,7 +15,18 @@ from typing import Final, Literal
 
 from servo_bridge.freemaster.errors import CodecError
 
-__all__ = ["Entry", "EntryKind", "Number", "TargetVariable", "TypeKind", "ValueType", "parse_entries", "parse_type"]
+__all__ = [
+    "MAX_ELEMENTS",
+    "ByteOrder",
+    "Entry",
+    "EntryKind",
+    "Number",
+    "TargetVariable",
+    "TypeKind",
+    "ValueType",
+    "parse_entries",
+    "parse_type",
+]
 
 Number = int | float
 ByteOrder = Literal["little", "big"]
@@ -23,6 +34,11 @@ ByteOrder = Literal["little", "big"]
 _SPECIAL: Final = (0xEC, 0xED)
 _FIXED_POINT: Final = re.compile(rb":(\d{1,3})\.(\d{1,3})\Z")
 _SIZES: Final = (1, 2, 4, 8)
+
+MAX_ELEMENTS: Final = 256
+"""Longest array of structures whose elements are listed."""
+
+_MAX_VARIABLES: Final = 65_536  # structures are opened no further: a table of arrays in arrays could list any number
 
 
 class EntryKind(Enum):
@@ -140,7 +156,7 @@ class TargetVariable:
     Attributes
     ----------
     name : str
-        Name; members of structures are ``variable.member``.
+        Name; members of structures are ``variable.member``, elements of arrays of structures ``variable[k]``.
     address, size : int
         Where it lies and how many bytes it has.
     type : ValueType
@@ -149,6 +165,8 @@ class TargetVariable:
         Whether the target lets it be written.
     order : str
         Byte order of the target.
+    members : tuple of str
+        Names of the variables inside it; empty for numbers and plain memory.
     """
 
     name: str
@@ -242,28 +260,38 @@ def parse_entries(entries: Sequence[Entry], order: ByteOrder = "little") -> list
     """Build the variables of a whole table list, in table order, structures followed by their members.
 
     Unknown entries are skipped; a variable of unknown type is raw memory, or an unsigned number when it has the size
-    of one.
+    of one. An array of structures is followed by its elements, ``name[k]``, unless it has more than `MAX_ELEMENTS`.
     """
     structs, enums = _user_types(entries)
-    variables: list[TargetVariable] = []
+    opener = _Opener(structs, enums, order)
     for entry in entries:
         if entry.kind is not EntryKind.NONE and not entry.special and entry.size > 0 and entry.name:
-            _expand(variables, entry.name, entry, entry.kind is EntryKind.READ_WRITE, order, structs, enums, ())
-    return variables
+            opener.open(entry.name, entry.address, entry.size, entry.type_text, entry.kind is EntryKind.READ_WRITE)
+    return opener.variables
 
 
-def _user_types(entries: Sequence[Entry]) -> tuple[dict[bytes, list[Entry]], dict[bytes, ValueType]]:
-    """Collect structures with their members, and enumerations, by name."""
-    structs: dict[bytes, list[Entry]] = {}
+@dataclass(frozen=True)
+class _Structure:
+    """A structure type: bytes of one, and its members."""
+
+    size: int
+    members: list[Entry]
+
+
+def _user_types(entries: Sequence[Entry]) -> tuple[dict[bytes, _Structure], dict[bytes, ValueType]]:
+    """Collect structures with their members, and enumerations, by name; of several with one name the first counts."""
+    structs: dict[bytes, _Structure] = {}
     enums: dict[bytes, tuple[int, list[tuple[str, int]]]] = {}
     members: list[Entry] | None = None
     labels: list[tuple[str, int]] | None = None
     for entry in entries:
         key = entry.name.encode("utf-8", "replace")
         if entry.special == "STRUCT":
-            members, labels = structs.setdefault(key, []), None
+            members, labels = [], None
+            structs.setdefault(key, _Structure(entry.size, members))
         elif entry.special == "ENUM":
-            members, labels = None, enums.setdefault(key, (entry.size, []))[1]
+            members, labels = None, []
+            enums.setdefault(key, (entry.size, labels))
         elif entry.special == "CONST":
             if labels is not None:
                 labels.append((entry.name, entry.address))
@@ -280,32 +308,44 @@ def _user_types(entries: Sequence[Entry]) -> tuple[dict[bytes, list[Entry]], dic
     return structs, types
 
 
-def _expand(
-    out: list[TargetVariable],
-    name: str,
-    entry: Entry,
-    writable: bool,
-    order: ByteOrder,
-    structs: dict[bytes, list[Entry]],
-    enums: dict[bytes, ValueType],
-    inside: tuple[bytes, ...],
-    base: int = 0,
-) -> None:
-    """Append a variable and, when it is one structure, its members."""
-    value_type = parse_type(entry.type_text, entry.size) or enums.get(entry.type_text)
-    if value_type is not None and entry.size % value_type.size:
-        value_type = None
-    members = structs.get(entry.type_text, []) if entry.type_text not in inside else []
-    if value_type is None:
-        label = entry.type_text.decode("utf-8", "replace") if entry.type_text[:1] < b"\xe0" else ""
-        if entry.size in _SIZES and not members:
-            value_type = ValueType(TypeKind.UNSIGNED, entry.size, label or f"u{8 * entry.size}")
-        else:
-            value_type = ValueType(TypeKind.RAW, entry.size, label or "bytes")
-    address = base + entry.address
-    names = tuple(f"{name}.{member.name}" for member in members)
-    out.append(TargetVariable(name, address, entry.size, value_type, writable, order, names))
-    for member, full_name in zip(members, names, strict=True):
-        if member.size > 0 and member.address + member.size <= entry.size:
-            nested = (*inside, entry.type_text)
-            _expand(out, full_name, member, writable, order, structs, enums, nested, address)
+class _Opener:
+    """Appends variables and what is inside them."""
+
+    def __init__(self, structs: dict[bytes, _Structure], enums: dict[bytes, ValueType], order: ByteOrder) -> None:
+        self.variables: list[TargetVariable] = []
+        self._structs = structs
+        self._enums = enums
+        self._order = order
+
+    def open(
+        self, name: str, address: int, size: int, type_text: bytes, writable: bool, inside: tuple[bytes, ...] = ()
+    ) -> None:
+        """Append a variable, then its members or elements; `inside` are the structures around it."""
+        structure = self._structs.get(type_text) if type_text not in inside else None
+        count = size // structure.size if structure is not None and structure.size else 1
+        names: tuple[str, ...] = ()
+        if structure is not None and count > 1:
+            names = tuple(f"{name}[{k}]" for k in range(count if count <= MAX_ELEMENTS else 0))
+        elif structure is not None:
+            names = tuple(f"{name}.{member.name}" for member in structure.members)
+        value_type = self._value_type(type_text, size, structured=structure is not None)
+        self.variables.append(TargetVariable(name, address, size, value_type, writable, self._order, names))
+        if structure is None or len(self.variables) > _MAX_VARIABLES:
+            return
+        if count > 1:
+            for k, element in enumerate(names):
+                self.open(element, address + k * structure.size, structure.size, type_text, writable, inside)
+            return
+        for member, full_name in zip(structure.members, names, strict=True):
+            if member.size > 0 and member.address + member.size <= size:
+                nested = (*inside, type_text)
+                self.open(full_name, address + member.address, member.size, member.type_text, writable, nested)
+
+    def _value_type(self, type_text: bytes, size: int, *, structured: bool) -> ValueType:
+        found = parse_type(type_text, size) or self._enums.get(type_text)
+        if found is not None and size % found.size == 0:
+            return found
+        label = type_text.decode("utf-8", "replace") if type_text[:1] < b"\xe0" else ""
+        if size in _SIZES and not structured:
+            return ValueType(TypeKind.UNSIGNED, size, label or f"u{8 * size}")
+        return ValueType(TypeKind.RAW, size, label or "bytes")

@@ -143,6 +143,8 @@ class BoardVariable:
         ValueError
             If the variable is read-only, an element does not exist, or a value is out of limits.
         """
+        if self.target.writable and self.is_block and self.target.members:
+            raise ValueError(f"{self.name} is a structure; write its members, such as {self.target.members[0]}")
         if not self.target.writable or self.is_block:
             raise ValueError(f"{self.name} can only be read")
         if not values or first < 0 or first + len(values) > self.count:
@@ -189,12 +191,14 @@ class Session:
         return variable.decode(self.client.read_memory(variable.address, variable.size))
 
     def write(self, variable: BoardVariable, values: Sequence[Number], first: int = 0) -> None:
-        """Write neighbouring elements of one variable in one frame; see `BoardVariable.encode` and `write_bytes`."""
+        """Write neighbouring elements of one variable; see `BoardVariable.encode` and `write_bytes`."""
         address, data = variable.encode(values, first)
         self.write_bytes(variable, data, address - variable.address)
 
     def write_bytes(self, variable: BoardVariable, data: bytes, offset: int = 0) -> None:
-        """Write whole neighbouring elements, so many bytes behind the address of a variable, in one frame.
+        """Write whole neighbouring elements, so many bytes behind the address of a variable.
+
+        In one frame where the catalogue knows the variable; else in as many as the target's buffer asks for.
 
         Raises
         ------
@@ -203,7 +207,12 @@ class Session:
         """
         contract = self.variables[variable.name].contract  # also of a variable whose numbers are taken as raw
         with nullcontext() if contract is None else explained(self.catalogue, contract, data, offset):
-            self.client.write_memory(variable.address + offset, data)
+            step = len(data)
+            if contract is None:
+                limit = self.client.write_limit(variable.address)
+                step = max(limit - limit % variable.target.type.size, variable.target.type.size)
+            for start in range(0, len(data), max(step, 1)):
+                self.client.write_memory(variable.address + offset + start, data[start : start + step])
 
 
 def connect(client: Client, catalogue: Catalogue, progress: Progress | None = None) -> Session:
