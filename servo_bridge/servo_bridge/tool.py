@@ -6,6 +6,7 @@ Exit status: 0 done, 1 the board refused or was not found (`diff`: or differs), 
 from __future__ import annotations
 
 import argparse
+import getpass
 import os
 import re
 import sys
@@ -56,6 +57,22 @@ def _port(text: str) -> str:
     return text
 
 
+def _password(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("it is empty")
+    return text
+
+
+def _ask_password() -> str | None:
+    """Ask at the terminal; None when there is none, or no answer."""
+    if not sys.stdin.isatty():
+        return None
+    try:
+        return getpass.getpass("password of the board: ") or None
+    except EOFError:
+        return None
+
+
 def _parser() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument(
@@ -67,9 +84,17 @@ def _parser() -> argparse.ArgumentParser:
     common.add_argument(
         "--baud", type=_positive_whole, default=argparse.SUPPRESS, help="line speed (default: $SERVO_BAUD or 115200)"
     )
+    common.add_argument(
+        "--password",
+        type=_password,
+        default=argparse.SUPPRESS,
+        metavar="TEXT",
+        help="for boards that want one (default: asked for)",
+    )
     parser = argparse.ArgumentParser(
         prog="servo-tool",
-        description="Look into a servo board, or any FreeMASTER v4 target, over its serial line. Values are SI.",
+        description="Look into a servo board, or any FreeMASTER target (version 3 or 4), over its serial line. "
+        "Values of servo boards are SI.",
         epilog="exit status: 0 done, 1 the board refused or was not found (diff: or differs), 2 wrong command line",
         parents=[common],
     )
@@ -144,6 +169,8 @@ def _run(args: argparse.Namespace) -> int:
         with SerialPort(port, baud) as serial_port:
             # Some boards start anew when their port is opened, so the first answer may take a second.
             client = Client(Line(serial_port, baud=baud, retries=_STARTUP_RETRIES))
+            given: str | None = getattr(args, "password", None)
+            client.ask_password = _ask_password if given is None else lambda: given
             catalogue = Catalogue.load()
             session = connect(client, catalogue)
             connected = True

@@ -18,6 +18,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_msgs_py.value_text import words_of
 
 from servo_bridge import parameter_file
+from servo_bridge.freemaster.client import LEVELS
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.sampler import Reading, Sampler
 from servo_bridge.tool_values import UsageError, describe, lookup, opened, parse_values, value_text
@@ -63,7 +64,7 @@ def info(context: Context) -> int:
     """Print who is there."""
     board, session = context.session.info, context.session
     contract = "agrees" if session.mismatch is None else str(session.mismatch)
-    password = ("none", "to read", "to write", "to flash")[board.password_level]
+    password = f"to {LEVELS[board.password_level]}" if board.password_level else "none"
     rows = [
         ("port", f"{context.port} at {context.baud} baud"),
         ("low latency", context.low_latency.text),

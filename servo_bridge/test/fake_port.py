@@ -29,13 +29,6 @@ class NoiseDevice:
         return b""
 
 
-class V3Target:
-    """FreeMASTER version 3: refuses every version 4 frame with a sum as checksum."""
-
-    def feed(self, data: bytes) -> bytes:
-        return b"+\x82\x7e" if data else b""
-
-
 class FakePort:
     """Serves a device on a pty that a symbolic link points to.
 

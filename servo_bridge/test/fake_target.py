@@ -5,9 +5,12 @@ Pure: bytes in, bytes out. Memory is a table of named regions; every access foll
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
+
+from fake_recorder import RECORD_BYTES, SLOT_BYTES, FakeRecorder, RecorderSlot
 
 SOB = 0x2B
 NONE, RO, FLASH, RW = 0, 1, 2, 3
@@ -75,6 +78,12 @@ class Reader:
             if byte < 128:
                 return value
 
+    def sleb(self) -> int:
+        start = self.at
+        value = self.uleb()
+        bits = 7 * (self.at - start)
+        return value - (1 << bits) if self.data[self.at - 1] & 0x40 else value
+
     def take(self, count: int) -> bytes:
         self.at += count
         return self.data[self.at - count : self.at]
@@ -90,12 +99,16 @@ class FakeTarget:
     safety: bool = True
     scopes: int = 1
     scope_limit: int = 8
-    password: bool = False
+    passwords: dict[int, str] = field(default_factory=dict)
+    recorder_memory: int = 0
+    recorder_period_ns: int = 62_500
+    ticks_per_request: int = 0
     config: dict[str, bytes] = field(default_factory=dict)
     tables: list[list[FakeEntry]] = field(default_factory=lambda: [[]])
     accepts: Callable[[int, bytes], bool] | None = None
     on_write: Callable[[int, bytes], None] | None = None
     before_scope: Callable[[], None] | None = None
+    on_tick: Callable[[int], None] | None = None
     commands: dict[int, Callable[[bytes], tuple[int, bytes]]] = field(default_factory=dict)
     requests: list[tuple[int, bytes]] = field(default_factory=list)
 
@@ -114,10 +127,19 @@ class FakeTarget:
         self._command_status = 0xFF
         self._command_data = b""
         self._command: tuple[int, bytes] | None = None
+        self.ticks_done = 0
+        self.open_level = min(self.passwords, default=4) - 1
+        self.level = self.open_level
+        self._salts = 0
+        self.recorders = (
+            [FakeRecorder(self.peek, self.big_endian, self.recorder_memory, 0x2000_8000 if self.mtu > 64 else 0x8000)]
+            if self.recorder_memory
+            else []
+        )
         values = {
             "MTU": uleb(self.mtu), "VS": b"fake 1.0\0", "NM": b"fake\0", "DS": b"test target\0", "BD": b"today\0",
-            "F1": bytes([0x02 | self.big_endian | (0x10 if self.password else 0)]), "RC": b"\0",
-            "SC": bytes([self.scopes]), "PV": b"\x04", "PC": b"\0",
+            "F1": bytes([0x02 | self.big_endian | min(self.passwords, default=0) << 4]),
+            "RC": bytes([len(self.recorders)]), "SC": bytes([self.scopes]), "PV": b"\x04", "PC": b"\0",
         }  # fmt: skip
         self.config = {**values, **self.config}
 
@@ -195,6 +217,7 @@ class FakeTarget:
             return self._frame(0x82)
         command, payload = self._buffer[0], bytes(self._buffer[1:])
         self.requests.append((command, payload))
+        self.advance(self.ticks_per_request)
         try:
             status, data = self._execute(command, Reader(payload))
         except Refused as refused:
@@ -215,7 +238,7 @@ class FakeTarget:
                 return self._get_config(r)
             case 0x21:
                 address, size = r.uleb(), r.uleb()
-                if self.password:
+                if self.level < 1:
                     raise Refused(0x91)
                 self._check(address, size, write=False)
                 if size > self.mtu:
@@ -238,6 +261,19 @@ class FakeTarget:
                 while self.memory.get(end, 0):
                     end += 1
                 return 0x40, uleb(end - address)
+            case 0x24:
+                return self._set_recorder(r)
+            case 0x25:
+                return self._get_recorder(r)
+            case 0x2C if self.passwords:
+                level = r.u8()
+                if level <= self.open_level:
+                    self.level = max(level, self.open_level)
+                    return 0x40, b"\0"
+                self._salts += 1
+                return 0x40, b"\1" + self._salts.to_bytes(16, "big")
+            case 0x2D if self.passwords:
+                return self._log_in(r.u8(), r.take(20))
             case 0x30:
                 return self._start_command(r)
             case 0x31:
@@ -262,6 +298,8 @@ class FakeTarget:
 
     def _write(self, r: Reader) -> tuple[int, bytes]:
         flags, address, size = r.u8(), r.uleb(), r.uleb()
+        if self.level < 2:
+            raise Refused(0x91)
         self._check(address, size, write=True)
         data = r.take(size)
         if flags & 1:
@@ -312,6 +350,95 @@ class FakeTarget:
             self.before_scope()
         return 0, b"".join(self.peek(*slot) for slot in self.scope if slot is not None)
 
+    def _log_in(self, level: int, key: bytes) -> tuple[int, bytes]:
+        salt = self._salts.to_bytes(16, "big")
+        for known in (3, 2, 1):
+            own = max((k for k in self.passwords if k <= known), default=0)
+            inner = hashlib.sha1(self.passwords[own].encode()).digest() if own else b""
+            if own and hashlib.sha1(salt + inner + salt).digest() == key:
+                self.level = max(min(known, level), self.open_level)
+                return 0, bytes([min(known, level)])
+        self.level = self.open_level
+        raise Refused(0x92)
+
+    # ---- recorder
+    def advance(self, ticks: int) -> None:
+        """Let the fast loop run."""
+        for _ in range(ticks):
+            self.ticks_done += 1
+            if self.on_tick is not None:
+                self.on_tick(self.ticks_done)
+            for recorder in self.recorders:
+                recorder.tick()
+                for k, byte in enumerate(recorder.content() if recorder.state != 2 else b""):
+                    self.memory[recorder.address + k] = byte
+
+    def _set_recorder(self, r: Reader) -> tuple[int, bytes]:
+        if not r.data:
+            raise Refused(0x86)
+        index = r.u8()
+        if index >= len(self.recorders):
+            raise Refused(0x94)
+        recorder = self.recorders[index]
+        while r.at < len(r.data):
+            op, length = r.u8(), r.u8()
+            if length > len(r.data) - r.at:
+                raise Refused(0x86)
+            body = Reader(r.take(length))
+            match op:
+                case 1:
+                    count = body.u8()
+                    if RECORD_BYTES + SLOT_BYTES * count >= recorder.size:
+                        raise Refused(0x86)
+                    recorder.set_up(count, body.uleb(), body.uleb(), body.uleb())
+                case 2:
+                    slot, address, size, flags = body.u8(), body.uleb(), body.u8(), body.u8()
+                    threshold = body.sleb() if flags & 3 == 2 and not flags & 0x80 else body.uleb()
+                    if slot >= len(recorder.slots):
+                        raise Refused(0x94)
+                    if recorder.configured:
+                        raise Refused(0x87)
+                    if size not in (1, 2, 4, 8):
+                        raise Refused(0x86)
+                    self._check(address, size, write=False)
+                    recorder.slots[slot] = RecorderSlot(address, size, flags, threshold)
+                case 3:
+                    if not recorder.ready():
+                        raise Refused(0x86)
+                    recorder.start()
+                case 4:
+                    if not recorder.configured:
+                        raise Refused(0x88)
+                    recorder.stop()
+                case _:
+                    raise Refused(0x95)
+            if body.at != length:
+                raise Refused(0x86)
+        return 0, b""
+
+    def _get_recorder(self, r: Reader) -> tuple[int, bytes]:
+        index, op = r.u8(), r.u8()
+        if index >= len(self.recorders):
+            raise Refused(0x94)
+        recorder = self.recorders[index]
+        match op:
+            case 0x81:
+                return 0x40, b"fast"
+            case 0x82:
+                numbers = (recorder.size, self.recorder_period_ns, RECORD_BYTES, SLOT_BYTES)
+                return 0x40, b"".join(map(uleb, numbers))
+            case 0x83:
+                if not recorder.ready():
+                    return 0x40, bytes(6)
+                stored = sum(slot is not None and slot.stored for slot in recorder.slots)
+                count = recorder.total if recorder.state == 1 else len(recorder.points)
+                numbers = (recorder.address, recorder.point_size, count, recorder.first)
+                return 0x40, bytes([recorder.state, stored]) + b"".join(map(uleb, numbers))
+            case 0x84:
+                recorder.ready()
+                return 0x40, bytes([recorder.state])
+        raise Refused(0x95)
+
     def _start_command(self, r: Reader) -> tuple[int, bytes]:
         if not r.data:
             raise Refused(0x86)
@@ -338,6 +465,8 @@ class FakeTarget:
                 if e.kind in kinds and not (e.type or b"").startswith(b"\xed") and inside(e.address, e.size):
                     return
         if not write:
+            if any(inside(recorder.address, recorder.size) for recorder in self.recorders):
+                return
             if any(inside(start, length) for start, length in self._table_places):
                 return
             if any(inside(start, len(text)) for text, start in self._strings.items()):
@@ -347,5 +476,6 @@ class FakeTarget:
     def reset(self) -> None:
         """What a restart forgets."""
         self.scope = []
+        self.level = self.open_level
         self._plus = self._want_length = False
         self._todo = 0

@@ -18,8 +18,9 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import rclpy
 from bridge_rig import DOMAIN
-from fake_port import Device, FakePort, NoiseDevice, V3Target
+from fake_port import Device, FakePort, NoiseDevice
 from fake_servo import FakeServo
+from fake_target_v3 import FakeTargetV3
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
@@ -240,7 +241,7 @@ class Mute:
     [
         (Mute, ["nothing answers at 115200 baud", "check the supply"]),
         (NoiseDevice, ["not in FreeMASTER", "baud rate"]),
-        (V3Target, ["FreeMASTER version 3"]),
+        (FakeTargetV3, ["no table of variables"]),
         (other_catalogue, ["another table of variables", "flash the firmware"]),
     ],
 )

@@ -1,15 +1,16 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 
 import pytest
-from fake_port import V3Target
 from fake_target import RO, RW, FakeEntry, FakeTarget
 from fake_transport import FakeTransport, client_on
 from hypothesis import given
 from hypothesis import strategies as st
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import Command, ScopeSlot, send_command
+from servo_bridge.freemaster.dialect_v4 import password_key
 from servo_bridge.freemaster.errors import (
     AnswerTimeoutError,
     CodecError,
@@ -50,14 +51,9 @@ def test_identify_a_target_that_knows_next_to_nothing() -> None:
 
 
 def test_flags() -> None:
-    info = client_on(FakeTransport(FakeTarget(big_endian=True, password=True).feed)).identify()
+    info = client_on(FakeTransport(FakeTarget(big_endian=True, passwords={1: "x"}).feed)).identify()
     assert info.big_endian
     assert info.password_level == 1
-
-
-def test_version_3_is_recognised() -> None:
-    with pytest.raises(WrongProtocolError, match="version 3"):
-        client_on(FakeTransport(V3Target().feed)).identify()
 
 
 def test_another_device_is_recognised() -> None:
@@ -208,3 +204,63 @@ def test_a_pending_command_of_somebody_else_is_brought_to_its_end_first() -> Non
     client.exchange(send_command(1))
     assert client.run_command(2) == 2
     assert noting.ran == [1, 2]
+
+
+def locked(passwords: dict[int, str]) -> tuple[FakeTarget, Client]:
+    target = FakeTarget(tables=[[FakeEntry("x", b"\xe1", 0x1000, 2, RW)]], passwords=passwords)
+    return target, connected(target)
+
+
+@pytest.mark.parametrize(
+    ("passwords", "given", "level"),
+    [({1: "a", 2: "b", 3: "c"}, "a", 1), ({1: "a", 2: "b", 3: "c"}, "c", 3), ({2: "b"}, "b", 3), ({1: "a"}, "a", 3)],
+)
+def test_a_password_opens_the_highest_level_that_it_can(passwords: dict[int, str], given: str, level: int) -> None:
+    target, client = locked(passwords)
+    assert client.info.password_level == min(passwords)
+    assert client.log_in(given) == level
+    assert target.level == level
+    assert client.log_in(given, 1) == 1
+
+
+def test_the_key_of_a_password() -> None:
+    inner = hashlib.sha1(b"secret").digest()
+    salt = bytes(range(16))
+    assert password_key("secret", salt) == hashlib.sha1(salt + inner + salt).digest()
+
+
+def test_a_wrong_password_is_refused() -> None:
+    _, client = locked({1: "a"})
+    with pytest.raises(StatusError, match="wrong password"):
+        client.log_in("b")
+    with pytest.raises(StatusError, match="password needed"):
+        client.read_memory(0x1000, 2)
+    with pytest.raises(StatusError, match="unknown command"):
+        connected(FakeTarget()).log_in("b")
+
+
+def test_the_password_is_asked_for_when_the_target_wants_one() -> None:
+    target, client = locked({1: "a", 2: "b"})
+    answers = ["b", "a"]
+    client.ask_password = answers.pop
+    assert client.read_memory(0x1000, 2) == b"\0\0"
+    client.write_memory(0x1000, b"ab")
+    assert target.peek(0x1000, 2) == b"ab"
+    assert answers == []
+    target.reset()
+    client.ask_password = lambda: None
+    with pytest.raises(StatusError, match="password needed"):
+        client.read_memory(0x1000, 2)
+
+
+def test_a_lost_answer_does_not_end_the_login() -> None:
+    target, _ = locked({1: "a"})
+    lost = [True, False, True]
+
+    def respond(request: bytes) -> bytes:
+        answer = target.feed(request)
+        return b"" if request[1] in (0x2C, 0x2D) and lost and lost.pop() else answer
+
+    client = client_on(FakeTransport(respond))
+    client.identify()
+    assert client.log_in("a") == 3

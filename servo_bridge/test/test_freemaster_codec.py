@@ -58,6 +58,8 @@ REQUESTS = [
     (commands.send_command(0x11, b"\x01\x02\xd4"), "2B 30 04 11 01 02 D4 38"),
     (commands.get_command_status(), "2B 31 00 EC"),
     (commands.get_command_data(3, 0), "2B 32 02 03 00 6C"),
+    (commands.begin_login(1), "2B 2C 01 01 AB"),
+    (commands.begin_login(0), "2B 2C 01 00 AC"),
 ]
 
 

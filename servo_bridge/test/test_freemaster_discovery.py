@@ -192,7 +192,7 @@ def test_a_table_of_impossible_size() -> None:
 
 def test_a_password_is_reported_as_such() -> None:
     with pytest.raises(StatusError, match="password needed"):
-        find_all(FakeTarget(password=True, tables=[[FakeEntry("x", b"\xe0", 0x1000, 1, RO)]]))
+        find_all(FakeTarget(passwords={1: "x"}, tables=[[FakeEntry("x", b"\xe0", 0x1000, 1, RO)]]))
 
 
 def test_progress_is_reported() -> None:

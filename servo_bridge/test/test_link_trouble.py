@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
-from fake_port import FakePort, NoiseDevice, V3Target
+from fake_port import Device, FakePort, NoiseDevice
 from fake_servo import CATALOGUE, FakeServo
+from fake_target_v3 import FakeTargetV3
 from link_watcher import PATIENCE, StartLink, Watcher
 from servo_bridge.freemaster.errors import AnswerTimeoutError, CommandUnfinishedError
 from servo_bridge.wire.link import Link, LinkConfig, LinkDownError, LinkState, LinkStatus, Sample
@@ -70,8 +71,10 @@ def test_a_board_that_never_answers(fake_port: FakePort, start_link: StartLink) 
     assert "baud rate" in status.remedy
 
 
-@pytest.mark.parametrize(("device", "text"), [(V3Target(), "version 3"), (NoiseDevice(), "not in FreeMASTER")])
-def test_another_device(tmp_path: Path, start_link: StartLink, device: V3Target | NoiseDevice, text: str) -> None:
+@pytest.mark.parametrize(
+    ("device", "text"), [(FakeTargetV3(), "no table of variables"), (NoiseDevice(), "not in FreeMASTER")]
+)
+def test_another_device(tmp_path: Path, start_link: StartLink, device: Device, text: str) -> None:
     with FakePort(tmp_path / "ttyFAKE", device):
         watcher = start_link()
         status = watcher.wait_state(LinkState.FAILED)

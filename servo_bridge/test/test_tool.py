@@ -14,9 +14,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from fake_port import FakePort, NoiseDevice, V3Target
+from fake_port import FakePort, NoiseDevice
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import CONST, ENUM, NONE, RO, RW, STRUCT, FakeEntry, FakeTarget
+from fake_target_v3 import FakeTargetV3
 from servo_msgs_py.end_with_parent import bound_to_us
 
 from servo_bridge import tool
@@ -451,6 +452,77 @@ def test_an_array_longer_than_the_buffer_is_written_in_pieces(stranger: FakeTarg
     ]  # fmt: skip
 
 
+# ---- boards that speak version 3, and boards with passwords -------------------------------------------------------
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_a_board_of_version_3(tmp_path: Path, run: Run, big_endian: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [
+        FakeEntry("loop_t", None, 0, 6, 0),
+        FakeEntry("gain", b"\xf4:3.12", 0, 2, 2),
+        FakeEntry("limits", b"\xf1", 2, 4, 2),
+        FakeEntry("loop", b"loop_t", 0x1000, 6, RW),
+        FakeEntry("curve", b"\xf2", 0x1100, 120, RW),
+        FakeEntry("count", b"\xe3", 0x1200, 8, RO),
+        FakeEntry("ratio", b"\xfb", 0x1208, 8, RO),
+    ]
+    target = FakeTargetV3(tables=[rows], big_endian=big_endian)
+    target.build()
+    target.set_int(0x1200, 2**63 + 1, 8)
+    file = str(tmp_path / "x.json")
+    with FakePort(tmp_path / "ttyFAKE", target):
+        assert run("info") == 0
+        out = capsys.readouterr().out
+        assert "FreeMASTER v3 2.0" in out
+        assert "oracle v3 board" in out
+        assert run("set", "loop.limits", "-3,4") == 0
+        assert run("set", "curve", ",".join(str(k) for k in range(30))) == 0
+        assert run("save", file, "--match", "*") == 0
+        target.poke(0x1000, bytes(6))
+        target.poke(0x1100, bytes(120))
+        assert run("load", file) == 0
+        capsys.readouterr()
+        assert run("get", "--json", "loop", "curve", "count", "ratio") == 0
+        assert json.loads(capsys.readouterr().out) == {
+            "loop.gain": 0.0, "loop.limits": [-3, 4], "curve": list(range(30)), "count": 2**63 + 1, "ratio": 0.0,
+        }  # fmt: skip
+        assert run("watch", "loop", "count", "--count", "2") == 0
+        assert "count=9223372036854775809" in capsys.readouterr().out
+
+
+@pytest.fixture
+def locked(tmp_path: Path) -> Iterator[FakeTarget]:
+    rows = [FakeEntry("x", b"\xf1", 0x1000, 2, RW)]
+    target = FakeTarget(tables=[rows], passwords={1: "look", 2: "move"})
+    target.build()
+    with FakePort(tmp_path / "ttyFAKE", target):
+        yield target
+
+
+def test_a_password_opens_its_level(locked: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--password", "look", "get", "x") == 0
+    locked.reset()
+    assert run("set", "x", "7", "--password", "look") == 1
+    assert "password needed; give servo-tool a password for this" in capsys.readouterr().err
+    assert run("set", "x", "7", "--password", "move") == 0
+    assert locked.peek(0x1000, 2) == b"\x07\x00"
+    assert run("info", "--password", "look") == 0
+    assert "to view" in capsys.readouterr().out
+    locked.reset()
+    assert run("get", "x", "--password", "wrong") == 1
+    assert "wrong password; check the password" in capsys.readouterr().err
+
+
+def test_a_password_is_asked_for_at_a_terminal(
+    locked: FakeTarget, run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("get", "x") == 1
+    assert "password needed" in capsys.readouterr().err
+    answers = ["move"]
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("getpass.getpass", lambda prompt: answers.pop())
+    assert run("set", "x", "9") == 0
+    assert answers == []
+
+
 def test_recording_what_no_scope_can_carry(
     stranger: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -483,13 +555,10 @@ def test_no_port(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize(("device", "text"), [(V3Target(), "version 3"), (NoiseDevice(), "not in FreeMASTER")])
-def test_another_device(
-    tmp_path: Path, run: Run, device: V3Target | NoiseDevice, text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with FakePort(tmp_path / "ttyFAKE", device):
+def test_another_device(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    with FakePort(tmp_path / "ttyFAKE", NoiseDevice()):
         assert run("info") == 1
-    assert text in capsys.readouterr().err
+    assert "not in FreeMASTER" in capsys.readouterr().err
 
 
 def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,15 +1,18 @@
-"""Synchronous FreeMASTER v4 client: the commands as methods."""
+"""Synchronous FreeMASTER client for targets of versions 4 and 3: the commands as methods."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Final
 
 from servo_bridge.freemaster import commands
-from servo_bridge.freemaster.codec import MAX_ANSWER_DATA, decode_uleb
+from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
+from servo_bridge.freemaster.codec import MAX_ANSWER_DATA
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
+from servo_bridge.freemaster.dialect import Dialect
+from servo_bridge.freemaster.dialect_v3 import DialectV3
+from servo_bridge.freemaster.dialect_v4 import DialectV4
 from servo_bridge.freemaster.errors import (
     AnswerTimeoutError,
     CodecError,
@@ -22,42 +25,18 @@ from servo_bridge.freemaster.errors import (
     WrongProtocolError,
 )
 from servo_bridge.freemaster.line import Exchange, Line
+from servo_bridge.freemaster.recorder import Recorder
 
-__all__ = ["BoardInfo", "Client"]
+__all__ = ["LEVELS", "BoardInfo", "Client"]
+
+LEVELS: Final = ("none", "view", "command", "tune")
+"""Access levels of a target with passwords: read memory, write it as well, everything."""
 
 _SUM_REFUSALS: Final = (b"+\x82\x7e", b"+\x81\x7f")  # refusals of a version 3 target: sum instead of CRC
-_DEFAULT_MTU: Final = 32  # smallest allowed buffer, until the target has named its own
-
-
-@dataclass(frozen=True)
-class BoardInfo:
-    """What a target says about itself; values that it does not know are None or empty."""
-
-    protocol: int = 4
-    mtu: int = _DEFAULT_MTU
-    version: str = ""
-    name: str = ""
-    description: str = ""
-    build: str = ""
-    flags: int = 0
-    base_address: int | None = None
-    recorders: int = 0
-    scopes: int = 0
-    pipes: int = 0
-
-    @property
-    def big_endian(self) -> bool:
-        """Whether numbers in the target's memory have their high byte first."""
-        return bool(self.flags & 0x01)
-
-    @property
-    def password_level(self) -> int:
-        """Lowest access level that needs a password: 0 none, 1 read, 2 write, 3 flash."""
-        return self.flags >> 4 & 3
 
 
 class Client:
-    """FreeMASTER v4 client.
+    """FreeMASTER client.
 
     Parameters
     ----------
@@ -68,12 +47,19 @@ class Client:
     ----------
     before_exchange : callable or None
         Called before every exchange; may exchange something itself while it has taken itself out of here.
+    ask_password : callable or None
+        Gives the password when the target wants one; None or a None from it lets the refusal stand.
+    info : BoardInfo
+        What the target said when it was identified.
     """
 
     def __init__(self, line: Line) -> None:
         self.line = line
         self.before_exchange: Callable[[], None] | None = None
-        self.mtu = _DEFAULT_MTU
+        self.ask_password: Callable[[], str | None] | None = None
+        self.info = BoardInfo()
+        self.mtu = DEFAULT_MTU
+        self._dialect: Dialect = DialectV4()
 
     @property
     def read_limit(self) -> int:
@@ -86,9 +72,18 @@ class Client:
         return min(self.mtu - 2, MAX_ANSWER_DATA)
 
     def exchange(self, request: Request, *, retries: int | None = None) -> Exchange:
-        """Send any request; see `Line.exchange`."""
+        """Send any request; see `Line.exchange`. Logs in when the target wants a password and there is one."""
         if self.before_exchange is not None:
             self.before_exchange()
+        try:
+            return self.line.exchange(request, retries=retries)
+        except StatusError as error:
+            if error.code != Status.PASSWORD_NEEDED or self.ask_password is None:
+                raise
+            password = self.ask_password()
+            if password is None:
+                raise
+        self.log_in(password)
         return self.line.exchange(request, retries=retries)
 
     def _ask(self, request: Request) -> bytes:
@@ -97,7 +92,7 @@ class Client:
     # ---- who is there -----------------------------------------------------------------------------------------
 
     def probe(self) -> None:
-        """Make sure that a FreeMASTER v4 target answers.
+        """Make sure that a FreeMASTER target answers, and find out which version it speaks.
 
         Raises
         ------
@@ -107,17 +102,29 @@ class Client:
             If nothing answers.
         """
         request = commands.get_config("PV")
-        try:
-            self._ask(request)
-        except StatusError:
-            pass  # an intact version 4 refusal: the key is optional
-        except DisturbedRequestError:
-            raise  # it is the right protocol on a bad line
-        except DamagedAnswerError as error:
-            raise WrongProtocolError(_what_answers(error.received, request.frame)) from error
+        for left in range(self.line.retries, -1, -1):
+            try:
+                self.exchange(request, retries=0)
+            except StatusError:
+                pass  # an intact version 4 refusal: the key is optional
+            except AnswerTimeoutError:
+                if left == 0:
+                    raise
+                continue
+            except DamagedAnswerError as error:
+                if any(refusal in error.received for refusal in _SUM_REFUSALS):
+                    self._dialect = DialectV3()
+                    return
+                if left > 0:
+                    continue
+                if isinstance(error, DisturbedRequestError):
+                    raise  # it is the right protocol on a bad line
+                raise WrongProtocolError(_what_answers(error.received, request.frame)) from error
+            self._dialect = DialectV4()
+            return
 
     def identify(self) -> BoardInfo:
-        """Ask the target who it is and adopt its buffer size.
+        """Ask the target who it is and adopt its version of the protocol and its buffer size.
 
         Raises
         ------
@@ -125,42 +132,34 @@ class Client:
             See `probe`.
         """
         self.probe()
-        mtu = self._number("MTU")
-        flags = self._number("F1", encoded=False) or 0
-        info = BoardInfo(
-            protocol=self._number("PV", encoded=False) or 4,
-            mtu=max(mtu or _DEFAULT_MTU, _DEFAULT_MTU),
-            version=self._text("VS"),
-            name=self._text("NM"),
-            description=self._text("DS"),
-            build=self._text("BD"),
-            flags=flags,
-            base_address=self._number("BA"),
-            recorders=self._number("RC", encoded=False) or 0,
-            scopes=self._number("SC", encoded=False) or 0,
-            pipes=self._number("PC", encoded=False) or 0,
-        )
-        self.mtu = info.mtu
-        return info
+        self.info = self._dialect.identify(self.exchange)
+        self.mtu = self.info.mtu
+        return self.info
 
     def get_config(self, key: str) -> bytes | None:
         """Read the value of a configuration key, or None when the target does not know it."""
-        try:
-            return commands.parse_config(key, self._ask(commands.get_config(key)))
-        except StatusError as error:
-            if error.code in (Status.ACCESS_DENIED, Status.UNKNOWN_COMMAND):
-                return None
-            raise
+        return self._dialect.get_config(self.exchange, key)
 
-    def _text(self, key: str) -> str:
-        value = self.get_config(key)
-        return "" if value is None else value.split(b"\x00", 1)[0].decode("utf-8", "replace")
+    def log_in(self, password: str, level: int = len(LEVELS) - 1) -> int:
+        """Log in with a password to the highest level that it opens, at most `level`.
 
-    def _number(self, key: str, *, encoded: bool = True) -> int | None:
-        value = self.get_config(key)
-        if not value:
-            return None
-        return decode_uleb(value)[0] if encoded else value[0]
+        Returns
+        -------
+        int
+            The level that the target grants; see `LEVELS`.
+
+        Raises
+        ------
+        StatusError
+            If the password is wrong, or the target has none at all.
+        """
+        for left in range(self.line.retries, -1, -1):
+            try:
+                return self._dialect.log_in(self.line.exchange, level, password)
+            except (AnswerTimeoutError, DamagedAnswerError):  # the salt may be another one: begin anew
+                if left == 0:
+                    raise
+        raise AssertionError("unreachable")
 
     # ---- memory -----------------------------------------------------------------------------------------------
 
@@ -171,13 +170,14 @@ class Client:
         """
         step = self.read_limit & ~7
         pieces = (
-            self._ask(commands.read_memory(address + done, min(step, size - done))) for done in range(0, size, step)
+            self._ask(self._dialect.read_memory(address + done, min(step, size - done)))
+            for done in range(0, size, step)
         )
         return b"".join(pieces)
 
     def write_limit(self, address: int) -> int:
         """Tell how many data bytes fit one WRITEMEM to `address`."""
-        overhead = len(commands.write_memory(address, b"").payload) + 1  # a size of 128 and more takes two bytes
+        overhead = len(self._dialect.write_memory(address, b"").payload) + 1  # a size of 128 and more takes two bytes
         return self.payload_limit - overhead
 
     def write_memory(self, address: int, data: bytes, *, retries: int | None = None) -> Exchange:
@@ -189,12 +189,12 @@ class Client:
             If the data does not fit the target's buffer.
         """
         self._check_write(address, len(data))
-        return self.exchange(commands.write_memory(address, data), retries=retries)
+        return self.exchange(self._dialect.write_memory(address, data), retries=retries)
 
     def write_masked(self, address: int, data: bytes, mask: bytes) -> None:
         """Write only the bits that are set in `mask`."""
         self._check_write(address, 2 * len(data))
-        self._ask(commands.write_memory(address, data, mask))
+        self._ask(self._dialect.write_memory(address, data, mask))
 
     def _check_write(self, address: int, size: int) -> None:
         if size > self.write_limit(address):
@@ -218,19 +218,19 @@ class Client:
         size = sum(slot.size for slot in slots)
         if size > self.read_limit:
             raise CodecError(f"{size} bytes of scope variables do not fit one answer of {self.read_limit} bytes")
-        for request in commands.set_scope(slots, scope=scope, payload_limit=self.payload_limit):
+        for request in self._dialect.set_scope(slots, scope=scope, payload_limit=self.payload_limit):
             self._ask(request)
-        return commands.read_scope(size, scope=scope)
+        return self._dialect.read_scope(size, scope=scope)
 
     # ---- table of variables -----------------------------------------------------------------------------------
 
     def tsa_table(self, index: int) -> TsaTable:
         """Ask where table `index` lies; address 0 when there are no more."""
-        return commands.parse_tsa_info(self._ask(commands.get_tsa_info(index)))
+        return self._dialect.parse_tsa_info(self._ask(self._dialect.get_tsa_info(index)))
 
     def string_length(self, address: int) -> int:
         """Ask for the length of a text in target memory."""
-        return commands.parse_size(self._ask(commands.get_string_length(address)))
+        return self._dialect.parse_size(self._ask(self._dialect.get_string_length(address)))
 
     # ---- application commands ---------------------------------------------------------------------------------
 
@@ -247,13 +247,13 @@ class Client:
             If the target refuses it.
         """
         limit = self.line.clock() + round(timeout * 1e9)
-        request = commands.send_command(code, arguments)
+        request = self._dialect.send_command(code, arguments)
         try:
             self._ask(request)
         except (AnswerTimeoutError, DamagedAnswerError):
             # It may have arrived, and may run only when its result is asked for: now, and not at the next command.
             with suppress(FreemasterError):
-                self.exchange(commands.get_command_status(), retries=0)
+                self.exchange(self._dialect.get_command_status(), retries=0)
             raise
         except StatusError as error:
             if error.code != Status.BUSY:
@@ -265,7 +265,7 @@ class Client:
 
     def _command_result(self, code: int, limit: int, timeout: float) -> int:
         while True:
-            result = self._ask(commands.get_command_status())[0]
+            result = self._ask(self._dialect.get_command_status())[0]
             if result != commands.COMMAND_RUNNING:
                 return result
             if self.line.clock() >= limit:
@@ -273,16 +273,29 @@ class Client:
 
     def command_data(self, size: int, offset: int = 0) -> bytes:
         """Read result data of the last application command."""
-        data = self._ask(commands.get_command_data(size, offset))
-        if len(data) != size:
+        data = self._ask(self._dialect.get_command_data(size, offset))
+        if len(data) < size:
             raise FreemasterError(f"{len(data)} bytes of result data, {size} expected")
-        return data
+        return data[len(data) - size :]
+
+    # ---- recorder ---------------------------------------------------------------------------------------------
+
+    def recorder(self, index: int = 0) -> Recorder:
+        """Give a recorder of the identified target.
+
+        Raises
+        ------
+        FreemasterError
+            If it has no such recorder.
+        """
+        if index >= self.info.recorders:
+            has = "none" if not self.info.recorders else f"0 .. {self.info.recorders - 1}"
+            raise FreemasterError(f"the board has no recorder {index}; recorders: {has}")
+        return self._dialect.recorder(self.exchange, self.info, index, self.payload_limit)
 
 
 def _what_answers(received: bytes, request: bytes) -> str:
     """Name the kind of device from the bytes that were no answer."""
-    if any(refusal in received for refusal in _SUM_REFUSALS):
-        return "the board speaks FreeMASTER version 3; this program needs version 4"
     if received.startswith(request):
         return "only the echo of the request came back; are the lines TX and RX connected with each other?"
     return (

@@ -1,10 +1,11 @@
-"""FreeMASTER v4 frames: checksum, doubling of the start byte, LEB128 numbers, the answer parser.
+"""FreeMASTER frames of both versions: checksum, doubling of the start byte, LEB128 numbers, the answer parser.
 
 Pure functions and one small state machine; nothing here knows about time or ports.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,14 +14,18 @@ from servo_bridge.freemaster.errors import CodecError, Status
 __all__ = [
     "MAX_ANSWER_DATA",
     "SOB",
+    "V3",
+    "V4",
     "Answer",
     "AnswerParser",
+    "Framing",
     "crc8",
     "decode_sleb",
     "decode_uleb",
     "encode_request",
     "encode_sleb",
     "encode_uleb",
+    "negated_sum",
 ]
 
 SOB: Final = 0x2B
@@ -53,21 +58,72 @@ def crc8(data: bytes, crc: int = 0) -> int:
     return crc
 
 
-def encode_request(command: int, payload: bytes = b"") -> bytes:
-    """Build one request as it goes over the line.
+def negated_sum(data: bytes) -> int:
+    """Compute the byte that makes the sum of `data` and itself zero."""
+    return -sum(data) & 0xFF
 
-    Raises
-    ------
-    CodecError
-        If the command code or the length cannot be sent.
+
+@dataclass(frozen=True)
+class Framing:
+    """How one version of the protocol builds its frames.
+
+    Attributes
+    ----------
+    checksum : callable
+        Last byte of a frame, from all others behind the start byte.
+    fast_from : int
+        Commands from this code on carry no length byte; their code tells the length.
+    plain_statuses : tuple of int
+        Successes other than zero that carry no data.
     """
-    if not 0 <= command <= 0xFF or command == SOB:
-        raise CodecError(f"command code {command:#x} cannot be sent")
-    if len(payload) > _MAX_PAYLOAD:
-        raise CodecError(f"{len(payload)} bytes of payload; at most {_MAX_PAYLOAD} fit a frame")
-    body = bytes((command, len(payload))) + payload
-    body += bytes((crc8(body),))
-    return b"+" + body.replace(b"+", b"++")
+
+    checksum: Callable[[bytes], int]
+    fast_from: int
+    plain_statuses: tuple[int, ...] = ()
+
+    def encode(self, command: int, payload: bytes = b"") -> bytes:
+        """Build one request as it goes over the line.
+
+        Raises
+        ------
+        CodecError
+            If the command code or the length cannot be sent.
+        """
+        if not 0 <= command <= 0xFF or command == SOB:
+            raise CodecError(f"command code {command:#x} cannot be sent")
+        if len(payload) > _MAX_PAYLOAD:
+            raise CodecError(f"{len(payload)} bytes of payload; at most {_MAX_PAYLOAD} fit a frame")
+        if command >= self.fast_from:
+            if len(payload) != 2 * (command >> 4 & 3):
+                raise CodecError(f"{len(payload)} bytes of payload do not go with the command code {command:#x}")
+            body = bytes((command,)) + payload
+        else:
+            body = bytes((command, len(payload))) + payload
+        body += bytes((self.checksum(body),))
+        return b"+" + body.replace(b"+", b"++")
+
+    def intact(self, body: bytes) -> bool:
+        """Whether a frame, from the byte behind the start byte on, ends in its checksum."""
+        return self.checksum(body[:-1]) == body[-1]
+
+    def can_start(self, status: int) -> bool:
+        """Whether a byte behind a start byte can be a status.
+
+        Everything else is line noise or, on single-wire hardware, the echo of a request. Debug builds send frames with
+        status A9 until they have seen their first request; they say nothing.
+        """
+        if status & Status.ERROR_BIT:
+            return status not in (Status.DEBUG_FRAME, 0xFF)
+        return status in (Status.OK, Status.OK_VARIABLE) or status in self.plain_statuses
+
+
+V4: Final = Framing(crc8, 0x100)
+V3: Final = Framing(negated_sum, 0xC0, (Status.RECORDER_RUNNING, Status.RECORDER_STOPPED))
+
+
+def encode_request(command: int, payload: bytes = b"") -> bytes:
+    """Build one request of version 4; see `Framing.encode`."""
+    return V4.encode(command, payload)
 
 
 def encode_uleb(value: int) -> bytes:
@@ -148,17 +204,6 @@ class Answer:
         return bool(self.status & Status.ERROR_BIT)
 
 
-def _can_start(status: int) -> bool:
-    """Whether a byte behind a start byte can be a status.
-
-    Everything else is line noise or, on single-wire hardware, the echo of a request. Debug builds send frames with
-    status A9 until they have seen their first request; they say nothing.
-    """
-    if status & Status.ERROR_BIT:
-        return status not in (Status.DEBUG_FRAME, 0xFF)
-    return status in (Status.OK, Status.OK_VARIABLE)
-
-
 class AnswerParser:
     """Finds one answer in a stream of bytes that may start and end anywhere.
 
@@ -166,6 +211,8 @@ class AnswerParser:
     ----------
     fixed_size : int
         Data bytes of a success answer without length byte, known from the request.
+    framing : Framing
+        Version of the protocol.
 
     Attributes
     ----------
@@ -173,8 +220,9 @@ class AnswerParser:
         Complete frames with a wrong checksum so far.
     """
 
-    def __init__(self, fixed_size: int = 0) -> None:
+    def __init__(self, fixed_size: int = 0, framing: Framing = V4) -> None:
         self._fixed_size = fixed_size
+        self._framing = framing
         self._pending_sob = False
         self._body: bytearray | None = None  # from the status byte on; None while hunting for a start
         self.crc_errors = 0
@@ -192,7 +240,7 @@ class AnswerParser:
                 continue
             if self._pending_sob:
                 self._pending_sob = False
-                self._body = bytearray() if _can_start(segment[0]) else None
+                self._body = bytearray() if self._framing.can_start(segment[0]) else None
             answer = self._take(segment)
             if answer is not None:
                 return answer
@@ -206,7 +254,7 @@ class AnswerParser:
         if size is None or len(self._body) < size:
             return None
         body, self._body = bytes(self._body[:size]), None
-        if crc8(body):
+        if not self._framing.intact(body):
             self.crc_errors += 1
             return None
         return Answer(body[0], body[2:-1] if body[0] == Status.OK_VARIABLE else body[1:-1])
@@ -215,7 +263,7 @@ class AnswerParser:
         """Bytes from status to checksum; None while the length byte has not come."""
         assert self._body is not None
         status = self._body[0]
-        if status & Status.ERROR_BIT:
+        if status & Status.ERROR_BIT or status in self._framing.plain_statuses:
             return 2
         if status & Status.VARIABLE_BIT:
             return self._body[1] + 3 if len(self._body) > 1 else None

@@ -6,17 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from servo_bridge.freemaster.codec import MAX_ANSWER_DATA, decode_uleb, encode_request, encode_uleb
+from servo_bridge.freemaster.codec import MAX_ANSWER_DATA, V4, Framing, decode_uleb, encode_uleb
 from servo_bridge.freemaster.errors import CodecError
 
 __all__ = [
     "COMMAND_IDLE",
     "COMMAND_RUNNING",
+    "NO_PASSWORD",
     "SCOPE_SIZES",
+    "SHA1_PASSWORD",
     "Command",
     "Request",
     "ScopeSlot",
     "TsaTable",
+    "begin_login",
+    "finish_login",
     "get_command_data",
     "get_command_status",
     "get_config",
@@ -38,6 +42,10 @@ SCOPE_SIZES: Final = (1, 2, 4, 8)
 COMMAND_RUNNING: Final = 0xFE
 COMMAND_IDLE: Final = 0xFF
 
+NO_PASSWORD: Final = 0
+SHA1_PASSWORD: Final = 1
+"""Algorithms by which a target checks a password."""
+
 _OP_SCOPE_RESET: Final = 0x01
 _OP_SCOPE_SLOT: Final = 0x02
 
@@ -48,10 +56,14 @@ class Command:
     GETCONFIG: Final = 0x20
     READMEM: Final = 0x21
     WRITEMEM: Final = 0x23
+    SETREC: Final = 0x24
+    GETREC: Final = 0x25
     SETSCOPE: Final = 0x26
     READSCOPE: Final = 0x27
     GETTSAINFO: Final = 0x29
     GETSTRLEN: Final = 0x2A
+    AUTH1: Final = 0x2C
+    AUTH2: Final = 0x2D
     SENDAPPCMD: Final = 0x30
     GETAPPCMDSTS: Final = 0x31
     GETAPPCMDDATA: Final = 0x32
@@ -73,6 +85,10 @@ class Request:
         Data bytes of the answer; None when it carries its own length.
     idempotent : bool
         Whether it may be sent again after a lost answer.
+    framing : Framing
+        Version of the protocol.
+    statuses : tuple of int
+        Successes without data beside the usual one.
     frame : bytes
         The bytes on the line.
     """
@@ -82,10 +98,12 @@ class Request:
     payload: bytes
     answer_size: int | None
     idempotent: bool = True
+    framing: Framing = V4
+    statuses: tuple[int, ...] = ()
     frame: bytes = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "frame", encode_request(self.command, self.payload))
+        object.__setattr__(self, "frame", self.framing.encode(self.command, self.payload))
 
     @property
     def answer_limit(self) -> int:
@@ -104,25 +122,24 @@ class ScopeSlot:
 
 @dataclass(frozen=True)
 class TsaTable:
-    """Where one table of variables lies; address 0 ends the list of tables."""
+    """Where one table of variables lies; address 0 ends the list of tables.
 
-    flags: int
+    Attributes
+    ----------
+    version : int
+        Meaning of the entries: 2 or 3.
+    field_size : int
+        Bytes of each of the four fields of an entry.
+    size : int
+        Bytes of the table.
+    address : int
+        Where it begins.
+    """
+
+    version: int
+    field_size: int
     size: int
     address: int
-
-    @property
-    def field_size(self) -> int:
-        """Bytes of each of the four fields of an entry.
-
-        Raises
-        ------
-        CodecError
-            If the flags name a width that does not exist.
-        """
-        try:
-            return (2, 4, 8)[self.flags >> 4 & 3]
-        except IndexError:
-            raise CodecError(f"table flags {self.flags:02X} name no width of the entries") from None
 
 
 def get_config(key: str) -> Request:
@@ -199,12 +216,21 @@ def get_tsa_info(index: int) -> Request:
 
 
 def parse_tsa_info(data: bytes) -> TsaTable:
-    """Decode the place of a table."""
+    """Decode the place of a table.
+
+    Raises
+    ------
+    CodecError
+        If the answer is cut off, or names a width of the entries that does not exist.
+    """
     if not data:
         raise CodecError("empty answer to GETTSAINFO")
     size, end = decode_uleb(data, 1)
     address, _ = decode_uleb(data, end)
-    return TsaTable(data[0], size, address)
+    width = data[0] >> 4 & 3
+    if width == 3 and address:
+        raise CodecError(f"table flags {data[0]:02X} name no width of the entries")
+    return TsaTable(data[0] & 0x0F, 2 << width, size, address)
 
 
 def get_string_length(address: int) -> Request:
@@ -232,3 +258,13 @@ def get_command_status() -> Request:
 def get_command_data(size: int, offset: int = 0) -> Request:
     """Read result data of the last application command."""
     return Request("GETAPPCMDDATA", Command.GETAPPCMDDATA, encode_uleb(size) + encode_uleb(offset), None)
+
+
+def begin_login(level: int) -> Request:
+    """Ask for the salt of a login to that level; the target draws a new one every time."""
+    return Request(f"AUTH1 level {level}", Command.AUTH1, bytes((level,)), None, idempotent=False)
+
+
+def finish_login(level: int, key: bytes) -> Request:
+    """Prove the knowledge of a password; the answer is the level that is granted."""
+    return Request(f"AUTH2 level {level}", Command.AUTH2, bytes((level,)) + key, 1, idempotent=False)

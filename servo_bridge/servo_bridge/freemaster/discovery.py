@@ -12,13 +12,15 @@ from typing import Final
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.commands import TsaTable
 from servo_bridge.freemaster.errors import DiscoveryError, Status, StatusError
-from servo_bridge.freemaster.tsa import ByteOrder, Entry, TargetVariable, parse_entries
+from servo_bridge.freemaster.tsa import ByteOrder, Entry, TargetVariable, entry_of_version_2, parse_entries
 
 __all__ = ["Progress", "discover", "read_entries"]
 
 Progress = Callable[[int, int], None]
 """Called with entries done and entries in all."""
 
+_Row = tuple[int, int, int, int]
+_OLD_VERSION: Final = 2
 _MAX_TABLES: Final = 256
 _MAX_TABLE_SIZE: Final = 1 << 20
 _MAX_STRING: Final = 1024
@@ -49,18 +51,19 @@ def discover(client: Client, info: BoardInfo, progress: Progress | None = None) 
 
 def read_entries(client: Client, order: ByteOrder, progress: Progress | None = None) -> list[Entry]:
     """Read the entries of all tables with their texts; see `discover`."""
-    rows: list[tuple[int, int, int, int]] = []
+    rows: list[tuple[int, _Row]] = []
     for table in _tables(client):
-        rows += _rows(client, table, order)
+        rows += [(table.version, row) for row in _rows(client, table, order)]
     if not rows:
         raise DiscoveryError("the board has no table of variables; its firmware was built without one")
     strings = _Strings(client)
     entries: list[Entry] = []
-    for name, type_, address, info in rows:
+    for version, (name, type_, address, info) in rows:
         if name:
             text = strings.read(name)
             label = f"0x{name:X}" if text is None else text.decode("utf-8", "replace")
-            entries.append(Entry(label, strings.read(type_) or b"", address, info))
+            build = entry_of_version_2 if version <= _OLD_VERSION else Entry
+            entries.append(build(label, strings.read(type_) or b"", address, info))
         if progress is not None:
             progress(len(entries), len(rows))
     return entries
@@ -82,7 +85,7 @@ def _tables(client: Client) -> list[TsaTable]:
     return tables
 
 
-def _rows(client: Client, table: TsaTable, order: ByteOrder) -> list[tuple[int, int, int, int]]:
+def _rows(client: Client, table: TsaTable, order: ByteOrder) -> list[_Row]:
     """Read the four words of every entry of one table."""
     width = table.field_size
     count = table.size // (4 * width)

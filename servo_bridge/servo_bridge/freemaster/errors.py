@@ -14,6 +14,7 @@ __all__ = [
     "DisturbedRequestError",
     "FreemasterError",
     "OutOfRangeError",
+    "RecorderError",
     "Status",
     "StatusError",
     "TransportError",
@@ -27,6 +28,9 @@ class Status:
 
     OK: Final = 0x00
     OK_VARIABLE: Final = 0x40
+    RECORDER_RUNNING: Final = 0x01
+    """Version 3 only, as the next."""
+    RECORDER_STOPPED: Final = 0x02
     UNKNOWN_COMMAND: Final = 0x81
     CHECKSUM: Final = 0x82
     REQUEST_TOO_LONG: Final = 0x83
@@ -36,7 +40,9 @@ class Status:
     BUSY: Final = 0x87
     NOT_INITIALISED: Final = 0x88
     ACCESS_DENIED: Final = 0x89
+    NO_FLOAT_TRIGGER: Final = 0x90
     PASSWORD_NEEDED: Final = 0x91
+    WRONG_PASSWORD: Final = 0x92
     BAD_INSTANCE: Final = 0x94
     OUT_OF_RANGE: Final = 0x97
     """What the servo board says of a value; other targets have it for recorders that are not built in."""
@@ -114,7 +120,7 @@ class DisturbedRequestError(DamagedAnswerError):
 
 
 class WrongProtocolError(FreemasterError):
-    """Something answers, but it does not speak FreeMASTER version 4."""
+    """Something answers, but it speaks neither FreeMASTER version 4 nor version 3."""
 
 
 class StatusError(FreemasterError):
@@ -148,3 +154,7 @@ class CommandUnfinishedError(FreemasterError):
 
 class DiscoveryError(FreemasterError):
     """The target's variable table is missing or makes no sense."""
+
+
+class RecorderError(FreemasterError):
+    """The recorder of the target cannot record what is asked for."""

@@ -62,11 +62,12 @@ class ClientStatistics:
 
 @dataclass(frozen=True)
 class Exchange:
-    """One answered request: its data and when it was sent and answered [monotonic ns]."""
+    """One answered request: its data, when it was sent and answered [monotonic ns], and the status of the answer."""
 
     data: bytes
     request_ns: int
     response_ns: int
+    status: int = Status.OK
 
 
 class Line:
@@ -106,7 +107,7 @@ class Line:
         self._transport = transport
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 // baud
         self._latency_ns = round(latency * 1e9)
-        self._retries = retries
+        self.retries = retries
         self.clock = clock
         self.before_request = before_request
         self._unsettled = False
@@ -127,7 +128,7 @@ class Line:
         ------
         AnswerTimeoutError, DamagedAnswerError, DisturbedRequestError, StatusError, TransportError
         """
-        left = self._retries if retries is None else retries
+        left = self.retries if retries is None else retries
         lost_answer = False
         while True:
             if self._unsettled:
@@ -162,7 +163,7 @@ class Line:
         self._discard()
         statistics = self.statistics
         statistics.requests += 1
-        parser = AnswerParser(request.answer_size or 0)
+        parser = AnswerParser(request.answer_size or 0, request.framing)
         received = bytearray()
         request_ns = self.clock()
         self._transport.write(request.frame)
@@ -196,10 +197,10 @@ class Line:
         if answer.is_error:
             raise StatusError(answer.status, request.name)
         expected = Status.OK_VARIABLE if request.answer_size is None else Status.OK
-        if answer.status != expected:
+        if answer.status != expected and answer.status not in request.statuses:
             statistics.damaged += 1
             raise DamagedAnswerError(f"{request.name}: answer of the wrong form {answer.status:02X}", bytes(received))
-        return Exchange(answer.data, request_ns, response_ns)
+        return Exchange(answer.data, request_ns, response_ns, answer.status)
 
     def _discard(self) -> None:
         """Throw away what came without being asked for."""

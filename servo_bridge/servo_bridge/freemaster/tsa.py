@@ -24,6 +24,7 @@ __all__ = [
     "TargetVariable",
     "TypeKind",
     "ValueType",
+    "entry_of_version_2",
     "parse_entries",
     "parse_type",
 ]
@@ -32,6 +33,8 @@ Number = int | float
 ByteOrder = Literal["little", "big"]
 
 _SPECIAL: Final = (0xEC, 0xED)
+_STRUCT_TYPE: Final = b"\xed:STRUCT"
+_OLD_STRUCT, _OLD_MEMBER = 0, 2
 _FIXED_POINT: Final = re.compile(rb":(\d{1,3})\.(\d{1,3})\Z")
 _SIZES: Final = (1, 2, 4, 8)
 
@@ -84,6 +87,16 @@ class Entry:
         if self.type_text[:1] and self.type_text[0] in _SPECIAL:
             return self.type_text[1:].removeprefix(b":").decode("latin-1")
         return ""
+
+
+def entry_of_version_2(name: str, type_text: bytes, address: int, info: int) -> Entry:
+    """Build an entry from a table of version 2, which marks structures and their members by the access bits alone."""
+    size, kind = info >> 2 << 2, info & 3
+    if kind == _OLD_STRUCT and not type_text:
+        return Entry(name, _STRUCT_TYPE, 0, size)
+    if kind == _OLD_MEMBER:
+        return Entry(name, type_text, address, size)
+    return Entry(name, type_text, address, info)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,9 @@ def status_of(error: Exception, url: str, baud: int, *, connected: bool) -> Link
     if isinstance(error, StatusError):
         remedy = "flash the firmware of this release"
         if error.code == Status.PASSWORD_NEEDED:
-            remedy = "flash a firmware without passwords"
+            remedy = "give servo-tool a password for this with --password; the bridge needs a board without passwords"
+        elif error.code == Status.WRONG_PASSWORD:
+            remedy = "check the password"
         return LinkStatus(LinkState.FAILED, reason, remedy)
     if isinstance(error, BoardResetError):
         return LinkStatus(LinkState.DISCONNECTED, reason, "enable the axes again when it is back")

@@ -1,0 +1,128 @@
+"""FreeMASTER v3 commands: command codes, and the forms with addresses of 16 and of 32 bits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from servo_bridge.freemaster.codec import V3
+from servo_bridge.freemaster.commands import COMMAND_IDLE, Request, ScopeSlot, TsaTable
+from servo_bridge.freemaster.errors import CodecError
+from servo_bridge.freemaster.tsa import ByteOrder
+
+__all__ = ["BRIEF_INFO_SIZE", "INFO_SIZE", "MemoryForm", "get_info", "get_info_brief"]
+
+INFO_SIZE: Final = 35
+BRIEF_INFO_SIZE: Final = 6
+
+_WIDE_TABLE: Final = 0x0100
+
+
+def get_info() -> Request:
+    """Ask who is there; a target has this form or the brief one."""
+    return Request("GETINFO", 0xC0, b"", INFO_SIZE, framing=V3)
+
+
+def get_info_brief() -> Request:
+    """Ask who is there, without memory of the recorder, time base and description."""
+    return Request("GETINFOBRIEF", 0xC8, b"", BRIEF_INFO_SIZE, framing=V3)
+
+
+@dataclass(frozen=True)
+class MemoryForm:
+    """All commands that carry addresses or numbers of the target.
+
+    Attributes
+    ----------
+    order : str
+        Byte order of the target, which is that of the line as well.
+    wide : bool
+        Whether addresses have 32 bits instead of 16.
+    """
+
+    order: ByteOrder = "little"
+    wide: bool = True
+
+    def _code(self, plain: int, wide: int) -> int:
+        return wide if self.wide else plain
+
+    def number(self, value: int, size: int) -> bytes:
+        """Encode a number of the target.
+
+        Raises
+        ------
+        CodecError
+            If it does not fit.
+        """
+        try:
+            return value.to_bytes(size, self.order)
+        except OverflowError:
+            raise CodecError(f"{value} does not fit {size} byte(s) of a version 3 request") from None
+
+    def value(self, data: bytes) -> int:
+        """Decode a number of the target."""
+        return int.from_bytes(data, self.order)
+
+    @property
+    def address_size(self) -> int:
+        """Bytes of an address."""
+        return 4 if self.wide else 2
+
+    def address(self, address: int) -> bytes:
+        """Encode an address."""
+        return self.number(address, self.address_size)
+
+    def read_memory(self, address: int, size: int) -> Request:
+        """Read `size` bytes."""
+        payload = self.number(size, 1) + self.address(address)
+        return Request(f"READMEM {size} bytes at 0x{address:X}", self._code(0x01, 0x04), payload, size, framing=V3)
+
+    def write_memory(self, address: int, data: bytes, mask: bytes | None = None) -> Request:
+        """Write bytes; with a mask only the bits that are set in it."""
+        if mask is not None and len(mask) != len(data):
+            raise CodecError(f"mask of {len(mask)} bytes for {len(data)} bytes of data")
+        code = self._code(0x02, 0x05) if mask is None else self._code(0x03, 0x06)
+        payload = self.number(len(data), 1) + self.address(address) + data + (mask or b"")
+        return Request(f"WRITEMEM {len(data)} bytes at 0x{address:X}", code, payload, 0, framing=V3)
+
+    def slots(self, slots: Sequence[ScopeSlot]) -> bytes:
+        """Encode a list of variables for scope or recorder."""
+        return self.number(len(slots), 1) + b"".join(self.number(s.size, 1) + self.address(s.address) for s in slots)
+
+    def set_scope(self, slots: Sequence[ScopeSlot]) -> Request:
+        """Set up the scope; the command takes one frame."""
+        return Request(f"SETUPSCOPE {len(slots)} slots", self._code(0x08, 0x0A), self.slots(slots), 0, framing=V3)
+
+    def read_scope(self, size: int) -> Request:
+        """Read all slots, `size` bytes together."""
+        return Request("READSCOPE", 0xC5, b"", size, framing=V3)
+
+    def get_tsa_info(self, index: int) -> Request:
+        """Ask for the place of table `index`."""
+        payload, size = self.number(index, 2), 4 + self.address_size
+        return Request(f"GETTSAINFO {index}", self._code(0x11, 0x12), payload, size, framing=V3)
+
+    def parse_tsa_info(self, data: bytes) -> TsaTable:
+        """Decode the place of a table."""
+        flags, size, address = self.value(data[:2]), self.value(data[2:4]), self.value(data[4:])
+        return TsaTable(flags & 0x0F, 4 if flags & _WIDE_TABLE else 2, size, address)
+
+    def get_string_length(self, address: int) -> Request:
+        """Ask for the length of the text at `address`."""
+        return Request(f"GETSTRLEN 0x{address:X}", self._code(0xD4, 0xE6), self.address(address), 2, framing=V3)
+
+    def send_command(self, code: int, arguments: bytes) -> Request:
+        """Start an application command; never repeated by itself."""
+        if not 0 <= code < COMMAND_IDLE:
+            raise CodecError(f"application command {code} is not 0 .. 254")
+        return Request(f"SENDAPPCMD {code}", 0x10, bytes((code,)) + arguments, 0, idempotent=False, framing=V3)
+
+    def get_command_status(self) -> Request:
+        """Ask for the result of the last application command."""
+        return Request("GETAPPCMDSTS", 0xC6, b"", 1, framing=V3)
+
+    def get_command_data(self, size: int, offset: int) -> Request:
+        """Read result data from the beginning up to the end of what is wanted: targets ignore the offset."""
+        total = size + offset
+        return Request("GETAPPCMDDATA", 0xD3, self.number(total, 1) + b"\x00", total, framing=V3)

@@ -1,0 +1,109 @@
+"""Version 4 of the protocol."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+from servo_bridge.freemaster import commands
+from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
+from servo_bridge.freemaster.codec import decode_uleb
+from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
+from servo_bridge.freemaster.dialect import Ask
+from servo_bridge.freemaster.errors import FreemasterError, Status, StatusError
+from servo_bridge.freemaster.recorder import Recorder
+from servo_bridge.freemaster.recorder_v4 import RecorderV4
+
+__all__ = ["DialectV4", "password_key"]
+
+
+def password_key(password: str, salt: bytes) -> bytes:
+    """Compute what proves the knowledge of a password: two rounds of SHA-1 around the salt of the target."""
+    inner = hashlib.sha1(password.encode("utf-8"), usedforsecurity=False).digest()
+    return hashlib.sha1(salt + inner + salt, usedforsecurity=False).digest()
+
+
+class DialectV4:
+    """Version 4; see `Dialect`. It depends on nothing that the target says."""
+
+    def identify(self, ask: Ask) -> BoardInfo:
+        def text(key: str) -> str:
+            value = self.get_config(ask, key)
+            return "" if value is None else value.split(b"\x00", 1)[0].decode("utf-8", "replace")
+
+        def byte(key: str) -> int:
+            value = self.get_config(ask, key)
+            return value[0] if value else 0
+
+        def number(key: str) -> int | None:
+            value = self.get_config(ask, key)
+            return decode_uleb(value)[0] if value else None
+
+        return BoardInfo(
+            mtu=max(number("MTU") or DEFAULT_MTU, DEFAULT_MTU),
+            flags=byte("F1"),
+            protocol=byte("PV") or 4,
+            version=text("VS"),
+            name=text("NM"),
+            description=text("DS"),
+            build=text("BD"),
+            base_address=number("BA"),
+            recorders=byte("RC"),
+            scopes=byte("SC"),
+            pipes=byte("PC"),
+        )
+
+    def get_config(self, ask: Ask, key: str) -> bytes | None:
+        try:
+            return commands.parse_config(key, ask(commands.get_config(key)).data)
+        except StatusError as error:
+            if error.code in (Status.ACCESS_DENIED, Status.UNKNOWN_COMMAND):
+                return None
+            raise
+
+    def read_memory(self, address: int, size: int) -> Request:
+        return commands.read_memory(address, size)
+
+    def write_memory(self, address: int, data: bytes, mask: bytes | None = None) -> Request:
+        return commands.write_memory(address, data, mask)
+
+    def set_scope(self, slots: Sequence[ScopeSlot], *, scope: int, payload_limit: int) -> list[Request]:
+        return commands.set_scope(slots, scope=scope, payload_limit=payload_limit)
+
+    def read_scope(self, size: int, *, scope: int) -> Request:
+        return commands.read_scope(size, scope=scope)
+
+    def get_tsa_info(self, index: int) -> Request:
+        return commands.get_tsa_info(index)
+
+    def parse_tsa_info(self, data: bytes) -> TsaTable:
+        return commands.parse_tsa_info(data)
+
+    def get_string_length(self, address: int) -> Request:
+        return commands.get_string_length(address)
+
+    def parse_size(self, data: bytes) -> int:
+        return commands.parse_size(data)
+
+    def send_command(self, code: int, arguments: bytes) -> Request:
+        return commands.send_command(code, arguments)
+
+    def get_command_status(self) -> Request:
+        return commands.get_command_status()
+
+    def get_command_data(self, size: int, offset: int) -> Request:
+        return commands.get_command_data(size, offset)
+
+    def log_in(self, ask: Ask, level: int, password: str) -> int:
+        challenge = ask(commands.begin_login(level)).data
+        algorithm, end = decode_uleb(challenge)
+        if algorithm == commands.NO_PASSWORD:
+            return level
+        if algorithm != commands.SHA1_PASSWORD:
+            raise FreemasterError(
+                f"the board wants passwords hashed by algorithm {algorithm}; this program knows SHA-1"
+            )
+        return ask(commands.finish_login(level, password_key(password, challenge[end:]))).data[0]
+
+    def recorder(self, ask: Ask, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
+        return RecorderV4(ask, index, payload_limit)

@@ -1,0 +1,137 @@
+"""The recorder by the commands of version 3: one, with one trigger that has a fixed threshold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+from servo_bridge.freemaster.codec import V3
+from servo_bridge.freemaster.commands import Request
+from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
+from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger
+
+if TYPE_CHECKING:
+    from servo_bridge.freemaster.commands_v3 import MemoryForm
+    from servo_bridge.freemaster.dialect import Ask
+
+__all__ = ["RecorderV3", "set_up"]
+
+_SLOTS_MAX: Final = 8
+_NUMBER_MAX: Final = 0xFFFF
+
+_OFF, _RISING, _FALLING = 0, 1, 2
+_COMPARE: Final = {Compare.UNSIGNED: 0, Compare.SIGNED: 1, Compare.FLOAT: 3}
+_STATUSES: Final = (Status.RECORDER_RUNNING, Status.RECORDER_STOPPED)
+
+
+def set_up(form: MemoryForm, setup: Setup) -> Request:
+    """Build the request that configures the recorder.
+
+    Raises
+    ------
+    RecorderError
+        If version 3 has no such trigger.
+    """
+    trigger, mode = setup.trigger, _OFF
+    if trigger is None:
+        trigger = Trigger(setup.slots[0], Compare.UNSIGNED, above=True, below=False)
+    elif trigger.threshold_address is not None or trigger.level or trigger.above == trigger.below:
+        raise RecorderError(
+            "a version 3 target triggers on one edge through a fixed threshold; not on levels, nor on another variable"
+        )
+    else:
+        mode = _RISING if trigger.above else _FALLING
+    if trigger.slot.size > 4:
+        raise RecorderError("a version 3 target has no triggers on variables of 8 bytes")
+    payload = (
+        bytes((mode,))
+        + form.number(setup.points, 2)
+        + form.number(setup.points - 1 - setup.before, 2)
+        + form.number(setup.divider - 1, 2)
+        + form.address(trigger.slot.address)
+        + bytes((trigger.slot.size, _COMPARE[trigger.compare]))
+        + form.number(trigger.threshold & 0xFFFF_FFFF, 4)
+        + form.slots(setup.slots)
+    )
+    return Request(f"SETUPREC {len(setup.slots)} variables", 0x0B if form.wide else 0x09, payload, 0, framing=V3)
+
+
+class RecorderV3:
+    """The recorder of a version 3 target; see `Recorder`.
+
+    Parameters
+    ----------
+    ask : callable
+        Sends a request.
+    form : MemoryForm
+        Form of addresses and numbers.
+    memory : int or None
+        Bytes of its memory; None when the target does not say.
+    period_ns : int
+        Time between two samples [ns]; 0 when the target does not say.
+    payload_limit : int
+        Largest payload that the target takes [bytes].
+    """
+
+    def __init__(self, ask: Ask, form: MemoryForm, memory: int | None, period_ns: int, payload_limit: int) -> None:
+        self._ask = ask
+        self._form = form
+        self._limits = Limits(
+            "", memory, period_ns, slots_max=_SLOTS_MAX, divider_max=_NUMBER_MAX + 1, points_max=_NUMBER_MAX
+        )
+        self._payload_limit = payload_limit
+        self._setup: Setup | None = None
+        self._started = False
+
+    def limits(self) -> Limits:
+        return self._limits
+
+    def configure(self, setup: Setup) -> int:
+        self._limits.check(setup)
+        points = setup.points or self._limits.capacity(setup)
+        if points is None:
+            raise RecorderError("the board does not say how much memory its recorder has; say how many points to take")
+        setup = replace(setup, points=points)
+        request = set_up(self._form, setup)
+        if len(request.payload) > self._payload_limit:
+            raise RecorderError(f"{len(setup.slots)} variables are too many for the buffer of the board; record fewer")
+        try:
+            self._ask(request)
+        except StatusError as error:
+            if error.code == Status.BAD_SIZE:
+                raise RecorderError(
+                    f"{points} points of {len(setup.slots)} variable(s) do not fit the memory of the recorder; "
+                    "take fewer points"
+                ) from error
+            if error.code == Status.BAD_BUFFER:
+                raise RecorderError(f"{len(setup.slots)} variables are too many for the recorder") from error
+            raise
+        self._setup, self._started = setup, False
+        return points
+
+    def start(self) -> None:
+        self._ask(Request("STARTREC", 0xC1, b"", 0, framing=V3, statuses=_STATUSES))
+        self._started = True
+
+    def stop(self) -> None:
+        self._ask(Request("STOPREC", 0xC2, b"", 0, framing=V3, statuses=_STATUSES))
+
+    def state(self) -> State:
+        try:
+            status = self._ask(Request("GETRECSTS", 0xC3, b"", 0, framing=V3, statuses=_STATUSES)).status
+        except StatusError as error:
+            if error.code != Status.NOT_INITIALISED:
+                raise
+            return State.UNCONFIGURED
+        if status == Status.RECORDER_RUNNING:
+            return State.RUNNING
+        return State.FULL if self._started else State.EMPTY
+
+    def memory(self) -> SampleMemory:
+        if self._setup is None:
+            raise RecorderError("the recorder has not been set up")
+        size = self._form.address_size
+        request = Request("GETRECBUFF", 0xC9 if self._form.wide else 0xC4, b"", size + 2, framing=V3)
+        data = self._ask(request).data
+        address, first = self._form.value(data[:size]), self._form.value(data[size:])
+        return SampleMemory(address, self._setup.point_size, self._setup.points, first)
