@@ -36,6 +36,8 @@ setup(
         "plot": ["matplotlib"],
         "ros": ["servo_msgs_py[ros]"],
         "test": ["pytest", "hypothesis"],
+        # For recordings of servo-tool; there is no rerun for Python 3.10.
+        "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
     },
     entry_points={
         "console_scripts": [

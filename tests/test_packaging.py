@@ -40,7 +40,11 @@ FOLDERS = {".ci", "firmware", "servo_bridge", "servo_msgs_py", "servo_twin", "te
 NEIGHBOURS = {"servo_msgs_py": set(), "servo_bridge": {"servo_msgs_py"}, "servo_twin": {"servo_msgs_py"}}
 # Modules whose name is not the rosdep key in package.xml, and modules that have no key.
 MODULES_OF_KEY = {"python3-serial": {"serial"}, "python3-cffi": {"cffi"}}
-WITHOUT_KEY = {"servo_msgs_py": {"tomli"}, "servo_bridge": {"tomli"}, "servo_twin": {"pyarrow", "rerun", "tomli"}}
+WITHOUT_KEY = {
+    "servo_msgs_py": {"tomli"},
+    "servo_bridge": {"rerun", "tomli"},
+    "servo_twin": {"pyarrow", "rerun", "tomli"},
+}
 
 HOSTS = {"www.apache.org", "download.ros.org", "www.w3.org", "docs.ros.org", "localhost", "127.0.0.1"}
 UNWANTED = {

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge import tool_commands, tool_faults
+from servo_bridge import tool_commands, tool_faults, tool_record
 from servo_bridge.freemaster.client import Client
-from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError
+from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, RecorderError
 from servo_bridge.freemaster.line import Line
 from servo_bridge.parameter_file import ParameterFileError
 from servo_bridge.tool_values import UnknownVariableError, UsageError
@@ -123,11 +123,23 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("names", nargs="+", metavar="NAME")
     command.add_argument("--rate", type=_positive, default=5.0, help="lines per second (default: 5)")
     command.add_argument("--count", type=_positive_whole, help="end after this many lines")
-    command = add("record", tool_commands.record, "write variables to a CSV file as fast as the line carries them")
+    command = add(
+        "record",
+        tool_record.record,
+        "write variables to a file: as fast as the line carries them, or as a burst at the rate of the board's loops",
+    )
     command.add_argument("names", nargs="+", metavar="NAME")
-    command.add_argument("-o", "--output", required=True, metavar="FILE.csv")
+    command.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        action="append",
+        metavar="FILE",
+        help=".csv; of a burst also .png, .svg, .pdf, .npz or .rrd, and more than once",
+    )
     command.add_argument("--duration", type=_positive, help="seconds (default: until Ctrl-C)")
-    command.add_argument("--rate", type=_positive, help="most rows per second (default: all)")
+    command.add_argument("--rate", type=_positive, help="rows, or points of a burst, per second (default: all)")
+    tool_record.add_options(command)
     command = add("snapshot", tool_faults.snapshot, "print what led to the first fault of each axis")
     command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this one (default: both)")
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
@@ -175,7 +187,7 @@ def _run(args: argparse.Namespace) -> int:
             session = connect(client, catalogue)
             connected = True
             return run(tool_commands.Context(args, catalogue, session, port, baud, serial_port.low_latency))
-    except OutOfRangeError as error:  # nothing is wrong with the link
+    except (OutOfRangeError, RecorderError) as error:  # nothing is wrong with the link
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     except FreemasterError as error:

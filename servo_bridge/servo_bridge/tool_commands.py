@@ -37,7 +37,9 @@ __all__ = [
     "load",
     "record",
     "save",
+    "select",
     "set_variable",
+    "warn",
     "watch",
 ]
 
@@ -93,7 +95,7 @@ def list_variables(context: Context) -> int:
     if not rows:
         print(f"servo-tool: no variable matches {context.args.pattern!r}", file=sys.stderr)
         return 1
-    _warn(context)
+    warn(context)
     _print_columns([("NAME", "TYPE", "ACCESS", "UNIT", "LIMITS", "DESCRIPTION"), *rows])
     return 0
 
@@ -101,8 +103,8 @@ def list_variables(context: Context) -> int:
 def get(context: Context) -> int:
     """Read variables once."""
     names = opened(context.session.variables, context.args.names)
-    selection = _select(context, names)
-    _warn(context)
+    selection = select(context, names)
+    warn(context)
     values = [_element(context.session.read(variable), element) for variable, element in selection]
     if context.args.json:
         plain = (v.hex() if isinstance(v, bytes) else v for v in values)
@@ -116,7 +118,7 @@ def get(context: Context) -> int:
 def set_variable(context: Context) -> int:
     """Write one variable and read it back."""
     args = context.args
-    ((variable, element),) = _select(context, [args.name])
+    ((variable, element),) = select(context, [args.name])
     _require_contract(context)
     if args.element is not None:
         if element is not None:
@@ -145,8 +147,8 @@ def set_variable(context: Context) -> int:
 def watch(context: Context) -> int:
     """Print variables again and again."""
     names = opened(context.session.variables, context.args.names)
-    selection = _select(context, names)
-    _warn(context)
+    selection = select(context, names)
+    warn(context)
     sampler = Sampler(context.session, [variable for variable, _ in selection])
     start = time.monotonic_ns()
     lines = 0
@@ -168,8 +170,8 @@ def watch(context: Context) -> int:
 def record(context: Context) -> int:
     """Write variables to a CSV file."""
     names = opened(context.session.variables, context.args.names)
-    selection = _select(context, names)
-    _warn(context)
+    selection = select(context, names)
+    warn(context)
     tick = context.session.variables.get(_TICK) if context.session.mismatch is None else None
     variables = [variable for variable, _ in selection]
     for variable in variables:
@@ -180,7 +182,10 @@ def record(context: Context) -> int:
     rows = 0
     first = last = None
     started = time.monotonic()
-    with Path(context.args.output).open("w", newline="", encoding="utf-8") as file:
+    if len(context.args.output) > 1:
+        raise UsageError("rows over the line go to one file")
+    (output,) = context.args.output
+    with Path(output).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         heads = [head for (v, k), name in zip(selection, names, strict=True) for head in _heads(v, k, name)]
         writer.writerow(["time [s]", *(["tick"] if tick is not None else []), *heads])
@@ -201,7 +206,7 @@ def record(context: Context) -> int:
             pass
     seconds = max(time.monotonic() - started, 1e-9)
     note = "" if sampler.simultaneous else "; the scope of the board cannot carry them, so each was read alone"
-    print(f"{rows} rows in {seconds:.1f} s ({rows / seconds:.0f}/s) in {context.args.output}{note}")
+    print(f"{rows} rows in {seconds:.1f} s ({rows / seconds:.0f}/s) in {output}{note}")
     return 0
 
 
@@ -213,7 +218,7 @@ def save(context: Context) -> int:
     if not chosen:
         print(f"servo-tool: no writable variable matches {context.args.match!r}", file=sys.stderr)
         return 1
-    _warn(context)
+    warn(context)
     path = parameter_file.checked(Path(context.args.file))
     parameters = {v.name: _named(v, context.session.read(v), context.catalogue) for v in chosen}
     known = context.catalogue.hash if context.session.mismatch is None else None
@@ -257,7 +262,7 @@ def _matching(context: Context, pattern: str) -> list[BoardVariable]:
     return [v for name, v in context.session.variables.items() if fnmatch.fnmatchcase(name, pattern)]
 
 
-def _select(context: Context, names: Sequence[str]) -> Selection:
+def select(context: Context, names: Sequence[str]) -> Selection:
     """Find the named variables; with ``--raw`` the catalogue's meaning is left away."""
     found = [lookup(context.session.variables, name) for name in names]
     if getattr(context.args, "raw", False):
@@ -265,7 +270,7 @@ def _select(context: Context, names: Sequence[str]) -> Selection:
     return found
 
 
-def _warn(context: Context) -> None:
+def warn(context: Context) -> None:
     """Say that numbers are raw because the board is not one of ours."""
     if context.session.mismatch is not None:
         print(f"servo-tool: values are not scaled: {context.session.mismatch.reason}", file=sys.stderr)

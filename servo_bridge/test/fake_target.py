@@ -370,8 +370,8 @@ class FakeTarget:
                 self.on_tick(self.ticks_done)
             for recorder in self.recorders:
                 recorder.tick()
-                for k, byte in enumerate(recorder.content() if recorder.state != 2 else b""):
-                    self.memory[recorder.address + k] = byte
+        for recorder in self.recorders:
+            self.poke(recorder.address, recorder.content())
 
     def _set_recorder(self, r: Reader) -> tuple[int, bytes]:
         if not r.data:

@@ -20,6 +20,7 @@ from servo_bridge.freemaster.errors import (
     DamagedAnswerError,
     DisturbedRequestError,
     FreemasterError,
+    RecorderError,
     Status,
     StatusError,
     WrongProtocolError,
@@ -285,12 +286,12 @@ class Client:
 
         Raises
         ------
-        FreemasterError
+        RecorderError
             If it has no such recorder.
         """
         if index >= self.info.recorders:
             has = "none" if not self.info.recorders else f"0 .. {self.info.recorders - 1}"
-            raise FreemasterError(f"the board has no recorder {index}; recorders: {has}")
+            raise RecorderError(f"the board has no recorder {index}; recorders: {has}")
         return self._dialect.recorder(self.exchange, self.info, index, self.payload_limit)
 
 

@@ -10,7 +10,7 @@ from servo_bridge.freemaster.board_info import BoardInfo
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.commands_v3 import MemoryForm
 from servo_bridge.freemaster.dialect import Ask
-from servo_bridge.freemaster.errors import CodecError, FreemasterError, Status, StatusError
+from servo_bridge.freemaster.errors import CodecError, FreemasterError, RecorderError, Status, StatusError
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v3 import RecorderV3
 
@@ -105,7 +105,7 @@ class DialectV3:
 
     def recorder(self, ask: Ask, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
         if index:
-            raise FreemasterError(f"there is no recorder {index}; a version 3 target has one")
+            raise RecorderError(f"there is no recorder {index}; a version 3 target has one")
         return RecorderV3(ask, self._form, self._recorder_memory, self._time_base_ns, payload_limit)
 
 

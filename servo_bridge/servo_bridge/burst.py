@@ -1,0 +1,138 @@
+"""A burst: what a recorder of a board has sampled, as arrays. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bridge.freemaster.commands import ScopeSlot
+from servo_bridge.freemaster.errors import CodecError
+from servo_bridge.freemaster.tsa import TypeKind
+from servo_bridge.trigger_text import channel_slot
+from servo_bridge.wire.session import BoardVariable
+
+__all__ = ["Burst", "Channel", "burst_of", "channels_of"]
+
+_LETTERS: Final = {TypeKind.UNSIGNED: "u", TypeKind.SIGNED: "i", TypeKind.FLOAT: "f"}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One number of every point.
+
+    Attributes
+    ----------
+    name : str
+        Variable, or element of one.
+    variable : BoardVariable
+        The variable itself.
+    slot : ScopeSlot
+        Where the number lies.
+    """
+
+    name: str
+    variable: BoardVariable
+    slot: ScopeSlot
+
+    @property
+    def head(self) -> str:
+        """Name with unit."""
+        return f"{self.name} [{self.variable.unit}]" if self.variable.unit else self.name
+
+    @property
+    def raw_type(self) -> str:
+        """Type of the number as NumPy names it."""
+        type_ = self.variable.target.type
+        order = ">" if self.variable.target.order == "big" else "<"
+        return f"{order}{_LETTERS[type_.kind]}{type_.size}"
+
+    def scaled(self, raw: NDArray[Any]) -> NDArray[Any]:
+        """Values of raw numbers: SI where the catalogue knows the variable; whole numbers stay whole."""
+        native = raw.astype(raw.dtype.newbyteorder("="))
+        contract, fraction = self.variable.contract, self.variable.target.type.fraction_bits
+        if contract is not None:
+            return native if contract.lsb == 1.0 else native * contract.lsb
+        return np.ldexp(native.astype(np.float64), -fraction) if fraction else native
+
+
+def channels_of(selection: Sequence[tuple[str, BoardVariable, int | None]]) -> list[Channel]:
+    """Find the numbers of some variables; of an array all elements.
+
+    Parameters
+    ----------
+    selection : sequence of (str, BoardVariable, int or None)
+        Name as it was given, variable, and element.
+
+    Raises
+    ------
+    UsageError
+        If one is a block of bytes.
+    """
+    result = []
+    for name, variable, element in selection:
+        if element is None and variable.count > 1:
+            result += [Channel(f"{name}[{k}]", variable, channel_slot(variable, k)) for k in range(variable.count)]
+        else:
+            result.append(Channel(name, variable, channel_slot(variable, element)))
+    return result
+
+
+@dataclass(frozen=True)
+class Burst:
+    """Points of a recorder, oldest first.
+
+    Attributes
+    ----------
+    channels : tuple of Channel
+        What was recorded.
+    times : array of float, shape (n,)
+        Time of every point [s]; zero at the trigger, or at the first point without one. Numbers of points where the
+        board does not say how fast it samples.
+    values : tuple of array, each of shape (n,)
+        Values of every channel.
+    timed : bool
+        Whether `times` are seconds.
+    """
+
+    channels: tuple[Channel, ...]
+    times: NDArray[np.float64]
+    values: tuple[NDArray[Any], ...]
+    timed: bool
+
+    @property
+    def time_head(self) -> str:
+        """Name of the time with its unit."""
+        return "time [s]" if self.timed else "point"
+
+
+def burst_of(channels: Sequence[Channel], data: bytes, period_ns: int, zero: int) -> Burst:
+    """Decode the points of a recorder.
+
+    Parameters
+    ----------
+    channels : sequence of Channel
+        In the order in which a point holds them.
+    data : bytes
+        All points, oldest first.
+    period_ns : int
+        Time between two points [ns]; 0 when it is not known.
+    zero : int
+        Index of the point at time zero.
+
+    Raises
+    ------
+    CodecError
+        If the data are no whole number of points.
+    """
+    names = [f"f{k}" for k in range(len(channels))]
+    layout = np.dtype([(name, channel.raw_type) for name, channel in zip(names, channels, strict=True)])
+    if len(data) % layout.itemsize:
+        raise CodecError(f"{len(data)} bytes of samples are no whole number of points of {layout.itemsize} bytes")
+    points = np.frombuffer(data, layout)
+    times = (np.arange(len(points)) - zero).astype(np.float64) * (period_ns * 1e-9 if period_ns else 1.0)
+    values = tuple(channel.scaled(points[name]) for name, channel in zip(names, channels, strict=True))
+    return Burst(tuple(channels), times, values, bool(period_ns))

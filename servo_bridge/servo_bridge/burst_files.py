@@ -1,0 +1,96 @@
+"""A burst as a file: CSV, a picture, NumPy arrays or a rerun recording."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from servo_bridge.burst import Burst
+from servo_bridge.tool_values import UsageError
+
+__all__ = ["writer_for"]
+
+_TIMELINE: Final = "time"
+
+
+def write_csv(burst: Burst, path: Path) -> None:
+    """Write one row per point."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([burst.time_head, *(channel.head for channel in burst.channels)])
+        for time, *values in zip(burst.times.tolist(), *(column.tolist() for column in burst.values), strict=True):
+            writer.writerow([f"{time:.9g}", *values])
+
+
+def write_arrays(burst: Burst, path: Path) -> None:
+    """Write ``time`` and an array per channel, under its name; ``units`` in the order of the channels."""
+    columns = {channel.name: column for channel, column in zip(burst.channels, burst.values, strict=True)}
+    units = np.array([channel.variable.unit for channel in burst.channels])
+    np.savez(path, allow_pickle=False, time=burst.times, units=units, **columns)
+
+
+def write_picture(burst: Burst, path: Path) -> None:
+    """Draw one plot per unit, above each other."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise UsageError(f"{path.name}: a picture needs matplotlib: pip install matplotlib") from None
+    units = list(dict.fromkeys(channel.variable.unit for channel in burst.channels))
+    figure = Figure(figsize=(10.0, 1.5 + 2.2 * len(units)), layout="constrained")
+    plots = figure.subplots(len(units), 1, squeeze=False, sharex=True)[:, 0]
+    for channel, column in zip(burst.channels, burst.values, strict=True):
+        plots[units.index(channel.variable.unit)].plot(burst.times, column, label=channel.name)
+    for plot, unit in zip(plots, units, strict=True):
+        plot.set_ylabel(unit)
+        plot.axvline(0.0, color="0.7", linewidth=0.8)
+        plot.legend(loc="upper right")
+    plots[-1].set_xlabel(burst.time_head)
+    figure.savefig(path)
+
+
+def write_recording(burst: Burst, path: Path) -> None:
+    """Write a recording that the rerun viewer opens: one entity per channel, on the time line ``time``."""
+    try:
+        import rerun as rr
+    except ImportError:
+        raise UsageError(f"{path.name}: a recording needs rerun: pip install rerun-sdk") from None
+    recording = rr.RecordingStream("servo-tool", send_properties=False)
+    recording.save(path)
+    index = (
+        rr.TimeColumn(_TIMELINE, duration=burst.times)
+        if burst.timed
+        else rr.TimeColumn(_TIMELINE, sequence=burst.times.astype(np.int64))
+    )
+    for channel, column in zip(burst.channels, burst.values, strict=True):
+        entity = rr.new_entity_path(channel.name.split("."))
+        recording.log(entity, rr.SeriesLines(names=channel.head), static=True)
+        recording.send_columns(entity, indexes=[index], columns=rr.Scalars.columns(scalars=column.astype(np.float64)))
+    recording.flush()
+
+
+_WRITERS: Final[Mapping[str, Callable[[Burst, Path], None]]] = {
+    ".csv": write_csv,
+    ".npz": write_arrays,
+    ".png": write_picture,
+    ".svg": write_picture,
+    ".pdf": write_picture,
+    ".rrd": write_recording,
+}
+
+
+def writer_for(path: Path) -> Callable[[Burst, Path], None]:
+    """Find what writes a file of that name.
+
+    Raises
+    ------
+    UsageError
+        If its ending says nothing.
+    """
+    try:
+        return _WRITERS[path.suffix.lower()]
+    except KeyError:
+        raise UsageError(f"{path}: the name has to end in one of {', '.join(_WRITERS)}") from None

@@ -1,0 +1,188 @@
+"""``servo-tool record`` with the recorders of fake boards on a real pty."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_port import FakePort
+from fake_servo import CATALOGUE, FakeServo
+from fake_target import RO, FakeEntry, FakeTarget
+from fake_target_v3 import FakeTargetV3
+
+from servo_bridge import tool, tool_record
+
+pytestmark = pytest.mark.realtime
+
+Run = Callable[..., int]
+MANY = [v.name for v in CATALOGUE.variables.values() if v.size in (2, 4) and v.count == 1][:62]
+TICKS = 400  # of the fast loop per request
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    monkeypatch.setenv("SERVO_PORT", str(tmp_path / "ttyFAKE"))
+    monkeypatch.delenv("SERVO_BAUD", raising=False)
+    monkeypatch.setattr(tool_record, "_POLL", 0.001)
+    return lambda *arguments: tool.main(arguments)
+
+
+@pytest.fixture
+def servo(tmp_path: Path) -> Iterator[FakeServo]:
+    """A board of ours whose current is a sine of 2 A with a period of 100 ticks."""
+    board = FakeServo(recorder_memory=2048)
+    lsb = CATALOGUE["axis1.i_q"].lsb
+
+    def tick(number: int) -> None:
+        board.put("axis1.i_q", round(2.0 * math.sin(0.02 * math.pi * number) / lsb))
+        board.put("tick", number % 2**32)
+
+    board.on_tick = tick
+    with FakePort(tmp_path / "ttyFAKE", board) as port:
+        connect_ticks(board, port)
+        yield board
+
+
+def connect_ticks(board: FakeTarget, port: FakePort) -> None:
+    """Let the loop run only while there is something to record: the discovery of a board takes many requests."""
+    feed = board.feed
+
+    def fed(data: bytes) -> bytes:
+        if any(recorder.state == 2 for recorder in board.recorders):
+            board.advance(TICKS)
+        return feed(data)
+
+    board.feed = fed  # type: ignore[method-assign]
+
+
+def rows_of(path: Path) -> tuple[list[str], list[list[float]]]:
+    with path.open() as stream:
+        head, *rows = csv.reader(stream)
+    return head, [[float(cell) for cell in row] for row in rows]
+
+
+def test_a_burst_around_a_trigger(
+    servo: FakeServo, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(tmp_path / name) for name in ("burst.csv", "burst.npz", "burst.png")]
+    output = [word for file in files for word in ("-o", file)]
+    options = ["--trigger", "axis1.i_q > 1.0", "--before", "30%", "--rate", "8000", "--points", "100"]
+    assert run("record", "--fast", "tick", "axis1.i_q", "cmd.position", *options, *output) == 0
+    head, rows = rows_of(tmp_path / "burst.csv")
+    assert head == ["time [s]", "tick [PWM periods]", "axis1.i_q [A]", "cmd.position[0] [rad]", "cmd.position[1] [rad]"]
+    assert len(rows) == 100
+    assert [row[0] for row in rows] == pytest.approx([(k - 30) * 125e-6 for k in range(100)])
+    assert {round(b[1] - a[1]) for a, b in pairwise(rows)} == {2}
+    assert rows[29][2] <= 1.0 < rows[30][2]
+    arrays = np.load(tmp_path / "burst.npz")
+    assert arrays["axis1.i_q"].tolist() == pytest.approx([row[2] for row in rows])
+    assert arrays["time"][30] == 0.0
+    assert (tmp_path / "burst.png").read_bytes().startswith(b"\x89PNG")
+    assert "100 points, -0.00375 .. 0.008625 s in" in capsys.readouterr().out
+
+
+def test_a_burst_without_a_trigger_is_all_that_fits(servo: FakeServo, run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "x.csv"
+    assert run("record", "--recorder", "0", "tick", "-o", str(file)) == 0
+    _, rows = rows_of(file)
+    assert len(rows) == (2048 - 64 - 32) // 4
+    assert rows[0][0] == 0.0
+    assert {b[1] - a[1] for a, b in pairwise(rows)} == {1}
+
+
+def test_a_trigger_that_does_not_come(
+    servo: FakeServo, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "x.csv"
+    options = ("--trigger", "axis1.i_q > 3", "--timeout", "0.1", "--points", "50")
+    assert run("record", "axis1.i_q", *options, "-o", str(file)) == 0
+    assert "stopped before the trigger" in capsys.readouterr().out
+    assert len(rows_of(file)[1]) == 50
+
+
+def test_a_recording_for_rerun(servo: FakeServo, run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    file = tmp_path / "burst.rrd"
+    assert run("record", "tick", "axis1.i_q", "--points", "20", "-o", str(file)) == 0
+    assert file.read_bytes().startswith(b"RRF")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "text"),
+    [
+        (["axis1.i_q", "--trigger", "axis1.i_q > 10"], 2, "outside of what axis1.i_q can be: -8.25"),
+        (["axis1.i_q", "--trigger", "axis1.iq > 1"], 1, "did you mean axis1.i_q"),
+        (["axis1.i_q", "--trigger", "axis1.i_q is 1"], 2, "is no trigger"),
+        (["axis1.iq", "--fast"], 1, "did you mean axis1.i_q"),
+        (["axis1.i_q", "--points", "5000"], 1, "976 points fit"),
+        (["--fast", *MANY], 1, "record fewer"),
+        (["axis1.i_q", "--slow"], 1, "no recorder 1; recorders: 0 .. 0"),
+        (["axis1.i_q", "--fast", "--rate", "5000"], 2, "5333.33 or 4000 Hz, not 5000 Hz"),
+        (["axis1.i_q", "--fast", "--duration", "1"], 2, "--duration is for rows"),
+        (["axis1.i_q", "--level"], 2, "give one with --trigger"),
+        (["axis1.i_q", "--before", "200", "--points", "100", "--trigger", "axis1.i_q > 1"], 1, "not less than all 100"),
+        (["snapshot", "--fast"], 2, "block of bytes"),
+        (["axis1.i_q", "--fast", "-o", "x.txt"], 2, "has to end in one of .csv, .npz"),
+    ],
+)
+def test_what_cannot_be_recorded_is_said(
+    servo: FakeServo,
+    run: Run,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    status: int,
+    text: str,
+) -> None:
+    file = tmp_path / "x.csv"
+    assert run("record", *arguments, "-o", str(file)) == status
+    err = capsys.readouterr().err
+    assert text in err
+    assert err.count("\n") == 1
+    assert not file.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--before", "130%"], ["--before", "some"], ["--fast", "--slow"], ["--points", "-1"]]
+)
+def test_wrong_options(run: Run, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        run("record", "x", "-o", "x.csv", *arguments)
+    assert "usage: servo-tool" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_a_board_of_version_3(tmp_path: Path, run: Run, big_endian: bool) -> None:
+    rows = [FakeEntry("saw", b"\xf5", 0x1000, 2, RO), FakeEntry("count", b"\xe1", 0x1002, 2, RO)]
+    target = FakeTargetV3(tables=[rows], recorder_memory=512, big_endian=big_endian)
+    target.build()
+
+    def tick(number: int) -> None:
+        target.set_int(0x1000, (number % 64 - 32) * 1024, 2)
+        target.set_int(0x1002, number, 2)
+
+    target.on_tick = tick
+    file = tmp_path / "x.csv"
+    with FakePort(tmp_path / "ttyFAKE", target) as port:
+        connect_ticks(target, port)
+        options = ("--trigger", "saw > 0.5", "--before", "10", "--points", "40", "--rate", "500")
+        assert run("record", "saw", "count", *options, "-o", str(file)) == 0
+    _, found = rows_of(file)
+    assert len(found) == 40
+    assert found[10][0] == 0.0
+    assert found[11][0] == pytest.approx(2e-3)
+    assert found[9][1] <= 0.5 < found[10][1]
+    assert found[11][2] - found[10][2] == 2
+
+
+def test_a_board_without_a_recorder(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    target = FakeTarget(tables=[[FakeEntry("x", b"\xf1", 0x1000, 2, RO)]])
+    target.build()
+    with FakePort(tmp_path / "ttyFAKE", target):
+        assert run("record", "x", "--fast", "-o", str(tmp_path / "x.csv")) == 1
+    assert "no recorder 0; recorders: none" in capsys.readouterr().err
