@@ -14,7 +14,15 @@ from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.codec import encode_request
 from servo_bridge.freemaster.commands import ScopeSlot
 from servo_bridge.freemaster.errors import FreemasterError, RecorderError, StatusError
-from servo_bridge.freemaster.recorder import Compare, SampleMemory, Setup, State, Trigger, read_points
+from servo_bridge.freemaster.recorder import (
+    Compare,
+    SampleMemory,
+    Setup,
+    State,
+    Trigger,
+    in_order,
+    memory_checked,
+)
 from servo_bridge.freemaster.recorder_v4 import set_up
 
 COUNT, WAVE, LIMIT, REAL = (ScopeSlot(0x1000, 4), ScopeSlot(0x1004, 2), ScopeSlot(0x1006, 2), ScopeSlot(0x1008, 4))
@@ -39,6 +47,14 @@ def a_target(kind: type[FakeTarget] = FakeTarget, **options: object) -> tuple[Fa
     return target, client
 
 
+def points_of(client: Client, memory: SampleMemory, piece: int) -> bytes:
+    """All points, oldest first."""
+    parts = range(memory.address, memory.address + memory.size, piece)
+    return in_order(
+        memory, b"".join(client.read_memory(at, min(piece, memory.address + memory.size - at)) for at in parts)
+    )
+
+
 def burst(target: FakeTarget, client: Client, setup: Setup) -> list[tuple[int, int]]:
     """Record, and return counter and triangle of all points."""
     recorder = client.recorder()
@@ -49,10 +65,8 @@ def burst(target: FakeTarget, client: Client, setup: Setup) -> list[tuple[int, i
             break
     else:
         pytest.fail("no trigger")
-    seen: list[int] = []
-    memory = recorder.memory()
-    data = read_points(client.read_memory, client.read_limit, memory, lambda done, total: seen.append(done))
-    assert seen[-1] == len(data) == points * setup.point_size
+    data = points_of(client, memory_checked(recorder.memory()), client.read_limit)
+    assert len(data) == points * setup.point_size
     order = target.order
     return [
         (int.from_bytes(data[k : k + 4], order), int.from_bytes(data[k + 4 : k + 6], order, signed=True))
@@ -87,7 +101,7 @@ def test_the_threshold_can_be_a_variable_and_the_trigger_is_not_stored_when_it_i
         pass
     memory = recorder.memory()
     assert memory.point_size == 4
-    data = read_points(client.read_memory, 16, memory)
+    data = points_of(client, memory, 16)
     tick = int.from_bytes(data[40:44], "little")
     assert (tick + 100) % 400 - 100 == 40
 
@@ -115,7 +129,7 @@ def test_stopping_early() -> None:
     assert recorder.state() is State.CUT_SHORT
     memory = recorder.memory()
     assert 0 < memory.count < 400
-    counts = struct.unpack(f"<{memory.count}I", read_points(client.read_memory, 240, memory))
+    counts = struct.unpack(f"<{memory.count}I", points_of(client, memory, 240))
     assert list(counts) == list(range(counts[0], counts[0] + memory.count))
 
 
@@ -164,9 +178,9 @@ def test_what_cannot_be_recorded() -> None:
 
 def test_a_memory_that_cannot_be() -> None:
     with pytest.raises(RecorderError, match="cannot be"):
-        read_points(lambda a, n: bytes(n), 8, SampleMemory(0, 4, 10, 10))
+        memory_checked(SampleMemory(0, 4, 10, 10))
     with pytest.raises(RecorderError, match="cannot be"):
-        read_points(lambda a, n: bytes(n), 8, SampleMemory(0, 1 << 20, 1 << 20, 0))
+        memory_checked(SampleMemory(0, 1 << 20, 1 << 20, 0))
 
 
 def test_set_up_matches_the_wire() -> None:

@@ -15,7 +15,7 @@ from fake_servo import CATALOGUE, FakeServo
 from fake_target import RO, FakeEntry, FakeTarget
 from fake_target_v3 import FakeTargetV3
 
-from servo_bridge import tool, tool_record
+from servo_bridge import recording, tool
 
 pytestmark = pytest.mark.realtime
 
@@ -28,7 +28,7 @@ TICKS = 400  # of the fast loop per request
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     monkeypatch.setenv("SERVO_PORT", str(tmp_path / "ttyFAKE"))
     monkeypatch.delenv("SERVO_BAUD", raising=False)
-    monkeypatch.setattr(tool_record, "_POLL", 0.001)
+    monkeypatch.setattr(recording, "_POLL", 0.001)
     return lambda *arguments: tool.main(arguments)
 
 

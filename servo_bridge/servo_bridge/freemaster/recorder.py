@@ -6,7 +6,6 @@ trigger as were asked for. Pure data, and the interface that both versions of th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Protocol
@@ -14,10 +13,17 @@ from typing import Final, Protocol
 from servo_bridge.freemaster.commands import SCOPE_SIZES, ScopeSlot
 from servo_bridge.freemaster.errors import RecorderError
 
-__all__ = ["Compare", "Limits", "Progress", "Recorder", "SampleMemory", "Setup", "State", "Trigger", "read_points"]
-
-Progress = Callable[[int, int], None]
-"""Called with bytes read and bytes in all."""
+__all__ = [
+    "Compare",
+    "Limits",
+    "Recorder",
+    "SampleMemory",
+    "Setup",
+    "State",
+    "Trigger",
+    "in_order",
+    "memory_checked",
+]
 
 _MEMORY_MAX: Final = 1 << 24
 
@@ -201,6 +207,11 @@ class SampleMemory:
     count: int
     first: int
 
+    @property
+    def size(self) -> int:
+        """Bytes of all points."""
+        return self.count * self.point_size
+
 
 class Recorder(Protocol):
     """One recorder of one target."""
@@ -235,37 +246,23 @@ class Recorder(Protocol):
         """Ask where the points lie; only when it is stopped."""
 
 
-def read_points(
-    read: Callable[[int, int], bytes], piece: int, memory: SampleMemory, progress: Progress | None = None
-) -> bytes:
-    """Read all points of a stopped recorder, oldest first.
-
-    Parameters
-    ----------
-    read : callable
-        Reads bytes at an address.
-    piece : int
-        Bytes per call of `read`.
-    memory : SampleMemory
-        Where the points lie.
-    progress : callable, optional
-        Called after every piece.
+def memory_checked(memory: SampleMemory) -> SampleMemory:
+    """Refuse a memory that cannot be.
 
     Raises
     ------
     RecorderError
-        If the target names a memory that cannot be.
+        With what the target says.
     """
-    size = memory.count * memory.point_size
-    if size > _MEMORY_MAX or not 0 <= memory.first < max(memory.count, 1):
+    if memory.size > _MEMORY_MAX or not 0 <= memory.first < max(memory.count, 1):
         raise RecorderError(
             f"the board names {memory.count} points of {memory.point_size} bytes, the oldest at {memory.first}; "
             "that cannot be"
         )
-    data = bytearray()
-    while len(data) < size:
-        data += read(memory.address + len(data), min(piece, size - len(data)))
-        if progress is not None:
-            progress(len(data), size)
+    return memory
+
+
+def in_order(memory: SampleMemory, data: bytes) -> bytes:
+    """Points of a whole memory, oldest first."""
     turn = memory.first * memory.point_size
     return bytes(data[turn:] + data[:turn])

@@ -1,0 +1,218 @@
+"""What a burst is to hold, as options of a command line, and the set-up of a recorder for it. Pure."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from dataclasses import dataclass
+from typing import Final, NoReturn
+
+from servo_msgs_py.catalogue import Catalogue
+
+from servo_bridge.burst import Channel, channels_of
+from servo_bridge.freemaster.errors import RecorderError, StatusError
+from servo_bridge.freemaster.recorder import Limits, Recorder, Setup, Trigger
+from servo_bridge.tool_values import UsageError, lookup, opened
+from servo_bridge.trigger_text import parse_expression, trigger_of
+from servo_bridge.wire.session import Session
+
+__all__ = ["Before", "BurstRequest", "Prepared", "add_options"]
+
+_FAST, _SLOW = 0, 1
+_RATE_TOLERANCE: Final = 0.01
+
+
+@dataclass(frozen=True)
+class Before:
+    """How much of a burst lies before its trigger: a part of all points, or a number of them."""
+
+    part: float | None = None
+    points: int | None = None
+
+    def of(self, total: int) -> int:
+        """Points before the trigger of so many in all."""
+        if self.points is not None:
+            return self.points
+        assert self.part is not None
+        return min(round(self.part * total), max(total - 1, 0))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A recorder and what it is to record.
+
+    Attributes
+    ----------
+    recorder : Recorder
+        Of the board.
+    channels : tuple of Channel
+        Numbers of a point, in its order.
+    setup : Setup
+        What to configure.
+    period_ns : int
+        Time between two points [ns]; 0 when the board does not say.
+    """
+
+    recorder: Recorder
+    channels: tuple[Channel, ...]
+    setup: Setup
+    period_ns: int
+
+
+@dataclass(frozen=True)
+class BurstRequest:
+    """What a burst is to hold.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Variables, elements of arrays or structures.
+    recorder : int
+        Number of the recorder.
+    trigger : str or None
+        Such as ``axis1.i_q > 1.0``.
+    level : bool
+        Trigger also when the condition holds from the beginning.
+    before : Before or None
+        Points before the trigger; half of them by default.
+    points : int or None
+        Points in all; as many as fit by default.
+    rate : float or None
+        [Hz]; as fast as the recorder samples by default.
+    """
+
+    names: tuple[str, ...]
+    recorder: int = _FAST
+    trigger: str | None = None
+    level: bool = False
+    before: Before | None = None
+    points: int | None = None
+    rate: float | None = None
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> BurstRequest:
+        """Take the options of `add_options`, with ``names`` and ``rate``."""
+        if args.level and args.trigger is None:
+            raise UsageError("--level says how a trigger fires; give one with --trigger")
+        return cls(
+            tuple(args.names), args.recorder or _FAST, args.trigger, args.level, args.before, args.points, args.rate
+        )
+
+    @classmethod
+    def parse(cls, text: str) -> BurstRequest:
+        """Read names and options as they are given to ``servo-tool record``.
+
+        Raises
+        ------
+        UsageError
+            If they do not make sense.
+        """
+        parser = _Parser(prog="record", add_help=False)
+        parser.add_argument("names", nargs="+")
+        parser.add_argument("--rate", type=float)
+        add_options(parser)
+        try:
+            return cls.of(parser.parse_args(shlex.split(text)))
+        except ValueError as error:
+            raise UsageError(f"{text!r}: {error}") from None
+
+    def prepare(self, session: Session, catalogue: Catalogue) -> Prepared:
+        """Ask the board what its recorder can, and work out its set-up.
+
+        Raises
+        ------
+        UsageError, UnknownVariableError
+            If a name, the trigger or the rate does not fit the board.
+        RecorderError
+            If the board has no such recorder, or it cannot record that.
+        """
+        names = opened(session.variables, self.names)
+        channels = channels_of([(name, *lookup(session.variables, name)) for name in names])
+        trigger = None
+        if self.trigger is not None:
+            trigger = trigger_of(parse_expression(self.trigger), session.variables, catalogue, level=self.level)
+        recorder = session.client.recorder(self.recorder)
+        try:
+            limits = recorder.limits()
+        except StatusError as error:
+            raise RecorderError(f"the board has no recorder: {error.meaning}") from error
+        divider = _divider(self.rate, limits)
+        setup = self._setup(channels, divider, trigger, limits)
+        return Prepared(recorder, tuple(channels), setup, limits.period_ns * divider)
+
+    def _setup(self, channels: list[Channel], divider: int, trigger: Trigger | None, limits: Limits) -> Setup:
+        setup = Setup(tuple(channel.slot for channel in channels), self.points or 0, 0, divider, trigger)
+        if trigger is None:
+            return setup
+        total = setup.points or limits.capacity(setup)
+        before = self.before or Before(part=0.5)
+        if total is None and before.part is not None:
+            raise UsageError("the board does not say how much memory its recorder has; give --points")
+        return Setup(setup.slots, setup.points, before.of(total or 0), divider, trigger)
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of a burst to a command."""
+    burst = command.add_argument_group("burst", "Use a recorder of the board instead of reading over the line.")
+    which = burst.add_mutually_exclusive_group()
+    which.add_argument(
+        "--fast", dest="recorder", action="store_const", const=_FAST, help="the recorder of the fast loop"
+    )
+    which.add_argument("--slow", dest="recorder", action="store_const", const=_SLOW, help="the one of the slow loop")
+    which.add_argument("--recorder", type=_index, metavar="N", help="the recorder of that number")
+    burst.add_argument(
+        "--trigger", metavar="EXPR", help="such as 'axis1.i_q > 1.0', 'u_dc < 20', 'axis1.state rising FAULT'"
+    )
+    burst.add_argument("--level", action="store_true", help="trigger also when the condition holds from the beginning")
+    burst.add_argument("--before", type=_before, metavar="PART", help="points before the trigger (default: 50%%)")
+    burst.add_argument("--points", type=_index, metavar="N", help="points in all (default: as many as fit)")
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that raises instead of ending the program."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(message)
+
+
+def _before(text: str) -> Before:
+    """Read ``30%`` or a number of points; an `argparse.ArgumentTypeError` if it is neither."""
+    try:
+        if text.endswith("%"):
+            part = float(text[:-1]) / 100.0
+            if 0.0 <= part <= 1.0:
+                return Before(part=part)
+        elif int(text) >= 0:
+            return Before(points=int(text))
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is neither a part such as 30% nor a number of points")
+
+
+def _index(text: str) -> int:
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
+    return int(text)
+
+
+def _divider(rate: float | None, limits: Limits) -> int:
+    """Find the divider for a rate [Hz].
+
+    Raises
+    ------
+    UsageError
+        If no whole divider gives the rate.
+    """
+    if rate is None:
+        return 1
+    if not rate > 0.0:
+        raise UsageError(f"the rate is {rate:g} Hz; give one above 0")
+    if not limits.period_ns:
+        raise UsageError("the board does not say how fast its recorder samples; leave --rate away")
+    full = 1e9 / limits.period_ns
+    divider = max(round(full / rate), 1)
+    if abs(full / divider / rate - 1.0) > _RATE_TOLERANCE:
+        near = sorted({max(int(full / rate), 1), int(full / rate) + 1})
+        rates = " or ".join(f"{full / number:g}" for number in near)
+        raise UsageError(f"the recorder samples at {full:g} Hz divided by a whole number: {rates} Hz, not {rate:g} Hz")
+    return divider

@@ -1,0 +1,167 @@
+"""One burst from its set-up to its last point, in steps that leave the line to others in between. Pure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from enum import Enum
+from typing import Final
+
+from servo_msgs_py.catalogue import Catalogue
+
+from servo_bridge.burst import Burst, burst_of
+from servo_bridge.burst_request import BurstRequest, Prepared
+from servo_bridge.freemaster.errors import RecorderError
+from servo_bridge.freemaster.recorder import SampleMemory, State, in_order, memory_checked
+from servo_bridge.wire.session import Session
+
+__all__ = ["Phase", "Recording"]
+
+_POLL: Final = 0.05
+"""Between two questions for the state of the recorder [s]."""
+
+_GRACE: Final = 2.0
+"""In which a recorder that was told to stop has to [s]."""
+
+
+class Phase(Enum):
+    """How far a recording is."""
+
+    SET_UP = "not begun"
+    RECORDING = "recording"
+    WAITING = "waiting for the trigger"
+    STOPPING = "stopping"
+    READING = "reading"
+    DONE = "done"
+
+
+class Recording:
+    """One burst.
+
+    Parameters
+    ----------
+    request : BurstRequest
+        What it is to hold.
+    catalogue : Catalogue
+        Meaning of the variables.
+    piece : int, optional
+        Bytes that are read in one step; by default as many as the board sends in one answer.
+    clock : callable, optional
+        Time from any origin [s].
+
+    Attributes
+    ----------
+    phase : Phase
+        How far it is.
+    triggered : bool
+        Whether the trigger has ended it.
+    read, size : int
+        Bytes that have been read, of how many.
+    """
+
+    def __init__(
+        self,
+        request: BurstRequest,
+        catalogue: Catalogue,
+        piece: int | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._request = request
+        self._catalogue = catalogue
+        self._piece = piece
+        self._clock = clock
+        self._stop = False
+        self._due = float("inf")
+        self._points = 0
+        self._prepared: Prepared | None = None
+        self._memory: SampleMemory | None = None
+        self._data = bytearray()
+        self.phase = Phase.SET_UP
+        self.triggered = False
+
+    @property
+    def read(self) -> int:
+        """Bytes that have been read."""
+        return len(self._data)
+
+    @property
+    def size(self) -> int:
+        """Bytes of all points; 0 before they are known."""
+        return 0 if self._memory is None else self._memory.size
+
+    @property
+    def pause(self) -> float:
+        """How long to wait before the next step [s]."""
+        return _POLL if self.phase in (Phase.RECORDING, Phase.WAITING, Phase.STOPPING) else 0.0
+
+    @property
+    def text(self) -> str:
+        """What is recorded, in words; once it has begun."""
+        assert self._prepared is not None
+        period = self._prepared.period_ns
+        rate = f" at {1e9 / period:g} Hz" if period else ""
+        trigger = f", trigger {self._request.trigger}" if self._request.trigger is not None else ""
+        return f"{self._points} points of {len(self._prepared.channels)} number(s){rate}{trigger}"
+
+    def stop(self) -> None:
+        """End the recording without waiting for the trigger; the next step carries it out."""
+        self._stop = True
+
+    def step(self, session: Session) -> Burst | None:
+        """Do what is next, which takes a few exchanges at most.
+
+        Returns
+        -------
+        Burst or None
+            The burst, when it is complete; else None: call again after `pause`.
+
+        Raises
+        ------
+        UsageError, UnknownVariableError, RecorderError, FreemasterError
+            If it cannot be recorded; the recording has ended then.
+        """
+        if self._prepared is None:
+            self._begin(session)
+        elif self._memory is None:
+            self._look(self._prepared)
+        elif self.read < self.size:
+            piece = min(self._piece or session.client.read_limit & ~7, self.size - self.read)
+            self._data += session.client.read_memory(self._memory.address + self.read, piece)
+        if self._memory is None or self.read < self.size:
+            return None
+        assert self._prepared is not None
+        self.phase = Phase.DONE
+        zero = self._prepared.setup.before if self.triggered else 0
+        return burst_of(
+            self._prepared.channels, in_order(self._memory, bytes(self._data)), self._prepared.period_ns, zero
+        )
+
+    def _begin(self, session: Session) -> None:
+        prepared = self._request.prepare(session, self._catalogue)
+        self._points = prepared.recorder.configure(prepared.setup)
+        prepared.recorder.start()
+        self._prepared = prepared
+        self.phase = Phase.RECORDING
+        if prepared.setup.trigger is not None:
+            self.phase = Phase.WAITING
+        elif prepared.period_ns:
+            self._due = self._clock() + self._span
+
+    @property
+    def _span(self) -> float:
+        assert self._prepared is not None
+        return self._points * self._prepared.period_ns * 1e-9
+
+    def _look(self, prepared: Prepared) -> None:
+        """Ask for the state, and have the recorder stop when it has to."""
+        if prepared.recorder.state() is not State.RUNNING:
+            self.triggered = self.phase is Phase.WAITING
+            self._memory = memory_checked(prepared.recorder.memory())
+            self.phase = Phase.READING
+        elif self.phase is Phase.STOPPING:
+            if self._clock() > self._due:
+                raise RecorderError("the recorder of the board does not stop")
+        elif self._stop or self._clock() >= self._due:
+            prepared.recorder.stop()
+            self.phase = Phase.STOPPING
+            self._due = self._clock() + self._span + _GRACE
