@@ -22,7 +22,9 @@ from servo_msgs_py.node_shell import ParameterError, Spec, full_name
 from servo_msgs_py.node_shell import declare as declare_all
 from servo_msgs_py.robot_description import NO_LIMIT
 
+from servo_bridge.burst_request import BurstRequest
 from servo_bridge.telemetry import telemetry_variables
+from servo_bridge.tool_values import UsageError
 from servo_bridge.trajectory.goal import GoalDefaults
 from servo_bridge.trajectory.tolerances import Tolerance
 from servo_msgs_py import board_parameters, topics
@@ -129,6 +131,12 @@ _SETTINGS: Mapping[str, Spec] = {
         0.0,
         3600.0,
     ),
+    "recording": Spec(
+        "axis1.i_q axis1.i_q_ref axis2.i_q axis2.i_q_ref",
+        "variables and options of the bursts that the service record takes, as servo-tool record has them, such as "
+        "\"axis1.i_a axis1.i_q --trigger 'axis1.i_q > 1.0' --before 30% --rate 16000\"",
+        read_only=False,
+    ),
     "preferred_source": Spec(
         "",
         "topic with precedence, such as joint_commands: while it commands an axis, and 1 s longer, the set-points of "
@@ -165,6 +173,7 @@ class Settings:
     stream_delay_max: float
     goal_defaults: GoalDefaults
     board_parameters: tuple[Assignment, ...]
+    recording: BurstRequest
     preferred_source: str
 
     @property
@@ -213,6 +222,7 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         stream_delay_max=values["stream_delay_max"],
         goal_defaults=_goal_defaults(values, names),
         board_parameters=_board_parameters(values["board_parameters"], catalogue),
+        recording=_recording(values["recording"]),
         preferred_source=_preferred_source(values["preferred_source"], names),
     )
 
@@ -240,6 +250,13 @@ def _preferred_source(topic: str, joints: Sequence[str]) -> str:
     if topic and topic not in known:
         raise ParameterError(f"parameter preferred_source is {topic!r}; give one of {', '.join(known)}, or nothing")
     return topic
+
+
+def _recording(text: str) -> BurstRequest:
+    try:
+        return BurstRequest.parse(text)
+    except UsageError as error:
+        raise ParameterError(f"parameter recording: {error}") from None
 
 
 def _board_parameters(texts: Sequence[str], catalogue: Catalogue) -> tuple[Assignment, ...]:

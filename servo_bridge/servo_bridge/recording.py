@@ -51,6 +51,8 @@ class Recording:
 
     Attributes
     ----------
+    request : BurstRequest
+        As above.
     phase : Phase
         How far it is.
     triggered : bool
@@ -66,7 +68,7 @@ class Recording:
         piece: int | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._request = request
+        self.request = request
         self._catalogue = catalogue
         self._piece = piece
         self._clock = clock
@@ -100,7 +102,7 @@ class Recording:
         assert self._prepared is not None
         period = self._prepared.period_ns
         rate = f" at {1e9 / period:g} Hz" if period else ""
-        trigger = f", trigger {self._request.trigger}" if self._request.trigger is not None else ""
+        trigger = f", trigger {self.request.trigger}" if self.request.trigger is not None else ""
         return f"{self._points} points of {len(self._prepared.channels)} number(s){rate}{trigger}"
 
     def stop(self) -> None:
@@ -137,7 +139,7 @@ class Recording:
         )
 
     def _begin(self, session: Session) -> None:
-        prepared = self._request.prepare(session, self._catalogue)
+        prepared = self.request.prepare(session, self._catalogue)
         self._points = prepared.recorder.configure(prepared.setup)
         prepared.recorder.start()
         self._prepared = prepared

@@ -10,9 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -23,6 +25,7 @@ from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.node_shell import full_name
 from servo_msgs_py.robot_description import describe
 from servo_msgs_py.timed_points import periods_ahead
+from servo_msgs_py.units import PERIOD_NS
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
@@ -39,6 +42,7 @@ from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import error_of
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
+from servo_bridge.record_service import RecordService
 from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.setpoint_topics import SetPointTopics
 from servo_bridge.telemetry import Frame, Telemetry
@@ -55,6 +59,7 @@ from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus
 from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_bridge.wire.scope import ScopeLayout
 from servo_bridge.wire.serial_port import LowLatency
+from servo_bridge.wire.session import Session
 from servo_msgs_py import topics
 
 __all__ = ["BoardLink", "LinkFactory", "Supervisor"]
@@ -63,6 +68,9 @@ _COMMAND_TIMEOUT: Final = "param.command_timeout"
 _TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
 _URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
 _SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
+
+
+T = TypeVar("T")
 
 
 class BoardLink(Protocol):
@@ -76,6 +84,7 @@ class BoardLink(Protocol):
         self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False
     ) -> Future[WriteResult]: ...
     def read(self, name: str) -> Future[Value]: ...
+    def call(self, function: Callable[[Session], T]) -> Future[T]: ...
     def run_command(self, code: int, *, urgent: bool = False) -> Future[int]: ...
     def statistics(self) -> LinkStatistics: ...
     @property
@@ -208,6 +217,17 @@ class Supervisor:
         self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
         self._fault_records = FaultRecords(self._catalogue, self._link.read, self._inbox.post, self._on_fault_record)
         self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
+        self._records = RecordService(
+            node,
+            catalogue,
+            self._link.call,
+            self._inbox.post,
+            piece=self._link.layout.size,
+            times=self._times,
+            say=lambda text: self._log.info(text),
+            warn=self._warn,
+        )
+        self._records.request = settings.recording
         self._offer_services()
         self._start_timers()
         self._publish_description()
@@ -287,6 +307,7 @@ class Supervisor:
             self._board_parameters.want(settings.board_parameters)
         self._settings = settings
         self._arbiter.joints = list(settings.joints)
+        self._records.request = settings.recording
         self._arbiter.sources.preferred = settings.preferred_source
         self._publish_description()
         self._pace_keep_alive()
@@ -329,6 +350,13 @@ class Supervisor:
         offset = self._board_clock.offset_ns
         return None if offset is None else self._wall.wall_ns(round(offset))
 
+    def _times(self, ticks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Extended ticks of uint32 ticks of the last hours, and their ROS times [ns]."""
+        assert self._frame is not None
+        extended = self._frame.tick - ((self._frame.tick - ticks) & 0xFFFF_FFFF)
+        origin = self._board_clock.host_ns(0)
+        return extended, np.array([self._wall.wall_ns(origin + tick * PERIOD_NS) for tick in extended.tolist()])
+
     def _pace_keep_alive(self) -> None:
         # What is wanted may be in force on the board long before it has been read again.
         known = applied(self._settings.board_parameters, {}), self._board_parameters.values or {}
@@ -362,6 +390,7 @@ class Supervisor:
             self._dispatcher.close(status.reason)
             self._motion.link_lost(status.reason)
             self._fault_records.link_lost()
+            self._records.link_lost()
         self._publish_state()
 
     def _on_sample(self, sample: Sample) -> None:

@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from typing import Any
+from typing import Any, TypeVar
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
@@ -26,6 +26,7 @@ from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkSta
 from servo_bridge.wire.link_statistics import LinkStatistics
 from servo_bridge.wire.scope import ScopeLayout
 from servo_bridge.wire.serial_port import LowLatency
+from servo_bridge.wire.session import Session
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.convert import applied_from_message, parameters_from_message, snapshot_table
@@ -34,6 +35,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from servo_msgs_py import topics
 
+T = TypeVar("T")
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 20 + os.getpid() % 80
 STOP, SPIN, FAULT = (2, 0), (3, 3), (0, 0)
 KT = {"axis1.torque_constant": 0.04, "axis2.torque_constant": 0.05}
@@ -71,6 +73,7 @@ class FakeLink:
         self.stubborn = ""  # a parameter that this board does not let itself be set
         self.catalogue = catalogue
         self.figures = LinkStatistics()
+        self.session: Session | None = None
         self._effects = 0
         self._on_sample, self._on_state = on_sample, on_state
 
@@ -112,6 +115,17 @@ class FakeLink:
         else:
             count = self.catalogue[name].count
             done.set_result(KT.get(name, self.values.get(name, 1.5 if count == 1 else [1.5] * count)))
+        return done
+
+    def call(self, function: Callable[[Session], T]) -> Future[T]:
+        done: Future[T] = Future()
+        if self.session is None:
+            done.set_exception(LinkDownError("no link"))
+            return done
+        try:
+            done.set_result(function(self.session))
+        except Exception as error:
+            done.set_exception(error)
         return done
 
     def run_command(self, code: int, *, urgent: bool = False) -> Future[int]:

@@ -25,6 +25,11 @@ PARAMETERS: Final = "parameters"
 FAULT_RECORD: Final = "fault_record"
 """std_msgs/Float64MultiArray, latched, ``<joint>/fault_record``: samples before the first fault in the form of
 `SNAPSHOT`; ``layout.dim[0].label`` names the fault."""
+RECORDING: Final = "recording"
+"""std_msgs/Float64MultiArray, latched: a burst of the recorder in the form of `SNAPSHOT`, with the columns ``tick`` and
+`BURST_TIME`; ``layout.dim[0].label`` says what it is."""
+BURST_TIME: Final = "time"
+"""Column of `RECORDING`: time since the trigger [s]."""
 ROBOT_DESCRIPTION: Final = "robot_description"
 """std_msgs/String, latched: URDF of the joints, see `servo_msgs_py.robot_description`."""
 STATE: Final = "state"
@@ -42,6 +47,8 @@ FOLLOW_JOINT_TRAJECTORY: Final = "follow_joint_trajectory"
 ENABLE: Final = "enable"
 QUICK_STOP: Final = "quick_stop"
 CLEAR_FAULTS: Final = "clear_faults"
+RECORD: Final = "record"
+"""std_srvs/SetBool: begin to record what the parameter ``recording`` says, or end it before its trigger."""
 RESYNC: Final = "resync"
 
 COMMAND_VARIABLES: Final = (

@@ -12,18 +12,17 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.errors import (
     AnswerTimeoutError,
-    CodecError,
-    CommandUnfinishedError,
     DamagedAnswerError,
     FreemasterError,
-    StatusError,
+    TransportError,
+    WrongProtocolError,
 )
 from servo_bridge.freemaster.line import Line
 from servo_bridge.wire.board_clock import TickExtender
@@ -50,6 +49,8 @@ __all__ = [
     "Sample",
     "WriteResult",
 ]
+
+T = TypeVar("T")
 
 _LOG: Final = logging.getLogger(__name__)
 _MAX_DAMAGED: Final = 10
@@ -228,6 +229,20 @@ class Link:
         self._queue.put(job)
         return job.done
 
+    def call(self, function: Callable[[Session], T]) -> Future[T]:
+        """Call a function with the session of the board between two samples; it should take a few exchanges at most.
+
+        What it raises fails the future; the link is lost only by errors of the line.
+        """
+
+        def run(_: Client) -> T:
+            assert self._session is not None
+            return function(self._session)
+
+        job = Job(run)
+        self._queue.put(job)
+        return job.done
+
     def run_command(self, code: int, arguments: bytes = b"", *, urgent: bool = False) -> Future[int]:
         """Run an application command; the future holds its result. It is sent once and never repeated."""
         job = Job(lambda client: client.run_command(code, arguments), write=True, retried=False)
@@ -346,11 +361,13 @@ class Link:
     def _execute(self, job: Job, client: Client) -> None:
         try:
             job.execute(client)
-        except (StatusError, CodecError, CommandUnfinishedError, ValueError):
-            return  # the future tells its owner; the line is in order
         except (AnswerTimeoutError, DamagedAnswerError):
             if job.retried:
                 raise
+        except (TransportError, WrongProtocolError):
+            raise
+        except Exception:
+            return  # the future tells its owner; the line is in order
 
     def _write_last(self, client: Client) -> None:
         self._queue.close("the link was closed")

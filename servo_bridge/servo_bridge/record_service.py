@@ -1,0 +1,176 @@
+"""The service ``record`` and the topic ``recording``: bursts of the recorder of the board."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final, Protocol, TypeVar
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.convert import snapshot_message
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
+
+from servo_bridge.burst import Burst
+from servo_bridge.burst_request import BurstRequest
+from servo_bridge.outcome import error_of
+from servo_bridge.recording import Phase, Recording
+from servo_bridge.services import DeferredService, Outcome
+from servo_bridge.wire.session import Session
+from servo_msgs_py import topics
+
+__all__ = ["RecordService", "table_of"]
+
+T = TypeVar("T")
+
+_TICK: Final = "tick"
+_POLL: Final = 0.05
+"""Between two questions for the state of the recorder [s]."""
+
+
+class Call(Protocol):
+    """Has the thread of the link call a function with the session of the board."""
+
+    def __call__(self, function: Callable[[Session], T]) -> Future[T]: ...
+
+
+class RecordService:
+    """Sets a recorder up when it is asked to, and publishes what it has recorded.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of service and topic.
+    catalogue : Catalogue
+        Meaning of the variables.
+    call : Call
+        Way to the board.
+    post : callable
+        Runs a function in the thread of the node.
+    piece : int
+        Bytes that are read between two samples of the telemetry.
+    times : callable
+        From uint32 ticks, oldest first, to extended ticks and ROS times [ns].
+    say, warn : callable
+        Get a sentence for the log.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        catalogue: Catalogue,
+        call: Call,
+        post: Callable[[Callable[[], None]], None],
+        *,
+        piece: int,
+        times: Callable[[Any], tuple[Any, Any]],
+        say: Callable[[str], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._catalogue = catalogue
+        self._call = call
+        self._post = post
+        self._piece = piece
+        self._times = times
+        self._say, self._warn = say, warn
+        self._recording: Recording | None = None
+        self._answer: Future[Outcome] | None = None
+        self.request = BurstRequest(())
+        self._publisher = node.create_publisher(Float64MultiArray, topics.RECORDING, topics.latched_qos())
+        self._timer = node.create_timer(_POLL, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer.cancel()
+        self._service = DeferredService(node, SetBool, topics.RECORD, lambda request: self._asked(request.data))
+
+    def link_lost(self) -> None:
+        """Give up what is being recorded."""
+        self._end("the link to the board was lost")
+
+    def _asked(self, begin: bool) -> Future[Outcome]:
+        answer: Future[Outcome] = Future()
+        if begin and self._recording is not None:
+            answer.set_result((False, f"{self._recording.phase.value}; end it first: call record with data: false"))
+        elif begin:
+            self._answer = answer
+            self._recording = Recording(_with_tick(self.request), self._catalogue, self._piece)
+            self._step()
+        elif self._recording is None:
+            answer.set_result((False, "nothing is being recorded; call record with data: true first"))
+        else:
+            self._recording.stop()
+            answer.set_result((True, "the recorder is stopped; what it has is read and published on recording"))
+        return answer
+
+    def _step(self) -> None:
+        self._timer.cancel()
+        recording = self._recording
+        if recording is not None:
+            done = self._call(recording.step)
+            done.add_done_callback(lambda future: self._post(partial(self._stepped, recording, future)))
+
+    def _stepped(self, recording: Recording, step: Future[Burst | None]) -> None:
+        if recording is not self._recording:
+            return
+        error = error_of(step)
+        if error is not None:
+            self._end(error)
+            return
+        if self._answer is not None:
+            answer, self._answer = self._answer, None
+            self._say(f"recording {recording.text}")
+            answer.set_result((True, recording.text))
+        burst = step.result()
+        if burst is not None:
+            self._recording = None
+            self._publish(burst, recording)
+        elif recording.phase is Phase.READING:
+            self._step()
+        else:
+            self._timer.reset()
+
+    def _end(self, reason: str) -> None:
+        """Give a recording up."""
+        recording, self._recording = self._recording, None
+        answer, self._answer = self._answer, None
+        if answer is not None:
+            answer.set_result((False, reason))
+        elif recording is not None:
+            self._warn(f"the recording has failed: {reason}")
+
+    def _publish(self, burst: Burst, recording: Recording) -> None:
+        how = "" if recording.triggered or recording.request.trigger is None else ", stopped before the trigger"
+        self._publisher.publish(table_of(burst, f"{recording.text}{how}", self._times))
+        self._say(f"recorded {len(burst.times)} points{how}")
+
+
+def table_of(burst: Burst, label: str, times: Callable[[Any], tuple[Any, Any]]) -> Float64MultiArray:
+    """Message of a burst that has the tick among its channels.
+
+    Parameters
+    ----------
+    burst : Burst
+        The points.
+    label : str
+        What it is, for ``layout.dim[0].label``.
+    times : callable
+        From uint32 ticks, oldest first, to extended ticks and ROS times [ns].
+    """
+    names = [channel.name for channel in burst.channels]
+    columns = [values.astype(np.float64) for values in burst.values]
+    where = names.index(_TICK)
+    ticks, stamps = times(burst.values[where].astype(np.int64))
+    columns[where] = ticks.astype(np.float64)
+    seconds, nanoseconds = np.divmod(stamps, 1_000_000_000)
+    rows = np.column_stack([*columns, burst.times, seconds.astype(np.float64), nanoseconds.astype(np.float64)])
+    message = snapshot_message([*names, topics.BURST_TIME, *topics.STAMP_COLUMNS], rows.tolist())
+    message.layout.dim[0].label = label
+    return message
+
+
+def _with_tick(request: BurstRequest) -> BurstRequest:
+    """A request that also asks for the tick, which places the points on the time of the board."""
+    return request if _TICK in request.names else replace(request, names=(_TICK, *request.names))

@@ -1,0 +1,118 @@
+"""The service ``record`` and the topic ``recording``, under real rclpy, with the recorder of a fake board."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from bridge_rig import STOP, Rig
+from fake_servo import CATALOGUE, FakeServo
+from fake_transport import FakeTransport, client_on
+from servo_bridge.wire.session import connect
+from servo_msgs_py.convert import snapshot_table
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
+
+from servo_msgs_py import topics
+
+pytestmark = pytest.mark.realtime
+
+FIRST_TICK = 1_000_000
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    """A bridge whose board records a sine of 2 A with a period of 100 ticks."""
+    board = FakeServo(recorder_memory=2048)
+    lsb = CATALOGUE["axis1.i_q"].lsb
+
+    def tick(number: int) -> None:
+        board.put("axis1.i_q", round(2.0 * math.sin(0.02 * math.pi * number) / lsb))
+        board.put("tick", FIRST_TICK + number)
+
+    board.on_tick = tick
+
+    def fed(data: bytes) -> bytes:
+        if any(recorder.state == 2 for recorder in board.recorders):
+            board.advance(400)
+        return board.feed(data)
+
+    with Rig(recording="axis1.i_q --trigger 'axis1.i_q > 1.0' --before 30% --points 50") as rig:
+        rig.listen(topics.RECORDING, Float64MultiArray, topics.latched_qos())
+        rig.record_client = rig.user.create_client(SetBool, topics.RECORD)  # type: ignore[attr-defined]
+        rig.until(rig.record_client.service_is_ready)  # type: ignore[attr-defined]
+        rig.up(STOP, STOP)
+        rig.link.session = connect(client_on(FakeTransport(fed)), CATALOGUE)
+        rig.link.tick = FIRST_TICK + 100_000
+        rig.link.sample()
+        rig.settle()
+        yield rig
+
+
+def record(rig: Rig, begin: bool) -> tuple[bool, str]:
+    success, message = rig.call(rig.record_client, SetBool.Request(data=begin))  # type: ignore[attr-defined]
+    return success, message
+
+
+def test_a_burst_is_published_with_its_ticks_and_stamps(rig: Rig) -> None:
+    assert record(rig, True) == (True, "50 points of 2 number(s) at 16000 Hz, trigger axis1.i_q > 1.0")
+    rig.until(lambda: rig.messages[topics.RECORDING])
+    message = rig.messages[topics.RECORDING][0]
+    names, table = snapshot_table(message)
+    assert names == ["tick", "axis1.i_q", "time", "stamp.sec", "stamp.nanosec"]
+    assert message.layout.dim[0].label == "50 points of 2 number(s) at 16000 Hz, trigger axis1.i_q > 1.0"
+    assert len(table) == 50
+    assert np.diff(table[:, 0]).tolist() == [1.0] * 49
+    assert table[:, 2] == pytest.approx([(k - 15) * 62.5e-6 for k in range(50)])
+    assert table[14, 1] <= 1.0 < table[15, 1]
+    stamps = table[:, 3] + table[:, 4] * 1e-9
+    assert stamps[-1] - stamps[0] == pytest.approx(49 * 62.5e-6, abs=1e-6)
+    now = rig.user.get_clock().now().nanoseconds * 1e-9
+    age = (rig.link.tick - table[-1, 0]) * 62.5e-6
+    assert now - stamps[-1] == pytest.approx(age, abs=5.0)
+
+
+def test_a_burst_whose_trigger_does_not_come_is_ended_by_the_service(rig: Rig) -> None:
+    assert rig.set_parameter("recording", "axis1.i_q --trigger 'axis1.i_q > 3' --points 50")[0]
+    assert record(rig, False) == (False, "nothing is being recorded; call record with data: true first")
+    assert record(rig, True)[0]
+    again = record(rig, True)
+    assert again == (False, "waiting for the trigger; end it first: call record with data: false")
+    assert record(rig, False)[0]
+    rig.until(lambda: rig.messages[topics.RECORDING])
+    assert rig.messages[topics.RECORDING][0].layout.dim[0].label.endswith("> 3, stopped before the trigger")
+    assert record(rig, True)[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("axis1.iq", "did you mean axis1.i_q"),
+        ("axis1.i_q --rate 5000", "5333.33 or 4000 Hz, not 5000 Hz"),
+        ("axis1.i_q --slow", "no recorder 1"),
+    ],
+)
+def test_what_the_board_cannot_record_is_answered(rig: Rig, options: str, said: str) -> None:
+    assert rig.set_parameter("recording", options)[0]
+    success, message = record(rig, True)
+    assert not success
+    assert said in message
+    assert rig.messages[topics.RECORDING] == []
+
+
+@pytest.mark.parametrize("options", ["", "axis1.i_q --fast --slow", "axis1.i_q --level", "x 'y", "--before 130% x"])
+def test_options_that_make_no_sense_are_no_parameter(rig: Rig, options: str) -> None:
+    success, reason = rig.set_parameter("recording", options)
+    assert not success
+    assert "parameter recording: " in reason
+
+
+def test_a_lost_link_ends_a_recording(rig: Rig) -> None:
+    assert rig.set_parameter("recording", "axis1.i_q --trigger 'axis1.i_q > 3'")[0]
+    assert record(rig, True)[0]
+    rig.link.lose()
+    rig.until(lambda: rig.warnings("the recording has failed: the link to the board was lost"))
+    rig.link.session = None
+    assert record(rig, True) == (False, "no link")
