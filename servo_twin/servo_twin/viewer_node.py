@@ -127,6 +127,9 @@ class ServoViewer(Node):
         for namespace, take in ((board, viewer.board), (twin, viewer.twin)):
             topic = f"{namespace}/{topics.SNAPSHOT}"
             self.create_subscription(Float64MultiArray, topic, partial(self._on_snapshot, topic, take), deep)
+        for namespace, source in ((board, scene.BOARD), (twin, scene.TWIN)):
+            topic = f"{namespace}/{topics.RECORDING}"
+            self.create_subscription(Float64MultiArray, topic, partial(self._on_recording, topic, source), latched)
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, partial(self._on_description, description), latched)
         self.create_subscription(Float64MultiArray, f"{board}/{topics.COMMANDS_APPLIED}", self._on_applied, deep)
@@ -139,16 +142,27 @@ class ServoViewer(Node):
     def _on_snapshot(
         self, topic: str, take: Callable[[Sequence[str], NDArray[Any]], None], message: Float64MultiArray
     ) -> None:
-        try:
-            columns, table = snapshot_table(message)
-        except ValueError as error:
-            self._log.warning(f"{topic}: {error}", throttle_duration_sec=10.0)
+        table = self._table(topic, message)
+        if table is None:
             return
         if not self._described:  # its units are not known
             text = f"{topic} is not shown: the joints are not known without robot_description in the same namespace"
             self._log.warning(text, throttle_duration_sec=10.0, skip_first=True)
             return
-        take(columns, table)
+        take(*table)
+
+    def _table(self, topic: str, message: Float64MultiArray) -> tuple[Sequence[str], NDArray[Any]] | None:
+        """Columns and table of a message; None, and a warning, if it has none."""
+        try:
+            return snapshot_table(message)
+        except ValueError as error:
+            self._log.warning(f"{topic}: {error}", throttle_duration_sec=10.0)
+            return None
+
+    def _on_recording(self, topic: str, source: str, message: Float64MultiArray) -> None:
+        table = self._table(topic, message)
+        if table is not None:
+            self._viewer.burst(source, *table)
 
     def _on_description(self, topic: str, message: String) -> None:
         try:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -28,6 +29,7 @@ from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_sta
 from servo_msgs_py.end_with_parent import bound_to_us
 from servo_msgs_py.joints import DEFAULT_JOINTS
 from servo_msgs_py.robot_description import describe
+from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import RecordingError, read_scalars, read_texts
 from servo_twin.view.web_page import free_port
@@ -121,6 +123,7 @@ class Robot:
                 ("/servo/snapshot", Float64MultiArray, deep),
                 ("/twin/snapshot", Float64MultiArray, deep),
                 ("/twin/residual", JointState, deep),
+                ("/servo/recording", Float64MultiArray, latched),
                 ("/servo/state", String, latched),
                 ("/servo/robot_description", String, latched),
                 ("/twin/healthy", Bool, latched),
@@ -204,9 +207,13 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
     for k in range(500):
         when = stamp(EVERY * k, robot.start_ns)
         robot.publish("/twin/residual", joint_state(["left", "right"], when, [0.25, 0.5], [1.0, 1.0], [0.0, 0.0]))
+    names = ["tick", "axis1.i_a", topics.BURST_TIME, *topics.STAMP_COLUMNS]
+    points = [[float(EVERY * 50 + k), 0.1 * k, 0.0, 0.0, 0.0] for k in range(100)]
+    robot.publish("/servo/recording", snapshot_message(names, points))
     trouble = diagnostic_status("servo_bridge: link", DiagnosticStatus.WARN, "2 timeouts", "board", {})
     robot.publish("/diagnostics", diagnostic_array(stamp(EVERY, robot.start_ns), [trouble]))
-    _wait_points(file, {BOARD_SPEED: 500, TWIN_SPEED: 500, RESIDUAL: 500})
+    burst = scene.burst_entity("axis1.i_a", scene.BOARD)
+    _wait_points(file, {BOARD_SPEED: 500, TWIN_SPEED: 500, RESIDUAL: 500, burst: 100})
     _wait(lambda: all(_texts(file, name) for name in ("diagnostics", "link", "twin")), "all lines of the log")
     assert viewer.stop(signal.SIGTERM) == 0
     assert "Traceback" not in viewer.text()
@@ -214,6 +221,10 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
     assert result.returncode == 0, result.stderr
     board, twin = read_scalars(file, BOARD_SPEED), read_scalars(file, TWIN_SPEED)
     assert board[0] == pytest.approx(twin[0], abs=1e-6)
+    times, currents = read_scalars(file, burst)
+    assert times[0] == pytest.approx(board[0][50], abs=1e-6), "at its tick beside the telemetry"
+    assert np.diff(times) == pytest.approx(np.full(99, PERIOD_NS * 1e-9), abs=1e-9)
+    assert currents == pytest.approx(0.1 * np.arange(100))
     assert set(read_scalars(file, RESIDUAL)[1]) == {0.25}
     assert read_scalars(file, RESIDUAL)[0] == pytest.approx(board[0], abs=1e-6)
     states = [state for _, state in read_texts(file, scene.state_entity("axis1"), "StateChange:state")]

@@ -25,6 +25,7 @@ __all__ = [
     "Colour",
     "Quantity",
     "axes",
+    "burst_entity",
     "path_entity",
     "residual_entity",
     "series_entity",
@@ -124,6 +125,11 @@ def residual_entity(axis: int, field: str) -> str:
 def state_entity(name: str) -> str:
     """Where a state lies: of an axis, of the ``link``, of the ``twin`` or of the ``path``."""
     return f"/state/{name}"
+
+
+def burst_entity(variable: str, source: str) -> str:
+    """Where a variable of the bursts lies: ``/burst/axis1/i_q/board``."""
+    return f"/burst/{variable.replace('.', '/')}/{source}"
 
 
 def path_entity(source: str) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand, flag_texts, state_label
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint
-from servo_msgs_py.topics import STAMP_COLUMNS
+from servo_msgs_py.topics import BURST_TIME, STAMP_COLUMNS
 
 from servo_twin.view import scene
 from servo_twin.view.board_time import BoardTime
@@ -91,6 +91,7 @@ class Viewer:
         self._time = BoardTime(start_ns)
         self._joints: Sequence[Joint] = DEFAULT_JOINTS
         self._curves = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)}
+        self._bursts = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)}
         self._hands = [{source: Hand() for source in (scene.BOARD, scene.TWIN)} for _ in range(AXES)]
         self._span = PathSpan(catalogue)
         self._drawn: dict[str, NDArray[np.float64]] = {}  # where the strips of a path end
@@ -126,6 +127,10 @@ class Viewer:
     def twin(self, columns: Sequence[str], table: _Table) -> None:
         """Telemetry of the twin, at ticks of the board."""
         self._post(lambda: self._rows(scene.TWIN, columns, table), follows=True)
+
+    def burst(self, source: str, columns: Sequence[str], table: _Table) -> None:
+        """What a recorder has sampled, with its ticks; `source` is `scene.BOARD`, `scene.TWIN` or `scene.RESIDUAL`."""
+        self._post(lambda: self._burst(source, columns, table), follows=True)
 
     def applied(self, command: AppliedCommand) -> None:
         """A command took effect on the board; timed points tell when it follows a path."""
@@ -200,7 +205,7 @@ class Viewer:
         if dropped != self._dropped_said:
             self._say("viewer", self._time.newest, "WARN", f"{dropped - self._dropped_said} messages dropped: too slow")
             self._dropped_said = dropped
-        for curves in self._curves.values():
+        for curves in (*self._curves.values(), *self._bursts.values()):
             for entity, (times, values) in curves.take().items():
                 self._recording.scalars(entity, times, values)
         for axis, hands in enumerate(self._hands):
@@ -258,6 +263,16 @@ class Viewer:
             if angles is not None:
                 self._hands[axis][source].add(times, angles)
         self._curves[source].add(times, points)
+
+    def _burst(self, source: str, columns: Sequence[str], table: _Table) -> None:
+        if not len(table) or math.isinf(self._time.first):
+            return
+        ticks, _ = _clocks(columns, table)
+        left_out = ("tick", BURST_TIME, *STAMP_COLUMNS)
+        points = {
+            scene.burst_entity(name, source): table[:, k] for k, name in enumerate(columns) if name not in left_out
+        }
+        self._bursts[source].add(self._time.of_ticks(ticks), points)
 
     def _path(
         self, times: NDArray[np.float64], columns: Sequence[str], table: _Table, inside: NDArray[np.bool_]
