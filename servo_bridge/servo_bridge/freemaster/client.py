@@ -103,6 +103,7 @@ class Client:
             If nothing answers.
         """
         request = commands.get_config("PV")
+        self.line.fence = None
         for left in range(self.line.retries, -1, -1):
             try:
                 self.exchange(request, retries=0)
@@ -135,6 +136,7 @@ class Client:
         self.probe()
         self.info = self._dialect.identify(self.exchange)
         self.mtu = self.info.mtu
+        self.line.fence = self._dialect.fence(self.exchange)
         return self.info
 
     def get_config(self, key: str) -> bytes | None:

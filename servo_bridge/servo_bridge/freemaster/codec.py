@@ -99,8 +99,15 @@ class Framing:
             body = bytes((command,)) + payload
         else:
             body = bytes((command, len(payload))) + payload
-        body += bytes((self.checksum(body),))
-        return b"+" + body.replace(b"+", b"++")
+        return self._frame(body)
+
+    def answer(self, status: int, data: bytes) -> bytes:
+        """Build one answer as it comes over the line."""
+        length = bytes((len(data),)) if status == Status.OK_VARIABLE else b""
+        return self._frame(bytes((status,)) + length + data)
+
+    def _frame(self, body: bytes) -> bytes:
+        return b"+" + (body + bytes((self.checksum(body),))).replace(b"+", b"++")
 
     def intact(self, body: bytes) -> bool:
         """Whether a frame, from the byte behind the start byte on, ends in its checksum."""
@@ -213,28 +220,39 @@ class AnswerParser:
         Data bytes of a success answer without length byte, known from the request.
     framing : Framing
         Version of the protocol.
+    statuses : tuple of int, optional
+        Successes that can be the answer; others are passed over. Default: all.
 
     Attributes
     ----------
     crc_errors : int
         Complete frames with a wrong checksum so far.
+    passed_over : int
+        Intact frames that cannot be the answer so far.
+    trailing : bool
+        Whether bytes followed the answer at once, as they do only when one was put in by the line.
     """
 
-    def __init__(self, fixed_size: int = 0, framing: Framing = V4) -> None:
+    def __init__(self, fixed_size: int = 0, framing: Framing = V4, statuses: tuple[int, ...] | None = None) -> None:
         self._fixed_size = fixed_size
         self._framing = framing
+        self._statuses = statuses
         self._pending_sob = False
         self._body: bytearray | None = None  # from the status byte on; None while hunting for a start
         self.crc_errors = 0
+        self.passed_over = 0
+        self.trailing = False
 
     def feed(self, chunk: bytes) -> Answer | None:
         """Take received bytes; returns the first intact answer, whose successors in `chunk` are dropped."""
-        for index, segment in enumerate(chunk.split(b"+")):
+        segments = chunk.split(b"+")
+        for index, segment in enumerate(segments):
             if index:
                 self._pending_sob = not self._pending_sob
                 if not self._pending_sob:
                     answer = self._take(b"+")
                     if answer is not None:
+                        self.trailing |= bool(segment) or index + 1 < len(segments)
                         return answer
             if not segment:
                 continue
@@ -243,6 +261,7 @@ class AnswerParser:
                 self._body = bytearray() if self._framing.can_start(segment[0]) else None
             answer = self._take(segment)
             if answer is not None:
+                self.trailing |= index + 1 < len(segments)
                 return answer
         return None
 
@@ -253,10 +272,14 @@ class AnswerParser:
         size = self._size_of_body()
         if size is None or len(self._body) < size:
             return None
-        body, self._body = bytes(self._body[:size]), None
+        rest, body, self._body = len(self._body) - size, bytes(self._body[:size]), None
         if not self._framing.intact(body):
             self.crc_errors += 1
             return None
+        if self._statuses is not None and body[0] not in self._statuses and not body[0] & Status.ERROR_BIT:
+            self.passed_over += 1
+            return None
+        self.trailing = rest > 0
         return Answer(body[0], body[2:-1] if body[0] == Status.OK_VARIABLE else body[1:-1])
 
     def _size_of_body(self) -> int | None:

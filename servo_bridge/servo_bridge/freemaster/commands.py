@@ -89,6 +89,8 @@ class Request:
         Version of the protocol.
     statuses : tuple of int
         Successes without data beside the usual one.
+    lengthy : bool
+        Whether the target may work for a while before it answers.
     frame : bytes
         The bytes on the line.
     """
@@ -100,10 +102,16 @@ class Request:
     idempotent: bool = True
     framing: Framing = V4
     statuses: tuple[int, ...] = ()
+    lengthy: bool = False
     frame: bytes = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frame", self.framing.encode(self.command, self.payload))
+
+    @property
+    def patient(self) -> bool:
+        """Whether it has to be waited for to the end: it must not arrive twice, or the target may take its time."""
+        return self.lengthy or not self.idempotent
 
     @property
     def answer_limit(self) -> int:
@@ -251,8 +259,8 @@ def send_command(code: int, arguments: bytes = b"") -> Request:
 
 
 def get_command_status() -> Request:
-    """Ask for the result of the last application command."""
-    return Request("GETAPPCMDSTS", Command.GETAPPCMDSTS, b"", 1)
+    """Ask for the result of the last application command, which the target may run only now."""
+    return Request("GETAPPCMDSTS", Command.GETAPPCMDSTS, b"", 1, lengthy=True)
 
 
 def get_command_data(size: int, offset: int = 0) -> Request:

@@ -119,8 +119,8 @@ class MemoryForm:
         return Request(f"SENDAPPCMD {code}", 0x10, bytes((code,)) + arguments, 0, idempotent=False, framing=V3)
 
     def get_command_status(self) -> Request:
-        """Ask for the result of the last application command."""
-        return Request("GETAPPCMDSTS", 0xC6, b"", 1, framing=V3)
+        """Ask for the result of the last application command, which the target may run only now."""
+        return Request("GETAPPCMDSTS", 0xC6, b"", 1, framing=V3, lengthy=True)
 
     def get_command_data(self, size: int, offset: int) -> Request:
         """Read result data from the beginning up to the end of what is wanted: targets ignore the offset."""

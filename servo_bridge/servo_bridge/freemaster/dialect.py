@@ -7,7 +7,7 @@ from typing import Protocol
 
 from servo_bridge.freemaster.board_info import BoardInfo
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
-from servo_bridge.freemaster.line import Exchange
+from servo_bridge.freemaster.line import Exchange, Fence
 from servo_bridge.freemaster.recorder import Recorder
 
 __all__ = ["Ask", "Dialect"]
@@ -25,6 +25,9 @@ class Dialect(Protocol):
 
     def identify(self, ask: Ask) -> BoardInfo:
         """Ask the target who it is, and learn what the requests depend on."""
+
+    def fence(self, ask: Ask) -> Fence | None:
+        """Find a request whose answer never changes, once the target is identified."""
 
     def get_config(self, ask: Ask, key: str) -> bytes | None:
         """Read a configuration value; None where there is none of that name."""

@@ -7,10 +7,12 @@ from typing import Final
 
 from servo_bridge.freemaster import commands_v3
 from servo_bridge.freemaster.board_info import BoardInfo
+from servo_bridge.freemaster.codec import V3
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.commands_v3 import MemoryForm
 from servo_bridge.freemaster.dialect import Ask
 from servo_bridge.freemaster.errors import CodecError, FreemasterError, RecorderError, Status, StatusError
+from servo_bridge.freemaster.line import Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v3 import RecorderV3
 
@@ -33,11 +35,15 @@ class DialectV3:
         self._form = MemoryForm()
         self._recorder_memory: int | None = None
         self._time_base_ns = 0
+        self._fence: Fence | None = None
 
     def identify(self, ask: Ask) -> BoardInfo:
-        data = _answer_or_none(ask, commands_v3.get_info())
+        request = commands_v3.get_info()
+        data = _answer_or_none(ask, request)
         if data is None:
-            data = ask(commands_v3.get_info_brief()).data
+            request = commands_v3.get_info_brief()
+            data = ask(request).data
+        self._fence = Fence(request.frame, V3.answer(Status.OK, data))
         protocol, flags, _, major, minor, buffer_size = data[:6]
         form = MemoryForm("big" if flags & _BIG_ENDIAN else "little")
         description = ""
@@ -58,6 +64,9 @@ class DialectV3:
             recorders=recorders,
             scopes=1,
         )
+
+    def fence(self, ask: Ask) -> Fence | None:
+        return self._fence
 
     def get_config(self, ask: Ask, key: str) -> bytes | None:
         return None

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
-from servo_bridge.freemaster.codec import decode_uleb
+from servo_bridge.freemaster.codec import V4, decode_uleb
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.dialect import Ask
 from servo_bridge.freemaster.errors import FreemasterError, Status, StatusError
+from servo_bridge.freemaster.line import Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v4 import RecorderV4
 
@@ -52,6 +53,14 @@ class DialectV4:
             scopes=byte("SC"),
             pipes=byte("PC"),
         )
+
+    def fence(self, ask: Ask) -> Fence | None:
+        request = commands.get_config("PV")
+        try:
+            exchange = ask(request)
+        except StatusError:
+            return None  # a refusal is no answer that could be told from others
+        return Fence(request.frame, V4.answer(exchange.status, exchange.data))
 
     def get_config(self, ask: Ask, key: str) -> bytes | None:
         try:

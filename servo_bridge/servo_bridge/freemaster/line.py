@@ -1,6 +1,9 @@
 """One request, one answer: the half-duplex line with its time-outs, retries and late answers.
 
-Never is a second request sent before the first is answered or given up.
+Never is a second request sent before the first is answered or given up. A request that is given up may yet be
+answered. So the next one is sent only when it is certain that no such answer can be taken for its own: when a fence has
+been answered, a request whose only answer is known byte by byte, because targets answer in order; without a fence when
+the line has been quiet for a while.
 """
 
 from __future__ import annotations
@@ -19,14 +22,18 @@ from servo_bridge.freemaster.errors import (
     Status,
     StatusError,
 )
+from servo_bridge.freemaster.round_trip import RoundTrip
 
-__all__ = ["ClientStatistics", "Exchange", "Line", "Transport"]
+__all__ = ["ClientStatistics", "Exchange", "Fence", "Line", "Transport"]
 
 _BITS_PER_BYTE: Final = 10  # 8N1
 _QUIET_NS: Final = 30_000_000  # longer than the 16 ms after which a USB adapter hands over a partly filled buffer
 _SETTLE_LIMIT_NS: Final = 500_000_000
 _STRAY_LIMIT: Final = 65_536
 _RECEIVED_KEPT: Final = 64
+_ANSWER_LIMIT: Final = 512  # no answer is longer [bytes]
+_FRAME_BYTES: Final = 3  # start, status and checksum
+_FIRST_CHUNK: Final = 64  # of an answer of unknown length; an adapter hands over no more at once [bytes]
 
 
 class Transport(Protocol):
@@ -70,6 +77,14 @@ class Exchange:
     status: int = Status.OK
 
 
+@dataclass(frozen=True)
+class Fence:
+    """A request that changes nothing, and its answer, which is always the same; both as they go over the line."""
+
+    request: bytes
+    answer: bytes
+
+
 class Line:
     """The way of one request to a target and of its answer back.
 
@@ -80,7 +95,9 @@ class Line:
     baud : int
         Line speed [bit/s]; time-outs follow from the bytes on the line.
     latency : float
-        What the target and the adapters may add to the time on the line [s].
+        What the target and the adapters may add to the time on the line at most [s]. How long an answer is waited for
+        follows from how long those before took; only requests that must not arrive twice, and those that the target
+        may work on, always have this time.
     retries : int
         How often an idempotent request is repeated.
     clock : callable
@@ -89,6 +106,11 @@ class Line:
         Called before every attempt; may raise to abandon a long job.
     statistics : ClientStatistics, optional
         Counters to go on with.
+
+    Attributes
+    ----------
+    fence : Fence or None
+        Of the target that answers, once it is known.
     """
 
     def __init__(
@@ -107,6 +129,8 @@ class Line:
         self._transport = transport
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 // baud
         self._latency_ns = round(latency * 1e9)
+        self._round_trip = RoundTrip(self._latency_ns)
+        self.fence: Fence | None = None
         self.retries = retries
         self.clock = clock
         self.before_request = before_request
@@ -129,19 +153,29 @@ class Line:
         AnswerTimeoutError, DamagedAnswerError, DisturbedRequestError, StatusError, TransportError
         """
         left = self.retries if retries is None else retries
-        lost_answer = False
+        patience_ns = (left + 1) * self._latency_ns
+        lost = False
         while True:
-            if self._unsettled:
-                self._settle()
+            if self._unsettled and self._settle():
+                lost = False
+            begin_ns = self.clock()
             try:
-                exchange = self._attempt(request)
-            except (AnswerTimeoutError, DamagedAnswerError):
-                # The answer may only be late, so listen before the next request until the line is quiet.
-                self._unsettled = lost_answer = True
+                exchange = self._attempt(request, ambiguous=lost)
+            except AnswerTimeoutError:
+                self._unsettled = lost = True
+                self._round_trip.lost()
+                # Short waits do not count as retries, only their sum does: the target may just be busy for a moment.
+                patience_ns -= self.clock() - begin_ns
+                if not request.idempotent or left == 0 or patience_ns <= 0:
+                    raise
+                self.statistics.retries += 1
+                continue
+            except DamagedAnswerError:
+                self._unsettled = lost = True
                 if not request.idempotent or left == 0:
                     raise
             except StatusError as error:
-                self._unsettled = lost_answer
+                self._unsettled = lost
                 # A damaged length makes the target report an overflow instead of a wrong checksum.
                 if error.code not in (Status.CHECKSUM, Status.REQUEST_TOO_LONG):
                     self.statistics.refused += 1
@@ -152,32 +186,40 @@ class Line:
                     raise
             else:
                 # Both the lost and the repeated request may yet be answered.
-                self._unsettled = lost_answer
+                self._unsettled = lost
                 return exchange
             left -= 1
             self.statistics.retries += 1
 
-    def _attempt(self, request: Request) -> Exchange:
+    def _attempt(self, request: Request, *, ambiguous: bool) -> Exchange:
+        """Send once; an answer says nothing about the round trip when it may be that to an earlier request."""
         if self.before_request is not None:
             self.before_request()
         self._discard()
         statistics = self.statistics
         statistics.requests += 1
-        parser = AnswerParser(request.answer_size or 0, request.framing)
+        expected = Status.OK_VARIABLE if request.answer_size is None else Status.OK
+        parser = AnswerParser(request.answer_size or 0, request.framing, (expected, *request.statuses))
         received = bytearray()
+        count = 0
         request_ns = self.clock()
         self._transport.write(request.frame)
         statistics.bytes_out += len(request.frame)
         request_wire = len(request.frame) * self._byte_ns
-        deadline = request_ns + request_wire + self._latency_ns
+        answer_size = _FIRST_CHUNK if request.answer_size is None else request.answer_size + _FRAME_BYTES
+        allowance = self._latency_ns if request.patient else self._round_trip.allowance_ns
+        deadline = request_ns + request_wire + allowance
+        if allowance < self._latency_ns:
+            deadline += answer_size * self._byte_ns
         while True:
             chunk = self._transport.read(deadline)
             response_ns = self.clock()
             if chunk:
                 statistics.bytes_in += len(chunk)
+                count += len(chunk)
                 if not received:
                     # Single-wire hardware echoes the request first, so its time counts again.
-                    deadline = response_ns + request_wire + request.answer_limit * self._byte_ns + self._latency_ns
+                    deadline = response_ns + request_wire + request.answer_limit * self._byte_ns + allowance
                 if len(received) < _RECEIVED_KEPT:
                     received += chunk[: _RECEIVED_KEPT - len(received)]
                 answer = parser.feed(chunk)
@@ -190,16 +232,19 @@ class Line:
             if not chunk or response_ns >= deadline:
                 if received:
                     statistics.damaged += 1
-                    raise DamagedAnswerError(f"{request.name}: no intact answer", bytes(received))
+                    what = "only an answer of the wrong form" if parser.passed_over else "no intact answer"
+                    raise DamagedAnswerError(f"{request.name}: {what}", bytes(received))
                 statistics.timeouts += 1
                 waited = (response_ns - request_ns) * 1e-6
                 raise AnswerTimeoutError(f"{request.name}: no answer within {waited:.0f} ms")
+        if not ambiguous and not request.patient:
+            self._round_trip.answered(response_ns - request_ns - request_wire - count * self._byte_ns)
+        if parser.trailing and request.idempotent:
+            # A byte that the line has put in shifts the checksum, and one of 256 of such frames seems to be intact.
+            statistics.damaged += 1
+            raise DamagedAnswerError(f"{request.name}: more came than the answer", bytes(received))
         if answer.is_error:
             raise StatusError(answer.status, request.name)
-        expected = Status.OK_VARIABLE if request.answer_size is None else Status.OK
-        if answer.status != expected and answer.status not in request.statuses:
-            statistics.damaged += 1
-            raise DamagedAnswerError(f"{request.name}: answer of the wrong form {answer.status:02X}", bytes(received))
         return Exchange(answer.data, request_ns, response_ns, answer.status)
 
     def _discard(self) -> None:
@@ -212,12 +257,53 @@ class Line:
             dropped += len(chunk)
         self.statistics.stray_bytes += dropped
 
-    def _settle(self) -> None:
-        """Listen until the line has been quiet for a while, so that a late answer is not taken for the next one."""
+    def _settle(self) -> bool:
+        """Make sure that a late answer is not taken for the next one; returns whether that is certain."""
+        self._unsettled = False
+        if self.fence is not None and self._round_trip.allowance_ns < self._latency_ns:
+            self._pass(self.fence)
+            return True
         limit = self.clock() + _SETTLE_LIMIT_NS
         while self.clock() < limit:
             chunk = self._transport.read(self.clock() + _QUIET_NS)
             if not chunk:
                 break
             self.statistics.stray_bytes += len(chunk)
-        self._unsettled = False
+        return False
+
+    def _pass(self, fence: Fence) -> None:
+        """Send a fence and wait for its answer; all that comes before is late or damaged.
+
+        When there is none, the target is slow or the line is bad. Then all that was sent is given the longest time, so
+        that there is never more than one fence on its way.
+        """
+        if self.before_request is not None:
+            self.before_request()
+        begin_ns = self.clock()
+        self._transport.write(fence.request)
+        self.statistics.bytes_out += len(fence.request)
+        sent_ns = begin_ns + len(fence.request) * self._byte_ns
+        wire_ns = len(fence.answer) * self._byte_ns
+        limit = sent_ns + wire_ns + self._latency_ns
+        deadline = sent_ns + wire_ns + self._round_trip.allowance_ns
+        received = b""
+        while True:
+            chunk = self._transport.read(deadline)
+            now = self.clock()
+            received += chunk
+            if fence.answer in received:
+                self.statistics.bytes_in += len(fence.answer)
+                self.statistics.stray_bytes += len(received) - len(fence.answer)
+                if deadline < limit:
+                    self._round_trip.answered(now - sent_ns - len(received) * self._byte_ns)
+                return
+            if now >= limit:
+                self.statistics.stray_bytes += len(received)
+                return
+            if now >= deadline:
+                self._round_trip.stalled()
+                deadline = limit
+            elif chunk:
+                # The answer may be behind the one that was late, which takes its time on the wire.
+                late_ns = min(len(received), _ANSWER_LIMIT) * self._byte_ns
+                deadline = min(sent_ns + wire_ns + late_ns + self._round_trip.allowance_ns, limit)

@@ -328,8 +328,10 @@ class Link:
     def _loop(self, client: Client, reader: ScopeReader) -> None:
         """Alternate between one job and one sample until the owner wants to stop."""
         period = round(1e9 / self._config.rate) if self._config.rate > 0.0 else 0
+        patience_ns = round(self._config.lost_after * self._config.latency * 1e9)
         due = time.monotonic_ns() + period
         timeouts = damaged = 0
+        silent_ns = 0
         wrote, grace = False, 0.0
         while not self._stop.is_set():
             job = self._queue.take(max(grace, (due - time.monotonic_ns()) * 1e-9))
@@ -341,10 +343,12 @@ class Link:
                 continue
             due = max(due + period, time.monotonic_ns())
             try:
+                asked_ns = time.monotonic_ns()
                 sample = reader.next()
             except AnswerTimeoutError:
+                silent_ns = silent_ns if timeouts else asked_ns
                 timeouts += 1
-                if timeouts >= self._config.lost_after:
+                if timeouts >= self._config.lost_after and time.monotonic_ns() - silent_ns >= patience_ns:
                     raise
                 continue
             except DamagedAnswerError:

@@ -44,11 +44,12 @@ class LinkConfig:
     rate : float
         Most samples per second; 0: as many as the line carries.
     latency : float
-        What board and adapters may add to the time on the line before an answer counts as lost [s].
+        What board and adapters may add to the time on the line at most [s]; how long an answer is waited for follows
+        from how long those before took.
     lost_after : int
-        Unanswered requests in a row after which the link counts as lost. So a board that falls silent is noticed
-        within ``lost_after * (latency + 0.03 s + time on the line)``, 0.7 s with the defaults; an unplugged adapter
-        is noticed at once.
+        The link counts as lost after so many unanswered requests in a row, and not before ``lost_after * latency`` of
+        silence. So a board that falls silent is noticed within 0.7 s with the defaults; an unplugged adapter is
+        noticed at once.
     queue_limit : int
         Most jobs of each kind that may wait.
     backoff_min, backoff_max : float

@@ -1,0 +1,147 @@
+"""The client on lines that lose, delay and damage frames: what it costs, and that nothing is ever mixed up."""
+
+from __future__ import annotations
+
+import statistics
+
+import pytest
+from fake_target import RW, FakeEntry, FakeTarget
+from fake_target_v3 import FakeTargetV3
+from fake_transport import client_on
+from lossy_line import MS, LossyLine
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.commands import ScopeSlot
+from servo_bridge.freemaster.discovery import discover
+from servo_bridge.freemaster.errors import FreemasterError
+from servo_bridge.freemaster.round_trip import RoundTrip
+
+WORDS = 64
+BASE = 0x1000
+
+
+def a_line(kind: type[FakeTarget] = FakeTarget, **options: object) -> tuple[FakeTarget, LossyLine, Client]:
+    """A target whose words hold their own number, one entry each; identified while the line is still good."""
+    rows = [FakeEntry(f"w{k}", b"\xe1", BASE + 2 * k, 2, RW) for k in range(WORDS)]
+    target = kind(tables=[rows], commands={1: lambda _: (1, b"")})
+    for k in range(WORDS):
+        target.set_int(BASE + 2 * k, 0x2B00 + k, 2)
+    line = LossyLine(target.feed, **options)  # type: ignore[arg-type]
+    client = client_on(line)
+    client.identify()
+    return target, line, client
+
+
+def test_a_lost_request_costs_less_than_three_round_trips() -> None:
+    _, line, client = a_line()
+    request = client.set_scope([ScopeSlot(BASE + 2 * k, 2) for k in range(8)])
+    usual = [exchange.response_ns - exchange.request_ns for exchange in (client.exchange(request) for _ in range(50))]
+    line.lose_request, line.lose_answer = 0.05, 0.05
+    costs = []
+    for _ in range(400):
+        begin, lost = line.now, line.lost
+        client.exchange(request)
+        if line.lost == lost + 1:
+            costs.append(line.now - begin - statistics.median(usual))
+    assert len(costs) > 20
+    assert statistics.median(costs) < 3 * statistics.median(usual)
+
+
+@pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
+def test_answers_are_never_taken_for_those_to_other_requests(kind: type[FakeTarget]) -> None:
+    """A target that is quick, then slow, then stalls; on a line that loses one frame of ten."""
+    _, line, client = a_line(kind)
+    line.lose_request = line.lose_answer = 0.05
+    right = 0
+    for number in range(1500):
+        slow = (0.2, 0.2, 8.0, 40.0)[number // 100 % 4]
+        line.turnaround_ns = lambda slow=slow: round(line.random.expovariate(1.0 / slow) * MS)  # type: ignore[misc]
+        k = line.random.randrange(WORDS)
+        try:
+            data = client.read_memory(BASE + 2 * k, 2)
+        except FreemasterError:
+            continue
+        assert int.from_bytes(data, "little") == 0x2B00 + k
+        right += 1
+    assert right > 1400
+
+
+def test_a_command_is_never_started_twice_by_a_slow_target() -> None:
+    target, line, client = a_line()
+    for _ in range(50):
+        client.read_memory(BASE, 2)
+    line.turnaround_ns = lambda: 150 * MS
+    for _ in range(5):
+        before = len(target.requests)
+        assert client.run_command(1) == 1
+        assert [command for command, _ in target.requests[before:]].count(0x30) == 1
+
+
+def test_a_target_that_has_become_slow_is_waited_for() -> None:
+    _, line, client = a_line()
+    for _ in range(50):
+        client.read_memory(BASE, 2)
+    line.turnaround_ns = lambda: 60 * MS
+    for _ in range(20):
+        client.read_memory(BASE, 2)
+    seen = client.line.statistics.timeouts
+    for _ in range(50):
+        client.read_memory(BASE, 2)
+    assert client.line.statistics.timeouts == seen
+
+
+@pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
+def test_damage_changes_nothing_that_was_not_meant(kind: type[FakeTarget]) -> None:
+    """One byte of one frame of three is changed or lost, both ways."""
+    target, line, client = a_line(kind, seed=7)
+    line.damage = 0.33
+    expected = {k: {0x2B00 + k} for k in range(WORDS)}  # what a word may be: the last value, or one whose write failed
+    errors = 0
+    for number in range(4000):
+        k = line.random.randrange(WORDS)
+        try:
+            if number % 2:
+                data = int.from_bytes(client.read_memory(BASE + 2 * k, 2), "little")
+                assert data in expected[k], f"word {k} is read as {data:04X}"
+            else:
+                value = line.random.randrange(1 << 16)
+                expected[k].add(value)
+                client.write_memory(BASE + 2 * k, value.to_bytes(2, "little"))
+                expected[k] = {value}
+        except FreemasterError:
+            errors += 1
+        for word, values in expected.items():
+            assert int.from_bytes(target.peek(BASE + 2 * word, 2), "little") in values
+    assert client.line.statistics.damaged > 500
+    assert errors < 1000
+
+
+@pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
+def test_discovery_over_a_bad_line_is_right_or_fails(kind: type[FakeTarget]) -> None:
+    target, line, client = a_line(kind, seed=3)
+    target.build()
+    line.damage = 0.05
+    line.lose_request = 0.02
+    found = discover(client, client.info)
+    assert [(v.name, v.address) for v in found] == [(f"w{k}", BASE + 2 * k) for k in range(WORDS)]
+
+
+def test_the_estimate_follows_and_backs_off() -> None:
+    estimate = RoundTrip(200 * MS)
+    assert estimate.allowance_ns == 200 * MS
+    for _ in range(40):
+        estimate.answered(MS)
+    assert estimate.allowance_ns == pytest.approx(3 * MS, rel=0.05)
+    for k in range(1, 5):
+        estimate.lost()
+        assert estimate.allowance_ns == pytest.approx(3 * MS << k, rel=0.05)
+    for _ in range(10):
+        estimate.lost()
+    assert estimate.allowance_ns == 200 * MS
+    estimate.answered(MS)
+    assert estimate.allowance_ns < 4 * MS
+    for k in range(60):
+        estimate.answered(MS if k % 2 else 9 * MS)
+    assert 15 * MS < estimate.allowance_ns < 30 * MS
+    estimate.answered(-5 * MS)
+    estimate.answered(10_000 * MS)
+    assert estimate.allowance_ns <= 200 * MS
