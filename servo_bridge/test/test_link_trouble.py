@@ -184,7 +184,7 @@ def test_a_lost_answer_is_no_lost_link(fake_port: FakePort, connected: Watcher) 
         return b""
 
     fake_port.mangle = lose_one
-    connected.wait(lambda: connected.link.statistics().timeouts == 1)
+    connected.wait(lambda: connected.link.statistics().timeouts >= 1)
     connected.wait_samples(5)
     assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
 

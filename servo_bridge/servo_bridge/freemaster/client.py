@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Final
 
 from servo_bridge.freemaster import commands
@@ -183,8 +184,19 @@ class Client:
         overhead = len(self._dialect.write_memory(address, b"").payload) + 1  # a size of 128 and more takes two bytes
         return self.payload_limit - overhead
 
-    def write_memory(self, address: int, data: bytes, *, retries: int | None = None) -> Exchange:
+    def write_memory(self, address: int, data: bytes, *, retries: int | None = None, lengthy: bool = False) -> Exchange:
         """Write bytes in one request, so that they take effect together.
+
+        Parameters
+        ----------
+        address : int
+            Where.
+        data : bytes
+            What.
+        retries : int, optional
+            Other than those of the line.
+        lengthy : bool
+            Wait for the answer for the full time, because a write that arrives twice does more than one.
 
         Raises
         ------
@@ -192,7 +204,7 @@ class Client:
             If the data does not fit the target's buffer.
         """
         self._check_write(address, len(data))
-        return self.exchange(self._dialect.write_memory(address, data), retries=retries)
+        return self.exchange(replace(self._dialect.write_memory(address, data), lengthy=lengthy), retries=retries)
 
     def write_masked(self, address: int, data: bytes, mask: bytes) -> None:
         """Write only the bits that are set in `mask`."""

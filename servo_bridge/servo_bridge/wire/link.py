@@ -205,11 +205,12 @@ class Link:
         """Write neighbouring elements of a variable as firmware integers; see `write`."""
         variable = self._known(name)
         offset, data = element_bytes(variable, raw, first)
+        lengthy = name.startswith("cmd.")  # each one that arrives is counted and carried out
 
         def run(client: Client) -> WriteResult:
             assert self._reader is not None
             with explained(self._catalogue, variable, data, offset):
-                exchange = client.write_memory(self._variable(name).address + offset, data)
+                exchange = client.write_memory(self._variable(name).address + offset, data, lengthy=lengthy)
             self._statistics.wrote()
             return WriteResult(name, exchange.request_ns, exchange.response_ns, self._reader.last_tick)
 
