@@ -54,6 +54,7 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
         block->quick_stop[i] = 0; /* a later enable releases the quick stop */
     }
     if ((fresh & FRESH_MODE) != 0U) {
+        axis->events.mode = (command->mode != block->mode[i]) ? EVENT_TICKS : axis->events.mode;
         command->mode = block->mode[i];
     }
     command->quick_stop = block->quick_stop[i] != 0U;
@@ -105,6 +106,9 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
     latch_reset(marks);
     const uint16_t queued = points_queue(axes, block, written.points);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
+        if (written.fresh[i] != 0U || (queued >> i & 1U) != 0U) {
+            axes[i].events.command = EVENT_TICKS;
+        }
         if (written.fresh[i] != 0U) {
             apply_command(written.fresh[i], block, &axes[i]);
         }

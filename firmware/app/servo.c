@@ -8,6 +8,8 @@
 #include "drive/estimate.h"
 #include "drive/motion.h"
 
+#define PWM_PERIOD_NS UINT32_C(62500)
+
 #define MOTOR_1 0
 #define MOTOR_2 1
 
@@ -185,6 +187,15 @@ void servo_init(servo_t *servo, hal_t *hal)
         .context = servo,
         .memory = (uint8_t *)servo,
         .memory_size = (uint32_t)offsetof(servo_t, hal),
+        .live = (const uint8_t *)servo,
+        .live_size = (uint32_t)sizeof *servo,
+        .recorder =
+            {
+                [SERVO_RECORDER_FAST] = {"PWM periods", servo->samples_fast, (uint16_t)sizeof servo->samples_fast,
+                                         PWM_PERIOD_NS},
+                [SERVO_RECORDER_SLOW] = {"slow ticks", servo->samples_slow, (uint16_t)sizeof servo->samples_slow,
+                                         PWM_PERIOD_NS * SERVO_SLOW_PERIODS},
+            },
         .tsa = &servo_variables,
         .name = "servo",
         .description = "dual-axis PMSM servo",
@@ -309,6 +320,15 @@ static void publish_snapshot(servo_t *servo)
     }
 }
 
+static void age(uint16_t *event) { *event = (uint16_t)(*event - ((*event > 0U) ? 1U : 0U)); }
+
+static void age_events(axis_t *axis)
+{
+    age(&axis->events.command);
+    age(&axis->events.mode);
+    age(&axis->sm.entered);
+}
+
 /* ---- the loops themselves --------------------------------------------------------------------------------------------- */
 
 /* One loop that is late, or left out, is made up for by the next one; a port starts its sequence anew after a lost
@@ -376,11 +396,15 @@ static void run_board_slot(servo_t *servo, uint16_t period)
     switch (period) {
     case SLOT_SLOW:
         publish_snapshot(servo);
+        recorder_sample(&servo->freemaster.recorder[SERVO_RECORDER_SLOW]);
         break;
     case SLOT_SUPERVISE:
         supervise_host(servo);
         supervise_loops(servo);
         watch_bus(servo);
+        for (uint16_t i = 0; i < HAL_AXES; i++) {
+            age_events(&servo->axis[i]);
+        }
         hal_watchdog_service(servo->hal); /* reached only while both M1 and M2 run */
         break;
     case SLOT_LATCH:
@@ -413,6 +437,7 @@ void servo_m2_isr(servo_t *servo)
     if (servo->monitoring) {
         monitor_step(&servo->settings, servo->axis, servo->hal, servo->monitor);
     }
+    recorder_sample(&servo->freemaster.recorder[SERVO_RECORDER_FAST]);
     if (servo->m2_awaited) {
         servo->m2_awaited = false;
         run_axis_slot(&servo->axis[MOTOR_1], servo->tick);

@@ -16,6 +16,18 @@
 /* PWM periods per slow loop: 0.5 ms (DRM 2.3.2). */
 #define SERVO_SLOW_PERIODS AXIS_SLOW_PERIODS
 
+/* Recorders: one sample per PWM period, and one per slow tick. */
+#define SERVO_RECORDER_FAST 0
+#define SERVO_RECORDER_SLOW 1
+
+/* Bytes of their samples, in words of four. */
+#ifndef SERVO_SAMPLES_FAST
+#define SERVO_SAMPLES_FAST 8192
+#endif
+#ifndef SERVO_SAMPLES_SLOW
+#define SERVO_SAMPLES_SLOW 1024
+#endif
+
 typedef struct servo {
     uint32_t catalogue_hash;
     snapshot_t snapshot;
@@ -47,6 +59,8 @@ typedef struct servo {
     uint16_t host_silence;           /* slow ticks since then */
     bool host_seen;                  /* the line has carried a command at all */
     freemaster_t freemaster;
+    uint32_t samples_fast[SERVO_SAMPLES_FAST / 4];
+    uint32_t samples_slow[SERVO_SAMPLES_SLOW / 4];
 } servo_t;
 
 void servo_init(servo_t *servo, hal_t *hal);

@@ -9,6 +9,7 @@
 
 #define OFFSET(path) ((uint16_t)offsetof(servo_t, path))
 #define AT(path) ((uint32_t)(TSA_VARIABLES_BASE + offsetof(servo_t, path)))
+#define LIVE(number) (TSA_LIVE_BASE + 4U * (number))
 #define SIZE(path) ((uint16_t)sizeof(((servo_t *)0)->path))
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
 
@@ -96,6 +97,88 @@ CHECK(79, SIZE(estimate.axis[1].emf) == 2);
 CHECK(80, SIZE(estimate.axis[1].reliable) == 2);
 CHECK(81, SIZE(record[1].pending) == 4);
 CHECK(82, SIZE(belief.torque_constant[1]) == 2);
+CHECK(83, SIZE(tick) >= 4);
+CHECK(84, SIZE(applied_tick) >= 4);
+CHECK(85, SIZE(applied_count) >= 2);
+CHECK(86, SIZE(axis[0].u_dc) >= 2);
+CHECK(87, SIZE(late_loops) >= 2);
+CHECK(88, SIZE(points_refused) >= 2);
+CHECK(89, SIZE(point_refusal) >= 2);
+CHECK(90, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(91, SIZE(axis[0].feedback.position) >= 4);
+CHECK(92, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(93, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(94, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(95, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(96, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(97, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(98, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(99, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(100, SIZE(axis[0].latch.captured) >= 4);
+CHECK(101, SIZE(axis[0].latch.first) >= 2);
+CHECK(102, SIZE(axis[0].active_limits) >= 2);
+CHECK(103, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(104, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(105, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(106, SIZE(axis[0].estimate.size) >= 2);
+CHECK(107, SIZE(axis[0].latch.pending) >= 4);
+CHECK(108, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(109, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(110, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(111, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(112, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(113, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(114, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(115, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(116, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(117, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(118, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(119, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(120, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(121, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(122, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(123, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(124, SIZE(axis[0].command.mode) >= 2);
+CHECK(125, SIZE(axis[0].events.command) >= 2);
+CHECK(126, SIZE(axis[0].events.mode) >= 2);
+CHECK(127, SIZE(axis[0].sm.entered) >= 2);
+CHECK(128, SIZE(axis[1].feedback.position) >= 4);
+CHECK(129, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(130, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(131, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(132, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(133, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(134, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(135, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(136, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(137, SIZE(axis[1].latch.captured) >= 4);
+CHECK(138, SIZE(axis[1].latch.first) >= 2);
+CHECK(139, SIZE(axis[1].active_limits) >= 2);
+CHECK(140, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(141, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(142, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(143, SIZE(axis[1].estimate.size) >= 2);
+CHECK(144, SIZE(axis[1].latch.pending) >= 4);
+CHECK(145, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(146, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(147, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(148, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(149, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(150, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(151, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(152, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(153, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(154, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(155, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(156, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(157, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(158, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(159, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(160, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(161, SIZE(axis[1].command.mode) >= 2);
+CHECK(162, SIZE(axis[1].events.command) >= 2);
+CHECK(163, SIZE(axis[1].events.mode) >= 2);
+CHECK(164, SIZE(axis[1].sm.entered) >= 2);
 
 static const char strings[] =
     "state_t\0"
@@ -191,6 +274,7 @@ static const char strings[] =
     "param.host_timeout\0"
     "param.command_timeout\0"
     "param.brake\0"
+    "u_dc_now\0"
     "axis1.position\0"
     "axis1.position_ref\0"
     "axis1.speed\0"
@@ -217,6 +301,26 @@ static const char strings[] =
     "axis1.pending\0"
     "axis1.fault_record\0"
     "axis1.torque_constant\0"
+    "axis1.i_a\0"
+    "axis1.i_b\0"
+    "axis1.i_c\0"
+    "axis1.i_d_ref\0"
+    "axis1.duty_a\0"
+    "axis1.duty_b\0"
+    "axis1.duty_c\0"
+    "axis1.pi_d\0"
+    "axis1.pi_q\0"
+    "axis1.pi_speed\0"
+    "axis1.speed_raw\0"
+    "axis1.speed_shaped\0"
+    "axis1.pll_angle\0"
+    "axis1.pll_speed\0"
+    "axis1.emf_alpha\0"
+    "axis1.emf_beta\0"
+    "axis1.mode\0"
+    "axis1.event_command\0"
+    "axis1.event_mode\0"
+    "axis1.event_state\0"
     "axis2.position\0"
     "axis2.position_ref\0"
     "axis2.speed\0"
@@ -242,7 +346,27 @@ static const char strings[] =
     "axis2.estimate_reliable\0"
     "axis2.pending\0"
     "axis2.fault_record\0"
-    "axis2.torque_constant\0";
+    "axis2.torque_constant\0"
+    "axis2.i_a\0"
+    "axis2.i_b\0"
+    "axis2.i_c\0"
+    "axis2.i_d_ref\0"
+    "axis2.duty_a\0"
+    "axis2.duty_b\0"
+    "axis2.duty_c\0"
+    "axis2.pi_d\0"
+    "axis2.pi_q\0"
+    "axis2.pi_speed\0"
+    "axis2.speed_raw\0"
+    "axis2.speed_shaped\0"
+    "axis2.pll_angle\0"
+    "axis2.pll_speed\0"
+    "axis2.emf_alpha\0"
+    "axis2.emf_beta\0"
+    "axis2.mode\0"
+    "axis2.event_command\0"
+    "axis2.event_mode\0"
+    "axis2.event_state\0";
 
 static const tsa_entry_t entries[] = {
     {0, 8, 0, 2, TSA_KIND_NONE}, /* state_t */
@@ -333,62 +457,189 @@ static const tsa_entry_t entries[] = {
     {926, 523, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
     {945, 523, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
     {967, 523, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {979, 603, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {994, 603, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {1013, 615, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {1025, 615, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {1041, 530, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {1051, 530, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {1061, 530, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {1075, 530, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {1085, 530, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {1095, 530, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1109, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1121, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1136, 478, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1149, 523, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1167, 523, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1180, 523, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {1201, 523, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {1220, 523, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {1238, 530, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1252, 615, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1273, 530, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1296, 530, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1315, 523, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1339, 478, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1353, 489, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1372, 530, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1394, 603, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1409, 603, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1428, 615, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1440, 615, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1456, 530, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1466, 530, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1476, 530, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1490, 530, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1500, 530, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1510, 530, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1524, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1536, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1551, 478, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1564, 523, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1582, 523, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1595, 523, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {1616, 523, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {1635, 523, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {1653, 530, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {1667, 615, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1688, 530, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {1711, 530, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {1730, 523, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {1754, 478, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {1768, 489, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {1787, 530, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {979, 615, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {988, 603, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {1003, 603, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {1022, 615, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {1034, 615, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {1050, 530, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {1060, 530, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {1070, 530, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {1084, 530, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {1094, 530, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {1104, 530, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1118, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1130, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1145, 478, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1158, 523, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1176, 523, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1189, 523, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {1210, 523, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {1229, 523, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {1247, 530, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1261, 615, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1282, 530, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1305, 530, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1324, 523, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1348, 478, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1362, 489, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1381, 530, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1403, 530, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {1413, 530, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {1423, 530, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {1433, 530, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {1447, 530, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {1460, 530, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {1473, 530, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {1486, 603, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {1497, 603, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {1508, 603, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {1523, 615, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {1539, 615, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {1558, 615, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {1574, 603, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {1590, 603, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {1606, 603, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {1621, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
+    {1632, 523, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {1652, 523, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {1669, 523, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {1687, 603, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1702, 603, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1721, 615, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1733, 615, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1749, 530, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1759, 530, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1769, 530, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1783, 530, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1793, 530, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1803, 530, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1817, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1829, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {1844, 478, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {1857, 523, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {1875, 523, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {1888, 523, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {1909, 523, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {1928, 523, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {1946, 530, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {1960, 615, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {1981, 530, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {2004, 530, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {2023, 523, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {2047, 478, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {2061, 489, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {2080, 530, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {2102, 530, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {2112, 530, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {2122, 530, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {2132, 530, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {2146, 530, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {2159, 530, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {2172, 530, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {2185, 603, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {2196, 603, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {2207, 603, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {2222, 615, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {2238, 615, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {2257, 615, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {2273, 603, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {2289, 603, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {2305, 603, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {2320, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
+    {2331, 523, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {2351, 523, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {2368, 523, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
+};
+
+static const tsa_source_t sources[] = {
+    {AT(snapshot.tick), OFFSET(tick), 4}, /* tick */
+    {AT(snapshot.applied_tick), OFFSET(applied_tick), 4}, /* applied_tick */
+    {AT(snapshot.applied_count), OFFSET(applied_count), 2}, /* applied_count */
+    {AT(snapshot.u_dc), OFFSET(axis[0].u_dc), 2}, /* u_dc */
+    {AT(snapshot.late_loops), OFFSET(late_loops), 2}, /* late_loops */
+    {AT(snapshot.points_refused), OFFSET(points_refused), 2}, /* points_refused */
+    {AT(snapshot.point_refusal), OFFSET(point_refusal), 2}, /* point_refusal */
+    {LIVE(0), OFFSET(axis[0].u_dc_now), 4}, /* u_dc_now */
+    {AT(snapshot.axis[0].position), OFFSET(axis[0].feedback.position), 4}, /* axis1.position */
+    {AT(snapshot.axis[0].speed), OFFSET(axis[0].feedback.speed), 4}, /* axis1.speed */
+    {AT(snapshot.axis[0].speed_ref), OFFSET(axis[0].motion.speed_ref), 4}, /* axis1.speed_ref */
+    {AT(snapshot.axis[0].i_q), OFFSET(axis[0].current_loop.current.q), 2}, /* axis1.i_q */
+    {AT(snapshot.axis[0].i_d), OFFSET(axis[0].current_loop.current.d), 2}, /* axis1.i_d */
+    {AT(snapshot.axis[0].i_q_ref), OFFSET(axis[0].current_ref.q), 2}, /* axis1.i_q_ref */
+    {AT(snapshot.axis[0].u_d), OFFSET(axis[0].current_loop.voltage.d), 2}, /* axis1.u_d */
+    {AT(snapshot.axis[0].u_q), OFFSET(axis[0].current_loop.voltage.q), 2}, /* axis1.u_q */
+    {AT(snapshot.axis[0].theta_e), OFFSET(axis[0].feedback.theta_e), 2}, /* axis1.theta_e */
+    {AT(snapshot.axis[0].faults), OFFSET(axis[0].latch.captured), 4}, /* axis1.faults */
+    {AT(snapshot.axis[0].first_fault), OFFSET(axis[0].latch.first), 2}, /* axis1.first_fault */
+    {AT(snapshot.axis[0].limits), OFFSET(axis[0].active_limits), 2}, /* axis1.limits */
+    {AT(snapshot.axis[0].points_taken), OFFSET(axis[0].trajectory.taken), 2}, /* axis1.points_taken */
+    {AT(snapshot.axis[0].points_late), OFFSET(axis[0].trajectory.late), 2}, /* axis1.points_late */
+    {AT(estimate.axis[0].speed), OFFSET(axis[0].estimate.speed), 4}, /* axis1.estimate_speed */
+    {AT(estimate.axis[0].emf), OFFSET(axis[0].estimate.size), 2}, /* axis1.estimate_emf */
+    {AT(record[0].pending), OFFSET(axis[0].latch.pending), 4}, /* axis1.pending */
+    {LIVE(1), OFFSET(axis[0].sense.current.a), 2}, /* axis1.i_a */
+    {LIVE(2), OFFSET(axis[0].sense.current.b), 2}, /* axis1.i_b */
+    {LIVE(3), OFFSET(axis[0].sense.current.c), 2}, /* axis1.i_c */
+    {LIVE(4), OFFSET(axis[0].current_ref.d), 2}, /* axis1.i_d_ref */
+    {LIVE(5), OFFSET(axis[0].sense.duty.a), 2}, /* axis1.duty_a */
+    {LIVE(6), OFFSET(axis[0].sense.duty.b), 2}, /* axis1.duty_b */
+    {LIVE(7), OFFSET(axis[0].sense.duty.c), 2}, /* axis1.duty_c */
+    {LIVE(8), OFFSET(axis[0].current_loop.d.integral) + 4, 4}, /* axis1.pi_d */
+    {LIVE(9), OFFSET(axis[0].current_loop.q.integral) + 4, 4}, /* axis1.pi_q */
+    {LIVE(10), OFFSET(axis[0].motion.speed_pi.integral) + 4, 4}, /* axis1.pi_speed */
+    {LIVE(11), OFFSET(axis[0].feedback.mean_speed), 4}, /* axis1.speed_raw */
+    {LIVE(12), OFFSET(axis[0].motion.shaped_speed), 4}, /* axis1.speed_shaped */
+    {LIVE(13), OFFSET(axis[0].estimate.pll.angle), 4}, /* axis1.pll_angle */
+    {LIVE(14), OFFSET(axis[0].estimate.pll.step), 4}, /* axis1.pll_speed */
+    {LIVE(15), OFFSET(axis[0].estimate.observer.e.alpha), 4}, /* axis1.emf_alpha */
+    {LIVE(16), OFFSET(axis[0].estimate.observer.e.beta), 4}, /* axis1.emf_beta */
+    {LIVE(17), OFFSET(axis[0].command.mode), 2}, /* axis1.mode */
+    {LIVE(18), OFFSET(axis[0].events.command), 2}, /* axis1.event_command */
+    {LIVE(19), OFFSET(axis[0].events.mode), 2}, /* axis1.event_mode */
+    {LIVE(20), OFFSET(axis[0].sm.entered), 2}, /* axis1.event_state */
+    {AT(snapshot.axis[1].position), OFFSET(axis[1].feedback.position), 4}, /* axis2.position */
+    {AT(snapshot.axis[1].speed), OFFSET(axis[1].feedback.speed), 4}, /* axis2.speed */
+    {AT(snapshot.axis[1].speed_ref), OFFSET(axis[1].motion.speed_ref), 4}, /* axis2.speed_ref */
+    {AT(snapshot.axis[1].i_q), OFFSET(axis[1].current_loop.current.q), 2}, /* axis2.i_q */
+    {AT(snapshot.axis[1].i_d), OFFSET(axis[1].current_loop.current.d), 2}, /* axis2.i_d */
+    {AT(snapshot.axis[1].i_q_ref), OFFSET(axis[1].current_ref.q), 2}, /* axis2.i_q_ref */
+    {AT(snapshot.axis[1].u_d), OFFSET(axis[1].current_loop.voltage.d), 2}, /* axis2.u_d */
+    {AT(snapshot.axis[1].u_q), OFFSET(axis[1].current_loop.voltage.q), 2}, /* axis2.u_q */
+    {AT(snapshot.axis[1].theta_e), OFFSET(axis[1].feedback.theta_e), 2}, /* axis2.theta_e */
+    {AT(snapshot.axis[1].faults), OFFSET(axis[1].latch.captured), 4}, /* axis2.faults */
+    {AT(snapshot.axis[1].first_fault), OFFSET(axis[1].latch.first), 2}, /* axis2.first_fault */
+    {AT(snapshot.axis[1].limits), OFFSET(axis[1].active_limits), 2}, /* axis2.limits */
+    {AT(snapshot.axis[1].points_taken), OFFSET(axis[1].trajectory.taken), 2}, /* axis2.points_taken */
+    {AT(snapshot.axis[1].points_late), OFFSET(axis[1].trajectory.late), 2}, /* axis2.points_late */
+    {AT(estimate.axis[1].speed), OFFSET(axis[1].estimate.speed), 4}, /* axis2.estimate_speed */
+    {AT(estimate.axis[1].emf), OFFSET(axis[1].estimate.size), 2}, /* axis2.estimate_emf */
+    {AT(record[1].pending), OFFSET(axis[1].latch.pending), 4}, /* axis2.pending */
+    {LIVE(21), OFFSET(axis[1].sense.current.a), 2}, /* axis2.i_a */
+    {LIVE(22), OFFSET(axis[1].sense.current.b), 2}, /* axis2.i_b */
+    {LIVE(23), OFFSET(axis[1].sense.current.c), 2}, /* axis2.i_c */
+    {LIVE(24), OFFSET(axis[1].current_ref.d), 2}, /* axis2.i_d_ref */
+    {LIVE(25), OFFSET(axis[1].sense.duty.a), 2}, /* axis2.duty_a */
+    {LIVE(26), OFFSET(axis[1].sense.duty.b), 2}, /* axis2.duty_b */
+    {LIVE(27), OFFSET(axis[1].sense.duty.c), 2}, /* axis2.duty_c */
+    {LIVE(28), OFFSET(axis[1].current_loop.d.integral) + 4, 4}, /* axis2.pi_d */
+    {LIVE(29), OFFSET(axis[1].current_loop.q.integral) + 4, 4}, /* axis2.pi_q */
+    {LIVE(30), OFFSET(axis[1].motion.speed_pi.integral) + 4, 4}, /* axis2.pi_speed */
+    {LIVE(31), OFFSET(axis[1].feedback.mean_speed), 4}, /* axis2.speed_raw */
+    {LIVE(32), OFFSET(axis[1].motion.shaped_speed), 4}, /* axis2.speed_shaped */
+    {LIVE(33), OFFSET(axis[1].estimate.pll.angle), 4}, /* axis2.pll_angle */
+    {LIVE(34), OFFSET(axis[1].estimate.pll.step), 4}, /* axis2.pll_speed */
+    {LIVE(35), OFFSET(axis[1].estimate.observer.e.alpha), 4}, /* axis2.emf_alpha */
+    {LIVE(36), OFFSET(axis[1].estimate.observer.e.beta), 4}, /* axis2.emf_beta */
+    {LIVE(37), OFFSET(axis[1].command.mode), 2}, /* axis2.mode */
+    {LIVE(38), OFFSET(axis[1].events.command), 2}, /* axis2.event_command */
+    {LIVE(39), OFFSET(axis[1].events.mode), 2}, /* axis2.event_mode */
+    {LIVE(40), OFFSET(axis[1].sm.entered), 2}, /* axis2.event_state */
 };
 
 const tsa_table_t servo_variables = {
-    entries, (uint16_t)(sizeof entries / sizeof entries[0]), (const uint8_t *)strings, (uint16_t)(sizeof strings - 1)
+    entries, (uint16_t)(sizeof entries / sizeof entries[0]), (const uint8_t *)strings, (uint16_t)(sizeof strings - 1),
+    sources, (uint16_t)(sizeof sources / sizeof sources[0])
 };
 
 const variable_range_t servo_ranges[] = {

@@ -7,7 +7,6 @@
 
 #define KEY_SIZE 3u
 
-#define RECORDERS 0
 #define SCOPES 1
 #define PIPES 0
 #define PROTOCOL_VERSION 4
@@ -85,7 +84,7 @@ uint8_t configuration_get(const freemaster_app_t *app, payload_reader_t *request
         payload_put_unsigned(reply, TSA_VARIABLES_BASE);
         break;
     case KEY_RC:
-        payload_put_u8(reply, RECORDERS);
+        payload_put_u8(reply, FREEMASTER_RECORDERS);
         break;
     case KEY_SC:
         payload_put_u8(reply, SCOPES);

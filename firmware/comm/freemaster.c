@@ -65,9 +65,23 @@ static uint8_t copy_in(freemaster_t *server, const tsa_place_t *place, const uin
     return accepted ? FM_OK : FM_OUT_OF_RANGE;
 }
 
+static const uint8_t *samples_at(const freemaster_t *server, uint32_t address, uint32_t size)
+{
+    const uint8_t *samples = NULL;
+    for (uint16_t i = 0; i < FREEMASTER_RECORDERS && samples == NULL; i++) {
+        samples = recorder_samples(&server->recorder[i], address, size);
+    }
+    return samples;
+}
+
 uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size)
 {
     tsa_place_t place;
+    const uint8_t *samples = samples_at(server, address, size);
+    if (samples != NULL) {
+        memcpy(data, samples, size);
+        return FM_OK;
+    }
     if (!tsa_readable(&server->space, address, size, &place)) {
         return FM_DENIED;
     }
@@ -96,14 +110,19 @@ static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request
 static uint8_t read_range(freemaster_t *server, uint32_t address, uint32_t size, payload_writer_t *reply)
 {
     tsa_place_t place;
-    if (!tsa_readable(&server->space, address, size, &place)) {
+    const uint8_t *samples = samples_at(server, address, size);
+    if (samples == NULL && !tsa_readable(&server->space, address, size, &place)) {
         return FM_DENIED;
     }
     uint8_t *room = payload_reserve(reply, size);
     if (room == NULL) {
         return FM_ANSWER_TOO_LONG;
     }
-    copy_out(server, &place, room);
+    if (samples != NULL) {
+        memcpy(room, samples, (size_t)size);
+    } else {
+        copy_out(server, &place, room);
+    }
     return FM_OK;
 }
 
@@ -170,6 +189,33 @@ static uint8_t read_scope(freemaster_t *server, payload_reader_t *request, paylo
     return status;
 }
 
+/* The recorder that a request is for; NULL without it. */
+static recorder_t *find_recorder(freemaster_t *server, payload_reader_t *request)
+{
+    const uint8_t index = payload_get_u8(request);
+    return !request->missing && index < FREEMASTER_RECORDERS ? &server->recorder[index] : NULL;
+}
+
+static uint8_t set_recorder(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    (void)reply;
+    recorder_t *recorder = find_recorder(server, request);
+    if (recorder == NULL) {
+        return request->missing ? FM_BAD_SIZE : FM_BAD_INSTANCE;
+    }
+    return recorder_configure(recorder, &server->space, request);
+}
+
+static uint8_t get_recorder(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    recorder_t *recorder = find_recorder(server, request);
+    const uint8_t operation = recorder != NULL ? payload_get_u8(request) : (uint8_t)0;
+    if (request->missing) {
+        return FM_BAD_SIZE;
+    }
+    return recorder != NULL ? recorder_query(recorder, operation, reply) : FM_BAD_INSTANCE;
+}
+
 /* One table; the address 0 behind it ends the client's search. */
 static uint8_t get_tsa_info(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
@@ -229,6 +275,8 @@ static const command_t commands[] = {
     {0x21, read_memory},
     {0x22, read_memory_from_base},
     {0x23, write_memory},
+    {0x24, set_recorder},
+    {0x25, get_recorder},
     {0x26, set_scope},
     {0x27, read_scope},
     {0x29, get_tsa_info},
@@ -292,6 +340,11 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
     server->space.table = app->tsa;
     server->space.memory = app->memory;
     server->space.memory_size = app->memory_size < MEMORY_SIZE_MAX ? app->memory_size : MEMORY_SIZE_MAX;
+    server->space.live = app->live;
+    server->space.live_size = app->live_size;
+    for (uint16_t i = 0; i < FREEMASTER_RECORDERS; i++) {
+        recorder_init(&server->recorder[i], &app->recorder[i], TSA_SAMPLES_BASE + i * TSA_SAMPLES_STEP);
+    }
     server->statistics = none;
     frame_receiver_init(&server->receiver);
     frame_transmitter_init(&server->transmitter);

@@ -1,6 +1,6 @@
 /* freemaster.h - FreeMASTER v4 server: lets a client on the serial line read and write the application's variables.
  *
- * One scope, application commands, target-side addressing with safety; no recorder, pipes, passwords or sessions:
+ * One scope, recorders, application commands, target-side addressing with safety; no pipes, passwords or sessions:
  * their commands answer FM_UNKNOWN_COMMAND. A server is one freemaster_t; any number may live side by side.
  */
 #ifndef COMM_FREEMASTER_H
@@ -32,6 +32,7 @@ typedef struct {
     frame_receiver_t receiver;
     frame_transmitter_t transmitter;
     scope_t scope;
+    recorder_t recorder[FREEMASTER_RECORDERS];
     app_command_t app_command;
     freemaster_statistics_t statistics;
 } freemaster_t;

@@ -6,13 +6,19 @@
 #include <stdint.h>
 
 #include "comm/app_command.h"
+#include "comm/recorder.h"
 #include "comm/tsa.h"
+
+#define FREEMASTER_RECORDERS 2
 
 /* What the application lends to the server; all pointers are needed and stay valid as long as the server. */
 typedef struct {
     void *context; /* handed back with every call */
     uint8_t *memory;
     uint32_t memory_size; /* at most 65536: offsets of writes have 16 bits */
+    const uint8_t *live; /* memory of the loops, for the sources of the table */
+    uint32_t live_size;
+    recorder_app_t recorder[FREEMASTER_RECORDERS];
     const tsa_table_t *tsa;
     const char *name, *description, *version, *build;
 

@@ -3,15 +3,11 @@
 #include <stddef.h>
 #include <string.h>
 
+#include "comm/cell.h"
+
 #define TYPE_NOT_MAPPED 0xEDu /* first byte of the types of STRUCT, ENUM, CONST, DIR: no memory behind the entry */
 
 #define FIELD_SIZE 4u
-
-/* True if `size` bytes at `address` lie in the `extent` bytes at `base`; no sum that could wrap is formed. */
-static bool inside(uint32_t address, uint32_t size, uint32_t base, uint32_t extent)
-{
-    return address >= base && address - base <= extent && size <= extent - (address - base);
-}
 
 static bool is_mapped(const tsa_table_t *table, const tsa_entry_t *entry)
 {
@@ -21,13 +17,13 @@ static bool is_mapped(const tsa_table_t *table, const tsa_entry_t *entry)
 static bool in_variable(const tsa_space_t *space, uint32_t address, uint32_t size, bool writing)
 {
     const tsa_table_t *table = space->table;
-    if (!inside(address, size, TSA_VARIABLES_BASE, space->memory_size)) {
+    if (!tsa_inside(address, size, TSA_VARIABLES_BASE, space->memory_size)) {
         return false; /* even a wrong table opens nothing beyond the lent memory */
     }
     for (uint16_t i = 0; i < table->entries; i++) {
         const tsa_entry_t *entry = &table->entry[i];
         const bool allowed = writing ? entry->kind == TSA_KIND_RW : entry->kind != TSA_KIND_NONE;
-        if (allowed && inside(address, size, entry->address, entry->size) && is_mapped(table, entry)) {
+        if (allowed && tsa_inside(address, size, entry->address, entry->size) && is_mapped(table, entry)) {
             return true;
         }
     }
@@ -37,8 +33,21 @@ static bool in_variable(const tsa_space_t *space, uint32_t address, uint32_t siz
 /* The blob holds strings only, so a range without 00 is part of one string. */
 static bool in_string(const tsa_table_t *table, uint32_t address, uint32_t size)
 {
-    return inside(address, size, TSA_STRINGS_BASE, table->strings_size) &&
+    return tsa_inside(address, size, TSA_STRINGS_BASE, table->strings_size) &&
            memchr(table->strings + (size_t)(address - TSA_STRINGS_BASE), 0, (size_t)size) == NULL;
+}
+
+/* The source of a range, and where in the live memory it is; NULL without one. */
+static const tsa_source_t *find_source(const tsa_space_t *space, uint32_t address, uint32_t size, uint32_t *offset)
+{
+    for (uint16_t i = 0; i < space->table->sources; i++) {
+        const tsa_source_t *source = &space->table->source[i];
+        if (tsa_inside(address, size, source->address, source->size)) {
+            *offset = source->offset + (address - source->address);
+            return tsa_inside(*offset, size, 0, space->live_size) ? source : NULL;
+        }
+    }
+    return NULL;
 }
 
 static bool fill(tsa_place_t *place, tsa_region_t region, uint32_t offset, uint32_t size)
@@ -60,16 +69,48 @@ bool tsa_readable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa
     if (in_string(space->table, address, size)) {
         return fill(place, TSA_REGION_STRINGS, address - TSA_STRINGS_BASE, size);
     }
-    if (inside(address, size, TSA_TABLE_BASE, tsa_table_size(space->table))) {
+    if (tsa_inside(address, size, TSA_TABLE_BASE, tsa_table_size(space->table))) {
         return fill(place, TSA_REGION_TABLE, address - TSA_TABLE_BASE, size);
     }
-    return false;
+    uint32_t offset = 0;
+    return address >= TSA_LIVE_BASE && find_source(space, address, size, &offset) != NULL &&
+           fill(place, TSA_REGION_LIVE, offset, size);
 }
 
 bool tsa_writable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place)
 {
     return in_variable(space, address, size, true) &&
            fill(place, TSA_REGION_VARIABLES, address - TSA_VARIABLES_BASE, size);
+}
+
+const uint8_t *tsa_live(const tsa_space_t *space, uint32_t address, uint32_t size, uint8_t *cell)
+{
+    uint32_t offset = 0;
+    const uint8_t *memory = space->live;
+    if (find_source(space, address, size, &offset) == NULL) {
+        if (!in_variable(space, address, size, false)) {
+            return NULL;
+        }
+        offset = address - TSA_VARIABLES_BASE;
+        memory = space->memory;
+    }
+    *cell = cell_of(offset, size);
+    return memory + (size_t)offset;
+}
+
+/* The loops may change it meanwhile: a number has to come out whole. */
+static void copy_live(const uint8_t *from, const tsa_place_t *place, uint8_t *data)
+{
+    const uint8_t cell = cell_of(place->offset, place->size);
+    if (place->size == 2 && cell == 2) {
+        const uint16_t value = *(const cell2_t *)(const void *)from;
+        memcpy(data, &value, sizeof value);
+    } else if (place->size == 4 && cell == 4) {
+        const uint32_t value = *(const cell4_t *)(const void *)from;
+        memcpy(data, &value, sizeof value);
+    } else {
+        memcpy(data, from, place->size);
+    }
 }
 
 static uint8_t table_byte(const tsa_table_t *table, uint32_t offset)
@@ -99,12 +140,15 @@ void tsa_copy(const tsa_space_t *space, const tsa_place_t *place, uint8_t *data)
             data[i] = table_byte(space->table, place->offset + i);
         }
         break;
+    case TSA_REGION_LIVE:
+        copy_live(space->live + (size_t)place->offset, place, data);
+        break;
     }
 }
 
 bool tsa_string_length(const tsa_table_t *table, uint32_t address, uint16_t *length)
 {
-    if (!inside(address, 1, TSA_STRINGS_BASE, table->strings_size)) {
+    if (!tsa_inside(address, 1, TSA_STRINGS_BASE, table->strings_size)) {
         return false;
     }
     const uint16_t offset = (uint16_t)(address - TSA_STRINGS_BASE);

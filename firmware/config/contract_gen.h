@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xFF7B5195)
+#define CATALOGUE_HASH UINT32_C(0x62A4BCBA)
 
 typedef enum {
     STATE_FAULT = 0,

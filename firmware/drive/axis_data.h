@@ -49,6 +49,12 @@ typedef struct {
     uint16_t age; /* slow ticks since a set-point of the mode, or another mode, was written */
 } axis_command_t;
 
+/* What happened less than EVENT_TICKS ago: slow ticks to go. */
+typedef struct {
+    uint16_t command; /* one was latched: from the tick on in which it takes effect */
+    uint16_t mode;    /* .. with another mode */
+} axis_events_t;
+
 /* A set-point of the mode has just been written. */
 static inline bool axis_set_point_fresh(const axis_command_t *command)
 {
@@ -116,6 +122,7 @@ typedef struct axis {
     axis_loop_t fast; /* .. in the fast loop */
 
     axis_command_t command;
+    axis_events_t events;
     axis_limits_t limits;         /* in force */
     axis_limits_t written_limits; /* in force with the next command */
     bool limits_fresh;            /* .. where they are tighter, with the next slow tick */

@@ -3,6 +3,7 @@
 void drive_current(axis_t *axis, frac16_t theta_e)
 {
     const abc_t current = drive_measured(axis);
+    axis->sense.current = current;
     /* The observer has to know the true voltage. */
     const bool compensates = (axis->features & FEATURE_BUS_COMPENSATION) != 0U || axis->estimate.runs;
     const frac16_t u_dc = compensates ? drive_bus(axis) : axis->config->u_dc_nominal;

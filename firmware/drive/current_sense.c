@@ -17,6 +17,7 @@ void current_sense_reset(current_sense_t *sense)
     sense->samples = 0;
     sense->pair = PHASE_PAIR_AB;
     sense->duty = (abc_t){0, 0, 0};
+    sense->current = (abc_t){0, 0, 0};
 }
 
 bool current_sense_calibrate(current_sense_t *sense, adc_pair_t codes)

@@ -16,6 +16,7 @@ typedef struct {
     uint16_t samples;
     phase_pair_t pair; /* pair that the conversions now waiting belong to */
     abc_t duty;        /* duties under which they were taken */
+    abc_t current;     /* of this period, while it is controlled */
 } current_sense_t;
 
 void current_sense_reset(current_sense_t *sense);

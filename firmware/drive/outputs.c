@@ -5,6 +5,7 @@
 static void equal_duties(axis_t *axis, bool outputs_on, frac16_t duty)
 {
     axis->sense.duty = (abc_t){duty, duty, duty};
+    axis->sense.current = (abc_t){0, 0, 0};
     hal_pwm_duty(axis->hal, axis->index, duty, duty, duty);
     hal_pwm_enable(axis->hal, axis->index, outputs_on);
     current_loop_reset(&axis->current_loop);

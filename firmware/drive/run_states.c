@@ -36,6 +36,7 @@ static void choose_dead_time(axis_t *axis, uint16_t features)
 static void enter(axis_t *axis, substate_t substate)
 {
     axis->substate = substate;
+    axis->sm.entered = EVENT_TICKS;
     axis->ticks = 0;
 }
 

@@ -11,6 +11,12 @@ static bool take(sm_t *sm, uint16_t flag)
     return true;
 }
 
+static void enter(sm_t *sm, state_t state)
+{
+    sm->state = state;
+    sm->entered = EVENT_TICKS;
+}
+
 /* A fault ends in FAULT at once. No request outlives it: the drive never starts again by itself. */
 static bool faulty(sm_t *sm, struct axis *axis, axis_function_t to_fault)
 {
@@ -19,7 +25,7 @@ static bool faulty(sm_t *sm, struct axis *axis, axis_function_t to_fault)
     }
     to_fault(axis);
     sm->ctrl = SM_CTRL_NONE;
-    sm->state = STATE_FAULT;
+    enter(sm, STATE_FAULT);
     return true;
 }
 
@@ -39,7 +45,7 @@ static void step_fault(sm_t *sm, struct axis *axis)
     if (take(sm, SM_CTRL_FAULT_CLEAR)) {
         sm->transitions->fault_init(axis);
         sm->ctrl = SM_CTRL_NONE;
-        sm->state = STATE_INIT;
+        enter(sm, STATE_INIT);
     }
 }
 
@@ -50,7 +56,7 @@ static void step_init(sm_t *sm, struct axis *axis)
     }
     if (take(sm, SM_CTRL_INIT_DONE)) {
         sm->transitions->init_stop(axis);
-        sm->state = STATE_STOP;
+        enter(sm, STATE_STOP);
     }
 }
 
@@ -63,7 +69,7 @@ static void step_stop(sm_t *sm, struct axis *axis)
         sm->transitions->stop_run(axis);
         if (take(sm, SM_CTRL_RUN_ACK)) {
             (void)take(sm, SM_CTRL_START);
-            sm->state = STATE_RUN;
+            enter(sm, STATE_RUN);
         }
     }
 }
@@ -82,7 +88,7 @@ static void step_run(sm_t *sm, struct axis *axis)
     sm->transitions->run_stop(axis);
     if (take(sm, SM_CTRL_STOP_ACK)) {
         (void)take(sm, SM_CTRL_STOP);
-        sm->state = STATE_STOP;
+        enter(sm, STATE_STOP);
     }
 }
 

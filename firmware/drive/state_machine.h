@@ -47,7 +47,11 @@ typedef struct {
     const sm_transitions_t *transitions;
     uint16_t ctrl; /* control flags */
     state_t state;
+    uint16_t entered; /* slow ticks to go since state or sub-state have changed */
 } sm_t;
+
+/* How long something that happened in a moment can be seen, for a recorder that does not look in every period. */
+#define EVENT_TICKS 64 /* slow ticks */
 
 /* Call the function of the present state, then make at most one transition. */
 void sm_step(sm_t *sm, struct axis *axis);

@@ -62,8 +62,8 @@ def declarations(folder: Path, headers: Sequence[str]) -> str:
     for name, text in _STANDARD.items():
         (folder / name).write_text(f"#pragma once\n{text}", encoding="ascii")
     includes = "".join(f'#include "{header}"\n' for header in headers)
-    result = subprocess.run(
-        ["gcc", "-E", "-P", "-std=c99", "-nostdinc", f"-I{folder}", f"-I{FIRMWARE}", f"-I{TEST}", "-"],
+    result = subprocess.run(  # as a compiler without attributes would see it
+        ["gcc", "-E", "-P", "-std=c99", "-U__GNUC__", "-nostdinc", f"-I{folder}", f"-I{FIRMWARE}", f"-I{TEST}", "-"],
         input=includes,
         capture_output=True,
         text=True,

@@ -24,6 +24,8 @@ uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data,
 void harness_set_refusing(harness_t *harness, bool refusing);
 void harness_memory(const harness_t *harness, uint8_t *data);
 void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
+void harness_poke_live(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
+void harness_sample(harness_t *harness, uint16_t recorder);
 uint16_t harness_events(harness_t *harness, uint16_t triples[{3 * EVENTS}]);
 uint16_t harness_violations(const harness_t *harness);
 void harness_statistics(const harness_t *harness, uint32_t values[6]);
@@ -102,6 +104,15 @@ class Board:
     def poke(self, offset: int, data: bytes) -> None:
         """Let the application change its memory."""
         self._lib.harness_poke(self._harness, offset, data, len(data))
+
+    def poke_live(self, offset: int, data: bytes) -> None:
+        """Let a loop change its memory."""
+        self._lib.harness_poke_live(self._harness, offset, data, len(data))
+
+    def sample(self, recorder: int, times: int = 1) -> None:
+        """Let the loop of a recorder run."""
+        for _ in range(times):
+            self._lib.harness_sample(self._harness, recorder)
 
     def events(self) -> list[tuple[str, int, int]]:
         """Calls to the application since the last look."""

@@ -15,7 +15,10 @@ struct hal {
 struct harness {
     hal_t hal;
     freemaster_t server;
-    uint8_t *memory; /* exactly the size told to the server, so that a sanitizer sees every byte too far */
+    /* Exactly the sizes told to the server, so that a sanitizer sees every byte too far. */
+    uint8_t *memory;
+    uint8_t *live;
+    uint32_t *samples[FREEMASTER_RECORDERS];
     bool held;
     bool refusing;
     uint16_t accepted_offset, accepted_size;
@@ -128,10 +131,16 @@ harness_t *harness_new(void)
         return NULL;
     }
     harness->memory = malloc(fixture_memory_size);
-    if (harness->memory == NULL) {
-        free(harness);
+    harness->live = calloc(1, fixture_live_size);
+    harness->samples[0] = malloc(HARNESS_SAMPLES_1);
+    harness->samples[1] = malloc(HARNESS_SAMPLES_2);
+    if (harness->memory == NULL || harness->live == NULL || harness->samples[0] == NULL ||
+        harness->samples[1] == NULL) {
+        harness_free(harness);
         return NULL;
     }
+    memset(harness->samples[0], 0, HARNESS_SAMPLES_1);
+    memset(harness->samples[1], 0, HARNESS_SAMPLES_2);
     memcpy(harness->memory, fixture_memory, fixture_memory_size);
     scramble(harness);
     harness->hal.put_room = HARNESS_LINE;
@@ -140,6 +149,13 @@ harness_t *harness_new(void)
         .context = harness,
         .memory = harness->memory,
         .memory_size = fixture_memory_size,
+        .live = harness->live,
+        .live_size = fixture_live_size,
+        .recorder =
+            {
+                {"fast", harness->samples[0], HARNESS_SAMPLES_1, UINT32_C(1000000)},
+                {"slow", harness->samples[1], HARNESS_SAMPLES_2, 0},
+            },
         .tsa = &fixture_table,
         .name = "servo",
         .description = "two axes in memory, nothing turns",
@@ -159,6 +175,9 @@ void harness_free(harness_t *harness)
 {
     if (harness != NULL) {
         free(harness->memory);
+        free(harness->live);
+        free(harness->samples[0]);
+        free(harness->samples[1]);
         free(harness);
     }
 }
@@ -214,6 +233,19 @@ void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint
     for (uint16_t i = 0; i < size; i++) {
         harness->memory[offset + i] = (uint8_t)(data[i] ^ SCRAMBLE);
     }
+}
+
+void harness_poke_live(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size)
+{
+    memcpy(harness->live + offset, data, size);
+}
+
+/* The loop sees the memory as it is. */
+void harness_sample(harness_t *harness, uint16_t recorder)
+{
+    scramble(harness);
+    recorder_sample(&harness->server.recorder[recorder]);
+    scramble(harness);
 }
 
 uint16_t harness_events(harness_t *harness, uint16_t *triples)

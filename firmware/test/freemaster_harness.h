@@ -11,6 +11,11 @@
 extern const tsa_table_t fixture_table;
 extern const uint8_t fixture_memory[];
 extern const uint16_t fixture_memory_size;
+extern const uint16_t fixture_live_size;
+
+/* Bytes of the two recorders: the second cannot hold much. */
+#define HARNESS_SAMPLES_1 1024
+#define HARNESS_SAMPLES_2 100
 
 #define HARNESS_EVENTS 64
 
@@ -41,6 +46,8 @@ uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data,
 void harness_set_refusing(harness_t *harness, bool refusing); /* every write from now on */
 void harness_memory(const harness_t *harness, uint8_t *data);
 void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
+void harness_poke_live(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
+void harness_sample(harness_t *harness, uint16_t recorder); /* one call of its loop */
 uint16_t harness_events(harness_t *harness, uint16_t *triples); /* code, offset, size; emptied by the call */
 uint16_t harness_violations(const harness_t *harness); /* calls out of order seen by the application */
 void harness_statistics(const harness_t *harness, uint32_t values[6]);

@@ -21,6 +21,8 @@ COMM_SOURCES = tuple(
         "freemaster",
         "leb128",
         "payload",
+        "recorder",
+        "recorder_take",
         "scope",
         "tsa",
     )
@@ -109,7 +111,11 @@ def parse_answer(wire: bytes) -> Answer:
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of the table; `at` is an offset in the memory, or the value itself when no memory is behind it."""
+    """One entry of the table.
+
+    `at` is an offset in the memory or, if `live`, in the region of the loops' variables; or the value itself when no
+    memory is behind it.
+    """
 
     name: str
     type: bytes
@@ -117,6 +123,7 @@ class Entry:
     size: int
     kind: int
     absolute: bool = False
+    live: bool = False
 
 
 # The addresses of the first entries are those of the protocol's byte examples.
@@ -124,6 +131,8 @@ ENTRIES = (
     Entry("M.var_u16", b"\xe1", 0x20, 2, RW),
     Entry("M.var_i32", b"\xf2", 0x24, 4, RW),
     Entry("M.const_u16", b"\xe1", 0x2A, 2, RO),
+    Entry("M.counter", b"\xe2", 0x38, 4, RO),
+    Entry("M.ramp", b"\xf1", 0x3C, 2, RW),
     Entry("M.plus", b"\xe1", 0x40, 2, RW),
     Entry("M.var_u8", b"\xe0", 0x42, 1, RW),
     Entry("M.var_i8", b"\xf0", 0x43, 1, RW),
@@ -132,6 +141,8 @@ ENTRIES = (
     Entry("M.word1", b"\xf5", 0x56, 2, RW),
     Entry("M.pair", b"\xf2", 0x58, 8, RW),
     Entry("M.word6", b"\xf5", 0x60, 4, RO),
+    Entry("M.limit", b"\xf1", 0x66, 2, RW),
+    Entry("M.float", b"\xfa", 0x6C, 4, RW),
     Entry("M.bytes", b"\xe0", 0x70, 64, RW),
     Entry("M.q16_16", b"\xf4:15.16", 0xB8, 4, RW),
     Entry("M.frac32", b"\xf6", 0xBC, 4, RW),
@@ -145,8 +156,18 @@ ENTRIES = (
     Entry("M.member", b"\xe1", 0xE0, 2, NONE),
     Entry("M.beyond", b"\xe2", 0x22E, 4, RW),  # a wrong table: half of it lies behind the memory
     Entry("M.last", b"\xe1", 0x22E, 2, RW),
+    Entry("L.word", b"\xf1", 0, 2, RO, live=True),
+    Entry("L.long", b"\xf2", 4, 4, RO, live=True),
+    Entry("L.beyond", b"\xe2", 8, 4, RO, live=True),
 )
 MEMORY_SIZE = 0x230
+LIVE_SIZE = 32
+
+SOURCES = {"L.word": 6, "L.long": 12, "L.beyond": 30, "M.word0": 2, "M.wide": 16}
+"""Where the loops keep what a variable shows; one of them lies half behind their memory."""
+
+SAMPLES = (1024, 100)
+"""Bytes of the recorders."""
 
 
 def initial_memory() -> bytes:
@@ -161,13 +182,15 @@ def initial_memory() -> bytes:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the three regions lie and how large the message buffer is."""
+    """Where the regions lie and how large the message buffer is."""
 
     name: str
     variables: int
     strings: int
     table: int
     mtu: int
+    live: int = 0x0030_0000
+    samples: int = 0x0040_0000
 
     @property
     def defines(self) -> tuple[str, ...]:
@@ -176,6 +199,8 @@ class Layout:
             f"TSA_VARIABLES_BASE=UINT32_C({self.variables:#x})",
             f"TSA_STRINGS_BASE=UINT32_C({self.strings:#x})",
             f"TSA_TABLE_BASE=UINT32_C({self.table:#x})",
+            f"TSA_LIVE_BASE=UINT32_C({self.live:#x})",
+            f"TSA_SAMPLES_BASE=UINT32_C({self.samples:#x})",
             f"FRAME_MTU={self.mtu}",
         )
 
@@ -196,7 +221,9 @@ class Layout:
 
     def address(self, entry: Entry) -> int:
         """Address field of an entry."""
-        return entry.at if entry.absolute else self.variables + entry.at
+        if entry.absolute:
+            return entry.at
+        return (self.live if entry.live else self.variables) + entry.at
 
     def wire_table(self) -> bytes:
         """The table as a client reads it."""
@@ -221,12 +248,30 @@ class Layout:
             return True
         if self.table <= address and address + size <= self.table + 16 * len(ENTRIES):
             return True
+        if address >= self.live and self.source(address, size) is not None:
+            return True
         start = address - self.strings
         inside = start >= 0 and start + size <= len(self.blob)
         return inside and 0 not in self.blob[start : start + size]
 
-    def content(self, memory: bytes, address: int, size: int) -> bytes:
+    def source(self, address: int, size: int) -> int | None:
+        """Where in the memory of the loops a range has its source."""
+        for entry in ENTRIES:
+            offset = address - self.address(entry)
+            if entry.name in SOURCES and offset >= 0 and offset + size <= entry.size:
+                place = SOURCES[entry.name] + offset
+                return place if place + size <= LIVE_SIZE else None
+        return None
+
+    def recordable(self, address: int, size: int) -> bool:
+        """Access rule for recorders."""
+        return self.source(address, size) is not None or self._in_entry(address, size, {RO, FLASH, RW})
+
+    def content(self, memory: bytes, live: bytes, address: int, size: int) -> bytes:
         """Bytes at a readable place."""
+        source = self.source(address, size)
+        if address >= self.live and source is not None:
+            return live[source : source + size]
         for base, data in ((self.variables, memory), (self.strings, self.blob), (self.table, self.wire_table())):
             if base <= address <= base + len(data):
                 return data[address - base : address - base + size]
@@ -236,6 +281,7 @@ class Layout:
         end = address + size
         return any(
             entry.kind in kinds
+            and not entry.live
             and not entry.type.startswith(b"\xed")
             and self.address(entry) <= address
             and end <= self.address(entry) + entry.size
@@ -251,11 +297,19 @@ class Layout:
             f"UINT32_C({self.address(entry):#x}), {entry.size}, {entry.kind}}}"
             for entry in ENTRIES
         )
+        sources = ",\n".join(
+            f"    {{UINT32_C({self.address(entry):#x}), {SOURCES[entry.name]}, {entry.size}}}"
+            for entry in ENTRIES
+            if entry.name in SOURCES
+        )
         return (
             '#include "freemaster_harness.h"\n'
             f"static const uint8_t strings[] = {{{c_bytes(self.blob)}}};\n"
             f"static const tsa_entry_t entry[] = {{\n{rows}\n}};\n"
-            f"const tsa_table_t fixture_table = {{entry, {len(ENTRIES)}, strings, sizeof strings}};\n"
+            f"static const tsa_source_t source[] = {{\n{sources}\n}};\n"
+            "const tsa_table_t fixture_table = "
+            f"{{entry, {len(ENTRIES)}, strings, sizeof strings, source, {len(SOURCES)}}};\n"
+            f"const uint16_t fixture_live_size = {LIVE_SIZE};\n"
             f"const uint16_t fixture_memory_size = {MEMORY_SIZE};\n"
             f"const uint8_t fixture_memory[] = {{{c_bytes(initial_memory())}}};\n"
         )
@@ -266,6 +320,6 @@ def c_bytes(data: bytes) -> str:
     return ", ".join(map(str, data))
 
 
-SHEET = Layout("sheet", 0x2000_0000, 0x0804_F115, 0x2000_10E0, 240)  # as in the byte examples
+SHEET = Layout("sheet", 0x2000_0000, 0x0804_F115, 0x2000_10E0, 240, 0x3000_0000, 0x2000_2080)  # as in the byte examples
 SERVO = Layout("servo", 0x0000_1000, 0x0010_0000, 0x0020_0000, 254)  # as in the product
 TINY = Layout("tiny", 0x0000_1000, 0x0010_0000, 0x0020_0000, 32)  # the smallest buffer

@@ -38,10 +38,12 @@ int main(void)
         if (size > HARNESS_LINE || fread(buffer, 1, size, stdin) != size) {
             break;
         }
-        /* Byte by byte, so that every frame in the chunk is answered. */
+        /* Byte by byte, so that every frame in the chunk is answered; the loops go on meanwhile. */
         for (uint16_t i = 0; i < size; i++) {
             harness_feed(harness, buffer + i, 1);
             harness_poll(harness);
+            harness_sample(harness, 0);
+            harness_sample(harness, 1);
         }
         size = harness_take(harness, buffer);
         put_u16(size);

@@ -37,6 +37,7 @@ static void open_output(void) {}
 static void finish(void) {}
 #endif
 
+#define SAMPLES 7u /* of each recorder behind each frame */
 #define LINE_BYTES 32u /* simulators break longer lines on their own */
 
 extern const uint8_t fixture_script[];
@@ -50,6 +51,10 @@ int main(void)
     for (const uint8_t *frame = fixture_script; harness != NULL && *frame != 0; frame += 1 + *frame) {
         harness_feed(harness, frame + 1, *frame);
         harness_poll(harness);
+        for (uint16_t k = 0; k < SAMPLES; k++) {
+            harness_sample(harness, 0);
+            harness_sample(harness, 1);
+        }
         const uint16_t size = harness_take(harness, answer);
         for (uint16_t i = 0; i < size; i++) {
             printf(i % LINE_BYTES == LINE_BYTES - 1u ? "%02X\n" : "%02X", (unsigned)answer[i]);

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from freemaster_board import Board
-from freemaster_model import ENTRIES, MEMORY_SIZE, SERVO, Answer, examples, uleb
+from freemaster_model import ENTRIES, LIVE_SIZE, MEMORY_SIZE, SERVO, Answer, examples, uleb
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -209,7 +209,7 @@ def test_direct_access_follows_the_same_rules(servo: Board) -> None:
     memory = servo.memory()
     base = SERVO.variables
     assert servo.read(base + 0x100, 300) == (0, memory[0x100 : 0x100 + 300]), "no limit of a frame"
-    assert servo.read(SERVO.table, 384) == (0, SERVO.wire_table())
+    assert servo.read(SERVO.table, 16 * len(ENTRIES)) == (0, SERVO.wire_table())
     assert servo.read(SERVO.strings, 9) == (0, b"M.var_u16")
     assert servo.read(base + 0x42, 2)[0] == 0x89
     assert servo.write(base + 0x2A, b"\x00\x00") == 0x89
@@ -246,7 +246,7 @@ def test_access_rules_against_the_model(shared_servo: Board, address: int, size:
     elif size > SERVO.data_max:
         assert read == Answer(0x84)
     else:
-        assert read == Answer(0, SERVO.content(before, address, size))
+        assert read == Answer(0, SERVO.content(before, bytes(LIVE_SIZE), address, size))
 
     data = data[:size]
     status = board.ask(WRITE, b"\x00" + uleb(address) + uleb(len(data)) + data).status

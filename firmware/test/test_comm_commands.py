@@ -17,7 +17,7 @@ KEYS = {
     "BD": b"2026-01-01\0",
     "F1": b"\x02",
     "BA": uleb(SERVO.variables),
-    "RC": b"\x00",
+    "RC": b"\x02",
     "SC": b"\x01",
     "PV": b"\x04",
     "PC": b"\x00",

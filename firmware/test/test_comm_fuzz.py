@@ -25,11 +25,12 @@ from freemaster_model import (
     sleb,
     uleb,
 )
+from freemaster_recorder import START, STEP, STOP, memory, variable
 from hypothesis import given
 from hypothesis import strategies as st
 
 TIME_LIMIT = 30.0  # seconds; an answer takes microseconds
-CODES = (0x20, 0x21, 0x22, 0x23, 0x24, 0x26, 0x27, 0x28, 0x29, 0x2A, 0x30, 0x31, 0x32, 0x33)
+CODES = (0x20, 0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x27, 0x28, 0x29, 0x2A, 0x30, 0x31, 0x32, 0x33)
 READ_ONLY = [offset for offset in range(MEMORY_SIZE) if not SERVO.writable(SERVO.variables + offset, 1)]
 
 
@@ -119,6 +120,7 @@ ADDRESS = st.one_of(
         st.integers(-2, 66),
     ),
     st.sampled_from([0, 2**32 - 1, 2**31, SERVO.table, SERVO.table + 16 * len(ENTRIES) - 1]),
+    st.sampled_from([SERVO.samples, SERVO.samples + 1000, SERVO.samples + STEP]),
     st.integers(SERVO.strings - 2, SERVO.strings + len(SERVO.blob) + 2),
     st.integers(0, 2**40),
 )
@@ -137,6 +139,26 @@ FIELD = st.one_of(
     ),
 )
 READING = st.builds(lambda address, size: (0x21, uleb(address) + uleb(size)), ADDRESS, SIZE)
+RECORDING = st.builds(
+    lambda recorder, operations: (0x24, (bytes([recorder]) + b"".join(operations))[:252]),
+    st.integers(0, 2),
+    st.lists(
+        st.one_of(
+            st.builds(memory, st.integers(0, 9), SIZE, SIZE, st.integers(0, 3)),
+            st.builds(
+                variable, st.integers(0, 8), ADDRESS, st.sampled_from([1, 2, 4, 8, 3]), st.integers(0, 255), FIELD
+            ),
+            st.builds(
+                lambda entry, mode, size: memory(1) + variable(0, SERVO.address(entry), size, mode) + START,
+                st.sampled_from([entry for entry in ENTRIES if not entry.absolute]),
+                st.sampled_from([0, 0x11, 0x31, 0x52, 0x72]),
+                st.sampled_from([1, 2, 4, 8]),
+            ),
+            st.sampled_from([START, STOP]),
+        ),
+        max_size=6,
+    ),
+)
 WRITING = st.builds(
     lambda flags, address, size, data: (0x23, bytes([flags]) + uleb(address) + uleb(size) + data),
     st.integers(0, 1),
@@ -147,6 +169,7 @@ WRITING = st.builds(
 COMMAND = st.one_of(
     st.tuples(st.sampled_from(CODES), st.lists(FIELD, max_size=6).map(lambda parts: b"".join(parts)[:252])),
     READING,
+    RECORDING,
     WRITING,
     st.just((0x27, b"\x00")),
 )

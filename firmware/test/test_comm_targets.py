@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 from firmware_compiler import FIRMWARE, CompileProgram, has_library
 from freemaster_model import COMM_SOURCES, ENTRIES, SERVO, Layout, c_bytes, request, sleb, uleb
+from freemaster_recorder import SIGNED, START, STEP, STOP, VARIABLE, memory, variable
 
 AVR = ["-mmcu=atmega1284p", "-Os"]
 CORTEX_M3 = ["-mcpu=cortex-m3", "-mthumb", "-Os", "-ffreestanding", "-nostdlib", "-r"]
-CODE_SIZE_MAX = 4096  # bytes of code and constants on a Cortex-M3
+CODE_SIZE_MAX = 6144  # bytes of code and constants on a Cortex-M3
 RUN_TIME = 120.0  # seconds of patience with a simulator
 LINE = 700
 
@@ -47,7 +48,25 @@ def script() -> list[bytes]:
     frames.append(request(0x27, b"\x00"))
     frames += [request(0x31), request(0x30, b"\x11" + bytes(range(0x20, 0x40))), request(0x32, b"\x01\x00")]
     frames += [request(0x31), request(0x32, b"\x20\x00"), request(0x32, b"\x02" + uleb(2**32 - 1))]
+    frames += recordings()
     frames += [source.randbytes(40) for _ in range(20)]
+    return frames
+
+
+def recordings() -> list[bytes]:
+    """Recordings of everything, with every trigger and with samples of every alignment."""
+    frames = [request(0x25, bytes([which, what])) for which in range(3) for what in range(0x80, 0x86)]
+    recordable = [entry for entry in ENTRIES if not entry.absolute and entry.size in (1, 2, 4, 8)]
+    for which, slots in ((0, recordable[:8]), (1, recordable[3:6]), (0, recordable[-8:])):
+        for mode in (0, 0x11, 0x22, 0x51, 0x62, 0x92, 0x33):
+            frames.append(request(0x24, bytes([which]) + memory(len(slots), 6, 2, 1)))
+            for k, entry in enumerate(slots):
+                address = SERVO.address(entry)
+                threshold = uleb(address) if mode & VARIABLE else sleb(-100) if mode & 3 == SIGNED else uleb(5)
+                frames.append(request(0x24, bytes([which]) + variable(k, address, entry.size, mode, threshold)))
+            frames += [request(0x24, bytes([which]) + START), request(0x25, bytes([which, 0x83])), request(0x31)]
+            frames += [request(0x24, bytes([which]) + STOP), request(0x25, bytes([which, 0x83]))]
+            frames.append(request(0x21, uleb(SERVO.samples + STEP * which) + uleb(96)))
     return frames
 
 

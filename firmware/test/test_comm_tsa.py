@@ -11,37 +11,64 @@ from firmware_compiler import CompileC
 
 CDEF = """
 typedef struct { uint16_t name, type; uint32_t address; uint16_t size, kind; } tsa_entry_t;
+typedef struct { uint32_t address; uint16_t offset, size; } tsa_source_t;
 typedef struct {
     const tsa_entry_t *entry; uint16_t entries; const uint8_t *strings; uint16_t strings_size;
+    const tsa_source_t *source; uint16_t sources;
 } tsa_table_t;
-typedef struct { const tsa_table_t *table; uint8_t *memory; uint32_t memory_size; } tsa_space_t;
+typedef struct {
+    const tsa_table_t *table; uint8_t *memory; uint32_t memory_size; const uint8_t *live; uint32_t live_size;
+} tsa_space_t;
 typedef struct { uint32_t offset; uint16_t size; uint8_t region; } tsa_place_t;
 bool tsa_readable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place);
 bool tsa_writable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place);
 bool tsa_string_length(const tsa_table_t *table, uint32_t address, uint16_t *length);
+const uint8_t *tsa_live(const tsa_space_t *space, uint32_t address, uint32_t size, uint8_t *cell);
 uint32_t tsa_table_size(const tsa_table_t *table);
 """
-VARIABLES, STRINGS, TABLE = 0x1000, 0x0010_0000, 0x0020_0000
+VARIABLES, STRINGS, TABLE, LIVE = 0x1000, 0x0010_0000, 0x0020_0000, 0x0030_0000
 RW = 3
 
 
 class Tsa:
     """A table, its strings and a memory of 16 bytes."""
 
-    def __init__(self, ffi: cffi.FFI, lib: Any, entries: Sequence[tuple[int, ...]], strings: bytes) -> None:
+    def __init__(
+        self,
+        ffi: cffi.FFI,
+        lib: Any,
+        entries: Sequence[tuple[int, ...]],
+        strings: bytes,
+        sources: Sequence[tuple[int, int, int]] = (),
+    ) -> None:
         self._ffi = ffi
         self._lib = lib
         self._entries = ffi.new("tsa_entry_t[]", list(entries))
         self._strings = ffi.new("uint8_t[]", strings)
         self._memory = ffi.new("uint8_t[16]")
-        self.table = ffi.new("tsa_table_t *", (self._entries, len(entries), self._strings, len(strings)))
-        self._space = ffi.new("tsa_space_t *", (self.table, self._memory, 16))
+        self._sources = ffi.new("tsa_source_t[]", list(sources))
+        self._live = ffi.new("uint8_t[16]")
+        self.table = ffi.new(
+            "tsa_table_t *",
+            (self._entries, len(entries), self._strings, len(strings), self._sources, len(sources)),
+        )
+        self._space = ffi.new("tsa_space_t *", (self.table, self._memory, 16, self._live, 16))
 
     def place(self, kind: str, address: int, size: int) -> tuple[int, int] | None:
         """Offset and size that a range resolves to."""
         place = self._ffi.new("tsa_place_t *")
         allowed = getattr(self._lib, f"tsa_{kind}")(self._space, address, size, place)
         return (place.offset, place.size) if allowed else None
+
+    def live(self, address: int, size: int) -> tuple[str, int, int] | None:
+        """Memory and offset where the loops keep a range, and the cell that it is made of."""
+        cell = self._ffi.new("uint8_t *")
+        at = self._lib.tsa_live(self._space, address, size, cell)
+        for name, memory in (("live", self._live), ("memory", self._memory)):
+            if at != self._ffi.NULL and 0 <= at - memory < 16:
+                return name, at - memory, cell[0]
+        assert at == self._ffi.NULL
+        return None
 
     def string_length(self, address: int) -> int | None:
         length = self._ffi.new("uint16_t *")
@@ -101,3 +128,30 @@ def test_empty_table(library: tuple[cffi.FFI, Any]) -> None:
     for address in (VARIABLES, STRINGS, TABLE):
         assert tsa.place("readable", address, 1) is None
         assert tsa.string_length(address) is None
+
+
+def test_sources(library: tuple[cffi.FFI, Any]) -> None:
+    """A part of a variable comes from the same part of its source; one that lies beyond the memory has none."""
+    ffi, lib = library
+    sources = [(VARIABLES + 4, 8, 4), (LIVE, 12, 4), (LIVE + 4, 14, 4), (LIVE + 8, 0xFFFE, 4), (0xFFFF_FFFE, 0, 4)]
+    tsa = Tsa(ffi, lib, [(0, 2, VARIABLES, 8, RW)], b"a\0\xe1\0", sources)
+    assert tsa.live(VARIABLES, 4) == ("memory", 0, 4)
+    assert tsa.live(VARIABLES + 4, 4) == ("live", 8, 4)
+    assert tsa.live(VARIABLES + 6, 2) == ("live", 10, 2)
+    assert tsa.live(VARIABLES + 7, 1) == ("live", 11, 1)
+    assert tsa.live(VARIABLES + 2, 4) == ("memory", 2, 2), "more than the variable with a source"
+    assert tsa.live(LIVE, 4) == ("live", 12, 4)
+    assert tsa.live(LIVE + 4, 2) == ("live", 14, 2)
+    for address, size in (
+        (LIVE + 4, 4),
+        (LIVE + 8, 4),
+        (LIVE + 2, 4),
+        (VARIABLES + 6, 4),
+        (0xFFFF_FFFE, 8),
+        (STRINGS, 1),
+    ):
+        assert tsa.live(address, size) is None
+    assert tsa.place("readable", LIVE, 4) == (12, 4)
+    assert tsa.place("readable", LIVE + 4, 4) is None
+    assert tsa.place("readable", VARIABLES + 4, 4) == (4, 4), "the copy"
+    assert tsa.place("writable", LIVE, 4) is None

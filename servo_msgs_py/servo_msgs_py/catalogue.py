@@ -101,7 +101,7 @@ class Variable:
     name : str
         Name on the wire and, with dots as slashes, of its topic.
     path : str
-        C path below ``servo_t``.
+        C path below ``servo_t`` in the memory that host and board share; empty for a variable that is only in a loop.
     type : str
         Type word of the table: ``frac16``, ``int32``, ``enum`` ...
     count : int
@@ -118,6 +118,10 @@ class Variable:
         Limits of a written value, SI.
     enum, flags : str or None
         Name of the enumeration or of the flag set.
+    source : str or None
+        C path below ``servo_t`` to where a loop keeps what the variable shows.
+    part : int
+        First byte of the source that belongs to the variable.
     """
 
     name: str
@@ -133,6 +137,8 @@ class Variable:
     description: str
     enum: str | None = None
     flags: str | None = None
+    source: str | None = None
+    part: int = 0
 
     @property
     def raw_type(self) -> _RawType:
@@ -347,7 +353,8 @@ def _expand(table: Mapping[str, Any]) -> list[dict[str, Any]]:
         for entry in table.get("axis_variable", []):
             expanded = dict(entry)
             expanded["name"] = f"{axis_name(axis)}.{entry['name']}"
-            expanded["path"] = str(entry["path"]).replace("{i}", str(axis))
+            for key in {"path", "source"} & set(entry):
+                expanded[key] = str(entry[key]).replace("{i}", str(axis))
             entries.append(expanded)
     return entries
 
@@ -361,15 +368,20 @@ def _variable(
     name = str(entry.get("name", "?"))
     unknown = set(entry) - {
         "name", "path", "type", "count", "scale", "access", "minimum", "maximum", "description", "enum", "flags",
+        "source", "part",
     }  # fmt: skip
     if unknown:
         raise CatalogueError(f"{name}: unknown key {', '.join(sorted(unknown))}")
-    missing = {"name", "path", "type", "description"} - set(entry)
+    missing = {"name", "type", "description"} - set(entry)
+    if not {"path", "source"} & set(entry):
+        missing.add("path or source")
     if missing:
         raise CatalogueError(f"{name}: {', '.join(sorted(missing))} missing")
     type_ = str(entry["type"])
     if type_ not in _RAW_TYPES:
         raise CatalogueError(f"{name}: unknown type {type_!r}; known are {', '.join(_RAW_TYPES)}")
+    if "source" in entry and (type_ == "block" or "count" in entry):
+        raise CatalogueError(f"{name}: a source is for one number")
     raw = _RAW_TYPES[type_]
     if "scale" in entry and entry["scale"] not in scales:
         raise CatalogueError(f"{name}: unknown scale {entry['scale']!r}")
@@ -389,12 +401,15 @@ def _variable(
     low, high = raw.low * lsb, raw.high * lsb
     if type_ == "enum":
         low, high = min(enums[entry["enum"]].values()), max(enums[entry["enum"]].values())
+    if access == "rw" and "path" not in entry:
+        raise CatalogueError(f"{name}: only what has a path can be written")
     minimum, maximum = float(entry.get("minimum", low)), float(entry.get("maximum", high))
     if not low - lsb <= minimum <= maximum <= high + lsb:
         raise CatalogueError(f"{name}: limits {minimum:g} .. {maximum:g} do not fit {low:g} .. {high:g}")
     return Variable(
-        name, str(entry["path"]), type_, int(entry.get("count", 1)), lsb, scale.unit, scale.full_scale, access,
+        name, str(entry.get("path", "")), type_, int(entry.get("count", 1)), lsb, scale.unit, scale.full_scale, access,
         minimum, maximum, str(entry["description"]), entry.get("enum"), entry.get("flags"),
+        entry.get("source"), int(entry.get("part", 0)),
     )  # fmt: skip
 
 

@@ -100,11 +100,33 @@ def _range_row(variable: Variable, catalogue: Catalogue) -> str:
     )
 
 
+def _places(catalogue: Catalogue) -> dict[str, tuple[str, str]]:
+    """Address and size of every variable as C text; those that are only in a loop have addresses of their own."""
+    loop_only = [v.name for v in catalogue.variables.values() if not v.path]
+    return {
+        v.name: (f"AT({v.path})", f"SIZE({v.path})") if v.path else (f"LIVE({loop_only.index(v.name)})", str(v.size))
+        for v in catalogue.variables.values()
+    }
+
+
+def _checks(catalogue: Catalogue) -> str:
+    """What the compiler has to find true of ``servo_t``."""
+    holds = [f"SIZE({v.path}) == {v.size}" for v in catalogue.variables.values() if v.path and v.size]
+    holds += [f"SIZE({v.source}) >= {v.part + v.size}" for v in catalogue.variables.values() if v.source]
+    return "\n".join(f"CHECK({number}, {text});" for number, text in enumerate(holds))
+
+
+def _source_row(variable: Variable, address: str) -> str:
+    part = f" + {variable.part}" if variable.part else ""
+    return f"    {{{address}, OFFSET({variable.source}){part}, {variable.size}}}, /* {variable.name} */"
+
+
 def variable_table(catalogue: Catalogue) -> str:
     """The TSA table: enumerations with their constants, then every variable with its place in ``servo_t``.
 
-    Behind it stands the table of ranges of the writable ones.
+    Behind it stand the tables of the sources in the loops and of the ranges of the writable ones.
     """
+    places = _places(catalogue)
     strings = _Strings()
     rows: list[str] = []
 
@@ -118,12 +140,9 @@ def variable_table(catalogue: Catalogue) -> str:
             row(key, (_TSA_CONST, 7), str(value), "0", "TSA_KIND_NONE")
     for v in catalogue.variables.values():
         kind = "TSA_KIND_RW" if v.writable else "TSA_KIND_RO"
-        row(v.name, _type_text(v), f"AT({v.path})", f"SIZE({v.path})", kind)
+        row(v.name, _type_text(v), *places[v.name], kind)
+    sources = "\n".join(_source_row(v, places[v.name][0]) for v in catalogue.variables.values() if v.source)
     ranges = "\n".join(_range_row(v, catalogue) for v in catalogue.variables.values() if v.writable)
-    checks = "\n".join(
-        f"CHECK({number}, SIZE({v.path}) == {v.size});"
-        for number, v in enumerate(v for v in catalogue.variables.values() if v.size)
-    )
     return f"""{_BANNER}
 /* clang-format off */
 #include "app/variables.h"
@@ -134,11 +153,12 @@ def variable_table(catalogue: Catalogue) -> str:
 
 #define OFFSET(path) ((uint16_t)offsetof(servo_t, path))
 #define AT(path) ((uint32_t)(TSA_VARIABLES_BASE + offsetof(servo_t, path)))
+#define LIVE(number) (TSA_LIVE_BASE + 4U * (number))
 #define SIZE(path) ((uint16_t)sizeof(((servo_t *)0)->path))
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
 
 /* The table and the structure agree on every size. */
-{checks}
+{_checks(catalogue)}
 
 static const char strings[] =
 {strings.c_source()};
@@ -147,8 +167,13 @@ static const tsa_entry_t entries[] = {{
 {chr(10).join(rows)}
 }};
 
+static const tsa_source_t sources[] = {{
+{sources}
+}};
+
 const tsa_table_t servo_variables = {{
-    entries, (uint16_t)(sizeof entries / sizeof entries[0]), (const uint8_t *)strings, (uint16_t)(sizeof strings - 1)
+    entries, (uint16_t)(sizeof entries / sizeof entries[0]), (const uint8_t *)strings, (uint16_t)(sizeof strings - 1),
+    sources, (uint16_t)(sizeof sources / sizeof sources[0])
 }};
 
 const variable_range_t servo_ranges[] = {{

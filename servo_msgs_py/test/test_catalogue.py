@@ -157,6 +157,23 @@ def test_axis_variables_are_expanded() -> None:
     assert small()["axis2.mode"].path == "a[1].mode"
 
 
+def test_sources_are_expanded_and_do_without_a_path() -> None:
+    assert CATALOGUE["axis2.i_q"].source == "axis[1].current_loop.current.q"
+    assert CATALOGUE["axis2.i_q"].path.startswith("snapshot.")
+    assert (CATALOGUE["axis2.i_a"].source, CATALOGUE["axis2.i_a"].path) == ("axis[1].sense.current.a", "")
+
+
+def test_numbers_of_the_loops_have_the_scale_of_their_bits() -> None:
+    """pi_sum_t has 55 fraction bits, and its upper half 23; the observer's voltages have 15 + F2."""
+    voltage, current = CATALOGUE.scales["stator_voltage"].full_scale, CATALOGUE.scales["current"].full_scale
+    assert voltage is not None
+    assert current is not None
+    assert CATALOGUE["axis1.pi_d"].lsb == pytest.approx(voltage / 2**23, rel=1e-15)
+    assert CATALOGUE["axis1.pi_speed"].lsb == pytest.approx(current / 2**23, rel=1e-15)
+    assert CATALOGUE["axis1.emf_alpha"].lsb == pytest.approx(voltage / 2 ** (15 + 11), rel=1e-15)
+    assert CATALOGUE["axis1.pll_speed"].lsb == pytest.approx(2.0 * math.pi * 16_000.0 / 2**32, rel=1e-15)
+
+
 # ---- the hash
 def test_texts_do_not_change_the_hash() -> None:
     assert small(description="another text").hash == small().hash
@@ -184,7 +201,10 @@ def test_a_scale_changes_the_hash() -> None:
         ({"type": "int32"}, "an integer one with lsb"),
         ({"access": "write"}, "access is 'write'"),
         ({"colour": "red"}, "unknown key colour"),
-        ({"path": None}, "path missing"),
+        ({"path": None}, "path or source missing"),
+        ({"source": "b", "count": 2}, "a source is for one number"),
+        ({"source": "b", "type": "block", "scale": None}, "a source is for one number"),
+        ({"source": "b", "path": None, "access": "rw"}, "only what has a path can be written"),
         ({"description": None}, "description missing"),
         ({"type": "enum", "scale": None}, "needs a key 'enum'"),
         ({"type": "enum", "scale": None, "enum": "nothing_t"}, "needs a key 'enum'"),

@@ -139,10 +139,27 @@ def test_table_names_every_variable_once_and_strings_are_shared() -> None:
     table = codegen.variable_table(CATALOGUE)
     for variable in CATALOGUE.variables.values():
         kind = "TSA_KIND_RW" if variable.writable else "TSA_KIND_RO"
-        assert f"AT({variable.path}), SIZE({variable.path}), {kind}}}, /* {variable.name} */" in table
+        place = f"AT({variable.path}), SIZE({variable.path})" if variable.path else f"), {variable.size}"
+        assert f"{place}, {kind}}}, /* {variable.name} */" in table
         assert table.count(f'"{variable.name}\\0"') == 1
     assert table.count('"state_t\\0"') == 1
-    assert table.count("CHECK(") == 1 + sum(1 for v in CATALOGUE.variables.values() if v.size)
+    checked = sum(bool(v.path and v.size) + bool(v.source) for v in CATALOGUE.variables.values())
+    assert table.count("CHECK(") == 1 + checked
+
+
+def test_table_has_the_source_of_every_number_in_a_loop() -> None:
+    table = codegen.variable_table(CATALOGUE)
+    rows = table.split("sources[] = {\n")[1].split("};")[0].splitlines()
+    assert [row.split("/* ")[1].removesuffix(" */") for row in rows] == [
+        v.name for v in CATALOGUE.variables.values() if v.source
+    ]
+    assert "AT(snapshot.axis[1].i_q), OFFSET(axis[1].current_loop.current.q), 2}" in table
+    assert "OFFSET(axis[0].current_loop.d.integral) + 4, 4}" in table
+    assert "CHECK(" in table
+    assert ", SIZE(axis[0].current_loop.d.integral) >= 8);" in table
+    numbers = [int(number) for number in re.findall(r"^    \{\d+, \d+, LIVE\((\d+)\)", table, re.MULTILINE)]
+    assert numbers == list(range(len(numbers)))
+    assert len(numbers) == sum(1 for v in CATALOGUE.variables.values() if not v.path)
 
 
 def test_string_offsets_point_at_the_strings() -> None:
@@ -151,7 +168,7 @@ def test_string_offsets_point_at_the_strings() -> None:
     blob = b"".join(
         line.strip()[1:-1].encode().decode("unicode_escape").encode("latin-1") for line in block.splitlines()
     )
-    for line in table.split("servo_ranges[]")[0].splitlines():
+    for line in table.split("tsa_source_t sources[]")[0].splitlines():
         if line.startswith("    {") and "/* " in line:
             name = line.split("/* ")[1].removesuffix(" */")
             offsets = [int(x) for x in line.strip(" {").split(",")[:2]]

@@ -1,0 +1,22 @@
+/* cell.h - memory of any type as cells of 2 or 4 bytes: one access each, which no interrupt can cut in two. */
+#ifndef COMM_CELL_H
+#define COMM_CELL_H
+
+#include <stdint.h>
+
+#ifdef __GNUC__
+typedef uint16_t __attribute__((may_alias)) cell2_t;
+typedef uint32_t __attribute__((may_alias)) cell4_t;
+#else /* a compiler that does not conclude from types that two pointers differ */
+typedef uint16_t cell2_t;
+typedef uint32_t cell4_t;
+#endif
+
+/* Largest cell, 4, 2 or 1 bytes, that `size` bytes at `offset` of an aligned memory are made of. */
+static inline uint8_t cell_of(uint32_t offset, uint32_t size)
+{
+    const uint32_t odd = offset | size;
+    return (odd & 3u) == 0 ? 4 : (odd & 1u) == 0 ? 2 : 1;
+}
+
+#endif

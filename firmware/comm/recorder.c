@@ -1,0 +1,317 @@
+#include "comm/recorder.h"
+
+#include <stddef.h>
+#include <string.h>
+
+#include "comm/status.h"
+
+#define OPERATION_MEMORY 0x01u
+#define OPERATION_VARIABLE 0x02u
+#define OPERATION_START 0x03u
+#define OPERATION_STOP 0x04u
+#define OPERATION_HEAD 2u /* code and length */
+
+#define QUERY_DESCRIPTION 0x81u
+#define QUERY_LIMITS 0x82u
+#define QUERY_INFO 0x83u
+#define QUERY_STATUS 0x84u
+
+#define SIGN UINT32_C(0x80000000)
+
+typedef enum {
+    RECORDER_NOT_CONFIGURED = 0,
+    RECORDER_EMPTY = 1,
+    RECORDER_RUNNING = 2,
+    RECORDER_STOPPED = 3, /* before the memory was full */
+    RECORDER_FULL = 4,
+} recorder_state_t;
+
+/* ---- configuration ---------------------------------------------------------------------------------------------- */
+
+void recorder_init(recorder_t *recorder, const recorder_app_t *app, uint32_t address)
+{
+    (void)memset(recorder, 0, sizeof *recorder);
+    recorder->app = *app;
+    recorder->address = address;
+}
+
+static bool complete(const payload_reader_t *operand) { return !operand->missing && operand->left == 0; }
+
+/* 01: u8 slots, SIZE points, SIZE points before the trigger, SIZE divider. Also while it runs. */
+static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
+{
+    const uint8_t slots = payload_get_u8(operand);
+    const uint32_t total = payload_get_unsigned(operand);
+    const uint32_t before = payload_get_unsigned(operand);
+    const uint32_t divider = payload_get_unsigned(operand);
+    if (!complete(operand) || slots > RECORDER_SLOTS) {
+        return FM_BAD_SIZE;
+    }
+    recorder->sampling.running = false;
+    for (uint16_t k = 0; k < RECORDER_SLOTS; k++) {
+        recorder->slot[k].source = NULL;
+    }
+    recorder->slots = slots;
+    recorder->total = total;
+    recorder->before = before;
+    recorder->sampling.divider = divider;
+    recorder->reserved = true;
+    recorder->configured = false;
+    recorder->started = false;
+    return FM_OK;
+}
+
+static bool is_variable_size(uint8_t size) { return size == 1 || size == 2 || size == 4 || size == 8; }
+
+/* The threshold that follows in the request: of the kind that `slot` asks for. */
+static uint8_t get_threshold(recorder_slot_t *slot, const tsa_space_t *space, payload_reader_t *operand)
+{
+    const bool is_signed = (slot->mode & RECORDER_MODE_TYPE) == RECORDER_TYPE_SIGNED;
+    slot->bias = is_signed ? SIGN >> (slot->size < 4 ? 32u - 8u * slot->size : 0u) : 0;
+    if ((slot->mode & RECORDER_MODE_LIMIT_VARIABLE) != 0) {
+        const uint32_t address = payload_get_unsigned(operand);
+        uint8_t cell = 0;
+        slot->limit = operand->missing ? NULL : tsa_live(space, address, slot->size, &cell);
+        slot->cell = cell < slot->cell ? cell : slot->cell;
+        return slot->limit != NULL || operand->missing ? FM_OK : FM_DENIED;
+    }
+    if (!is_signed) {
+        slot->threshold = payload_get_unsigned(operand);
+        return FM_OK;
+    }
+    const int32_t threshold = payload_get_signed(operand);
+    slot->threshold_upper = slot->bias ^ (threshold < 0 ? UINT32_MAX : 0);
+    if (slot->size > 4) {
+        slot->threshold = (uint32_t)threshold;
+    } else { /* one below everything that the variable can be becomes 0 */
+        const int64_t shifted = (int64_t)threshold + slot->bias;
+        slot->threshold = shifted < 0 ? 0 : (uint32_t)shifted;
+    }
+    return FM_OK;
+}
+
+/* 02: u8 slot, ADDR, u8 size, u8 trigger, threshold. Checked in this order. */
+static uint8_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operand)
+{
+    const uint8_t index = payload_get_u8(operand);
+    if (!operand->missing && index >= recorder->slots) {
+        return FM_BAD_INSTANCE;
+    }
+    if (recorder->configured) {
+        return FM_BUSY;
+    }
+    recorder_slot_t slot = {0};
+    const uint32_t address = payload_get_unsigned(operand);
+    slot.size = payload_get_u8(operand);
+    slot.mode = payload_get_u8(operand);
+    if (operand->missing || !is_variable_size(slot.size)) {
+        return FM_BAD_SIZE;
+    }
+    slot.source = tsa_live(space, address, slot.size, &slot.cell);
+    if (slot.source == NULL) {
+        return FM_DENIED;
+    }
+    if ((slot.mode & RECORDER_MODE_TYPE) == RECORDER_TYPE_FLOAT) {
+        return slot.size < 4 ? FM_BAD_SIZE : FM_NO_FLOAT;
+    }
+    const uint8_t status = get_threshold(&slot, space, operand);
+    if (fm_is_error(status)) {
+        return status;
+    }
+    if (!complete(operand)) {
+        return FM_BAD_SIZE;
+    }
+    recorder->slot[index] = slot;
+    return FM_OK;
+}
+
+/* Written as volatile memory, in this order: the loop may come in between. */
+static void make_moves(recorder_t *recorder, uint8_t cell)
+{
+    volatile recorder_sampling_t *sampling = &recorder->sampling;
+    uint16_t moves = 0;
+    uint16_t triggers = 0;
+    for (uint16_t k = 0; k < recorder->slots; k++) {
+        recorder_slot_t *slot = &recorder->slot[k];
+        if ((slot->mode & RECORDER_MODE_TYPE) != RECORDER_TYPE_NONE) {
+            sampling->trigger[triggers++] = slot;
+        }
+        if ((slot->mode & RECORDER_MODE_NOT_STORED) == 0) {
+            for (uint16_t done = 0; done < slot->size; done = (uint16_t)(done + cell)) {
+                sampling->source[moves++] = slot->source + done;
+            }
+        }
+    }
+    sampling->cell = cell;
+    sampling->moves = moves;
+    sampling->triggers = triggers;
+}
+
+/* All slots are set and at least one is stored: from now on the configuration stands. */
+static bool finish(recorder_t *recorder)
+{
+    if (recorder->configured) {
+        return true;
+    }
+    uint16_t point = 0;
+    uint8_t stored = 0;
+    uint8_t cell = 4;
+    for (uint16_t k = 0; k < recorder->slots; k++) {
+        const recorder_slot_t *slot = &recorder->slot[k];
+        if (slot->source == NULL) {
+            return false;
+        }
+        if ((slot->mode & RECORDER_MODE_NOT_STORED) == 0) {
+            const uint8_t own = slot->size < slot->cell ? slot->size : slot->cell;
+            cell = own < cell ? own : cell;
+            point = (uint16_t)(point + slot->size);
+            stored++;
+        }
+    }
+    if (stored == 0 || point > recorder->app.size) {
+        return false;
+    }
+    const uint32_t fitting = recorder->app.size / point;
+    if (recorder->total == 0 || recorder->total > fitting) {
+        recorder->total = fitting;
+    }
+    if (recorder->before >= recorder->total) {
+        recorder->before = 0;
+    }
+    make_moves(recorder, cell);
+    recorder_sampling_t *sampling = &recorder->sampling;
+    sampling->point = point;
+    sampling->end = (uint16_t)(recorder->total * point);
+    sampling->after = (uint16_t)(recorder->total - 1u - recorder->before);
+    sampling->at = 0;
+    sampling->filled = false;
+    recorder->stored = stored;
+    recorder->configured = true;
+    return true;
+}
+
+static uint8_t start(recorder_t *recorder)
+{
+    if (!finish(recorder)) {
+        return FM_BAD_SIZE;
+    }
+    volatile recorder_sampling_t *sampling = &recorder->sampling;
+    if (!sampling->running) {
+        recorder->started = true;
+        sampling->at = 0;
+        sampling->skip = 0;
+        sampling->filled = false;
+        sampling->stopping = false;
+        sampling->running = true; /* last: the loop may come in between */
+    }
+    return FM_OK;
+}
+
+static uint8_t stop(recorder_t *recorder)
+{
+    if (!recorder->configured) {
+        return FM_NOT_CONFIGURED;
+    }
+    recorder->sampling.running = false;
+    return FM_OK;
+}
+
+static uint8_t run_operation(recorder_t *recorder, const tsa_space_t *space, uint8_t code, payload_reader_t *operand)
+{
+    switch (code) {
+    case OPERATION_MEMORY:
+        return reserve(recorder, operand);
+    case OPERATION_VARIABLE:
+        return set_slot(recorder, space, operand);
+    case OPERATION_START:
+        return complete(operand) ? start(recorder) : FM_BAD_SIZE;
+    case OPERATION_STOP:
+        return complete(operand) ? stop(recorder) : FM_BAD_SIZE;
+    default:
+        return FM_BAD_OPERATION;
+    }
+}
+
+uint8_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operations)
+{
+    uint8_t status = FM_OK;
+    while (!fm_is_error(status) && operations->left >= OPERATION_HEAD) { /* a single left-over byte is ignored */
+        const uint8_t code = payload_get_u8(operations);
+        const uint8_t length = payload_get_u8(operations);
+        const uint8_t *data = payload_take(operations, length);
+        if (data == NULL) {
+            return FM_BAD_SIZE;
+        }
+        payload_reader_t operand = {data, length, false};
+        status = run_operation(recorder, space, code, &operand);
+    }
+    return status;
+}
+
+/* ---- answers ---------------------------------------------------------------------------------------------------- */
+
+static recorder_state_t state_of(recorder_t *recorder)
+{
+    if (!finish(recorder)) {
+        return RECORDER_NOT_CONFIGURED;
+    }
+    if (recorder->sampling.running) {
+        return RECORDER_RUNNING;
+    }
+    if (!recorder->started) {
+        return RECORDER_EMPTY;
+    }
+    return recorder->sampling.filled ? RECORDER_FULL : RECORDER_STOPPED;
+}
+
+static void put_info(recorder_t *recorder, payload_writer_t *reply)
+{
+    const recorder_state_t state = state_of(recorder);
+    payload_put_u8(reply, (uint8_t)state);
+    if (state == RECORDER_NOT_CONFIGURED) {
+        const uint8_t nothing[5] = {0};
+        payload_put_bytes(reply, nothing, (uint16_t)sizeof nothing);
+        return;
+    }
+    const recorder_sampling_t *sampling = &recorder->sampling;
+    const uint16_t next = (uint16_t)(sampling->at / sampling->point);
+    const bool all = sampling->filled || !recorder->started;
+    payload_put_u8(reply, recorder->stored);
+    payload_put_unsigned(reply, recorder->address);
+    payload_put_unsigned(reply, sampling->point);
+    payload_put_unsigned(reply, all ? recorder->total : next);
+    payload_put_unsigned(reply, all ? next : 0);
+}
+
+uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t *reply)
+{
+    switch (operation) {
+    case QUERY_DESCRIPTION:
+        payload_put_bytes(reply, (const uint8_t *)recorder->app.name, (uint16_t)strlen(recorder->app.name));
+        break;
+    case QUERY_LIMITS:
+        payload_put_unsigned(reply, recorder->app.size);
+        payload_put_unsigned(reply, recorder->app.timebase);
+        payload_put_unsigned(reply, 0); /* of the recorder, and of a variable: not in this memory */
+        payload_put_unsigned(reply, 0);
+        break;
+    case QUERY_INFO:
+        put_info(recorder, reply);
+        break;
+    case QUERY_STATUS:
+        payload_put_u8(reply, (uint8_t)state_of(recorder));
+        break;
+    default:
+        return FM_BAD_OPERATION;
+    }
+    return FM_OK_VARIABLE;
+}
+
+const uint8_t *recorder_samples(const recorder_t *recorder, uint32_t address, uint32_t size)
+{
+    const uint32_t extent = recorder->app.size;
+    if (!recorder->reserved || recorder->sampling.running || !tsa_inside(address, size, recorder->address, extent)) {
+        return NULL;
+    }
+    return (const uint8_t *)recorder->app.samples + (size_t)(address - recorder->address);
+}
