@@ -189,13 +189,9 @@ void servo_init(servo_t *servo, hal_t *hal)
         .memory_size = (uint32_t)offsetof(servo_t, hal),
         .live = (const uint8_t *)servo,
         .live_size = (uint32_t)sizeof *servo,
-        .recorder =
-            {
-                [SERVO_RECORDER_FAST] = {"PWM periods", servo->samples_fast, (uint16_t)sizeof servo->samples_fast,
-                                         PWM_PERIOD_NS},
-                [SERVO_RECORDER_SLOW] = {"slow ticks", servo->samples_slow, (uint16_t)sizeof servo->samples_slow,
-                                         PWM_PERIOD_NS * SERVO_SLOW_PERIODS},
-            },
+        .recorder = {{"PWM periods", PWM_PERIOD_NS}, {"slow ticks", PWM_PERIOD_NS * SERVO_SLOW_PERIODS}},
+        .samples = servo->samples,
+        .samples_size = (uint16_t)sizeof servo->samples,
         .tsa = &servo_variables,
         .name = "servo",
         .description = "dual-axis PMSM servo",

@@ -20,12 +20,9 @@
 #define SERVO_RECORDER_FAST 0
 #define SERVO_RECORDER_SLOW 1
 
-/* Bytes of their samples, in words of four. */
-#ifndef SERVO_SAMPLES_FAST
-#define SERVO_SAMPLES_FAST 8192
-#endif
-#ifndef SERVO_SAMPLES_SLOW
-#define SERVO_SAMPLES_SLOW 1024
+/* Bytes of the samples of one of them, a multiple of four. */
+#ifndef SERVO_SAMPLES
+#define SERVO_SAMPLES 8192
 #endif
 
 typedef struct servo {
@@ -59,8 +56,7 @@ typedef struct servo {
     uint16_t host_silence;           /* slow ticks since then */
     bool host_seen;                  /* the line has carried a command at all */
     freemaster_t freemaster;
-    uint32_t samples_fast[SERVO_SAMPLES_FAST / 4];
-    uint32_t samples_slow[SERVO_SAMPLES_SLOW / 4];
+    uint32_t samples[SERVO_SAMPLES / 4];
 } servo_t;
 
 void servo_init(servo_t *servo, hal_t *hal);

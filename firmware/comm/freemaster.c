@@ -65,19 +65,10 @@ static uint8_t copy_in(freemaster_t *server, const tsa_place_t *place, const uin
     return accepted ? FM_OK : FM_OUT_OF_RANGE;
 }
 
-static const uint8_t *samples_at(const freemaster_t *server, uint32_t address, uint32_t size)
-{
-    const uint8_t *samples = NULL;
-    for (uint16_t i = 0; i < FREEMASTER_RECORDERS && samples == NULL; i++) {
-        samples = recorder_samples(&server->recorder[i], address, size);
-    }
-    return samples;
-}
-
 uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size)
 {
     tsa_place_t place;
-    const uint8_t *samples = samples_at(server, address, size);
+    const uint8_t *samples = recorder_samples(&server->samples, address, size);
     if (samples != NULL) {
         memcpy(data, samples, size);
         return FM_OK;
@@ -110,7 +101,7 @@ static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request
 static uint8_t read_range(freemaster_t *server, uint32_t address, uint32_t size, payload_writer_t *reply)
 {
     tsa_place_t place;
-    const uint8_t *samples = samples_at(server, address, size);
+    const uint8_t *samples = recorder_samples(&server->samples, address, size);
     if (samples == NULL && !tsa_readable(&server->space, address, size, &place)) {
         return FM_DENIED;
     }
@@ -342,8 +333,11 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
     server->space.memory_size = app->memory_size < MEMORY_SIZE_MAX ? app->memory_size : MEMORY_SIZE_MAX;
     server->space.live = app->live;
     server->space.live_size = app->live_size;
+    server->samples.samples = app->samples;
+    server->samples.size = app->samples_size;
+    server->samples.owner = NULL;
     for (uint16_t i = 0; i < FREEMASTER_RECORDERS; i++) {
-        recorder_init(&server->recorder[i], &app->recorder[i], TSA_SAMPLES_BASE + i * TSA_SAMPLES_STEP);
+        recorder_init(&server->recorder[i], &app->recorder[i], &server->samples);
     }
     server->statistics = none;
     frame_receiver_init(&server->receiver);

@@ -32,6 +32,7 @@ typedef struct {
     frame_receiver_t receiver;
     frame_transmitter_t transmitter;
     scope_t scope;
+    recorder_memory_t samples;
     recorder_t recorder[FREEMASTER_RECORDERS];
     app_command_t app_command;
     freemaster_statistics_t statistics;

@@ -19,6 +19,8 @@ typedef struct {
     const uint8_t *live; /* memory of the loops, for the sources of the table */
     uint32_t live_size;
     recorder_app_t recorder[FREEMASTER_RECORDERS];
+    uint32_t *samples; /* of the recorders */
+    uint16_t samples_size; /* bytes */
     const tsa_table_t *tsa;
     const char *name, *description, *version, *build;
 

@@ -28,14 +28,25 @@ typedef enum {
 
 /* ---- configuration ---------------------------------------------------------------------------------------------- */
 
-void recorder_init(recorder_t *recorder, const recorder_app_t *app, uint32_t address)
+void recorder_init(recorder_t *recorder, const recorder_app_t *app, recorder_memory_t *memory)
 {
     (void)memset(recorder, 0, sizeof *recorder);
     recorder->app = *app;
-    recorder->address = address;
+    recorder->memory = memory;
 }
 
 static bool complete(const payload_reader_t *operand) { return !operand->missing && operand->left == 0; }
+
+static void forget(recorder_t *recorder)
+{
+    recorder->sampling.running = false;
+    recorder->slots = 0;
+    for (uint16_t k = 0; k < RECORDER_SLOTS; k++) {
+        recorder->slot[k].source = NULL;
+    }
+    recorder->configured = false;
+    recorder->started = false;
+}
 
 /* 01: u8 slots, SIZE points, SIZE points before the trigger, SIZE divider. Also while it runs. */
 static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
@@ -47,17 +58,19 @@ static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
     if (!complete(operand) || slots > RECORDER_SLOTS) {
         return FM_BAD_SIZE;
     }
-    recorder->sampling.running = false;
-    for (uint16_t k = 0; k < RECORDER_SLOTS; k++) {
-        recorder->slot[k].source = NULL;
+    recorder_memory_t *memory = recorder->memory;
+    if (memory->owner != NULL && memory->owner != recorder) {
+        if (memory->owner->sampling.running) {
+            return FM_BUSY;
+        }
+        forget(memory->owner);
     }
+    forget(recorder);
+    memory->owner = recorder;
     recorder->slots = slots;
     recorder->total = total;
     recorder->before = before;
     recorder->sampling.divider = divider;
-    recorder->reserved = true;
-    recorder->configured = false;
-    recorder->started = false;
     return FM_OK;
 }
 
@@ -72,7 +85,6 @@ static uint8_t get_threshold(recorder_slot_t *slot, const tsa_space_t *space, pa
         const uint32_t address = payload_get_unsigned(operand);
         uint8_t cell = 0;
         slot->limit = operand->missing ? NULL : tsa_live(space, address, slot->size, &cell);
-        slot->cell = cell < slot->cell ? cell : slot->cell;
         return slot->limit != NULL || operand->missing ? FM_OK : FM_DENIED;
     }
     if (!is_signed) {
@@ -121,6 +133,7 @@ static uint8_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_
     if (!complete(operand)) {
         return FM_BAD_SIZE;
     }
+    slot.direct = slot.limit == NULL && slot.cell == slot.size && slot.size > 1 ? slot.size : 0;
     recorder->slot[index] = slot;
     return FM_OK;
 }
@@ -143,8 +156,8 @@ static void make_moves(recorder_t *recorder, uint8_t cell)
         }
     }
     sampling->cell = cell;
-    sampling->moves = moves;
-    sampling->triggers = triggers;
+    sampling->source_end = recorder->sampling.source + moves;
+    sampling->trigger_end = recorder->sampling.trigger + triggers;
 }
 
 /* All slots are set and at least one is stored: from now on the configuration stands. */
@@ -168,10 +181,11 @@ static bool finish(recorder_t *recorder)
             stored++;
         }
     }
-    if (stored == 0 || point > recorder->app.size) {
+    const recorder_memory_t *memory = recorder->memory;
+    if (stored == 0 || point > memory->size) {
         return false;
     }
-    const uint32_t fitting = recorder->app.size / point;
+    const uint32_t fitting = memory->size / point;
     if (recorder->total == 0 || recorder->total > fitting) {
         recorder->total = fitting;
     }
@@ -180,11 +194,11 @@ static bool finish(recorder_t *recorder)
     }
     make_moves(recorder, cell);
     recorder_sampling_t *sampling = &recorder->sampling;
-    sampling->point = point;
-    sampling->end = (uint16_t)(recorder->total * point);
+    sampling->next = (uint8_t *)memory->samples;
+    sampling->end = sampling->next + (size_t)(recorder->total * point);
     sampling->after = (uint16_t)(recorder->total - 1u - recorder->before);
-    sampling->at = 0;
     sampling->filled = false;
+    recorder->point = point;
     recorder->stored = stored;
     recorder->configured = true;
     return true;
@@ -198,9 +212,10 @@ static uint8_t start(recorder_t *recorder)
     volatile recorder_sampling_t *sampling = &recorder->sampling;
     if (!sampling->running) {
         recorder->started = true;
-        sampling->at = 0;
+        sampling->next = (uint8_t *)recorder->memory->samples;
         sampling->skip = 0;
         sampling->filled = false;
+        sampling->armed = false;
         sampling->stopping = false;
         sampling->running = true; /* last: the loop may come in between */
     }
@@ -274,11 +289,12 @@ static void put_info(recorder_t *recorder, payload_writer_t *reply)
         return;
     }
     const recorder_sampling_t *sampling = &recorder->sampling;
-    const uint16_t next = (uint16_t)(sampling->at / sampling->point);
+    const uint8_t *samples = (const uint8_t *)recorder->memory->samples;
+    const uint16_t next = (uint16_t)((uint16_t)(sampling->next - samples) / recorder->point);
     const bool all = sampling->filled || !recorder->started;
     payload_put_u8(reply, recorder->stored);
-    payload_put_unsigned(reply, recorder->address);
-    payload_put_unsigned(reply, sampling->point);
+    payload_put_unsigned(reply, TSA_SAMPLES_BASE);
+    payload_put_unsigned(reply, recorder->point);
     payload_put_unsigned(reply, all ? recorder->total : next);
     payload_put_unsigned(reply, all ? next : 0);
 }
@@ -290,7 +306,7 @@ uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t
         payload_put_bytes(reply, (const uint8_t *)recorder->app.name, (uint16_t)strlen(recorder->app.name));
         break;
     case QUERY_LIMITS:
-        payload_put_unsigned(reply, recorder->app.size);
+        payload_put_unsigned(reply, recorder->memory->size);
         payload_put_unsigned(reply, recorder->app.timebase);
         payload_put_unsigned(reply, 0); /* of the recorder, and of a variable: not in this memory */
         payload_put_unsigned(reply, 0);
@@ -307,11 +323,11 @@ uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t
     return FM_OK_VARIABLE;
 }
 
-const uint8_t *recorder_samples(const recorder_t *recorder, uint32_t address, uint32_t size)
+const uint8_t *recorder_samples(const recorder_memory_t *memory, uint32_t address, uint32_t size)
 {
-    const uint32_t extent = recorder->app.size;
-    if (!recorder->reserved || recorder->sampling.running || !tsa_inside(address, size, recorder->address, extent)) {
+    const recorder_t *owner = memory->owner;
+    if (owner == NULL || owner->sampling.running || !tsa_inside(address, size, TSA_SAMPLES_BASE, memory->size)) {
         return NULL;
     }
-    return (const uint8_t *)recorder->app.samples + (size_t)(address - recorder->address);
+    return (const uint8_t *)memory->samples + (size_t)(address - TSA_SAMPLES_BASE);
 }

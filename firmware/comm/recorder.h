@@ -5,6 +5,7 @@
  *   - slots have a memory of their own: LIMITS says 0 bytes for a recorder and for a variable, and CFGMEM refuses more
  *     slots than there are (86) where the vendor overwrites memory
  *   - an operation that answers an error has changed nothing; missing bytes are an error (86), not those of older requests
+ *   - all recorders share one memory: CFGMEM of one takes it from the other, or answers 87 while that one records
  *   - samples can be read while nothing is recorded (89 meanwhile)
  *   - constant thresholds have 32 bits; one that its variable cannot hold is never or always reached
  *   - a trigger on a floating-point number is not there (90)
@@ -32,13 +33,18 @@
 #define RECORDER_MODE_LEVEL 0x40u /* instead of an edge */
 #define RECORDER_MODE_LIMIT_VARIABLE 0x80u
 
-/* What the application lends. */
+/* What the application lends for one recorder. */
 typedef struct {
     const char *name;
-    uint32_t *samples; /* words, so that every variable is aligned in it */
-    uint16_t size; /* bytes, at least a point of the largest variables */
     uint32_t timebase; /* time from one recorder_sample() to the next [ns] */
 } recorder_app_t;
+
+/* Samples, of one recorder at a time: of the one that was configured last. */
+typedef struct {
+    uint32_t *samples; /* words, so that every variable is aligned in it */
+    uint16_t size; /* bytes */
+    struct recorder *owner; /* NULL: none yet */
+} recorder_memory_t;
 
 /* One variable. */
 typedef struct {
@@ -50,6 +56,7 @@ typedef struct {
     uint8_t size;
     uint8_t cell; /* of source and limit */
     uint8_t mode; /* trigger byte of the request */
+    uint8_t direct; /* 2, 4: the number is one cell, and the threshold constant; 0: neither */
     bool above; /* at or above the threshold in the last sample */
 } recorder_slot_t;
 
@@ -57,36 +64,36 @@ typedef struct {
 typedef struct {
     volatile bool running;
     bool filled;   /* once, since the start */
-    bool stopping; /* a trigger has fired */
+    bool armed;    /* .. and no trigger has fired */
+    bool stopping; /* one has */
     uint8_t cell;  /* bytes that are moved at once */
-    uint16_t moves; /* in a point */
-    uint16_t triggers;
     uint32_t skip;    /* calls to leave out */
     uint32_t divider; /* .. between two samples */
-    uint16_t at;   /* bytes from the beginning of the samples */
-    uint16_t point; /* bytes */
-    uint16_t end;   /* bytes of all points */
+    uint8_t *next; /* point */
+    uint8_t *end;  /* of the last one */
     uint16_t left;  /* points to come once a trigger has fired */
     uint16_t after; /* .. at first */
+    const uint8_t *const *source_end;
+    recorder_slot_t *const *trigger_end;
     recorder_slot_t *trigger[RECORDER_SLOTS];
     const uint8_t *source[RECORDER_SLOTS * RECORDER_SLOT_BYTES]; /* of each move */
 } recorder_sampling_t;
 
-typedef struct {
+typedef struct recorder {
     recorder_app_t app;
-    uint32_t address; /* of the samples on the wire */
+    recorder_memory_t *memory;
     recorder_sampling_t sampling;
     recorder_slot_t slot[RECORDER_SLOTS];
     uint8_t slots;   /* in use */
     uint8_t stored;  /* of these; others are triggers only */
-    bool reserved;   /* the samples can be read */
     bool configured; /* all slots are set, nothing more may be */
     bool started;    /* since then */
+    uint16_t point;  /* bytes */
     uint32_t total;  /* points; 0: as many as fit */
     uint32_t before; /* .. before the trigger */
 } recorder_t;
 
-void recorder_init(recorder_t *recorder, const recorder_app_t *app, uint32_t address);
+void recorder_init(recorder_t *recorder, const recorder_app_t *app, recorder_memory_t *memory);
 
 /* Carry out the operations of a SETREC request up to the first error; what was done before it stays done. */
 uint8_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operations);
@@ -95,7 +102,7 @@ uint8_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, paylo
 uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t *reply);
 
 /* The samples at an address; NULL if they are not there, or not to be read now. */
-const uint8_t *recorder_samples(const recorder_t *recorder, uint32_t address, uint32_t size);
+const uint8_t *recorder_samples(const recorder_memory_t *memory, uint32_t address, uint32_t size);
 
 /* Take a sample, unless it is not time for one yet. */
 void recorder_take(recorder_t *recorder);

@@ -1,17 +1,17 @@
-/* recorder_take.c - what a recorder does in its loop. */
+/* recorder_take.c - what a recorder does in its loop: it has to be quick, most of all without triggers. */
 #include <stddef.h>
 
 #include "comm/cell.h"
 #include "comm/recorder.h"
 
-static uint32_t number_at(const uint8_t *at, uint8_t size, uint8_t cell)
+#if defined(__GNUC__)
+#define SELDOM __attribute__((noinline))
+#else
+#define SELDOM
+#endif
+
+static uint32_t number_at(const uint8_t *at, uint8_t size)
 {
-    if (size == 2 && cell == 2) {
-        return *(const cell2_t *)(const void *)at;
-    }
-    if (size == 4 && cell == 4) {
-        return *(const cell4_t *)(const void *)at;
-    }
     uint32_t number = 0;
     for (uint16_t k = 0; k < size; k++) {
         number |= (uint32_t)at[k] << (8u * k);
@@ -19,73 +19,76 @@ static uint32_t number_at(const uint8_t *at, uint8_t size, uint8_t cell)
     return number;
 }
 
-/* Value of a variable of 8 bytes against its threshold. */
-static bool wide_reached(const recorder_slot_t *slot)
+/* Numbers that are not aligned, or of 1 or 8 bytes; thresholds that are variables. */
+static SELDOM bool reached(const recorder_slot_t *slot)
 {
-    const uint32_t lower = number_at(slot->source, 4, slot->cell);
-    const uint32_t upper = number_at(slot->source + 4, 4, slot->cell) ^ slot->bias;
-    uint32_t limit_lower = slot->threshold;
-    uint32_t limit_upper = slot->threshold_upper;
-    if (slot->limit != NULL) {
-        limit_lower = number_at(slot->limit, 4, slot->cell);
-        limit_upper = number_at(slot->limit + 4, 4, slot->cell) ^ slot->bias;
+    const bool wide = slot->size > 4;
+    const uint8_t size = wide ? 4 : slot->size;
+    uint32_t value = number_at(slot->source, size);
+    uint32_t threshold = slot->limit != NULL ? number_at(slot->limit, size) : slot->threshold;
+    if (wide) {
+        const uint32_t upper = number_at(slot->source + 4, 4) ^ slot->bias;
+        const uint32_t limit = slot->limit != NULL ? number_at(slot->limit + 4, 4) ^ slot->bias : slot->threshold_upper;
+        return upper > limit || (upper == limit && value >= threshold);
     }
-    return upper > limit_upper || (upper == limit_upper && lower >= limit_lower);
+    value ^= slot->bias;
+    threshold ^= slot->limit != NULL ? slot->bias : 0;
+    return value >= threshold;
 }
 
-static bool reached(const recorder_slot_t *slot)
+static bool is_above(const recorder_slot_t *slot)
 {
-    if (slot->size > 4) {
-        return wide_reached(slot);
+    const void *source = slot->source;
+    if (slot->direct == 2) {
+        return (*(const cell2_t *)source ^ slot->bias) >= slot->threshold;
     }
-    const uint32_t value = number_at(slot->source, slot->size, slot->cell) ^ slot->bias;
-    if (slot->limit == NULL) {
-        return value >= slot->threshold;
+    if (slot->direct == 4) {
+        return (*(const cell4_t *)source ^ slot->bias) >= slot->threshold;
     }
-    return value >= (number_at(slot->limit, slot->size, slot->cell) ^ slot->bias);
-}
-
-static bool fires(const recorder_slot_t *slot, bool above)
-{
-    if ((slot->mode & (above ? RECORDER_MODE_ABOVE : RECORDER_MODE_BELOW)) == 0) {
-        return false;
-    }
-    return (slot->mode & RECORDER_MODE_LEVEL) != 0 || slot->above != above;
+    return reached(slot);
 }
 
 /* Nothing fires before the memory is full for the first time. */
 static void judge(recorder_sampling_t *sampling)
 {
-    for (uint16_t k = 0; k < sampling->triggers; k++) {
-        recorder_slot_t *slot = sampling->trigger[k];
-        const bool above = reached(slot);
-        if (sampling->filled && !sampling->stopping && fires(slot, above)) {
+    recorder_slot_t *const *trigger = sampling->trigger;
+    do {
+        recorder_slot_t *slot = *trigger++;
+        const bool above = is_above(slot);
+        const bool edge = slot->above != above;
+        slot->above = above;
+        if (sampling->armed && (edge || (slot->mode & RECORDER_MODE_LEVEL) != 0) &&
+            (slot->mode & (above ? RECORDER_MODE_ABOVE : RECORDER_MODE_BELOW)) != 0) {
+            sampling->armed = false;
             sampling->stopping = true;
             sampling->left = sampling->after;
         }
-        slot->above = above;
-    }
+    } while (trigger != sampling->trigger_end);
 }
 
-static void store(const recorder_sampling_t *sampling, uint8_t *to)
+/* Returns the end of the point. */
+static uint8_t *store(const recorder_sampling_t *sampling, uint8_t *to)
 {
     const uint8_t *const *from = sampling->source;
-    const uint8_t *const *end = from + sampling->moves;
+    const uint8_t *const *end = sampling->source_end;
     if (sampling->cell == 2) {
         cell2_t *cell = (cell2_t *)(void *)to;
         do {
             *cell++ = *(const cell2_t *)(const void *)*from++;
         } while (from != end);
-    } else if (sampling->cell == 4) {
+        return (uint8_t *)cell;
+    }
+    if (sampling->cell == 4) {
         cell4_t *cell = (cell4_t *)(void *)to;
         do {
             *cell++ = *(const cell4_t *)(const void *)*from++;
         } while (from != end);
-    } else {
-        do {
-            *to++ = **from++;
-        } while (from != end);
+        return (uint8_t *)cell;
     }
+    do {
+        *to++ = **from++;
+    } while (from != end);
+    return to;
 }
 
 void recorder_take(recorder_t *recorder)
@@ -96,17 +99,16 @@ void recorder_take(recorder_t *recorder)
         return;
     }
     sampling->skip = sampling->divider;
-    if (sampling->triggers != 0) {
+    if (sampling->trigger_end != sampling->trigger) {
         judge(sampling);
     }
-    uint16_t at = sampling->at;
-    store(sampling, (uint8_t *)recorder->app.samples + at);
-    at = (uint16_t)(at + sampling->point);
-    if (at == sampling->end) {
-        at = 0;
+    uint8_t *next = store(sampling, sampling->next);
+    if (next == sampling->end) {
+        next = (uint8_t *)recorder->memory->samples;
+        sampling->armed = sampling->armed || !sampling->filled;
         sampling->filled = true;
     }
-    sampling->at = at;
+    sampling->next = next;
     if (sampling->stopping) {
         if (sampling->left == 0) {
             sampling->running = false;

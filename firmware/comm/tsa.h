@@ -5,7 +5,7 @@
  *   strings     names and types, readable without the terminating 00
  *   table       the entries as the client expects them, 16 bytes each, produced while they are read
  *   live        variables outside of that memory, read only; `tsa_source_t` says where they are
- *   samples     of a recorder (comm/recorder.h)
+ *   samples     of the recorders (comm/recorder.h)
  */
 #ifndef COMM_TSA_H
 #define COMM_TSA_H
@@ -28,7 +28,6 @@
 #ifndef TSA_SAMPLES_BASE
 #define TSA_SAMPLES_BASE UINT32_C(0x00400000)
 #endif
-#define TSA_SAMPLES_STEP UINT32_C(0x00010000) /* from the samples of one recorder to those of the next */
 
 #define TSA_KIND_NONE 0     /* type definition, member, constant */
 #define TSA_KIND_RO 1       /* variable, read only */

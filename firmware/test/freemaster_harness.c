@@ -18,7 +18,7 @@ struct harness {
     /* Exactly the sizes told to the server, so that a sanitizer sees every byte too far. */
     uint8_t *memory;
     uint8_t *live;
-    uint32_t *samples[FREEMASTER_RECORDERS];
+    uint32_t *samples;
     bool held;
     bool refusing;
     uint16_t accepted_offset, accepted_size;
@@ -132,15 +132,11 @@ harness_t *harness_new(void)
     }
     harness->memory = malloc(fixture_memory_size);
     harness->live = calloc(1, fixture_live_size);
-    harness->samples[0] = malloc(HARNESS_SAMPLES_1);
-    harness->samples[1] = malloc(HARNESS_SAMPLES_2);
-    if (harness->memory == NULL || harness->live == NULL || harness->samples[0] == NULL ||
-        harness->samples[1] == NULL) {
+    harness->samples = calloc(1, HARNESS_SAMPLES);
+    if (harness->memory == NULL || harness->live == NULL || harness->samples == NULL) {
         harness_free(harness);
         return NULL;
     }
-    memset(harness->samples[0], 0, HARNESS_SAMPLES_1);
-    memset(harness->samples[1], 0, HARNESS_SAMPLES_2);
     memcpy(harness->memory, fixture_memory, fixture_memory_size);
     scramble(harness);
     harness->hal.put_room = HARNESS_LINE;
@@ -151,11 +147,9 @@ harness_t *harness_new(void)
         .memory_size = fixture_memory_size,
         .live = harness->live,
         .live_size = fixture_live_size,
-        .recorder =
-            {
-                {"fast", harness->samples[0], HARNESS_SAMPLES_1, UINT32_C(1000000)},
-                {"slow", harness->samples[1], HARNESS_SAMPLES_2, 0},
-            },
+        .recorder = {{"fast", UINT32_C(1000000)}, {"slow", 0}},
+        .samples = harness->samples,
+        .samples_size = HARNESS_SAMPLES,
         .tsa = &fixture_table,
         .name = "servo",
         .description = "two axes in memory, nothing turns",
@@ -176,8 +170,7 @@ void harness_free(harness_t *harness)
     if (harness != NULL) {
         free(harness->memory);
         free(harness->live);
-        free(harness->samples[0]);
-        free(harness->samples[1]);
+        free(harness->samples);
         free(harness);
     }
 }

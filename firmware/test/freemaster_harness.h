@@ -13,9 +13,7 @@ extern const uint8_t fixture_memory[];
 extern const uint16_t fixture_memory_size;
 extern const uint16_t fixture_live_size;
 
-/* Bytes of the two recorders: the second cannot hold much. */
-#define HARNESS_SAMPLES_1 1024
-#define HARNESS_SAMPLES_2 100
+#define HARNESS_SAMPLES 1024 /* bytes of the recorders */
 
 #define HARNESS_EVENTS 64
 

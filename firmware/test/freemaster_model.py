@@ -166,7 +166,7 @@ LIVE_SIZE = 32
 SOURCES = {"L.word": 6, "L.long": 12, "L.beyond": 30, "M.word0": 2, "M.wide": 16}
 """Where the loops keep what a variable shows; one of them lies half behind their memory."""
 
-SAMPLES = (1024, 100)
+SAMPLES = 1024
 """Bytes of the recorders."""
 
 

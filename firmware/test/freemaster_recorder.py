@@ -8,8 +8,6 @@ from typing import Final
 from freemaster_model import SAMPLES, Answer, Layout, uleb
 
 SLOTS: Final = 8
-STEP: Final = 0x10000
-"""Distance of the samples of one recorder from those of the next."""
 
 NAMES: Final = (b"fast", b"slow")
 TIMEBASE: Final = (1_000_000, 0)
@@ -107,6 +105,9 @@ class Memory:
     layout: Layout
     variables: bytearray
     live: bytearray
+    samples: bytearray = field(default_factory=lambda: bytearray(SAMPLES))
+    owner: Recorder | None = None
+    """Whose samples these are."""
 
     def bytes_at(self, address: int, size: int) -> bytes:
         """What the loops see at an address."""
@@ -115,6 +116,13 @@ class Memory:
             return bytes(self.live[source : source + size])
         offset = address - self.layout.variables
         return bytes(self.variables[offset : offset + size])
+
+    def recorded(self, address: int, size: int) -> bytes | None:
+        """Samples at an address; None if they cannot be read."""
+        offset = address - self.layout.samples
+        if self.owner is None or self.owner.running or offset < 0 or offset + size > SAMPLES:
+            return None
+        return bytes(self.samples[offset : offset + size])
 
 
 @dataclass
@@ -127,27 +135,24 @@ class Recorder:
     total: int = 0
     before: int = 0
     divider: int = 0
-    reserved: bool = False
     configured: bool = False
     started: bool = False
     running: bool = False
-    data: bytearray = field(init=False)
     written: int = 0
     """Points since the start."""
     left: int | None = None
     """Points to come once a trigger has fired."""
     skip: int = 0
 
-    def __post_init__(self) -> None:
-        self.data = bytearray(SAMPLES[self.index])
-
-    @property
-    def address(self) -> int:
-        return self.memory.layout.samples + STEP * self.index
-
     @property
     def point(self) -> int:
         return sum(slot.size for slot in self.slots if slot is not None and slot.stored)
+
+    def forget(self) -> None:
+        """Nothing is configured any more."""
+        self.slots = []
+        self.configured = self.started = self.running = False
+        self.written = 0
 
     # ---- the loop ------------------------------------------------------------------------------------------------
 
@@ -167,7 +172,7 @@ class Recorder:
             if slot.stored:
                 point += self.memory.bytes_at(slot.address, slot.size)
         at = self.written % self.total * self.point
-        self.data[at : at + self.point] = point
+        self.memory.samples[at : at + self.point] = point
         self.written += 1
         if self.left is not None:
             self.running = self.left > 0
@@ -203,19 +208,12 @@ class Recorder:
         if code == 0x81:
             return Answer(0x40, NAMES[self.index])
         if code == 0x82:
-            return Answer(0x40, uleb(SAMPLES[self.index]) + uleb(TIMEBASE[self.index]) + b"\0\0")
+            return Answer(0x40, uleb(SAMPLES) + uleb(TIMEBASE[self.index]) + b"\0\0")
         if code == 0x83:
             return Answer(0x40, self._info())
         if code == 0x84:
             return Answer(0x40, bytes([self.state()]))
         return Answer(0x95)
-
-    def read(self, address: int, size: int) -> bytes | None:
-        """Samples at an address; None if they cannot be read."""
-        offset = address - self.address
-        if not self.reserved or self.running or offset < 0 or offset + size > len(self.data):
-            return None
-        return bytes(self.data[offset : offset + size])
 
     def state(self) -> int:
         """State, as STATUS answers it."""
@@ -234,7 +232,7 @@ class Recorder:
         stored = sum(1 for slot in self.slots if slot is not None and slot.stored)
         full = not self.started or self.written >= self.total
         count, first = (self.total, self.written % self.total) if full else (self.written, 0)
-        numbers = (self.address, self.point, count, first)
+        numbers = (self.memory.layout.samples, self.point, count, first)
         return bytes([state, stored]) + b"".join(map(uleb, numbers))
 
     def _operation(self, code: int, reader: Reader) -> None:
@@ -253,11 +251,15 @@ class Recorder:
         count, total, before, divider = reader.u8(), reader.number(), reader.number(), reader.number()
         if not reader.complete() or count > SLOTS:
             raise Refused(0x86)
+        owner = self.memory.owner
+        if owner is not None and owner is not self:
+            if owner.running:
+                raise Refused(0x87)
+            owner.forget()
+        self.forget()
+        self.memory.owner = self
         self.slots = [None] * count
         self.total, self.before, self.divider = total, before, divider
-        self.reserved = True
-        self.configured = self.started = self.running = False
-        self.written = 0
 
     def _variable(self, reader: Reader) -> None:
         layout = self.memory.layout
@@ -282,7 +284,7 @@ class Recorder:
 
     def _finish(self) -> bool:
         if not self.configured and all(slot is not None for slot in self.slots) and self.point:
-            fitting = len(self.data) // self.point
+            fitting = SAMPLES // self.point
             self.total = self.total if 0 < self.total <= fitting else fitting
             self.before = self.before if self.before < self.total else 0
             self.configured = True

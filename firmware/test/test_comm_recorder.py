@@ -27,7 +27,6 @@ from freemaster_recorder import (
     NOT_STORED,
     SIGNED,
     START,
-    STEP,
     STOP,
     UNSIGNED,
     VARIABLE,
@@ -129,8 +128,8 @@ def test_the_other_byte_examples(sheet: Board) -> None:
 
 def test_what_recorders_say_of_themselves(servo: Board) -> None:
     assert [query(servo, DESCRIPTION, k) for k in range(2)] == [b"fast", b"slow"]
-    assert query(servo, LIMITS, 0) == uleb(SAMPLES[0]) + uleb(1_000_000) + b"\0\0"
-    assert query(servo, LIMITS, 1) == uleb(SAMPLES[1]) + b"\0\0\0"
+    assert query(servo, LIMITS, 0) == uleb(SAMPLES) + uleb(1_000_000) + b"\0\0"
+    assert query(servo, LIMITS, 1) == uleb(SAMPLES) + b"\0\0\0"
     assert query(servo, INFO) == bytes(6)
 
 
@@ -195,9 +194,8 @@ def test_samples_are_for_those_who_wait(servo: Board) -> None:
     assert servo.ask(READ, begin + b"\x04") == Answer(0x89)
     assert configure(servo, memory(1)) == 0
     assert servo.ask(READ, begin + b"\x04").status == 0
-    assert servo.ask(READ, uleb(SERVO.samples + SAMPLES[0] - 4) + b"\x04").status == 0
-    assert servo.ask(READ, uleb(SERVO.samples + SAMPLES[0] - 4) + b"\x05") == Answer(0x89)
-    assert servo.ask(READ, uleb(SERVO.samples + STEP) + b"\x04") == Answer(0x89), "the other one is not configured"
+    assert servo.ask(READ, uleb(SERVO.samples + SAMPLES - 4) + b"\x04").status == 0
+    assert servo.ask(READ, uleb(SERVO.samples + SAMPLES - 4) + b"\x05") == Answer(0x89)
     assert servo.ask(0x23, b"\0" + begin + b"\x02\0\0") == Answer(0x89)
     assert servo.read(SERVO.samples, 4)[0] == 0
     assert configure(servo, variable(0, LONG, 4), START) == 0
@@ -205,6 +203,20 @@ def test_samples_are_for_those_who_wait(servo: Board) -> None:
     assert servo.read(SERVO.samples, 4)[0] == 0x89
     assert configure(servo, variable(0, SERVO.samples, 4)) == 0x87
     assert configure(servo, memory(1), variable(0, SERVO.samples, 4)) == 0x89, "no recording of a recording"
+
+
+def test_recorders_share_their_memory(servo: Board) -> None:
+    """One at a time; the samples are those of the one that was configured last."""
+    assert configure(servo, memory(1), variable(0, LONG, 4), START) == 0
+    assert configure(servo, memory(1), recorder=1) == 0x87
+    assert configure(servo, STOP) == 0
+    assert configure(servo, memory(9), recorder=1) == 0x86
+    assert status(servo) == 3, "a refused request takes nothing away"
+    assert configure(servo, memory(1), variable(0, WORD1, 2), START, recorder=1) == 0
+    assert status(servo) == 0
+    assert configure(servo, START) == 0x86
+    assert query(servo, INFO, 1) == b"\x02\x01" + b"".join(map(uleb, (SERVO.samples, 2, 0, 0)))
+    assert configure(servo, memory(1)) == 0x87
 
 
 def test_a_start_keeps_what_the_last_sample_was(servo: Board) -> None:
@@ -311,7 +323,7 @@ STEPS = st.lists(
     st.one_of(
         st.tuples(st.just("set"), st.integers(0, 1), st.lists(OPERATION, max_size=4).map(b"".join)),
         st.tuples(st.just("get"), st.integers(0, 1), st.sampled_from([INFO, STATUS])),
-        st.tuples(st.just("read"), st.integers(0, SAMPLES[0] + 4), st.integers(0, 40)),
+        st.tuples(st.just("read"), st.integers(0, SAMPLES + 4), st.integers(0, 40)),
         st.tuples(st.just("run"), st.integers(0, 1), st.integers(0, 2**32)),
     ),
     min_size=4,
@@ -367,7 +379,7 @@ def test_random_exchanges(
             assert board.ask(GET, bytes([which, value])) == recorders[which].get(value)
         elif what == "read":
             assert isinstance(value, int)
-            expected = recorders[0].read(SERVO.samples + which, value)
+            expected = held.recorded(SERVO.samples + which, value)
             assert board.ask(READ, uleb(SERVO.samples + which) + uleb(value)) == (
                 Answer(0x89) if expected is None else Answer(0, expected)
             )

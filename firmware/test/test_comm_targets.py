@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from firmware_compiler import FIRMWARE, CompileProgram, has_library
 from freemaster_model import COMM_SOURCES, ENTRIES, SERVO, Layout, c_bytes, request, sleb, uleb
-from freemaster_recorder import SIGNED, START, STEP, STOP, VARIABLE, memory, variable
+from freemaster_recorder import SIGNED, START, STOP, VARIABLE, memory, variable
 
 AVR = ["-mmcu=atmega1284p", "-Os"]
 CORTEX_M3 = ["-mcpu=cortex-m3", "-mthumb", "-Os", "-ffreestanding", "-nostdlib", "-r"]
@@ -66,7 +66,7 @@ def recordings() -> list[bytes]:
                 frames.append(request(0x24, bytes([which]) + variable(k, address, entry.size, mode, threshold)))
             frames += [request(0x24, bytes([which]) + START), request(0x25, bytes([which, 0x83])), request(0x31)]
             frames += [request(0x24, bytes([which]) + STOP), request(0x25, bytes([which, 0x83]))]
-            frames.append(request(0x21, uleb(SERVO.samples + STEP * which) + uleb(96)))
+            frames.append(request(0x21, uleb(SERVO.samples) + uleb(96)))
     return frames
 
 
