@@ -8,7 +8,7 @@
 #include "drive/feedback.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
-#include "drive/run_states.h"
+#include "drive/run_step.h"
 #include "drive/soft_limits.h"
 #include "drive/stop.h"
 #include "drive/watch.h"

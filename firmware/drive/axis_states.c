@@ -3,6 +3,7 @@
 
 #include "drive/outputs.h"
 #include "drive/run_states.h"
+#include "drive/run_step.h"
 
 static bool slow_loop(const axis_t *axis) { return axis->loop == LOOP_SLOW; }
 

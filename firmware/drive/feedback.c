@@ -1,6 +1,7 @@
 #include "drive/feedback.h"
 
 #include "drive/axis_data.h"
+#include "drive/feedback_fast.h"
 #include "drive/path_units.h"
 
 static void encoder_source_reset(axis_t *axis)
@@ -14,11 +15,6 @@ static void encoder_source_reset(axis_t *axis)
     axis->encoder.found = false;
     axis->encoder.observes = false;
     hal_capture_arm(axis->hal, axis->index);
-}
-
-static void encoder_source_fast(axis_t *axis)
-{
-    axis->feedback.theta_e = encoder_theta_e(&axis->config->encoder, hal_encoder_count(axis->hal, axis->index));
 }
 
 static void encoder_source_edge(axis_t *axis)

@@ -1,6 +1,7 @@
 /* feedback_observer.c - angle and speed of an axis without an encoder. */
 #include "drive/estimate.h"
 #include "drive/feedback.h"
+#include "drive/feedback_fast.h"
 
 static void observer_source_reset(axis_t *axis)
 {
@@ -10,8 +11,6 @@ static void observer_source_reset(axis_t *axis)
     axis->feedback.mean_speed = 0;
     axis->feedback.still = true;
 }
-
-static void observer_source_fast(axis_t *axis) { axis->feedback.theta_e = pll_theta(&axis->estimate.pll); }
 
 /* An encoder that is there all the same keeps its interrupt to itself. */
 static void observer_source_edge(axis_t *axis)

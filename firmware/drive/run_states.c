@@ -10,6 +10,7 @@
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/outputs.h"
+#include "drive/run_step.h"
 #include "drive/startup.h"
 #include "drive/stop.h"
 
@@ -258,10 +259,6 @@ static void align_slow(axis_t *axis)
 
 /* ---- SPIN: field-oriented control ---------------------------------------------------------------------------------- */
 
-static void spin_fast(axis_t *axis) { drive_current(axis, axis->feedback.theta_e); }
-
-static void spin_observed_fast(axis_t *axis) { drive_observed(axis, axis->feedback.theta_e); }
-
 /* Sensorless: the speed has come down to where the observer ends. The current goes first, then the outputs. */
 static void leave_slowly(axis_t *axis)
 {
@@ -476,7 +473,7 @@ static void freewheel_slow(axis_t *axis)
 
 /* ---- the table ------------------------------------------------------------------------------------------------------ */
 
-static const axis_function_t run_table[6][5] = {
+const axis_function_t run_table[6][5] = {
     [SUBSTATE_CALIB] = {calib_fast, calib_slow, calib_fast, idle, idle},
     [SUBSTATE_READY] = {ready_fast, ready_slow, ready_fast, track_offsets, idle},
     [SUBSTATE_ALIGN] = {align_fast, align_slow, align_fast, track_offsets, idle},
@@ -484,8 +481,6 @@ static const axis_function_t run_table[6][5] = {
     [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast, track_offsets, idle},
     [SUBSTATE_STARTUP] = {startup_fast, startup_slow_state, startup_fast, startup_estimate, startup_check},
 };
-
-void run_state_step(axis_t *axis) { run_table[axis->substate][axis->loop](axis); }
 
 void run_state_enter(axis_t *axis)
 {

@@ -8,7 +8,4 @@
 void run_state_enter(axis_t *axis);
 bool run_state_may_leave(const axis_t *axis);
 
-/* One call of the loop that `axis->loop` names. */
-void run_state_step(axis_t *axis);
-
 #endif

@@ -26,6 +26,7 @@ ARM: Final = ("arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-O2")
 AVR: Final = ("avr-gcc", "-mmcu=atmega1284p", "-Os")
 
 RAM_WORDS: Final = 0x4000
+DATA_FLASH_WORDS: Final = 0x4000
 BYTES_PER_WORD: Final = 2
 CALL_WORDS: Final = 2  # JSR pushes PC and SR
 INTERRUPT_WORDS: Final = 64  # `interrupt alignsp saveall`: some 45 words of registers, alignment, PC and SR
@@ -58,7 +59,7 @@ POINTERS: Final[Mapping[str, str]] = {
     "written": "written",
     "app_command.c:run": "app_command",
     "freemaster.c:run": r"(read|write)_memory|read_memory_from_base|(read|set)_scope|send_app_command"
-    r"|get_(tsa_info|string_length|configuration|app_command_status|app_command_data)",
+    r"|(set|get)_recorder|get_(tsa_info|string_length|configuration|app_command_status|app_command_data)",
 }
 """Functions that a pointer may hold, by its name in the source, or by file and name."""
 
@@ -84,8 +85,8 @@ class Program:
     functions: Mapping[str, Function]
     code: Mapping[str, int]
     """Bytes of Thumb-2 by file."""
-    constants: int
-    """Read-only data [bytes], which the chip keeps in RAM."""
+    constants: Mapping[str, int]
+    """Bytes of read-only data by file; but for `table_files` the chip keeps them in RAM."""
 
     def find(self, pattern: str) -> set[str]:
         """Functions whose name matches.
@@ -171,7 +172,7 @@ def load(files: Sequence[Path] | None = None) -> Program:
     paths = list(sources() if files is None else files)
     functions: dict[str, Function] = {}
     code: dict[str, int] = {}
-    constants = 0
+    constants: dict[str, int] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for path, compiled in zip(paths, _compile(ARM, ["-fcallgraph-info=su"], folder, paths), strict=True):
@@ -181,7 +182,7 @@ def load(files: Sequence[Path] | None = None) -> Program:
             )
             file = path.relative_to(FIRMWARE).as_posix()
             code[file] = sum(int(size, 16) for section, size in sizes if section == "text")
-            constants += sum(int(size, 16) for section, size in sizes if section == "rodata")
+            constants[file] = sum(int(size, 16) for section, size in sizes if section == "rodata")
     return Program(functions, code, constants)
 
 
@@ -248,6 +249,11 @@ def fast_files() -> list[str]:
     return [f"{name}.c" for name in listed("list-fast")]
 
 
+def table_files() -> list[str]:
+    """Files of nothing but tables that stay in the data flash."""
+    return [f"{name}.c" for name in listed("list-tables")]
+
+
 def stack_words() -> int:
     """What the linker file keeps for the stack."""
     text = (CHIP / "mc56f84789.cmd").read_text(encoding="ascii")
@@ -264,6 +270,7 @@ class Budget:
     data: int
     constants: int
     stack: int  # kept by the linker file
+    tables: int  # in the data flash
 
     @property
     def deepest(self) -> int:
@@ -283,13 +290,15 @@ def budget(program: Program) -> Budget:
         deepest = max(depths, key=lambda handler: depths[handler])
         by_level[level] = (deepest, depths[deepest])
     code = sum(program.code[name] for name in fast_files())
+    tables = sum(program.constants[name] for name in table_files())
     return Budget(
         program.depth("main"),
         by_level,
         round(code / BYTES_PER_WORD * CODE_ALLOWANCE),
         data_words(),
-        -(-program.constants // BYTES_PER_WORD),
+        -(-(sum(program.constants.values()) - tables) // BYTES_PER_WORD),
         stack_words(),
+        -(-tables // BYTES_PER_WORD),
     )
 
 
@@ -302,7 +311,7 @@ def report(one: Budget) -> str:
     return "\n".join(
         ["| stack | deepest | words |", "|---|---|---:|", *rows, "", "| RAM | words |", "|---|---:|"]
         + [f"| {name} | {words} |" for name, words in (*ram, ("stack", one.stack), ("left", one.left))]
-        + [f"| all | {RAM_WORDS} |"]
+        + [f"| all | {RAM_WORDS} |", "", f"Tables in the data flash: {one.tables} of {DATA_FLASH_WORDS} words."]
     )
 
 

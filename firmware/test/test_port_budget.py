@@ -14,7 +14,7 @@ from port_board import PORT
 STACK_MARGIN = 1.5  # frames of the chip's own compiler are not known
 LIBRARY_ROOM = 512  # words of the run-time library, which runs from RAM, too
 OTHERS = {"test", "port/avr", "port/cortex_m3"}  # folders that are not flashed
-FAST_ROOTS = r"drive_current|drive_observed|(encoder|observer)_source_fast|adc_take_(first|second)|port_receive"
+FAST_ROOTS = r"drive_current|recorder_take|drive_observed|(encoder|observer)_source_fast|adc_take_(first|second)|port_receive"
 """What every period executes, on the way from the sample to the duties; and the receiver, which must not be late."""
 
 
@@ -62,13 +62,21 @@ class TestBuild:
         assert len(set(fast)) == len(fast)
         assert set(fast) <= {path.relative_to(FIRMWARE).as_posix() for path in chip_budget.sources()}
 
+    def test_what_stays_in_the_data_flash_has_no_code(self, loaded: Program) -> None:
+        """Nothing in it is for an interrupt, either: that would wait for the flash."""
+        for name in chip_budget.table_files():
+            assert loaded.code[name] == 0
+            assert loaded.constants[name] > 0
+            assert name not in chip_budget.fast_files()
+
     def test_commands(self) -> None:
-        """Each object has a source and a place of its own; files of the fast loops come by way of their section."""
+        """Each object has a source and a place of its own; files of fast loops and of tables come by way of their section."""
         run = chip_budget._output("make", "--dry-run", "--always-make", "-C", PORT, "CW=/cw", "all")
         compiled = [line.split(" -c ")[1].split(" -o ") for line in run.splitlines() if " -c " in line]
         for source, target in compiled:
             name = target.removeprefix("build/").removesuffix(".o")
-            way = "build/fast" if f"{name}.c" in chip_budget.fast_files() else "../.."
+            ways = {"build/fast": chip_budget.fast_files(), "build/table": chip_budget.table_files()}
+            way = next((way for way, files in ways.items() if f"{name}.c" in files), "../..")
             assert source == f"{way}/{name}.c"
         (link,) = [line for line in run.splitlines() if "mwld56800e" in line]
         assert sorted(target for _, target in compiled) == sorted(word for word in link.split() if word.endswith(".o"))
@@ -81,6 +89,9 @@ class TestFirmware:
 
     def test_the_ram_has_room_for_everything(self, budget: Budget) -> None:
         assert budget.left >= LIBRARY_ROOM, chip_budget.report(budget)
+
+    def test_the_data_flash_has_room_for_the_tables(self, budget: Budget) -> None:
+        assert 0 < budget.tables <= chip_budget.DATA_FLASH_WORDS
 
     def test_the_fast_loops_run_from_ram(self, program: Program) -> None:
         files = {program.functions[key].file for key in program.reach(program.find(FAST_ROOTS))}

@@ -42,7 +42,7 @@ def test_table_and_controller_know_the_same_vectors() -> None:
 def regions() -> dict[str, tuple[str, int, int]]:
     """Name: (access, origin, length) of the linker map's memory."""
     text = (PORT / "mc56f84789.cmd").read_text(encoding="ascii")
-    found = re.findall(r"^ +\.(\w+) +\((\w+)\) : ORIGIN = (\w+), LENGTH = (\w+)", text, re.MULTILINE)
+    found = re.findall(r"^ +\.(\w+) +\((\w+)\) +: ORIGIN = (\w+), LENGTH = (\w+)", text, re.MULTILINE)
     return {name: (access, int(origin, 16), int(length, 16)) for name, access, origin, length in found}
 
 
@@ -56,6 +56,7 @@ def test_memory() -> None:
     assert end == 0x20000
     assert regions()["x_ram"] == ("RW", 0, 0x4000)
     assert regions()["x_image"] == ("RX", 0, 0x4000)
+    assert regions()["x_flex_nvm"] == ("R", 0x8000, 0x4000)
     assert regions()["ram_code"] == ("RX", 0x60000, 0x4000)
     assert regions()["p_vectors"][2] == 2 * len(table())
     assert regions()["p_flash_config"][1:] == (0x200, 8)

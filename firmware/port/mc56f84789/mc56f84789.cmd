@@ -7,6 +7,8 @@
 #            fast_code.text, run-time library      the same; FAST in the makefile says which files these are
 #            bss
 #            stack, grows upwards to the end
+#   X:8000   tables that only the server reads     in the data flash (FlexNVM), which is loaded as P:68000h; it is slower
+#            flash_table.data                      than the RAM, and within reach of 16-bit pointers
 #
 # Where the laid-out parts are too long for the RAM, or the stack has less than __stack_size, the linker says so.
 
@@ -19,6 +21,7 @@ MEMORY
     .x_ram          (RW) : ORIGIN = 0x00000, LENGTH = 0x04000
     .x_image        (RX) : ORIGIN = 0x00000, LENGTH = 0x04000   # the same RAM; X: what is in it is loaded into the flash
     .ram_code       (RX) : ORIGIN = 0x60000, LENGTH = 0x04000   # the same RAM, seen from P
+    .x_flex_nvm     (R)  : ORIGIN = 0x08000, LENGTH = 0x04000
     .x_flex_ram     (RW) : ORIGIN = 0x1E000, LENGTH = 0x00400
     .x_peripherals  (RW) : ORIGIN = 0x0C000, LENGTH = 0x04000
 }
@@ -54,6 +57,11 @@ SECTIONS
         . = ALIGN(2);
         __image = .;
     } > .p_flash
+
+    .tables : AT(0x68000)
+    {
+        * (flash_table.data)
+    } > .x_flex_nvm
 
     # Initialised data and constants lie behind the program and are copied at reset.
     .data_in_flash : AT(__image)

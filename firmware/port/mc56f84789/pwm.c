@@ -1,81 +1,5 @@
-/* pwm.c - two inverters on eFlexPWM A and B. */
+/* pwm.c - two inverters on eFlexPWM A and B, and the monitor outputs: what runs in every period. */
 #include "port/mc56f84789/drivers.h"
-
-/* ---- set up ----------------------------------------------------------------------------------------------------- */
-
-static void write_sm(hal_t *hal, uint16_t module, uint16_t sm, uint16_t reg, uint16_t value)
-{
-    REG_WRITE(hal, module + PWM_SM(sm) + reg, value);
-}
-
-static uint16_t read_sm(hal_t *hal, uint16_t module, uint16_t sm, uint16_t reg)
-{
-    return REG_READ(hal, module + PWM_SM(sm) + reg);
-}
-
-static void submodule_init(hal_t *hal, uint16_t module, uint16_t sm)
-{
-    write_sm(hal, module, sm, PWM_CTRL, SET_PWM_CTRL);
-    write_sm(hal, module, sm, PWM_INIT, SET_PWM_INIT);
-    write_sm(hal, module, sm, PWM_VAL0, SET_PWM_VAL0);
-    write_sm(hal, module, sm, PWM_VAL1, SET_PWM_VAL1);
-    write_sm(hal, module, sm, PWM_VAL2, WORD(-PWM_HALF_PERIOD / 2)); /* 50 %, as the states before RUN have it */
-    write_sm(hal, module, sm, PWM_VAL3, WORD(PWM_HALF_PERIOD / 2));
-    write_sm(hal, module, sm, PWM_VAL4, SET_PWM_VAL4);
-    write_sm(hal, module, sm, PWM_VAL5, 0U);
-    write_sm(hal, module, sm, PWM_FRCTRL, 0U); /* whole clocks */
-    write_sm(hal, module, sm, PWM_OCTRL, SET_PWM_OCTRL);
-    write_sm(hal, module, sm, PWM_INTEN, 0U);
-    write_sm(hal, module, sm, PWM_TCTRL, 0U);
-    write_sm(hal, module, sm, PWM_DISMAP0, SET_PWM_DISMAP0);
-    write_sm(hal, module, sm, PWM_DISMAP1, SET_PWM_DISMAP1);
-    write_sm(hal, module, sm, PWM_DTCNT0, SET_PWM_DTCNT);
-    write_sm(hal, module, sm, PWM_DTCNT1, SET_PWM_DTCNT);
-}
-
-static void module_init(hal_t *hal, uint16_t module, uint16_t ctrl2_first, uint16_t ctrl2_others)
-{
-    REG_WRITE(hal, module + PWM_OUTEN, 0U);
-    REG_WRITE(hal, module + PWM_MCTRL, 0U);
-    for (uint16_t sm = 0; sm < PWM_SM_USED; sm++) {
-        submodule_init(hal, module, sm);
-        write_sm(hal, module, sm, PWM_CTRL2, (sm == 0U) ? ctrl2_first : ctrl2_others);
-    }
-    REG_WRITE(hal, module + PWM_DTSRCSEL, 0U);
-    REG_WRITE(hal, module + PWM_MASK, 0U);
-}
-
-/* Buffers are loaded, FORCE takes the outputs' sources over, then the faults are armed. */
-static void module_finish(hal_t *hal, uint16_t module)
-{
-    REG_WRITE(hal, module + PWM_MCTRL, PWM_MCTRL_LDOK(PWM_ALL));
-    for (uint16_t sm = 0; sm < PWM_SM_USED; sm++) {
-        write_sm(hal, module, sm, PWM_CTRL2, read_sm(hal, module, sm, PWM_CTRL2) | PWM_CTRL2_FORCE);
-    }
-    REG_WRITE(hal, module + PWM_FFILT0, SET_PWM_FFILT0);
-    REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0_SILENT);
-    REG_WRITE(hal, module + PWM_FSTS0, SET_PWM_FSTS0 | PWM_FSTS_FFLAG_MASK);
-    REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0);
-}
-
-void pwm_init(hal_t *hal)
-{
-    module_init(hal, PWMA_BASE, SET_PWMA_SM0_CTRL2, SET_PWMA_SM12_CTRL2);
-    write_sm(hal, PWMA_BASE, 0U, PWM_VAL0, SET_PWMA_SM0_VAL0);
-    write_sm(hal, PWMA_BASE, 0U, PWM_VAL5, SET_PWMA_SM0_VAL5);
-    write_sm(hal, PWMA_BASE, 1U, PWM_VAL5, SET_PWMA_SM1_VAL5);
-    write_sm(hal, PWMA_BASE, 0U, PWM_TCTRL, SET_PWMA_SM0_TCTRL);
-    module_init(hal, PWMB_BASE, SET_PWMB_SM0_CTRL2, SET_PWMB_SM12_CTRL2);
-    module_finish(hal, PWMA_BASE);
-    module_finish(hal, PWMB_BASE);
-}
-
-/* The follower first: the master's first VAL0 already finds it running. */
-void pwm_run(hal_t *hal)
-{
-    REG_WRITE(hal, PWMB_BASE + PWM_MCTRL, PWM_MCTRL_RUN(PWM_ALL) | PWM_MCTRL_LDOK(PWM_ALL));
-    REG_WRITE(hal, PWMA_BASE + PWM_MCTRL, PWM_MCTRL_RUN(PWM_ALL) | PWM_MCTRL_LDOK(PWM_ALL));
-}
 
 /* ---- hal/hal.h -------------------------------------------------------------------------------------------------- */
 
@@ -133,37 +57,14 @@ void hal_break_clear(hal_t *hal, uint16_t axis)
     REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0);
 }
 
-/* The fourth submodule of PWMB has two outputs of its own: pulses that begin with the period, in the middle at first. */
-static void monitor_start(hal_t *hal)
-{
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_CTRL, SET_MONITOR_CTRL);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_INIT, SET_PWM_INIT);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL0, 0U);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL1, SET_PWM_VAL1);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL2, SET_PWM_INIT);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL3, 0U);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL4, SET_PWM_INIT);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_VAL5, 0U);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_FRCTRL, 0U);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_OCTRL, 0U);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_INTEN, 0U);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_TCTRL, 0U);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP0, SET_MONITOR_DISMAP); /* no fault of the drive blinds it */
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP1, SET_MONITOR_DISMAP);
-    write_sm(hal, PWMB_BASE, MONITOR_SM, PWM_CTRL2, SET_MONITOR_CTRL2);
-    hal->axis[1].others = SET_MONITOR_OUTEN;
-    REG_WRITE(hal, PWMB_BASE + PWM_OUTEN, REG_READ(hal, PWMB_BASE + PWM_OUTEN) | SET_MONITOR_OUTEN);
-    hal->monitoring = true;
-}
-
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
 {
     if (!hal->monitoring) {
-        monitor_start(hal);
+        pwm_monitor_start(hal);
     }
     const int16_t end = (int16_t)((int32_t)(((uint32_t)value * PWM_PERIOD) >> 16) - PWM_HALF_PERIOD);
     const uint16_t run = REG_READ(hal, PWMB_BASE + PWM_MCTRL) & PWM_MCTRL_RUN_MASK;
-    write_sm(hal, PWMB_BASE, MONITOR_SM, (channel == 0U) ? PWM_VAL3 : PWM_VAL5, WORD(end));
+    pwm_write(hal, PWMB_BASE, MONITOR_SM, (channel == 0U) ? PWM_VAL3 : PWM_VAL5, WORD(end));
     REG_WRITE(hal, PWMB_BASE + PWM_MCTRL, run | PWM_MCTRL_RUN(BIT(MONITOR_SM)) | PWM_MCTRL_LDOK(BIT(MONITOR_SM)));
 }
 

@@ -1,0 +1,16 @@
+/* run_step.h - what of the sub-states runs in every period. */
+#ifndef SERVO_DRIVE_RUN_STEP_H
+#define SERVO_DRIVE_RUN_STEP_H
+
+#include "drive/axis_data.h"
+
+/* One call of the loop that `axis->loop` names. */
+void run_state_step(axis_t *axis);
+
+/* By sub-state and loop (drive/run_states.c). */
+extern const axis_function_t run_table[6][5];
+
+void spin_fast(axis_t *axis);
+void spin_observed_fast(axis_t *axis);
+
+#endif
