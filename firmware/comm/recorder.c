@@ -70,7 +70,7 @@ static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
     recorder->slots = slots;
     recorder->total = total;
     recorder->before = before;
-    recorder->sampling.divider = divider;
+    recorder->divider = divider;
     return FM_OK;
 }
 
@@ -138,7 +138,7 @@ static uint8_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_
     return FM_OK;
 }
 
-/* Written as volatile memory, in this order: the loop may come in between. */
+/* What a sample needs is written as volatile memory, in the order of the statements: the loop may come in between. */
 static void make_moves(recorder_t *recorder, uint8_t cell)
 {
     volatile recorder_sampling_t *sampling = &recorder->sampling;
@@ -156,7 +156,6 @@ static void make_moves(recorder_t *recorder, uint8_t cell)
         }
     }
     sampling->cell = cell;
-    sampling->source_end = recorder->sampling.source + moves;
     sampling->trigger_end = recorder->sampling.trigger + triggers;
 }
 
@@ -193,12 +192,13 @@ static bool finish(recorder_t *recorder)
         recorder->before = 0;
     }
     make_moves(recorder, cell);
-    recorder_sampling_t *sampling = &recorder->sampling;
+    volatile recorder_sampling_t *sampling = &recorder->sampling;
+    sampling->divider = recorder->divider;
     sampling->next = (uint8_t *)memory->samples;
     sampling->end = sampling->next + (size_t)(recorder->total * point);
     sampling->after = (uint16_t)(recorder->total - 1u - recorder->before);
     sampling->filled = false;
-    recorder->point = point;
+    sampling->point = point;
     recorder->stored = stored;
     recorder->configured = true;
     return true;
@@ -290,11 +290,11 @@ static void put_info(recorder_t *recorder, payload_writer_t *reply)
     }
     const recorder_sampling_t *sampling = &recorder->sampling;
     const uint8_t *samples = (const uint8_t *)recorder->memory->samples;
-    const uint16_t next = (uint16_t)((uint16_t)(sampling->next - samples) / recorder->point);
+    const uint16_t next = (uint16_t)((uint16_t)(sampling->next - samples) / sampling->point);
     const bool all = sampling->filled || !recorder->started;
     payload_put_u8(reply, recorder->stored);
     payload_put_unsigned(reply, TSA_SAMPLES_BASE);
-    payload_put_unsigned(reply, recorder->point);
+    payload_put_unsigned(reply, sampling->point);
     payload_put_unsigned(reply, all ? recorder->total : next);
     payload_put_unsigned(reply, all ? next : 0);
 }

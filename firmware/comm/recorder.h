@@ -69,11 +69,11 @@ typedef struct {
     uint8_t cell;  /* bytes that are moved at once */
     uint32_t skip;    /* calls to leave out */
     uint32_t divider; /* .. between two samples */
+    uint16_t point; /* bytes */
     uint8_t *next; /* point */
     uint8_t *end;  /* of the last one */
     uint16_t left;  /* points to come once a trigger has fired */
     uint16_t after; /* .. at first */
-    const uint8_t *const *source_end;
     recorder_slot_t *const *trigger_end;
     recorder_slot_t *trigger[RECORDER_SLOTS];
     const uint8_t *source[RECORDER_SLOTS * RECORDER_SLOT_BYTES]; /* of each move */
@@ -88,9 +88,9 @@ typedef struct recorder {
     uint8_t stored;  /* of these; others are triggers only */
     bool configured; /* all slots are set, nothing more may be */
     bool started;    /* since then */
-    uint16_t point;  /* bytes */
     uint32_t total;  /* points; 0: as many as fit */
     uint32_t before; /* .. before the trigger */
+    uint32_t divider;
 } recorder_t;
 
 void recorder_init(recorder_t *recorder, const recorder_app_t *app, recorder_memory_t *memory);

@@ -66,29 +66,25 @@ static void judge(recorder_sampling_t *sampling)
     } while (trigger != sampling->trigger_end);
 }
 
-/* Returns the end of the point. */
-static uint8_t *store(const recorder_sampling_t *sampling, uint8_t *to)
+/* Fill the bytes from `to` to `end`. */
+static void store(const recorder_sampling_t *sampling, uint8_t *to, const uint8_t *end)
 {
     const uint8_t *const *from = sampling->source;
-    const uint8_t *const *end = sampling->source_end;
     if (sampling->cell == 2) {
         cell2_t *cell = (cell2_t *)(void *)to;
         do {
             *cell++ = *(const cell2_t *)(const void *)*from++;
-        } while (from != end);
-        return (uint8_t *)cell;
-    }
-    if (sampling->cell == 4) {
+        } while (cell != (const cell2_t *)(const void *)end);
+    } else if (sampling->cell == 4) {
         cell4_t *cell = (cell4_t *)(void *)to;
         do {
             *cell++ = *(const cell4_t *)(const void *)*from++;
-        } while (from != end);
-        return (uint8_t *)cell;
+        } while (cell != (const cell4_t *)(const void *)end);
+    } else {
+        do {
+            *to++ = **from++;
+        } while (to != end);
     }
-    do {
-        *to++ = **from++;
-    } while (from != end);
-    return to;
 }
 
 void recorder_take(recorder_t *recorder)
@@ -102,7 +98,8 @@ void recorder_take(recorder_t *recorder)
     if (sampling->trigger_end != sampling->trigger) {
         judge(sampling);
     }
-    uint8_t *next = store(sampling, sampling->next);
+    uint8_t *next = sampling->next + sampling->point;
+    store(sampling, sampling->next, next);
     if (next == sampling->end) {
         next = (uint8_t *)recorder->memory->samples;
         sampling->armed = sampling->armed || !sampling->filled;

@@ -10,8 +10,9 @@ from typing import Any
 from targets.sources import Sources
 
 from firmware_cost.calibration import Charging, charges, fit
-from firmware_cost.instructions import Counts, Setup, count, name_of
+from firmware_cost.instructions import Count, Counts, Setup, count, name_of
 from firmware_cost.programs import OPTIMISATIONS, Programs, compiler
+from firmware_cost.recorder import recorder_costs
 from firmware_cost.sizes import Size, Sizes, sizes
 from firmware_cost.stages import Stages, stages
 
@@ -34,6 +35,8 @@ class Measurement:
     sensorless : mapping
         Counts of one phase without encoders.
     stages : Stages
+    recorder : mapping
+        What a call of a recorder costs, by case.
     weights : mapping
         Of the price list of the virtual core, fitted to these counts.
     charged : mapping
@@ -46,6 +49,7 @@ class Measurement:
     all_features: Counts
     sensorless: Counts
     stages: Stages
+    recorder: Mapping[str, Count]
     weights: Mapping[str, float]
     charged: Mapping[Setup, Counts]
 
@@ -89,6 +93,7 @@ def measure(sources: Sources, folder: Path) -> Measurement:
         others[Setup.ALL_FEATURES],
         others[Setup.WITHOUT_ENCODERS],
         stages(programs[REFERENCE]),
+        recorder_costs(programs[REFERENCE]),
         weights,
         {setup: charging.count(setup) for setup in Setup},
     )
@@ -102,6 +107,7 @@ def plain(measurement: Measurement) -> dict[str, Any]:
         "instructions_all_features": {REFERENCE: _counts(measurement.all_features)},
         "instructions_sensorless": {REFERENCE: _counts(measurement.sensorless)},
         "stages": {REFERENCE: {"fast": dict(measurement.stages.fast), "slow": dict(measurement.stages.slow)}},
+        "recorder": {REFERENCE: {case: one.mean for case, one in measurement.recorder.items()}},
         "bytes": {level: _sizes(one) for level, one in measurement.sizes.items()},
     }
 

@@ -11,6 +11,7 @@ from servo_twin._core_time import UNITS
 from firmware_cost.instructions import FAST, KINDS, OBSERVED_PHASE, PERIODS, PHASES, SLOW, Count, Counts, Kind, Setup
 from firmware_cost.measurement import REFERENCE, Measurement
 from firmware_cost.programs import OPTIMISATIONS
+from firmware_cost.recorder import FOUR
 from firmware_cost.sizes import Size
 from firmware_cost.stages import PHASE
 
@@ -18,6 +19,7 @@ FAST_AIM: Final = 400
 SENSORLESS_AIM: Final = 550
 SLOW_AIM: Final = 600
 CONTROL_AIM: Final = 10_000
+RECORDER_AIM: Final = 60
 MOVING: Final = PHASES[:-1]
 """What a servo does; the last phase is the voltage limit."""
 
@@ -40,6 +42,7 @@ def table(measurement: Measurement) -> str:
         *(_instructions(level, measurement.counts[level]) for level in OPTIMISATIONS),
         _instructions(f"{REFERENCE}, every feature on", measurement.all_features),
         _instructions(f"{REFERENCE}, without encoders", measurement.sensorless),
+        _recorder(measurement),
         _virtual_core(measurement),
         _parts(measurement),
         _bytes(measurement),
@@ -74,6 +77,7 @@ def _against_others(measurement: Measurement) -> str:
         ("fast loop without encoder: observer and PLL", *_aimed(sensorless.mean, SENSORLESS_AIM)),
         ("slow loop, position mode", *_aimed(counts["position", SLOW].mean, SLOW_AIM)),
         ("slow loop, speed mode", *_aimed(counts["speed", SLOW].mean, SLOW_AIM)),
+        (f"recorder, {FOUR}", *_aimed(measurement.recorder[FOUR].mean, RECORDER_AIM)),
         ("control code of two axes, bytes", *_aimed(sizes.control.text, CONTROL_AIM)),
         ("the same with the FreeMASTER server, bytes", f"{sizes.complete.text}", ""),
         ("both interrupts of a PWM period, mean", f"{mean:.0f}", "DRM: 6250 cycles for the period at 100 MHz"),
@@ -164,6 +168,12 @@ def _instructions(title: str, counts: Counts) -> str:
         if (phase, FAST) in counts
     ]
     return f"## Instructions, {title}\n\n" + _rows(head, rows)
+
+
+def _recorder(measurement: Measurement) -> str:
+    rows = [(case, str(one.least), f"{one.mean:.1f}", str(one.most)) for case, one in measurement.recorder.items()]
+    text = "What a call adds to the interrupt of its loop; both axes together have one recorder.\n\n"
+    return f"## Recorder, {REFERENCE}\n\n" + text + _rows(("instructions", "least", "mean", "most"), rows)
 
 
 def _parts(measurement: Measurement) -> str:

@@ -15,13 +15,16 @@ from targets.rig import Rig
 VARIABLES: Final = 0x1000
 STRINGS: Final = 0x00100000
 TABLE: Final = 0x00200000
-"""Where variables, their names and their table begin (``comm/tsa.h``)."""
+SAMPLES: Final = 0x00400000
+"""Where variables, their names, their table and the samples of recorders begin (``comm/tsa.h``)."""
 
 _ENTRY_SIZE: Final = 16
 _CHUNK: Final = 240
 """Bytes of the table in one answer: whole entries."""
 
 _READ_FROM_BASE: Final = 0x22
+_SETREC: Final = 0x24
+_GETREC: Final = 0x25
 _UNENDING: Final = b"\x80"
 """The beginning of a number that goes on behind the end of the request."""
 
@@ -32,6 +35,7 @@ def frames(rig: Rig) -> Iterator[bytes]:
     yield from _table(rig)
     yield from _memory(rig)
     yield from _scope(rig)
+    yield from _recorder(rig)
     yield from _commands()
     yield from _line()
 
@@ -98,6 +102,57 @@ def _scope(rig: Rig) -> Iterator[bytes]:
     yield encode_request(Command.SETSCOPE, b"\x00\x02\x09")
     yield encode_request(Command.SETSCOPE)
     yield encode_request(Command.READSCOPE)
+
+
+def _recorder(rig: Rig) -> Iterator[bytes]:
+    """Points that fit into the memory of the smallest target, which is why nothing is asked for its size."""
+
+    def setting(recorder: int, *operations: bytes) -> bytes:
+        return encode_request(_SETREC, bytes([recorder]) + b"".join(operations))
+
+    def operation(code: int, data: bytes = b"") -> bytes:
+        return bytes([code, len(data)]) + data
+
+    def variable(slot: int, name: str, trigger: bytes = b"\x00\x00") -> bytes:
+        size = 4 if name in ("tick", "u_dc_now", "axis2.pi_q", "axis1.speed_raw") else 2
+        return operation(2, bytes([slot]) + encode_uleb(rig.address(name)) + bytes([size]) + trigger)
+
+    start, stop = operation(3), operation(4)
+    for payload in (b"", b"\x02", b"\x00\x05\x00", b"\x00\x03\x01", b"\x00" + start, b"\x00" + stop):
+        yield encode_request(_SETREC, payload)
+    for payload in (b"", b"\x00", b"\x02\x84", b"\x00\x80", b"\x00\x81", b"\x01\x81", b"\x00\x83", b"\x01\x84"):
+        yield encode_request(_GETREC, payload)
+    yield setting(0, operation(1, b"\x09\x14\x05\x00"))
+    yield setting(0, operation(1, b"\x01\x14\x05\x00"), variable(1, "tick"))
+    yield setting(0, operation(2, b"\x00" + encode_uleb(VARIABLES - 4) + b"\x04\x00\x00"))
+    names = (
+        "axis1.i_a",
+        "tick",
+        "axis1.duty_b",
+        "u_dc_now",
+        "axis2.pi_q",
+        "axis1.theta_e",
+        "axis1.speed_raw",
+        "axis2.mode",
+    )
+    signed, variable_limit = b"\x52" + encode_sleb(-1), b"\xb1" + encode_uleb(rig.address("tick"))
+    for recorder, trigger in ((0, b"\x00\x00"), (0, signed), (1, b"\x00\x00"), (0, variable_limit)):
+        yield setting(recorder, operation(1, b"\x08\x14\x05\x00"))
+        for slot, name in enumerate(names):
+            yield setting(
+                recorder, variable(slot, name, trigger if name == ("axis1.i_a", "tick")[trigger[0] >> 7] else b"\0\0")
+            )
+        yield setting(recorder, start)
+        yield setting(1 - recorder, operation(1, b"\x01\x14\x05\x00"))
+        yield commands.read_memory(SAMPLES, 4).frame
+        for _ in range(4):
+            yield encode_request(_GETREC, bytes([recorder, 0x83]))
+        yield setting(recorder, stop)
+        yield encode_request(_GETREC, bytes([recorder, 0x83]))
+        for offset in (0, 240):
+            yield commands.read_memory(SAMPLES + offset, 240).frame
+    yield setting(0, operation(1, b"\x03\x0a\x00\x01"), *(variable(k, "axis1.i_a") for k in range(3)), start)
+    yield setting(0, stop, start, operation(1, b"\x00\x00\x00\x00"))
 
 
 def _commands() -> Iterator[bytes]:

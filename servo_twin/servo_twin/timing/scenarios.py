@@ -143,6 +143,37 @@ def _requests(board: Board) -> None:
     assert board.serial_in(bytes.fromhex("2B 01 04 00 70 8B") * 600)
 
 
+def _frame(code: int, payload: bytes) -> bytes:
+    """A FreeMASTER request on the wire."""
+    body = bytes([code, len(payload)]) + payload
+    crc = 0
+    for byte in body:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1) ^ (0x107 if crc & 0x80 else 0)
+    return b"+" + (body + bytes([crc])).replace(b"+", b"++")
+
+
+def _recording(prepare: Callable[[Board], None]) -> Callable[[Board], None]:
+    """The same with a recorder that takes 8 variables in every period, and waits for two triggers."""
+
+    def then_record(board: Board) -> None:
+        prepare(board)
+        names = [f"axis{axis + 1}.{name}" for axis in range(AXES) for name in ("i_a", "i_q", "duty_a", "theta_e")]
+        operations = bytes([1, 4, len(names), 0, 0, 0])
+        for slot, name in enumerate(names):
+            address = board.address(name)
+            groups = [address >> shift & 0x7F for shift in range(0, address.bit_length(), 7)]
+            trigger = b"\x12\xff\xff\x01" if name.endswith("i_q") else b"\0\0"  # an edge to 32767 or above
+            data = bytes([slot, *(group | 0x80 for group in groups[:-1]), groups[-1], 2]) + trigger
+            operations += bytes([2, len(data)]) + data
+        assert board.serial_in(_frame(0x24, b"\0" + operations + b"\3\0"))
+        board.run(0.1)  # the request has passed, and the memory is full for the first time
+        assert board.serial_out().endswith(bytes.fromhex("2B 00 00")), "the recorder runs"
+
+    return then_record
+
+
 def _both(name: str, prepare: Callable[[bool], Callable[[Board], None]], seconds: float = 0.05) -> list[Scenario]:
     return [Scenario(name, prepare(False), seconds), Scenario(f"{name}, every feature", prepare(True), seconds)]
 
@@ -160,6 +191,9 @@ SCENARIOS: Final = (
     *_both("torque", lambda every: _moving(every, "TORQUE", 0.3)),
     *_both("voltage limit", lambda every: _moving(every, "SPEED", 419.0, 1.0)),
     *_both("observer", lambda every: _observed(every, 3.0)),
+    *_both("speed, recording", lambda every: _recording(_moving(every, "SPEED", 100.0))),
+    Scenario("voltage limit, every feature, recording", _recording(_moving(True, "SPEED", 419.0, 1.0))),
+    Scenario("observer, every feature, recording", _recording(_observed(True, 3.0))),
     Scenario("rotor search, every feature", _search, 1.5),
     *_both("observer start-up", lambda every: _observed(every, 0.0), 2.0),
     Scenario("quick stop, every feature", _moving(True, "SPEED", 300.0, 0.5), 0.3, _quick_stop),

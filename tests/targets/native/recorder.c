@@ -36,9 +36,9 @@ typedef struct {
     uint32_t *check_at; /* bytes of the image that lead there */
     size_t checks;
     size_t check_room, check_at_room;
-} recorder_t;
+} run_recorder_t;
 
-static recorder_t recorder;
+static run_recorder_t recorder;
 
 /* ---- control ---------------------------------------------------------------------------------------------------- */
 
@@ -48,7 +48,7 @@ void record_begin(uint32_t check_every)
     free(recorder.check);
     free(recorder.check_at);
     free(recorder.log.word);
-    recorder = (recorder_t){.check_every = check_every};
+    recorder = (run_recorder_t){.check_every = check_every};
     trace_writer_open(&recorder.writer, check_every);
     digest_init(&recorder.digest);
     recorder.running = true;
