@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.tuning.linear import spectral_radius
+from servo_msgs_py.tuning.loops import In, Out
+from servo_msgs_py.tuning.reading import load
+from servo_msgs_py.tuning.tuned import Tuned, tuned
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.experiments.rig import (
@@ -25,10 +29,6 @@ from servo_twin.experiments.rig import (
     watch,
 )
 from servo_twin.plant import PlantConfig
-from tuning.linear import spectral_radius
-from tuning.loops import In, Out
-from tuning.reading import load
-from tuning.tuned import Tuned, tuned
 
 CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "servo.toml"
 SEED: Final = 1

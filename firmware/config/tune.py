@@ -1,10 +1,10 @@
-"""The tuning tool: ``python firmware/config/tune.py --help``; what it does stands in the package ``tuning``."""
+"""The tuning tool: ``python firmware/config/tune.py --help``; what it does stands in `servo_msgs_py.tuning`."""
 
 from __future__ import annotations
 
 import sys
 
-from tuning.command import main
+from servo_msgs_py.tuning.command import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from quad_timer import TIMER_CLOCK
-from tuning.assessment import Assessment, assess
-from tuning.configuration import Scales
-from tuning.findings import findings
-from tuning.linear import System, expm, held, margins, poles, spectral_radius
-from tuning.loops import CurrentLoop, In, Out
-from tuning.sensors import EdgeDelay, edge_delay
-from tuning.tuned import Tuned
+from servo_msgs_py.tuning.assessment import Assessment, assess
+from servo_msgs_py.tuning.configuration import Scales
+from servo_msgs_py.tuning.findings import findings
+from servo_msgs_py.tuning.linear import System, expm, held, margins, poles, spectral_radius
+from servo_msgs_py.tuning.loops import CurrentLoop, In, Out
+from servo_msgs_py.tuning.sensors import EdgeDelay, edge_delay
+from servo_msgs_py.tuning.tuned import Tuned
 from tuning_tool import CATALOGUE, axis, configuration
 
 TICK = 0.5e-3

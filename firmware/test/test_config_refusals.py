@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from tuning.braking import brake_constants
-from tuning.constants import time_outs
-from tuning.errors import ConfigError
-from tuning.reading import parse
-from tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
-from tuning.source import c_source
-from tuning.tuned import tuned
+from servo_msgs_py.tuning.braking import brake_constants
+from servo_msgs_py.tuning.constants import time_outs
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.reading import parse
+from servo_msgs_py.tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
+from servo_msgs_py.tuning.source import c_source
+from servo_msgs_py.tuning.tuned import tuned
 from tuning_tool import CATALOGUE, configuration, table
 
 

@@ -9,7 +9,7 @@ from core_library import Core, load_core
 from firmware_compiler import CompileC
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tuning.braking import brake_constants
+from servo_msgs_py.tuning.braking import brake_constants
 from tuning_tool import configuration
 
 TICK = 0.5e-3

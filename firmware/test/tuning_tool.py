@@ -10,9 +10,9 @@ from typing import Any, Final
 from firmware_compiler import FIRMWARE
 from hypothesis import strategies as st
 from servo_msgs_py.catalogue import Catalogue
-from tuning.configuration import Configuration
-from tuning.reading import parse
-from tuning.tuned import Tuned, tuned
+from servo_msgs_py.tuning.configuration import Configuration
+from servo_msgs_py.tuning.reading import parse
+from servo_msgs_py.tuning.tuned import Tuned, tuned
 
 if sys.version_info >= (3, 11):
     import tomllib

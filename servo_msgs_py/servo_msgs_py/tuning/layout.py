@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from tuning.linear import Margins
+from servo_msgs_py.tuning.linear import Margins
 
 __all__ = ["factor", "hertz", "notes", "phase", "table"]
 

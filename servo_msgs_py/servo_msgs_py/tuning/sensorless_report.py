@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from tuning.layout import factor, hertz, notes, phase, table
-from tuning.linear import Pole
-from tuning.sensorless_figures import SensorlessFigures
-from tuning.tuned import Tuned
+from servo_msgs_py.tuning.layout import factor, hertz, notes, phase, table
+from servo_msgs_py.tuning.linear import Pole
+from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
+from servo_msgs_py.tuning.tuned import Tuned
 
 __all__ = ["sensorless_text"]
 

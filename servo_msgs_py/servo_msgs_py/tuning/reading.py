@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
-
-from tuning.checks import check
-from tuning.configuration import Axis, Board, Configuration, Scales
-from tuning.errors import ConfigError
-from tuning.schema import unknown_name
+from servo_msgs_py.tuning.checks import check
+from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.schema import unknown_name
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -17,10 +17,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tuning.configuration import Axis, Board
-from tuning.gains import Gains, Pi
-from tuning.linear import Margins, Matrix, Omega, System, held, margins
-from tuning.sensors import EdgeDelay, SpeedSensor
+from servo_msgs_py.tuning.configuration import Axis, Board
+from servo_msgs_py.tuning.gains import Gains, Pi
+from servo_msgs_py.tuning.linear import Margins, Matrix, Omega, System, held, margins
+from servo_msgs_py.tuning.sensors import EdgeDelay, SpeedSensor
 
 __all__ = ["CurrentLoop", "In", "Out", "ShaftLoops"]
 

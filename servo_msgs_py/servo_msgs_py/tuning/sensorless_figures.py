@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from tuning.linear import Margins, Pole, pole_of, spectral_radius
-from tuning.sensorless import angle_error, slide_damping
-from tuning.tuned import Tuned
+from servo_msgs_py.tuning.linear import Margins, Pole, pole_of, spectral_radius
+from servo_msgs_py.tuning.sensorless import angle_error, slide_damping
+from servo_msgs_py.tuning.tuned import Tuned
 
 __all__ = ["WINDINGS", "AngleError", "Lock", "ObserverPoles", "SensorlessFigures", "sensorless_figures"]
 

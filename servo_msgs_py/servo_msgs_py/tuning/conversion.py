@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from tuning.configuration import Axis, Board, Scales
-from tuning.formats import GAIN, Format
-from tuning.gains import Pi
+from servo_msgs_py.tuning.configuration import Axis, Board, Scales
+from servo_msgs_py.tuning.formats import GAIN, Format
+from servo_msgs_py.tuning.gains import Pi
 
 __all__ = ["AxisConstants", "Category", "Converter", "FaultSet", "Field", "PiRaw", "Switches", "pi_raw"]
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-from tuning.assessment import Assessment
-from tuning.sensorless_constants import needs_observer
-from tuning.sensorless_figures import SensorlessFigures
-from tuning.tuned import Tuned
+from servo_msgs_py.tuning.assessment import Assessment
+from servo_msgs_py.tuning.sensorless_constants import needs_observer
+from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
+from servo_msgs_py.tuning.tuned import Tuned
 
 __all__ = ["findings"]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from tuning.braking import stop_constants
-from tuning.configuration import Axis, Board, Configuration
-from tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
-from tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
-from tuning.gains import Gains
+from servo_msgs_py.tuning.braking import stop_constants
+from servo_msgs_py.tuning.configuration import Axis, Board, Configuration
+from servo_msgs_py.tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
+from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
+from servo_msgs_py.tuning.gains import Gains
 
 __all__ = ["OBSERVER", "PATH_OMEGA", "axis_constants", "time_outs"]
 

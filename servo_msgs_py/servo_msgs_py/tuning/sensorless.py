@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tuning.configuration import Axis, Board
-from tuning.gains import Pi, speed_pi
+from servo_msgs_py.tuning.configuration import Axis, Board
+from servo_msgs_py.tuning.gains import Pi, speed_pi
 
 __all__ = [
     "BackEmfObserver",

@@ -6,8 +6,8 @@ from collections.abc import Callable, Collection, Mapping, MutableMapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from tuning.errors import refused
-from tuning.schema import unknown_name
+from servo_msgs_py.tuning.errors import refused
+from servo_msgs_py.tuning.schema import unknown_name
 
 __all__ = ["CATEGORIES", "COMMANDS", "Stops"]
 

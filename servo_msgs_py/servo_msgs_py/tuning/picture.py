@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tuning.assessment import INERTIAS
-from tuning.linear import Omega
-from tuning.loops import In, Out
-from tuning.report import AxisReport
-from tuning.sensorless_figures import WINDINGS
-from tuning.tuned import Tuned
+from servo_msgs_py.tuning.assessment import INERTIAS
+from servo_msgs_py.tuning.linear import Omega
+from servo_msgs_py.tuning.loops import In, Out
+from servo_msgs_py.tuning.report import AxisReport
+from servo_msgs_py.tuning.sensorless_figures import WINDINGS
+from servo_msgs_py.tuning.tuned import Tuned
 
 __all__ = ["PictureError", "draw"]
 

@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
-from tuning.conversion import TICKS, AxisConstants, Converter, Field, PiRaw, pi_raw
-from tuning.errors import ConfigError
-from tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, Format
-from tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
-from tuning.sensors import FORGET
+from servo_msgs_py.tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.conversion import TICKS, AxisConstants, Converter, Field, PiRaw, pi_raw
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, Format
+from servo_msgs_py.tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
+from servo_msgs_py.tuning.sensors import FORGET
 
 __all__ = ["F2", "needs_observer", "sensorless_constants", "used_observer", "used_pll"]
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tuning.configuration import Axis, Board
+from servo_msgs_py.tuning.configuration import Axis, Board
 
 __all__ = ["Gains", "Pi", "speed_pi"]
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from tuning.configuration import Axis, Configuration
-from tuning.conversion import Category, Converter, FaultSet, Field
-from tuning.formats import FRAC16, FRAC32, GAIN
+from servo_msgs_py.tuning.configuration import Axis, Configuration
+from servo_msgs_py.tuning.conversion import Category, Converter, FaultSet, Field
+from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN
 
 __all__ = ["BUS_END", "brake_constants", "regeneration_speed", "short_speed", "stop_constants"]
 

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from tuning.assessment import Assessment, assess
-from tuning.configuration import Configuration
-from tuning.findings import K_V_T_MAX, findings
-from tuning.layout import factor, hertz, notes, phase, table
-from tuning.sensorless_report import sensorless_text
-from tuning.tuned import Tuned, tuned
+from servo_msgs_py.tuning.assessment import Assessment, assess
+from servo_msgs_py.tuning.configuration import Configuration
+from servo_msgs_py.tuning.findings import K_V_T_MAX, findings
+from servo_msgs_py.tuning.layout import factor, hertz, notes, phase, table
+from servo_msgs_py.tuning.sensorless_report import sensorless_text
+from servo_msgs_py.tuning.tuned import Tuned, tuned
 
 __all__ = ["AxisReport", "as_dict", "axis_reports", "text"]
 

@@ -7,17 +7,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from tuning.configuration import Axis, Board, Configuration, Scales
-from tuning.constants import OBSERVER, PATH_OMEGA, axis_constants
-from tuning.conversion import AxisConstants, PiRaw
-from tuning.errors import ConfigError
-from tuning.formats import FRAC32, GAIN
-from tuning.gains import Gains, Pi
-from tuning.linear import spectral_radius
-from tuning.loops import CurrentLoop, ShaftLoops
-from tuning.sensorless import Sensorless
-from tuning.sensorless_constants import sensorless_constants, used_observer, used_pll
-from tuning.sensors import MtSpeed, Observer, PllSpeed
+from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.constants import OBSERVER, PATH_OMEGA, axis_constants
+from servo_msgs_py.tuning.conversion import AxisConstants, PiRaw
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.formats import FRAC32, GAIN
+from servo_msgs_py.tuning.gains import Gains, Pi
+from servo_msgs_py.tuning.linear import spectral_radius
+from servo_msgs_py.tuning.loops import CurrentLoop, ShaftLoops
+from servo_msgs_py.tuning.sensorless import Sensorless
+from servo_msgs_py.tuning.sensorless_constants import sensorless_constants, used_observer, used_pll
+from servo_msgs_py.tuning.sensors import MtSpeed, Observer, PllSpeed
 
 __all__ = ["GainRow", "Tuned", "tuned"]
 

@@ -11,19 +11,18 @@ from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.codegen import update
-
-from tuning.braking import brake_constants
-from tuning.configuration import Configuration
-from tuning.constants import time_outs
-from tuning.errors import ConfigError
-from tuning.picture import PictureError, draw
-from tuning.reading import load
-from tuning.report import as_dict, axis_reports, text
-from tuning.source import c_source
+from servo_msgs_py.tuning.braking import brake_constants
+from servo_msgs_py.tuning.configuration import Configuration
+from servo_msgs_py.tuning.constants import time_outs
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.picture import PictureError, draw
+from servo_msgs_py.tuning.reading import load
+from servo_msgs_py.tuning.report import as_dict, axis_reports, text
+from servo_msgs_py.tuning.source import c_source
 
 __all__ = ["main", "parser"]
 
-FOLDER: Final = Path(__file__).resolve().parents[1]
+FOLDER: Final = Path(__file__).resolve().parents[3] / "firmware" / "config"
 
 _ABOUT: Final = """\
 Tune the two axes: from motor data, inertia and wanted bandwidths in a configuration (servo.toml) to the integers that

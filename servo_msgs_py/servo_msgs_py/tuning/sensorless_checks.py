@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from tuning.configuration import Axis, Board
-from tuning.errors import ConfigError
-from tuning.sensorless import BackEmfObserver, Pll, StartUp
+from servo_msgs_py.tuning.configuration import Axis, Board
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.sensorless import BackEmfObserver, Pll, StartUp
 
 __all__ = ["check_sensorless"]
 

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from tuning.errors import ConfigError, refused
+from servo_msgs_py.tuning.errors import ConfigError, refused
 
 __all__ = [
     "AXIS_GROUPS",

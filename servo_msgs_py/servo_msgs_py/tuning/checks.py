@@ -6,10 +6,9 @@ import itertools
 import math
 
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.sensorless_checks import check_sensorless
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
-
-from tuning.configuration import Axis, Board, Configuration, Scales
-from tuning.sensorless_checks import check_sensorless
 
 __all__ = ["check"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-from tuning.errors import ConfigError, refused
-from tuning.schema import check_table, unknown_name
+from servo_msgs_py.tuning.errors import ConfigError, refused
+from servo_msgs_py.tuning.schema import check_table, unknown_name
 
 __all__ = ["Temperature"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from tuning.conversion import AxisConstants, Category, FaultSet, Field, Switches
+from servo_msgs_py.tuning.conversion import AxisConstants, Category, FaultSet, Field, Switches
 
 __all__ = ["c_source"]
 

@@ -8,11 +8,17 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
-
-from tuning.errors import ConfigError, refused
-from tuning.schema import AXIS_GROUPS, BOARD_GROUPS, check_group, check_switches, check_table, unknown_name
-from tuning.stops import Stops
-from tuning.temperature import Temperature
+from servo_msgs_py.tuning.errors import ConfigError, refused
+from servo_msgs_py.tuning.schema import (
+    AXIS_GROUPS,
+    BOARD_GROUPS,
+    check_group,
+    check_switches,
+    check_table,
+    unknown_name,
+)
+from servo_msgs_py.tuning.stops import Stops
+from servo_msgs_py.tuning.temperature import Temperature
 
 __all__ = ["FEEDBACKS", "Axis", "Board", "Configuration", "Scales"]
 

@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tuning.linear import Margins, Pole, System, Tracking, poles, spectral_radius
-from tuning.loops import In, Out
-from tuning.sensorless_figures import SensorlessFigures, sensorless_figures
-from tuning.sensors import edge_delay
-from tuning.tuned import Tuned
+from servo_msgs_py.tuning.linear import Margins, Pole, System, Tracking, poles, spectral_radius
+from servo_msgs_py.tuning.loops import In, Out
+from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures, sensorless_figures
+from servo_msgs_py.tuning.sensors import edge_delay
+from servo_msgs_py.tuning.tuned import Tuned
 
 __all__ = [
     "Arrival",

@@ -10,7 +10,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tuning.linear import Matrix, Omega, held
+from servo_msgs_py.tuning.linear import Matrix, Omega, held
 
 __all__ = ["FORGET", "EdgeDelay", "MtSpeed", "Observer", "PllSpeed", "SpeedSensor", "edge_delay"]
 
