@@ -77,6 +77,31 @@ typedef struct {
     uint16_t unused; /* the size is the same on every machine */
 } parameter_block_t;
 
+#define CONFIG_TOGETHER 24 /* members of a configuration block that are written at once */
+#define CONFIG_AXIS 0      /* words of the window */
+#define CONFIG_FIRST 1
+#define CONFIG_COUNT 2
+#define CONFIG_VALUES 3
+#define CONFIG_HEADER 4 /* words: axis, layout, members, checksum */
+
+/* Written by the host to send configuration blocks (app/configure.h). */
+typedef struct {
+    int32_t window[CONFIG_VALUES + CONFIG_TOGETHER];
+    int32_t header[CONFIG_HEADER];
+    uint16_t take; /* axes, a bit each */
+    uint16_t unused; /* what follows has the same address on every machine */
+} config_request_t;
+
+typedef struct {
+    uint32_t layout;
+    uint32_t checksum[HAL_AXES]; /* of the blocks in force */
+    uint32_t taken_tick;
+    uint16_t taken_count;
+    uint16_t answers;
+    uint16_t refusal; /* CONFIG_REFUSAL_ of the last write */
+    uint16_t refused_member;
+} config_status_t;
+
 /* What the observer sees; 0 where it does not run. The angle is that of the snapshot, the rest at most a slow tick older. */
 typedef struct {
     frac32_t speed;

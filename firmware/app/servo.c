@@ -52,6 +52,11 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     if (offset >= points && (uint32_t)offset + size <= points + sizeof servo->command.points) {
         return accepts_points(servo, offset == points && mask == NULL, data, size);
     }
+    const uint16_t config = (uint16_t)offsetof(servo_t, config);
+    if (offset >= config && (uint32_t)offset + size <= config + sizeof servo->config) {
+        return configure_accept(&servo->configure, &servo->config_status, (uint16_t)(offset - config), mask == NULL,
+                                data, size);
+    }
     const ranges_memory_t memory = {
         .memory = (const uint8_t *)servo,
         .positions = (uint16_t)offsetof(servo_t, command.position),
@@ -67,7 +72,9 @@ static void written(void *context, uint16_t offset, uint16_t size)
     if (offset >= begin && (uint32_t)offset + size <= begin + sizeof servo->command) {
         servo->host_commands++;
         latch_mark(&servo->marks, (uint16_t)(offset - begin), size);
-    } else {
+    } else if (offset == offsetof(servo_t, config.window)) {
+        configure_show(&servo->configure, &servo->config);
+    } else if (offset < offsetof(servo_t, config) || offset >= offsetof(servo_t, config_status)) {
         servo->marks.parameters = true; /* nothing else can be written */
     }
 }
@@ -137,11 +144,13 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->snapshot = (snapshot_t){0};
     servo->estimate = (estimate_block_t){0};
     servo->command = (command_block_t){0};
+    servo->config = (config_request_t){0};
+    configure_init(&servo->configure, &servo->config_status);
     servo->parameter.host_timeout = servo_config.host_timeout;
     servo->parameter.command_timeout = servo_config.command_timeout;
     servo->parameter.brake = servo_config.brake.fitted ? 1U : 0U;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        const axis_config_t *config = &servo_config.axis[i];
+        const axis_config_t *config = configure_block(&servo->configure, i);
         axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
         servo->parameter.speed_limit[i] = config->speed_limit;
         servo->parameter.acceleration_limit[i] = config->acceleration_limit;
@@ -207,17 +216,38 @@ void servo_init(servo_t *servo, hal_t *hal)
 
 /* ---- parts of the interrupts ------------------------------------------------------------------------------------------ */
 
+static void note_applied(servo_t *servo)
+{
+    servo->applied_tick = servo->tick + 1U; /* the slow tick before whose M1 this is */
+    servo->applied_count++;
+}
+
+/* A command like any other: it counts, and has its tick. */
+static void take_blocks(servo_t *servo)
+{
+    config_status_t *status = &servo->config_status;
+    if (configure_latch(&servo->configure, status, &servo->parameter, &servo->belief, servo->axis)) {
+        note_applied(servo);
+        status->taken_tick = servo->applied_tick;
+        status->taken_count++;
+        servo->marks.parameters = true;
+    }
+}
+
 static void latch_commands(servo_t *servo)
 {
     if (servo->held) {
+        return;
+    }
+    if (servo->configure.pending != 0U) { /* commands wait a tick: one slot has no time for both */
+        take_blocks(servo);
         return;
     }
     if (servo->marks.parameters) {
         latch_board(&servo->parameter, &servo->settings);
     }
     if (latch_apply(&servo->marks, &servo->command, &servo->parameter, servo->axis)) {
-        servo->applied_tick = servo->tick + 1U; /* the slow tick before whose M1 this is */
-        servo->applied_count++;
+        note_applied(servo);
     }
 }
 

@@ -7,6 +7,7 @@
 #define SERVO_APP_SERVO_H
 
 #include "app/blocks.h"
+#include "app/configure.h"
 #include "app/latch.h"
 #include "app/monitor.h"
 #include "comm/freemaster.h"
@@ -33,9 +34,12 @@ typedef struct servo {
     fault_record_t record[HAL_AXES];
     belief_block_t belief;
     estimate_block_t estimate;
+    config_request_t config;
+    config_status_t config_status;
 
     hal_t *hal;
     axis_t axis[HAL_AXES];
+    configure_t configure;
     board_settings_t settings;
     brake_t brake;
     uint32_t tick; /* PWM periods since reset */

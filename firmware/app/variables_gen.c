@@ -31,154 +31,164 @@ CHECK(13, SIZE(command.enable) == 4);
 CHECK(14, SIZE(command.quick_stop) == 4);
 CHECK(15, SIZE(command.clear_faults) == 4);
 CHECK(16, SIZE(command.points) == 128);
-CHECK(17, SIZE(parameter.speed_limit) == 8);
-CHECK(18, SIZE(parameter.acceleration_limit) == 8);
-CHECK(19, SIZE(parameter.i_q_limit) == 4);
-CHECK(20, SIZE(parameter.features) == 4);
-CHECK(21, SIZE(parameter.position_min) == 8);
-CHECK(22, SIZE(parameter.position_max) == 8);
-CHECK(23, SIZE(parameter.following_error) == 8);
-CHECK(24, SIZE(parameter.over_speed) == 8);
-CHECK(25, SIZE(parameter.feedback) == 4);
-CHECK(26, SIZE(parameter.on_disable) == 4);
-CHECK(27, SIZE(parameter.on_quick_stop) == 4);
-CHECK(28, SIZE(parameter.faults_enabled) == 8);
-CHECK(29, SIZE(parameter.monitor) == 4);
-CHECK(30, SIZE(parameter.host_timeout) == 2);
-CHECK(31, SIZE(parameter.command_timeout) == 2);
-CHECK(32, SIZE(parameter.brake) == 2);
-CHECK(33, SIZE(snapshot.axis[0].position) == 4);
-CHECK(34, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(35, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(36, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(37, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(38, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(39, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(40, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(41, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(42, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(43, SIZE(snapshot.axis[0].state) == 2);
-CHECK(44, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(45, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(46, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(47, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(48, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(49, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(50, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(51, SIZE(snapshot.monitor[0]) == 2);
-CHECK(52, SIZE(estimate.axis[0].speed) == 4);
-CHECK(53, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(54, SIZE(estimate.axis[0].emf) == 2);
-CHECK(55, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(56, SIZE(record[0].pending) == 4);
-CHECK(57, SIZE(belief.torque_constant[0]) == 2);
-CHECK(58, SIZE(snapshot.axis[1].position) == 4);
-CHECK(59, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(60, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(61, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(62, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(63, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(64, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(65, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(66, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(67, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(68, SIZE(snapshot.axis[1].state) == 2);
-CHECK(69, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(70, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(71, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(72, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(73, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(74, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(75, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(76, SIZE(snapshot.monitor[1]) == 2);
-CHECK(77, SIZE(estimate.axis[1].speed) == 4);
-CHECK(78, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(79, SIZE(estimate.axis[1].emf) == 2);
-CHECK(80, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(81, SIZE(record[1].pending) == 4);
-CHECK(82, SIZE(belief.torque_constant[1]) == 2);
-CHECK(83, SIZE(tick) >= 4);
-CHECK(84, SIZE(applied_tick) >= 4);
-CHECK(85, SIZE(applied_count) >= 2);
-CHECK(86, SIZE(axis[0].u_dc) >= 2);
-CHECK(87, SIZE(late_loops) >= 2);
-CHECK(88, SIZE(points_refused) >= 2);
-CHECK(89, SIZE(point_refusal) >= 2);
-CHECK(90, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(91, SIZE(axis[0].feedback.position) >= 4);
-CHECK(92, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(93, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(94, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(95, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(96, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(97, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(98, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(99, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(100, SIZE(axis[0].latch.captured) >= 4);
-CHECK(101, SIZE(axis[0].latch.first) >= 2);
-CHECK(102, SIZE(axis[0].active_limits) >= 2);
-CHECK(103, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(104, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(105, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(106, SIZE(axis[0].estimate.size) >= 2);
-CHECK(107, SIZE(axis[0].latch.pending) >= 4);
-CHECK(108, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(109, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(110, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(111, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(112, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(113, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(114, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(115, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(116, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(117, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(118, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(119, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(120, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(121, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(122, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(123, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(124, SIZE(axis[0].command.mode) >= 2);
-CHECK(125, SIZE(axis[0].events.command) >= 2);
-CHECK(126, SIZE(axis[0].events.mode) >= 2);
-CHECK(127, SIZE(axis[0].sm.entered) >= 2);
-CHECK(128, SIZE(axis[1].feedback.position) >= 4);
-CHECK(129, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(130, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(131, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(132, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(133, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(134, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(135, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(136, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(137, SIZE(axis[1].latch.captured) >= 4);
-CHECK(138, SIZE(axis[1].latch.first) >= 2);
-CHECK(139, SIZE(axis[1].active_limits) >= 2);
-CHECK(140, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(141, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(142, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(143, SIZE(axis[1].estimate.size) >= 2);
-CHECK(144, SIZE(axis[1].latch.pending) >= 4);
-CHECK(145, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(146, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(147, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(148, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(149, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(150, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(151, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(152, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(153, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(154, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(155, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(156, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(157, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(158, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(159, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(160, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(161, SIZE(axis[1].command.mode) >= 2);
-CHECK(162, SIZE(axis[1].events.command) >= 2);
-CHECK(163, SIZE(axis[1].events.mode) >= 2);
-CHECK(164, SIZE(axis[1].sm.entered) >= 2);
+CHECK(17, SIZE(config.window) == 108);
+CHECK(18, SIZE(config.header) == 16);
+CHECK(19, SIZE(config.take) == 2);
+CHECK(20, SIZE(config_status.layout) == 4);
+CHECK(21, SIZE(config_status.checksum) == 8);
+CHECK(22, SIZE(config_status.taken_tick) == 4);
+CHECK(23, SIZE(config_status.taken_count) == 2);
+CHECK(24, SIZE(config_status.answers) == 2);
+CHECK(25, SIZE(config_status.refusal) == 2);
+CHECK(26, SIZE(config_status.refused_member) == 2);
+CHECK(27, SIZE(parameter.speed_limit) == 8);
+CHECK(28, SIZE(parameter.acceleration_limit) == 8);
+CHECK(29, SIZE(parameter.i_q_limit) == 4);
+CHECK(30, SIZE(parameter.features) == 4);
+CHECK(31, SIZE(parameter.position_min) == 8);
+CHECK(32, SIZE(parameter.position_max) == 8);
+CHECK(33, SIZE(parameter.following_error) == 8);
+CHECK(34, SIZE(parameter.over_speed) == 8);
+CHECK(35, SIZE(parameter.feedback) == 4);
+CHECK(36, SIZE(parameter.on_disable) == 4);
+CHECK(37, SIZE(parameter.on_quick_stop) == 4);
+CHECK(38, SIZE(parameter.faults_enabled) == 8);
+CHECK(39, SIZE(parameter.monitor) == 4);
+CHECK(40, SIZE(parameter.host_timeout) == 2);
+CHECK(41, SIZE(parameter.command_timeout) == 2);
+CHECK(42, SIZE(parameter.brake) == 2);
+CHECK(43, SIZE(snapshot.axis[0].position) == 4);
+CHECK(44, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(45, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(46, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(47, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(48, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(49, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(50, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(51, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(52, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(53, SIZE(snapshot.axis[0].state) == 2);
+CHECK(54, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(55, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(56, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(57, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(58, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(59, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(60, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(61, SIZE(snapshot.monitor[0]) == 2);
+CHECK(62, SIZE(estimate.axis[0].speed) == 4);
+CHECK(63, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(64, SIZE(estimate.axis[0].emf) == 2);
+CHECK(65, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(66, SIZE(record[0].pending) == 4);
+CHECK(67, SIZE(belief.torque_constant[0]) == 2);
+CHECK(68, SIZE(snapshot.axis[1].position) == 4);
+CHECK(69, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(70, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(71, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(72, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(73, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(74, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(75, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(76, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(77, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(78, SIZE(snapshot.axis[1].state) == 2);
+CHECK(79, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(80, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(81, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(82, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(83, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(84, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(85, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(86, SIZE(snapshot.monitor[1]) == 2);
+CHECK(87, SIZE(estimate.axis[1].speed) == 4);
+CHECK(88, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(89, SIZE(estimate.axis[1].emf) == 2);
+CHECK(90, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(91, SIZE(record[1].pending) == 4);
+CHECK(92, SIZE(belief.torque_constant[1]) == 2);
+CHECK(93, SIZE(tick) >= 4);
+CHECK(94, SIZE(applied_tick) >= 4);
+CHECK(95, SIZE(applied_count) >= 2);
+CHECK(96, SIZE(axis[0].u_dc) >= 2);
+CHECK(97, SIZE(late_loops) >= 2);
+CHECK(98, SIZE(points_refused) >= 2);
+CHECK(99, SIZE(point_refusal) >= 2);
+CHECK(100, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(101, SIZE(axis[0].feedback.position) >= 4);
+CHECK(102, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(103, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(104, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(105, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(106, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(107, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(108, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(109, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(110, SIZE(axis[0].latch.captured) >= 4);
+CHECK(111, SIZE(axis[0].latch.first) >= 2);
+CHECK(112, SIZE(axis[0].active_limits) >= 2);
+CHECK(113, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(114, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(115, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(116, SIZE(axis[0].estimate.size) >= 2);
+CHECK(117, SIZE(axis[0].latch.pending) >= 4);
+CHECK(118, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(119, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(120, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(121, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(122, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(123, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(124, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(125, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(126, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(127, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(128, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(129, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(130, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(131, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(132, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(133, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(134, SIZE(axis[0].command.mode) >= 2);
+CHECK(135, SIZE(axis[0].events.command) >= 2);
+CHECK(136, SIZE(axis[0].events.mode) >= 2);
+CHECK(137, SIZE(axis[0].sm.entered) >= 2);
+CHECK(138, SIZE(axis[1].feedback.position) >= 4);
+CHECK(139, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(140, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(141, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(142, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(143, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(144, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(145, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(146, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(147, SIZE(axis[1].latch.captured) >= 4);
+CHECK(148, SIZE(axis[1].latch.first) >= 2);
+CHECK(149, SIZE(axis[1].active_limits) >= 2);
+CHECK(150, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(151, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(152, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(153, SIZE(axis[1].estimate.size) >= 2);
+CHECK(154, SIZE(axis[1].latch.pending) >= 4);
+CHECK(155, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(156, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(157, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(158, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(159, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(160, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(161, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(162, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(163, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(164, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(165, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(166, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(167, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(168, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(169, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(170, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(171, SIZE(axis[1].command.mode) >= 2);
+CHECK(172, SIZE(axis[1].events.command) >= 2);
+CHECK(173, SIZE(axis[1].events.mode) >= 2);
+CHECK(174, SIZE(axis[1].sm.entered) >= 2);
 
 static const char strings[] =
     "state_t\0"
@@ -258,6 +268,16 @@ static const char strings[] =
     "cmd.quick_stop\0"
     "cmd.clear_faults\0"
     "cmd.points\0"
+    "config.window\0"
+    "config.header\0"
+    "config.take\0"
+    "config.layout\0"
+    "config.checksum\0"
+    "config.taken_tick\0"
+    "config.taken_count\0"
+    "config.answers\0"
+    "config.refusal\0"
+    "config.refused_member\0"
     "param.speed_limit\0"
     "param.acceleration_limit\0"
     "param.i_q_limit\0"
@@ -441,115 +461,125 @@ static const tsa_entry_t entries[] = {
     {645, 523, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
     {660, 523, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
     {677, 603, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {688, 615, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {706, 615, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {731, 530, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {747, 523, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {762, 603, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {781, 603, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {800, 603, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {822, 615, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {839, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {854, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {871, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {891, 478, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {912, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {926, 523, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {945, 523, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {967, 523, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {979, 615, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {988, 603, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {1003, 603, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {1022, 615, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {1034, 615, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {1050, 530, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {1060, 530, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {1070, 530, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {1084, 530, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {1094, 530, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {1104, 530, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1118, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1130, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1145, 478, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1158, 523, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1176, 523, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1189, 523, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {1210, 523, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {1229, 523, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {1247, 530, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1261, 615, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1282, 530, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1305, 530, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1324, 523, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1348, 478, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1362, 489, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1381, 530, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1403, 530, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {1413, 530, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {1423, 530, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {1433, 530, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {1447, 530, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {1460, 530, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {1473, 530, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {1486, 603, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {1497, 603, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {1508, 603, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {1523, 615, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {1539, 615, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {1558, 615, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {1574, 603, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {1590, 603, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {1606, 603, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {1621, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
-    {1632, 523, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {1652, 523, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {1669, 523, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {1687, 603, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1702, 603, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1721, 615, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1733, 615, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1749, 530, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1759, 530, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1769, 530, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1783, 530, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1793, 530, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1803, 530, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1817, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1829, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {1844, 478, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {1857, 523, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {1875, 523, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {1888, 523, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {1909, 523, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {1928, 523, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {1946, 530, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {1960, 615, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {1981, 530, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {2004, 530, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {2023, 523, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {2047, 478, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {2061, 489, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {2080, 530, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {2102, 530, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {2112, 530, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {2122, 530, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {2132, 530, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {2146, 530, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {2159, 530, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {2172, 530, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {2185, 603, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {2196, 603, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {2207, 603, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {2222, 615, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {2238, 615, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {2257, 615, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {2273, 603, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {2289, 603, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {2305, 603, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {2320, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
-    {2331, 523, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {2351, 523, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {2368, 523, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {688, 603, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {702, 603, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {716, 523, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {728, 478, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {742, 478, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {758, 478, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {776, 523, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {795, 523, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {810, 523, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {825, 523, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {847, 615, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {865, 615, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {890, 530, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {906, 523, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {921, 603, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {940, 603, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {959, 603, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {981, 615, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {998, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1013, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1030, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1050, 478, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {1071, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {1085, 523, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {1104, 523, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {1126, 523, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {1138, 615, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {1147, 603, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {1162, 603, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {1181, 615, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {1193, 615, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {1209, 530, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {1219, 530, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {1229, 530, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {1243, 530, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {1253, 530, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {1263, 530, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1277, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1289, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1304, 478, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1317, 523, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1335, 523, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1348, 523, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {1369, 523, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {1388, 523, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {1406, 530, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1420, 615, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1441, 530, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1464, 530, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1483, 523, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1507, 478, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1521, 489, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1540, 530, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1562, 530, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {1572, 530, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {1582, 530, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {1592, 530, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {1606, 530, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {1619, 530, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {1632, 530, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {1645, 603, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {1656, 603, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {1667, 603, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {1682, 615, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {1698, 615, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {1717, 615, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {1733, 603, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {1749, 603, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {1765, 603, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {1780, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
+    {1791, 523, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {1811, 523, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {1828, 523, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {1846, 603, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1861, 603, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1880, 615, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1892, 615, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1908, 530, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1918, 530, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1928, 530, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1942, 530, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1952, 530, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1962, 530, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {1976, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {1988, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2003, 478, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2016, 523, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2034, 523, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {2047, 523, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {2068, 523, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {2087, 523, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {2105, 530, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {2119, 615, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {2140, 530, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {2163, 530, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {2182, 523, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {2206, 478, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {2220, 489, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {2239, 530, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {2261, 530, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {2271, 530, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {2281, 530, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {2291, 530, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {2305, 530, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {2318, 530, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {2331, 530, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {2344, 603, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {2355, 603, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {2366, 603, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {2381, 615, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {2397, 615, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {2416, 615, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {2432, 603, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {2448, 603, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {2464, 603, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {2479, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
+    {2490, 523, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {2510, 523, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {2527, 523, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] = {
@@ -651,6 +681,9 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(command.quick_stop), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.quick_stop */
     {OFFSET(command.clear_faults), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.clear_faults */
     {OFFSET(command.points), 4, 32, INT32_MIN, INT32_C(2147483647)}, /* cmd.points */
+    {OFFSET(config.window), 4, 27, INT32_MIN, INT32_C(2147483647)}, /* config.window */
+    {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */
+    {OFFSET(config.take), 2, 1, INT32_C(0), INT32_C(3)}, /* config.take */
     {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */
     {OFFSET(parameter.acceleration_limit), 4, 2, INT32_C(2051), INT32_C(102534791)}, /* param.acceleration_limit */
     {OFFSET(parameter.i_q_limit), 2, 2, INT32_C(397), INT32_C(15888)}, /* param.i_q_limit */

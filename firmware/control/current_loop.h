@@ -42,6 +42,11 @@ void current_loop_turn(current_loop_t *loop, const current_loop_config_t *config
 /* Go on from here, in another frame: `current` flows, and `voltage` is what the next period is to have. */
 void current_loop_take_over(current_loop_t *loop, const current_loop_config_t *config, dq_t current, dq_t voltage);
 
+/* Other gains without a step of the voltage: the integral parts take what proportional part and decoupling of the last
+ * sample lose or gain. */
+void current_loop_retune(current_loop_t *loop, const current_loop_config_t *before, const current_loop_config_t *config,
+                         dq_t reference);
+
 /* Limit the voltage to a circle; the d axis, which keeps the flux, goes first. `u_d` is what `sum_d` rounds to. */
 void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, frac16_t u_d, frac16_t u_limit);
 

@@ -57,6 +57,13 @@ static inline pi_sum_t pi_sum(pi_state_t *state, const pi_gains_t *gains, frac32
     return pi_sum_add(state->integral, error, gains->kp);
 }
 
+/* u_i with which other gains give the same sum for the same error; not yet within +-1. */
+static inline pi_sum_t pi_retuned(const pi_state_t *state, const pi_gains_t *before, const pi_gains_t *gains,
+                                  frac32_t error)
+{
+    return pi_sum_add(state->integral, error, before->kp - gains->kp);
+}
+
 /* Second half, E37: u_out within +-limit. */
 static inline frac32_t pi_limit(pi_state_t *state, pi_sum_t sum, frac32_t limit)
 {

@@ -22,6 +22,16 @@ void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf)
     pll->kp = sat32(asr64((int64_t)config->kp * over, 15));
 }
 
+static int64_t driven_by(const pll_config_t *config, frac16_t i_q)
+{
+    return asr64((int64_t)i_q * config->acceleration, 15);
+}
+
+void pll_retune(pll_t *pll, const pll_config_t *before, const pll_config_t *config, frac16_t i_q)
+{
+    pll->load = sat32(pll->load + driven_by(before, i_q) - driven_by(config, i_q));
+}
+
 void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside, int32_t turned)
 {
     const int32_t error = (pll->backwards ? beside.d : -(int32_t)beside.d) * (int32_t)pll->root; /* 30 fraction bits */
@@ -29,7 +39,6 @@ void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside,
     pll->bias = f32_clip(pll->bias + f32_gain(pll->integral - asr32(turned, TICK_BITS), config->forget), BIAS_MAX);
     pll->load =
         sat32(pll->load + asr64((int64_t)error * config->load, 30) + (int64_t)f32_gain(size, config->follow_load));
-    const int64_t gained =
-        asr64((int64_t)i_q * config->acceleration, 15) + pll->load + (int64_t)f32_gain(size, config->follow);
+    const int64_t gained = driven_by(config, i_q) + pll->load + (int64_t)f32_gain(size, config->follow);
     pll->integral = f32_limit(pll->integral + gained, config->step_max);
 }

@@ -43,6 +43,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     current_sense_reset(&axis->sense);
     hal_pwm_enable(hal, index, false);
     hal_adc_select(hal, index, axis->sense.pair);
+    axis->motion.position_gain = config->position_gain;
     axis->fast = LOOP_FAST;
     axis->feedback_wanted = config->feedback;
     axis->source->reset(axis);

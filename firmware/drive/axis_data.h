@@ -97,6 +97,7 @@ typedef struct {
     bool starved;         /* .. because no point followed one with a speed */
     path_t path;          /* its output is the position set-point on a trajectory, too */
     path_position_t model; /* where the shaft would be if it did what it is told */
+    int32_t position_gain; /* in force: on its way to that of the configuration */
     bool path_forward;    /* the path's speed goes straight to the speed controller */
     bool resting;         /* the shaft is close enough to a target that does not move */
     frac32_t speed_ramp;

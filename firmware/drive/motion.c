@@ -7,6 +7,7 @@
 
 /* A shaft that comes to rest this close to its target is left alone until it is farther off than that. Closer than the
  * encoder can tell, the integral part of the speed controller would hunt against the friction for ever. */
+#define GAIN_TICKS 64 /* slow ticks: time constant of the way to another position gain */
 #define REST_COUNTS 1
 #define REST_LEFT 2
 
@@ -244,7 +245,7 @@ static frac32_t wanted_speed(const axis_t *axis, path_position_t behind)
 {
     const frac32_t behind_q8 = sat32(asr64(behind, PATH_BITS - 8));
     const frac32_t forward = axis->motion.path_forward ? axis->motion.shaped_speed : 0;
-    return sat32(forward + asr64((int64_t)behind_q8 * axis->config->position_gain, 8));
+    return sat32(forward + asr64((int64_t)behind_q8 * axis->motion.position_gain, 8));
 }
 
 /* Speed within the limit, or within the path's own speed while that still comes down to a lower limit. */
@@ -401,7 +402,7 @@ static void end_stop(axis_t *axis)
 
 void motion_start(axis_t *axis)
 {
-    axis->motion = (motion_state_t){0};
+    axis->motion = (motion_state_t){.position_gain = axis->config->position_gain};
     axis->diagnosis.shaft = (shaft_monitor_t){0};
     limits_renew(axis);
     hold(axis);
@@ -455,10 +456,22 @@ bool motion_too_slow(const axis_t *axis)
     return f32_abs(told) < axis->config->startup.minimum_speed;
 }
 
+/* Another gain comes into force slowly: the speed that the lag of a moving shaft asks for must not jump. */
+static void follow_gain(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const int32_t change = axis->config->position_gain - m->position_gain;
+    if (change != 0) {
+        const int32_t part = change / GAIN_TICKS;
+        m->position_gain += (part != 0) ? part : change;
+    }
+}
+
 void motion_step(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     take_commands(axis);
+    follow_gain(axis);
     if (m->motion == MOTION_TORQUE) {
         axis->current_ref.q = torque_control(axis);
         return;

@@ -3,18 +3,18 @@
 #include "drive/soft_limits.h"
 
 /* What is known to be needed, before there is an error: current against friction and for the acceleration. */
-static frac32_t forward_current(const axis_t *axis)
+static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
 {
     const motion_state_t *m = &axis->motion;
     frac32_t i_q = 0;
     if ((axis->features & FEATURE_FRICTION) != 0U) {
-        i_q = friction_current(&axis->config->friction, m->shaped_speed);
+        i_q = friction_current(&config->friction, m->shaped_speed);
     }
     /* On a path that the shaft trails, the acceleration of the shaft is another one. */
     const bool in_time = m->motion != MOTION_POSITION || m->path_forward;
     const bool timed = m->motion == MOTION_TRAJECTORY;
     if (timed || ((axis->features & FEATURE_ACCELERATION_FORWARD) != 0U && in_time)) {
-        const int64_t inertia = asr64((int64_t)m->acceleration * axis->config->acceleration_forward, 16);
+        const int64_t inertia = asr64((int64_t)m->acceleration * config->acceleration_forward, 16);
         i_q = sat32(i_q + inertia);
     }
     if (timed) {
@@ -50,9 +50,20 @@ static void hold_back(axis_t *axis, bool held)
     }
 }
 
-static const pi_gains_t *speed_gains(const axis_t *axis)
+static const pi_gains_t *gains_of(const axis_t *axis, const axis_config_t *config)
 {
-    return axis->sensorless ? &axis->config->observed_speed : &axis->config->speed;
+    return axis->sensorless ? &config->observed_speed : &config->speed;
+}
+
+static const pi_gains_t *speed_gains(const axis_t *axis) { return gains_of(axis, axis->config); }
+
+void speed_control_retune(axis_t *axis, const axis_config_t *config)
+{
+    motion_state_t *m = &axis->motion;
+    const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
+    const pi_sum_t kept = pi_retuned(&m->speed_pi, speed_gains(axis), gains_of(axis, config), error);
+    const frac32_t gained = f32_sub(forward_current(axis, axis->config), forward_current(axis, config));
+    m->speed_pi.integral = pi_sum_saturated(kept + pi_sum_of(gained));
 }
 
 frac16_t speed_control(axis_t *axis)
@@ -66,7 +77,8 @@ frac16_t speed_control(axis_t *axis)
     /* The integral part sums the way that the encoder has counted. M/T's speed falls for tens of milliseconds after the
      * shaft has stopped: its sum would push the shaft off again. */
     pi_integrate(&m->speed_pi, gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
-    const pi_sum_t sum = pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis));
+    const pi_sum_t sum =
+        pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis, axis->config));
     const frac16_t limit = current_limit(axis, sum < 0);
     const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));
     m->saturated = m->speed_pi.excess != 0;

@@ -7,6 +7,10 @@
 /* Towards `motion.speed_ref`. */
 frac16_t speed_control(axis_t *axis);
 
+/* Gains and feed-forwards of `config`, which is not in force yet, without a step of the current set-point: the integral
+ * part takes what they would change. */
+void speed_control_retune(axis_t *axis, const axis_config_t *config);
+
 /* The torque that is wanted, within the speed limits. */
 frac16_t torque_control(axis_t *axis);
 

@@ -27,11 +27,21 @@ static int32_t outside(int32_t offset)
     return (offset < -HALF_COUNT) ? -HALF_COUNT - offset : 0;
 }
 
+static int64_t driven_by(const speed_observer_config_t *config, frac16_t i_q)
+{
+    return asr64((int64_t)f32_from_f16(i_q) * config->acceleration_per_current, 31);
+}
+
+void speed_observer_retune(speed_observer_t *observer, const speed_observer_config_t *before,
+                           const speed_observer_config_t *config, frac16_t i_q)
+{
+    observer->acceleration = sat32(observer->acceleration + driven_by(before, i_q) - driven_by(config, i_q));
+}
+
 frac32_t speed_observer_step(speed_observer_t *observer, const speed_observer_config_t *config, int32_t count,
                              frac16_t i_q)
 {
-    const int64_t driven = asr64((int64_t)f32_from_f16(i_q) * config->acceleration_per_current, 31);
-    const int64_t acceleration = driven + observer->acceleration;
+    const int64_t acceleration = driven_by(config, i_q) + observer->acceleration;
     const int64_t moved = (int64_t)i32_sub_wrap(count, observer->count) * COUNT;
     observer->count = count;
     observer->offset = sat32((int64_t)observer->offset + observer->step + asr64(acceleration, 1) - moved);

@@ -32,6 +32,10 @@ typedef struct {
 void speed_observer_reset(speed_observer_t *observer, const speed_observer_config_t *config, int32_t count,
                           frac32_t speed);
 
+/* Another belief about motor and shaft without a step of the acceleration, while `i_q` flows. */
+void speed_observer_retune(speed_observer_t *observer, const speed_observer_config_t *before,
+                           const speed_observer_config_t *config, frac16_t i_q);
+
 /* One slow tick; `i_q` has flowed since the last one. Returns the speed. */
 frac32_t speed_observer_step(speed_observer_t *observer, const speed_observer_config_t *config, int32_t count,
                              frac16_t i_q);

@@ -16,7 +16,11 @@ WRITEMEM = 0x23
 OUT_OF_RANGE = 0x97
 REACH = 2**30
 CATALOGUE = Catalogue.load()
-WRITABLE = {v.name: v for v in CATALOGUE.variables.values() if v.writable and v.name != "cmd.points"}
+WRITABLE = {
+    v.name: v
+    for v in CATALOGUE.variables.values()
+    if v.writable and v.name != "cmd.points" and not v.name.startswith("config.")
+}
 RANGED = [name for name in WRITABLE if name != "cmd.position"]
 
 

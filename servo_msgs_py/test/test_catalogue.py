@@ -58,9 +58,9 @@ def test_the_variables_that_the_whole_project_relies_on() -> None:
     assert wanted <= set(CATALOGUE.variables)
 
 
-def test_only_commands_and_parameters_can_be_written() -> None:
+def test_only_commands_blocks_and_parameters_can_be_written() -> None:
     writable = {name.split(".")[0] for name, v in CATALOGUE.variables.items() if v.writable}
-    assert writable == {"cmd", "param"}
+    assert writable == {"cmd", "config", "param"}
 
 
 def test_numbers_of_states_are_those_of_the_seed() -> None:

@@ -7,7 +7,7 @@
 #            fast_code.text, run-time library      the same; FAST in the makefile says which files these are
 #            bss
 #            stack, grows upwards to the end
-#   X:8000   tables that only the server reads     in the data flash (FlexNVM), which is loaded as P:68000h; it is slower
+#   X:8000   tables that no fast loop reads        in the data flash (FlexNVM), which is loaded as P:68000h; it is slower
 #            flash_table.data                      than the RAM, and within reach of 16-bit pointers
 #
 # Where the laid-out parts are too long for the RAM, or the stack has less than __stack_size, the linker says so.

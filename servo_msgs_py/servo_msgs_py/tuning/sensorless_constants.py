@@ -75,7 +75,7 @@ def _constants(to: Converter, design: Sensorless) -> dict[str, Field]:
 
 def _off(axis: Axis) -> dict[str, Field]:
     """Without an observer: nothing that could be taken for an angle."""
-    fields: dict[str, Field] = dict.fromkeys(FIELDS, 0)
+    fields: dict[str, Field] = dict.fromkeys(FIELDS, 0) | {"observer.f2": F2}  # shifts are made with it
     return fields | {"feedback": FEEDBACKS.index(axis.feedback), "observed_speed": PiRaw(0, 0, 0)}
 
 
@@ -214,7 +214,7 @@ FIELDS: Final = (
     *(f"startup.{key}" for key in ("duration_ticks", "tests", "minimum_speed", "mean_min", "mean_max")),
     *(f"startup.{key}" for key in ("damping", "damping_limit", "catch_ticks", "fade_step")),
 )
-"""What is 0 without an observer."""
+"""What is 0 without an observer, F2 apart."""
 
 
 def _integer(constants: Mapping[str, Field], field: str) -> int:

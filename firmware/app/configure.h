@@ -1,0 +1,46 @@
+/* configure.h - configuration blocks: another one for an axis while the board runs.
+ *
+ * Each axis has two blocks: the one in force, and a spare that the host writes. config.window carries members into the
+ * spare, each checked against its range; config.header brings layout, length and checksum of the whole, which makes the
+ * spare ready; config.take exchanges the blocks of one axis or of both, between two slow ticks, or of none. Members that
+ * are not `live` change at rest with the outputs off only.
+ */
+#ifndef SERVO_APP_CONFIGURE_H
+#define SERVO_APP_CONFIGURE_H
+
+#include "app/blocks.h"
+#include "config/axis_config.h"
+#include "drive/axis_data.h"
+
+typedef struct {
+    axis_config_t block[HAL_AXES][2];
+    uint16_t in_force[HAL_AXES]; /* which of the two */
+    bool ready[HAL_AXES];        /* the spare has the right checksum .. */
+    uint32_t checksum[HAL_AXES]; /* .. and this is it */
+    bool needs_rest[HAL_AXES];   /* .. it differs from the block in force in more than what may change in motion .. */
+    uint16_t rest_member[HAL_AXES]; /* .. here first */
+    uint16_t pending;            /* axes whose spare is to be taken, a bit each */
+} configure_t;
+
+/* Both blocks of each axis are the built-in ones. */
+void configure_init(configure_t *configure, config_status_t *status);
+
+static inline const axis_config_t *configure_block(const configure_t *configure, uint16_t axis)
+{
+    return &configure->block[axis][configure->in_force[axis]];
+}
+
+/* Is this write of a part of `request`, whose value it is to become, acceptable? Members go to their block at once.
+ * `whole` says that no mask leaves anything out. */
+bool configure_accept(configure_t *configure, config_status_t *status, uint16_t offset, bool whole, const uint8_t *data,
+                      uint16_t size);
+
+/* An accepted write of config.window has become the value of `request`: without members it asks for those in force. */
+void configure_show(configure_t *configure, config_request_t *request);
+
+/* Between two slow ticks: take what is pending, if the axes are at rest or need not be. True if blocks have been taken;
+ * parameters whose default is another one then have the new default. */
+bool configure_latch(configure_t *configure, config_status_t *status, parameter_block_t *parameter,
+                     belief_block_t *belief, axis_t *axes);
+
+#endif

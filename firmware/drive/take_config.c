@@ -1,0 +1,36 @@
+#include "drive/take_config.h"
+
+#include "drive/speed_control.h"
+
+bool axis_takes_any_config(const axis_t *axis)
+{
+    return axis->sm.state != STATE_RUN && f32_abs(axis->feedback.speed) <= axis->config->stop_speed;
+}
+
+/* A slow load takes the acceleration that the current is now believed to give less. */
+static void keep_estimates(axis_t *axis, const axis_config_t *config)
+{
+    const axis_config_t *before = axis->config;
+    if (axis->encoder.observes) {
+        speed_observer_retune(&axis->encoder.observer, &before->speed_observer, &config->speed_observer,
+                              axis->current_ref.q);
+    }
+    if (axis->estimate.runs) {
+        pll_retune(&axis->estimate.pll, &before->pll, &config->pll, axis->current_loop.current.q);
+    }
+}
+
+void axis_take_config(axis_t *axis, const axis_config_t *config)
+{
+    if (axis->sm.state == STATE_RUN) {
+        current_loop_retune(&axis->current_loop, &axis->config->current_loop, &config->current_loop, axis->current_ref);
+        speed_control_retune(axis, config);
+        keep_estimates(axis, config);
+    } else {
+        axis->motion.position_gain = config->position_gain;
+    }
+    axis->config = config;
+    axis->diagnosis.bus.u_dc_max = config->u_dc_max;
+    axis->diagnosis.bus.u_dc_min = config->u_dc_min;
+    axis->path_limits.stale = true; /* the path filter */
+}

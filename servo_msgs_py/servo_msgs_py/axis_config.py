@@ -1,0 +1,264 @@
+"""The configuration block of an axis (``axis_config.toml``): its members, and the block as integers and bytes. Pure.
+
+A block is a mapping from the C path of a member, such as ``current_loop.d.kp``, to its raw number. Board and host count
+members in the order of the table, and sum up a block as `checksum` does.
+"""
+
+from __future__ import annotations
+
+import sys
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.tuning.stops import REFUSED
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["AxisConfigError", "AxisConfigTable", "Member"]
+
+_TYPES: Final[Mapping[str, tuple[int, bool]]] = {
+    "int16": (2, True),
+    "uint16": (2, False),
+    "int32": (4, True),
+    "uint32": (4, False),
+}
+
+
+class AxisConfigError(ValueError):
+    """A table or a block that is not well formed; the message names the member."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """One number of a block.
+
+    Attributes
+    ----------
+    path : str
+        C path below ``axis_config_t``.
+    size : int
+        Bytes in the memory of the board and in the sum.
+    signed : bool
+        Whether it may be negative in memory.
+    minimum, maximum : int
+        Raw numbers that the board takes.
+    bits : bool
+        Whether the range is a set of bits: `maximum` has all that may be set.
+    live : bool
+        Whether it may change while the axis is in motion.
+    lsb : float
+        SI value of one raw unit.
+    unit : str
+        SI unit; empty for pure numbers.
+    """
+
+    path: str
+    size: int
+    signed: bool
+    minimum: int
+    maximum: int
+    bits: bool
+    live: bool
+    lsb: float
+    unit: str
+
+    def accepts(self, raw: int) -> bool:
+        """Whether the board takes this number."""
+        return self.minimum <= raw <= self.maximum and not (self.bits and raw & ~self.maximum)
+
+    def value(self, raw: int) -> float | int:
+        """SI value of a raw number; whole numbers stay whole where one raw unit is 1."""
+        return raw if self.lsb == 1.0 else raw * self.lsb
+
+    def text(self, raw: int) -> str:
+        """Value and unit in words."""
+        if self.bits:
+            return f"{raw:#x}"
+        return f"{self.value(raw):.6g} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class AxisConfigTable:
+    """All members of a block.
+
+    Attributes
+    ----------
+    members : mapping
+        By path, in the order of the table.
+    layout : int
+        CRC-32 of everything that changes what a block means.
+    """
+
+    members: Mapping[str, Member]
+    layout: int
+
+    @classmethod
+    @lru_cache(maxsize=1)
+    def load(cls) -> AxisConfigTable:
+        """The packaged table, with the ranges of the packaged contract."""
+        source = Path(__file__).with_name("axis_config.toml")
+        return cls.parse(tomllib.loads(source.read_text(encoding="utf-8")), Catalogue.load())
+
+    @classmethod
+    def parse(cls, table: Mapping[str, Any], catalogue: Catalogue) -> AxisConfigTable:
+        """Build the table of what TOML has found.
+
+        Raises
+        ------
+        AxisConfigError
+            If it is not well formed.
+        """
+        members = {
+            path: _member(path, {**table["formats"].get(entry.get("format", ""), {}), **entry}, catalogue)
+            for path, entry in table["members"].items()
+        }
+        lines = "\n".join(
+            f"{m.path} {m.size} {m.signed} {m.minimum} {m.maximum} {m.bits} {m.live} {m.lsb!r}"
+            for m in members.values()
+        )
+        return cls(members, zlib.crc32(lines.encode()))
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def check(self, block: Mapping[str, int]) -> None:
+        """Make sure that a board would take the block.
+
+        Raises
+        ------
+        AxisConfigError
+            Naming the first member that is missing, unknown or out of range.
+        """
+        for path in block:
+            if path not in self.members:
+                raise AxisConfigError(f"{path} is no member of a configuration block")
+        for path, member in self.members.items():
+            if path not in block:
+                raise AxisConfigError(f"{path} is missing")
+            raw = block[path]
+            if not member.accepts(raw):
+                low, high = (f"{member.value(bound):g}" for bound in (member.minimum, member.maximum))
+                wanted = f"bits of {member.maximum:#x}" if member.bits else f"{low} .. {high} {member.unit}".rstrip()
+                raise AxisConfigError(f"{path} = {member.text(raw)}: the board takes {wanted}")
+
+    def words(self, block: Mapping[str, int]) -> list[int]:
+        """Raw numbers in the order of the table.
+
+        Raises
+        ------
+        AxisConfigError
+            As `check`.
+        """
+        self.check(block)
+        return [block[path] for path in self.members]
+
+    def block(self, words: Sequence[int]) -> dict[str, int]:
+        """The block of raw numbers in the order of the table, signed or modulo 2^32.
+
+        Raises
+        ------
+        AxisConfigError
+            If there are too many or too few, or one is out of range.
+        """
+        if len(words) != len(self):
+            raise AxisConfigError(f"{len(words)} members, {len(self)} expected")
+        result = {
+            member.path: word % (1 << 32) if not member.signed else word
+            for member, word in zip(self.members.values(), words, strict=True)
+        }
+        self.check(result)
+        return result
+
+    def encode(self, block: Mapping[str, int]) -> bytes:
+        """Little-endian bytes, member by member, without gaps.
+
+        Raises
+        ------
+        AxisConfigError
+            As `check`.
+        """
+        self.check(block)
+        return b"".join(block[m.path].to_bytes(m.size, "little", signed=m.signed) for m in self.members.values())
+
+    def decode(self, data: bytes) -> dict[str, int]:
+        """The block that `encode` has made bytes of.
+
+        Raises
+        ------
+        AxisConfigError
+            If the number of bytes is wrong, or a member out of range.
+        """
+        size = sum(member.size for member in self.members.values())
+        if len(data) != size:
+            raise AxisConfigError(f"{len(data)} bytes, {size} expected")
+        words, at = [], 0
+        for member in self.members.values():
+            words.append(int.from_bytes(data[at : at + member.size], "little", signed=member.signed))
+            at += member.size
+        return self.block(words)
+
+    def checksum(self, axis: int, block: Mapping[str, int]) -> int:
+        """CRC-32 of layout, number of members, axis and all members, as the board computes it.
+
+        Parameters
+        ----------
+        axis : int
+            Index of the axis.
+        block : mapping
+            Raw numbers.
+        """
+        head = b"".join(word.to_bytes(4, "little") for word in (self.layout, len(self), axis))
+        return zlib.crc32(head + self.encode(block))
+
+    def changes(self, old: Mapping[str, int], new: Mapping[str, int]) -> list[Member]:
+        """Members in which two blocks differ."""
+        return [member for path, member in self.members.items() if old[path] != new[path]]
+
+
+def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member:
+    known = {
+        "format", "type", "bits", "minimum", "maximum", "fixed", "scale", "parameter", "answer", "live",
+    }  # fmt: skip
+    if unknown := set(entry) - known:
+        raise AxisConfigError(f"{path}: unknown key {', '.join(sorted(unknown))}")
+    if entry.get("type") not in _TYPES:
+        raise AxisConfigError(f"{path}: no type, or no format with one")
+    size, signed = _TYPES[entry["type"]]
+    low, high = entry.get("minimum", 0), entry.get("maximum", 0)
+    if "parameter" in entry:
+        raw_low, high = catalogue[entry["parameter"]].raw_range
+        low = entry.get("minimum", raw_low)
+    if "fixed" in entry:
+        low = high = entry["fixed"]
+    if "answer" in entry:
+        high = sum(f.mask for f in catalogue.flags["faults"] if entry["answer"] not in REFUSED.get(f.name.lower(), {}))
+    span = (-(1 << (8 * size - 1)), (1 << (8 * size - 1)) - 1) if signed else (0, (1 << (8 * size)) - 1)
+    if not max(span[0], -(1 << 31)) <= low <= high <= min(span[1], (1 << 31) - 1):
+        raise AxisConfigError(f"{path}: the range {low} .. {high} does not fit {entry['type']} and int32_t")
+    full, unit = _scale(path, entry.get("scale", ""), catalogue)
+    lsb = full * 2.0 ** -entry.get("bits", 0)
+    return Member(path, size, signed, low, high, "answer" in entry, entry.get("live", False), lsb, unit)
+
+
+def _scale(path: str, text: str, catalogue: Catalogue) -> tuple[float, str]:
+    """Factor and unit of a scale, or of one over another."""
+    names = [name for name in text.split("/") if name]
+    for name in names:
+        if name not in catalogue.scales:
+            raise AxisConfigError(f"{path}: unknown scale {name!r}")
+    scales = [catalogue.scales[name] for name in names]
+    values = [scale.full_scale if scale.full_scale is not None else (scale.lsb or 1.0) for scale in scales]
+    if not scales:
+        return 1.0, ""
+    if len(scales) == 1:
+        return values[0], scales[0].unit
+    over = scales[1].unit if "/" not in scales[1].unit else f"({scales[1].unit})"
+    return values[0] / values[1], f"{scales[0].unit}/{over}"

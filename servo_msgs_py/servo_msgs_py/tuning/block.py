@@ -1,0 +1,90 @@
+"""The integers of an axis as a configuration block, and entries of a file that set members of it directly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+
+from servo_msgs_py.axis_config import AxisConfigError, AxisConfigTable
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.tuning.conversion import AxisConstants, Category, FaultSet, Field, PiRaw, Switches
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.stops import CATEGORIES
+
+__all__ = ["block_of", "constants_of"]
+
+
+@lru_cache(maxsize=1)
+def _masks() -> tuple[Mapping[str, int], Mapping[str, int]]:
+    flags = Catalogue.load().flags
+    features, faults = ({flag.name.lower(): flag.mask for flag in flags[name]} for name in ("features", "faults"))
+    return features, faults
+
+
+def _raw(value: Field) -> int:
+    features, faults = _masks()
+    if isinstance(value, Switches):
+        return sum(features[name] for name in value)
+    if isinstance(value, FaultSet):
+        return sum(faults[name] for name in value)
+    if isinstance(value, Category):
+        return CATEGORIES.index(value)
+    assert isinstance(value, int)
+    return value
+
+
+def block_of(constants: AxisConstants, name: str) -> dict[str, int]:
+    """The block of an axis.
+
+    Parameters
+    ----------
+    constants : mapping
+        All fields of ``axis_config_t``.
+    name : str
+        Of the axis, for the refusal.
+
+    Raises
+    ------
+    ConfigError
+        If a board would not take a member.
+    """
+    found: dict[str, int] = {}
+    for path, value in constants.items():
+        if isinstance(value, PiRaw):
+            found |= {f"{path}.{gain}": raw for gain, raw in value._asdict().items()}
+        else:
+            found[path] = _raw(value)
+    table = AxisConfigTable.load()
+    block = {path: found[path] for path in table.members if path in found}
+    try:
+        table.check(block)
+    except AxisConfigError as error:
+        raise ConfigError(f"{name}: {error}; correct the entries that it follows from") from None
+    return block
+
+
+def constants_of(block: Mapping[str, int], like: AxisConstants) -> AxisConstants:
+    """The same integers in the form that the tuning code computes.
+
+    Parameters
+    ----------
+    block : mapping
+        By member.
+    like : mapping
+        Fields of ``axis_config_t`` whose kinds they have.
+    """
+    features, faults = _masks()
+
+    def field(path: str, old: Field) -> Field:
+        if isinstance(old, PiRaw):
+            return PiRaw(*(block[f"{path}.{gain}"] for gain in PiRaw._fields))
+        raw = block[path]
+        if isinstance(old, Switches):
+            return Switches(name for name, mask in features.items() if raw & mask)
+        if isinstance(old, FaultSet):
+            return FaultSet(sorted(name for name, mask in faults.items() if raw & mask))
+        if isinstance(old, Category):
+            return Category(CATEGORIES[raw])
+        return raw
+
+    return {path: field(path, old) for path, old in like.items()}
