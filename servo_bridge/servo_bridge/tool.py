@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge import tool_commands, tool_faults, tool_record
+from servo_bridge import tool_commands, tool_faults, tool_record, tool_tune
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, RecorderError
 from servo_bridge.freemaster.line import Line
@@ -144,6 +144,8 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this one (default: both)")
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
     command.add_argument("--plot", metavar="FILE", help="draw it, as .png, .svg or .pdf")
+    command = add("tune", tool_tune.tune, "change gains and motor data of a board that runs, or read them back")
+    tool_tune.add_arguments(command)
     for name, run, text in (
         ("save", tool_commands.save, "save the parameters of the board to a file"),
         ("load", tool_commands.load, "write the parameters of a file to the board"),

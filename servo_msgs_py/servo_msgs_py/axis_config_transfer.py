@@ -1,7 +1,7 @@
 """How configuration blocks come to a board and from it, over any way to its variables. Pure.
 
-A block goes in parts through ``config.window``, each checked by the board. ``config.header`` with the checksum of the whole
-makes it ready, and ``config.take`` takes the ready blocks of one axis or of both with the same slow tick.
+A block goes in parts through ``config.window``, each checked by the board. ``config.header`` with the checksum of the
+whole makes it ready, and ``config.take`` takes the ready blocks of one axis or of both with the same slow tick.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ __all__ = ["BlockMemory", "BlockRefusedError", "Taken", "read_block", "send_bloc
 _HEAD: Final = 3  # words of the window before the members
 
 _TEXTS: Final[Mapping[str, str]] = {
-    "FORM": "the words are not those that the board asks for; another program has written at the same time: send it again",
+    "FORM": "the words are not those that the board asks for; has another program written at the same time? Send it again",
     "AXIS": "the board has no such axis",
     "MEMBER": "the board has no such member: host and board are of different versions",
     "RANGE": "is outside what the board takes",
-    "LAYOUT": "the board has another layout of the block: flash the firmware of this release, or use the board's release here",
-    "LENGTH": "the board has another number of members: flash the firmware of this release, or use the board's release here",
+    "LAYOUT": "the board has another layout of the block: flash the firmware of this release",
+    "LENGTH": "the board has another number of members: flash the firmware of this release",
     "CHECKSUM": "the board has got other numbers than were sent; send them again",
     "UNCHECKED": "no whole block has come to the board since the last one was taken; send it again",
     "MOTION": "may only change while the axis is at rest with its outputs off: disable it and wait until it stands",

@@ -2,8 +2,8 @@
 
 All of it is committed: the C constants (`contract_header`), the table that the FreeMASTER server answers from
 (`variable_table`), the walk through a configuration block (`member_walk`), and for people the list of variables
-(`variable_list`) and of faults (`fault_list`, with the priority table of the firmware). ``--check`` only compares and exits with 1 when a
-file is out of date.
+(`variable_list`) and of faults (`fault_list`, with the priority table of the firmware). ``--check`` only compares and
+exits with 1 when a file is out of date.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from typing import Final
 
 from servo_msgs_py.tuning.configuration import Axis, Configuration
 from servo_msgs_py.tuning.conversion import Category, Converter, FaultSet, Field
+from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN
 
 __all__ = ["BUS_END", "brake_constants", "regeneration_speed", "short_speed", "stop_constants"]
@@ -64,6 +65,8 @@ def brake_constants(configuration: Configuration) -> Mapping[str, int]:
         If one does not fit its format, or vanishes in it.
     """
     board, s = configuration.board, configuration.scales
+    if not board.complete:
+        raise ConfigError("[board.brake] and [board.regeneration] are missing; the firmware needs both")
     energy, power = board("brake.energy"), board("brake.power")
     heating = s.u_dc**2 / board("brake.resistance") * board.tick / energy
 

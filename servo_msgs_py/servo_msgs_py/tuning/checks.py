@@ -23,7 +23,8 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
     """
     board = configuration.board
     _board(board, configuration.scales, catalogue)
-    _bus(configuration)
+    if board.complete:
+        _bus(configuration)
     for axis in configuration.axes:
         _contract(axis, catalogue)
         _axis(axis)

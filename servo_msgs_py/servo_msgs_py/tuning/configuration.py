@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
+from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.errors import ConfigError, refused
 from servo_msgs_py.tuning.schema import (
@@ -70,11 +71,15 @@ class Board:
         Of the heat sinks.
     brake : bool
         Whether there is a brake resistor.
+    complete : bool
+        Whether the groups are there that no configuration block of an axis depends on, [board.brake] and
+        [board.regeneration]; both or neither.
     """
 
     values: Mapping[str, float]
     temperature: Temperature
     brake: bool
+    complete: bool = True
 
     def __call__(self, key: str) -> float:
         return self.values[key]
@@ -105,6 +110,9 @@ class Board:
         """
         plain = dict(check_table("board", table))
         temperature = Temperature.of(plain.pop("temperature", {}))
+        absent = all(group not in plain for group in BOARD_GROUPS)
+        if absent:
+            return cls(check_group("board", "board", plain), temperature, brake=False, complete=False)
         groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
         values = check_group("board", "board", plain)
         switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}
@@ -136,6 +144,8 @@ class Axis:
         Entries that come from [defaults].
     feedback : str
         Where angle and speed come from after reset, ``encoder`` or ``observer``.
+    exact : mapping
+        Raw numbers of members of the configuration block, by C path, in the place of what is computed.
     """
 
     name: str
@@ -144,6 +154,7 @@ class Axis:
     stops: Stops
     inherited: frozenset[str]
     feedback: str
+    exact: Mapping[str, int] = field(default_factory=dict)
 
     def __call__(self, path: str) -> float:
         group, key = path.split(".")
@@ -188,13 +199,17 @@ class Axis:
         groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features")}
         inherited: set[str] = set()
         feedback = FEEDBACKS[0]
+        exact: dict[str, int] = {}
         for owner in ("defaults", name):
             for group, value in check_table(owner, table.get(owner, {})).items():
                 if group == "feedback":
                     feedback = _feedback(f"{owner}.feedback", value)
                     continue
+                if group == "exact":
+                    exact |= _exact(f"{owner}.exact", value)
+                    continue
                 if group not in groups:
-                    raise unknown_name(f"{owner}.{group}", group, (*groups, "feedback"))
+                    raise unknown_name(f"{owner}.{group}", group, (*groups, "feedback", "exact"))
                 entries = check_table(f"{owner}.{group}", value)
                 groups[group].update(entries)
                 paths = {f"{group}.{key}" for key in entries}
@@ -210,7 +225,19 @@ class Axis:
             )
             for group, entries in groups.items()
         }
-        return cls(name, checked, features, stops, origin, feedback)
+        return cls(name, checked, features, stops, origin, feedback, exact)
+
+
+def _exact(where: str, value: object) -> dict[str, int]:
+    members = AxisConfigTable.load().members
+    found = check_table(where, value)
+    for path, raw in found.items():
+        if path not in members:
+            raise unknown_name(f"{where}.{path}", path, members)
+        if isinstance(raw, bool) or not isinstance(raw, int) or not members[path].accepts(raw):
+            low, high = members[path].minimum, members[path].maximum
+            raise refused(f"{where}.{path}", repr(raw), "not what a board takes", f"write a whole number {low} .. {high}")
+    return dict(found)
 
 
 def _feedback(where: str, value: object) -> str:

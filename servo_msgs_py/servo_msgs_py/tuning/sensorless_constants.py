@@ -75,7 +75,8 @@ def _constants(to: Converter, design: Sensorless) -> dict[str, Field]:
 
 def _off(axis: Axis) -> dict[str, Field]:
     """Without an observer: nothing that could be taken for an angle."""
-    fields: dict[str, Field] = dict.fromkeys(FIELDS, 0) | {"observer.f2": F2}  # shifts are made with it
+    fields: dict[str, Field] = dict.fromkeys(FIELDS, 0)
+    fields["observer.f2"] = F2  # shifts are made with it
     return fields | {"feedback": FEEDBACKS.index(axis.feedback), "observed_speed": PiRaw(0, 0, 0)}
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from servo_msgs_py.tuning.block import block_of, constants_of
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.constants import OBSERVER, PATH_OMEGA, axis_constants
 from servo_msgs_py.tuning.conversion import AxisConstants, PiRaw
@@ -19,7 +20,7 @@ from servo_msgs_py.tuning.sensorless import Sensorless
 from servo_msgs_py.tuning.sensorless_constants import sensorless_constants, used_observer, used_pll
 from servo_msgs_py.tuning.sensors import MtSpeed, Observer, PllSpeed
 
-__all__ = ["GainRow", "Tuned", "tuned"]
+__all__ = ["GainRow", "Tuned", "integers", "tuned"]
 
 
 class GainRow(NamedTuple):
@@ -66,6 +67,11 @@ class Tuned:
     sensorless: Sensorless
     designed_sensorless: Sensorless
     trouble: ConfigError | None
+
+    @property
+    def block(self) -> dict[str, int]:
+        """The integers as the configuration block of a board."""
+        return block_of(self.constants, self.axis.name)
 
     def rows(self) -> Iterator[GainRow]:
         """Every gain."""
@@ -142,10 +148,9 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
     ConfigError
         If a number does not fit its format, or a loop is unstable.
     """
-    designed = Gains.of(axis, configuration.board)
-    sensorless = Sensorless.of(axis, configuration.board)
-    observed, trouble = sensorless_constants(axis, sensorless, configuration)
-    constants = {**axis_constants(axis, designed, configuration), **observed}
+    designed, sensorless, constants, trouble = integers(axis, configuration)
+    block = {**block_of(constants, axis.name), **axis.exact}
+    constants = constants_of(block, constants)
     used = _Used(constants, configuration.scales)
     result = Tuned(
         axis=axis,
@@ -161,6 +166,22 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
     )
     _refuse_unstable(result)
     return result
+
+
+def integers(
+    axis: Axis, configuration: Configuration
+) -> tuple[Gains, Sensorless, AxisConstants, ConfigError | None]:
+    """Gains as designed, their integers, and why the motor cannot be observed, where the axis does without.
+
+    Raises
+    ------
+    ConfigError
+        If a number does not fit its format.
+    """
+    designed = Gains.of(axis, configuration.board)
+    sensorless = Sensorless.of(axis, configuration.board)
+    observed, trouble = sensorless_constants(axis, sensorless, configuration)
+    return designed, sensorless, {**axis_constants(axis, designed, configuration), **observed}, trouble
 
 
 @dataclass(frozen=True)

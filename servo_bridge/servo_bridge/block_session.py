@@ -1,0 +1,54 @@
+"""Configuration blocks over an open session."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from servo_bridge.freemaster.errors import Status, StatusError
+from servo_bridge.wire.session import Session
+
+__all__ = ["BlockSession"]
+
+_PATIENCE: Final = 1.0
+
+
+class BlockSession:
+    """A board as `servo_msgs_py.axis_config_transfer.BlockMemory` wants it.
+
+    Parameters
+    ----------
+    session : Session
+        With a board of this contract.
+    clock : callable, optional
+        Time [s].
+    """
+
+    def __init__(self, session: Session, clock: Callable[[], float] = time.monotonic) -> None:
+        self._session, self._clock = session, clock
+        self._until: float | None = None
+
+    def read_words(self, name: str) -> list[int]:
+        variable = self._session.variables[name]
+        assert variable.contract is not None
+        return variable.contract.decode_raw(self._session.client.read_memory(variable.address, variable.size))
+
+    def write_words(self, name: str, words: Sequence[int]) -> bool:
+        variable = self._session.variables[name]
+        assert variable.contract is not None
+        data = b"".join(variable.contract.raw_type.pack(word) for word in words)
+        try:
+            self._session.client.write_memory(variable.address, data)
+        except StatusError as error:
+            if error.code != Status.OUT_OF_RANGE:
+                raise
+            return False
+        return True
+
+    def wait(self) -> bool:
+        """The next look takes longer than a slow tick by itself; False when the board has had its time."""
+        now = self._clock()
+        if self._until is None:
+            self._until = now + _PATIENCE
+        return now < self._until
