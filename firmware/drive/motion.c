@@ -7,7 +7,7 @@
 
 /* A shaft that comes to rest this close to its target is left alone until it is farther off than that. Closer than the
  * encoder can tell, the integral part of the speed controller would hunt against the friction for ever. */
-#define GAIN_TICKS 64 /* slow ticks: time constant of the way to another position gain */
+#define GAIN_TICKS 256 /* slow ticks: time constant of the way to another position gain */
 #define REST_COUNTS 1
 #define REST_LEFT 2
 

@@ -255,7 +255,7 @@ def test_the_gain_of_the_position_controller_comes_slowly(bench: BlockBench) -> 
     send_block(bench, 0, {**block, "position_gain": new})
     take(bench, 0)
     seen = []
-    for _ in range(800):
+    for _ in range(4000):
         bench.slow()
         seen.append(bench.axis(0).motion.position_gain)
     assert old < seen[0] < old * 1.1

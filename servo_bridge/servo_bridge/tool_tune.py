@@ -27,14 +27,14 @@ __all__ = ["add_arguments", "tune"]
 Block = Mapping[str, int]
 
 _HEADING = """\
-Read back from a board by `servo-tool tune --from-board`: `servo-tool tune` makes the same configuration of it, bit for bit.
+Read back from a board by `servo-tool tune --from-board`: `servo-tool tune` makes the same numbers of it.
 rotor_inertia, rated_speed and rated_current are not on a board; they only serve a report. [board.brake] and
 [board.regeneration] are compiled into the firmware; `make generate` needs both."""
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
-    command.add_argument("file", nargs="?", metavar="FILE.toml", help="configuration in the form of firmware/config/servo.toml")
+    command.add_argument("file", nargs="?", metavar="FILE.toml", help="configuration, as firmware/config/servo.toml")
     command.add_argument("--axis", type=int, choices=range(1, AXES + 1), help="only this axis (default: both)")
     way = command.add_mutually_exclusive_group()
     way.add_argument("--dry-run", action="store_true", help="only show what would change")

@@ -17,7 +17,7 @@ __all__ = ["BlockMemory", "BlockRefusedError", "Taken", "read_block", "send_bloc
 _HEAD: Final = 3  # words of the window before the members
 
 _TEXTS: Final[Mapping[str, str]] = {
-    "FORM": "the words are not those that the board asks for; has another program written at the same time? Send it again",
+    "FORM": "the words are not those that the board asks for; does another program write, too? Send it again",
     "AXIS": "the board has no such axis",
     "MEMBER": "the board has no such member: host and board are of different versions",
     "RANGE": "is outside what the board takes",

@@ -236,7 +236,7 @@ def _exact(where: str, value: object) -> dict[str, int]:
             raise unknown_name(f"{where}.{path}", path, members)
         if isinstance(raw, bool) or not isinstance(raw, int) or not members[path].accepts(raw):
             low, high = members[path].minimum, members[path].maximum
-            raise refused(f"{where}.{path}", repr(raw), "not what a board takes", f"write a whole number {low} .. {high}")
+            raise refused(f"{where}.{path}", repr(raw), "not what a board takes", f"write one of {low} .. {high}")
     return dict(found)
 
 

@@ -1,8 +1,8 @@
-"""From configuration blocks back to a file: SI entries from which the tuning code computes the same blocks, bit for bit.
+"""From configuration blocks back to a file: SI entries of which the tuning code makes the same blocks, bit for bit.
 
-Many entries follow from a member by its scale. The others are found by the tuning code itself: an entry is changed until
-the member that it determines is the one of the block. What is left different then - a block may come from elsewhere, and
-rounding is not always undone - is written as a raw number into the group ``[axisN.exact]``.
+Many entries follow from a member by its scale. The others are found by the tuning code itself: an entry is changed
+until the member that it determines is the one of the block. What is left different then - a block may come from
+elsewhere, and rounding is not always undone - is written as a raw number into the group ``[axisN.exact]``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from servo_msgs_py.tuning.configuration import FEEDBACKS, Axis, Board, Configura
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.schema import AXIS_GROUPS
-from servo_msgs_py.tuning.stops import CATEGORIES, Stops
+from servo_msgs_py.tuning.stops import CATEGORIES, COMMANDS, Stops
 from servo_msgs_py.tuning.temperature import Temperature
 from servo_msgs_py.tuning.tuned import integers, tuned
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
@@ -182,13 +182,12 @@ class _Restorer:
         }
         names = {flag.name.lower(): flag.mask for flag in self._catalogue.flags["features"]}
         features = {name: bool(self._block["features"] & mask) for name, mask in names.items()}
-        numbers = Stops({key: stop[key] for key in ("disable", "quick_stop")}, {k: v for k, v in stop.items()})
-        answers = {key: value for key, value in stop.items() if key not in numbers.commands}
+        commands = {key: stop[key] for key in COMMANDS}
         axis = Axis(
             name=self._name,
             groups=self._start(),
             features=features,
-            stops=replace(numbers, faults=answers),
+            stops=Stops(commands, {key: value for key, value in stop.items() if key not in COMMANDS}),
             inherited=frozenset(),
             feedback=FEEDBACKS[self._block["feedback"]],
         )

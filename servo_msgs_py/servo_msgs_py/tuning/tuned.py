@@ -168,9 +168,7 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
     return result
 
 
-def integers(
-    axis: Axis, configuration: Configuration
-) -> tuple[Gains, Sensorless, AxisConstants, ConfigError | None]:
+def integers(axis: Axis, configuration: Configuration) -> tuple[Gains, Sensorless, AxisConstants, ConfigError | None]:
     """Gains as designed, their integers, and why the motor cannot be observed, where the axis does without.
 
     Raises

@@ -1,0 +1,234 @@
+"""``servo-tool tune`` and a virtual board in simulated time: gains in motion, another motor without a compiler."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from line_world import SimulatedLine
+from numpy.typing import NDArray
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.line import Line
+from servo_bridge.tool_commands import Context
+from servo_bridge.wire.serial_port import LowLatency
+from servo_bridge.wire.session import Session, connect
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.units import PERIOD_NS
+from servo_twin.board import Board
+from servo_twin.experiments.rig import choose_mode, command_position, command_speed, features
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import enable
+
+from servo_bridge import tool
+
+CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "servo.toml"
+BAUD: Final = 1_000_000
+MOVE: Final = 8000  # counts: two turns
+U_Q: Final = 24.2 / 2**15  # V
+MOTORS: Final[dict[str, dict[str, float]]] = {
+    "axis1": {"r_s": 1.4, "l_d": 1.6e-3, "l_q": 1.9e-3, "psi_m": 0.0085, "pole_pairs": 4, "inertia": 4.5e-5},
+    "axis2": {"r_s": 0.9, "l_d": 0.9e-3, "l_q": 1.1e-3, "psi_m": 0.0102, "pole_pairs": 3, "inertia": 2.0e-5},
+}
+
+Tool = Callable[..., int]
+
+
+class Desk:
+    """A board, and the tool on its line."""
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self.line = SimulatedLine(board)
+        self.session: Session | None = None
+
+    def tool(self, *arguments: str | Path) -> int:
+        args = tool._parser().parse_args([str(argument) for argument in arguments])
+        if self.session is None:
+            client = Client(Line(self.line, baud=BAUD, clock=self.line.clock))
+            self.session = connect(client, Catalogue.load())
+        run: tool.tool_commands.Runner = args.run
+        return run(Context(args, Catalogue.load(), self.session, "line", BAUD, LowLatency(True, "")))
+
+    def raw(self, name: str) -> list[int]:
+        return self.board.read_raw(name)
+
+
+def edited(folder: Path, name: str, **groups: dict[str, Any]) -> Path:
+    """servo.toml with entries of some groups replaced: ``control`` of [defaults], ``axis1__motor`` of [axis1]."""
+    text = CONFIG.read_text(encoding="utf-8")
+    for group, entries in groups.items():
+        owner = group.replace("__", ".") if "__" in group else f"defaults.{group}"
+        start = text.index(f"[{owner}]")
+        end = text.find("\n[", start)
+        part = text[start:end]
+        for key, value in entries.items():
+            part, count = re.subn(rf"^{key}\s*=\s*\S+", f"{key} = {value}", part, flags=re.MULTILINE)
+            assert count == 1, (owner, key)
+        text = text[:start] + part + text[end:]
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@contextmanager
+def spinning() -> Iterator[Board]:
+    """A board with both axes in SPIN."""
+    with Board(level="ideal", baud=BAUD, seed=4) as board:
+        enable(board)
+        yield board
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    with Board(level="ideal", baud=BAUD, seed=4) as board:
+        board.run(0.1)
+        yield Desk(board)
+
+
+def test_a_file_is_shown_compared_taken_and_read_back(
+    desk: Desk, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = desk.raw("config.checksum")
+    file = edited(tmp_path, "mine.toml", axis1__motor={"psi_m": 0.012}, control={"position_gain": 50.0})
+    assert desk.tool("tune", CONFIG) == 0
+    assert "nothing changes" in capsys.readouterr().out
+    for flag, status in (("--dry-run", 0), ("--diff", 1)):
+        assert desk.tool("tune", file, flag) == status
+        assert desk.raw("config.checksum") == own
+        out = capsys.readouterr().out
+        assert re.search(r"axis1 +torque_constant +0\.0462\S* N m/A +0\.036\S* N m/A +at rest", out)
+        assert re.search(r"axis2 +position_gain +\S+ rad/s +\S+ rad/s +in motion", out)
+    assert desk.tool("tune", file, "--axis", "1") == 0
+    assert f"axis1 taken at tick {desk.raw('config.taken_tick')[0]}" in capsys.readouterr().out
+    assert (desk.raw("config.checksum")[0] == own[0], desk.raw("config.checksum")[1] == own[1]) == (False, True)
+    assert desk.tool("tune", file) == 0
+    taken = desk.raw("config.checksum")
+    assert desk.tool("tune", file, "--diff") == 0
+
+    back = tmp_path / "back.toml"
+    assert desk.tool("tune", "--from-board", "-o", back) == 0
+    assert "psi_m = 0.012 " in back.read_text(encoding="utf-8")
+    assert desk.tool("tune", CONFIG) == 0
+    assert desk.raw("config.checksum") == own
+    assert desk.tool("tune", back) == 0
+    assert desk.raw("config.checksum") == taken
+
+
+def test_what_the_tuning_code_refuses_does_not_reach_the_board(
+    desk: Desk, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = desk.raw("config.checksum")
+    assert desk.tool("tune", edited(tmp_path, "bad.toml", control={"speed_bandwidth": 4000.0})) == 1
+    assert "speed_bandwidth" in capsys.readouterr().err
+    assert desk.raw("config.checksum") == own
+    for arguments in ((), ("--from-board", CONFIG), (CONFIG, "-o", "x.toml")):
+        with pytest.raises(tool.UsageError):
+            desk.tool("tune", *arguments)
+
+
+def test_motor_data_is_refused_in_motion_with_the_member(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with spinning() as board:
+        desk = Desk(board)
+        own = desk.raw("config.checksum")
+        assert desk.tool("tune", edited(tmp_path, "other.toml", axis1__motor={"psi_m": 0.012})) == 1
+        assert "may only change while the axis is at rest" in capsys.readouterr().err
+        assert desk.raw("config.checksum") == own
+
+
+def test_another_motor_needs_no_compiler(tmp_path: Path) -> None:
+    plant = PlantConfig.load()
+    for axis, motor in enumerate(MOTORS.values()):
+        plant = plant.with_axis(axis, **motor)
+    file = edited(
+        tmp_path,
+        "motors.toml",
+        axis1__motor=MOTORS["axis1"],
+        axis2__motor=MOTORS["axis2"],
+        control={"speed_bandwidth": 50.0, "position_gain": 45.0},
+        axis2__control={"speed_bandwidth": 50.0},
+        limits={"speed": 250.0},
+    )
+    with Board(plant=plant, level="ideal", baud=BAUD, seed=4) as board:
+        board.run(0.1)
+        desk = Desk(board)
+        assert desk.tool("tune", file) == 0
+        board.write("param.command_timeout", 0.0)
+        board.write("cmd.enable", [1, 1])
+        for _ in range(100):
+            board.run(0.05)
+            if all(board.read(f"axis{k}.substate") == 3 for k in (1, 2)):
+                break
+        assert [board.read(f"axis{k}.substate") for k in (1, 2)] == [3, 3]
+        start = [desk.raw(f"axis{k}.position")[0] for k in (1, 2)]
+        command_position(board, 0, start[0] + MOVE)
+        command_position(board, 1, start[1] - MOVE)
+        peak = [0, 0]
+        for _ in range(60):
+            board.run(0.05)
+            way = [desk.raw(f"axis{k}.position")[0] - start[k - 1] for k in (1, 2)]
+            peak = [max(peak[0], way[0]), max(peak[1], -way[1])]
+        assert [board.read(f"axis{k}.faults") for k in (1, 2)] == [0, 0]
+        assert peak == pytest.approx([MOVE, MOVE], abs=3)
+        assert way == pytest.approx([MOVE, -MOVE], abs=3)
+
+
+class FineLine(SimulatedLine):
+    """Keeps what axis 1 does in every PWM period: true i_q, and u_q as the last snapshot has it."""
+
+    def __init__(self, board: Board) -> None:
+        super().__init__(board)
+        self.seen: list[tuple[float, float]] = []
+
+    def advance(self, until_ns: int) -> None:
+        while self.board.time_ns < until_ns:
+            self.board.advance(min(until_ns, (self.board.time_ns // PERIOD_NS + 1) * PERIOD_NS))
+            if self.board.time_ns % PERIOD_NS == 0:
+                self.seen.append((self.board.truth(0).i_q, self.board.read_raw("axis1.u_q")[0] * U_Q))
+
+    def around(self, tick: int, periods: int) -> NDArray[np.float64]:
+        """Rows of so many periods before a tick and after it."""
+        middle = len(self.seen) - (self.board.time_ns // PERIOD_NS - tick)
+        return np.array(self.seen[middle - periods : middle + periods])
+
+
+@pytest.mark.parametrize("what", ["ramp", "speed", "position"])
+def test_gains_change_in_motion_without_a_step(tmp_path: Path, what: str) -> None:
+    """Current and voltage go on at the tick as they do without: no period changes them by more, no mean is shifted."""
+    file = edited(
+        tmp_path, "gains.toml",
+        control={"current_bandwidth": 700.0, "speed_bandwidth": 55.0, "position_gain": 45.0, "speed_ratio": 6.0},
+        friction={"smooth": 2.0}, axis1__friction={"coulomb": 2.5e-3},
+        axis2__control={"speed_bandwidth": 45.0},
+    )  # fmt: skip
+    with spinning() as board:
+        desk = Desk(board)
+        desk.line = line = FineLine(board)
+        features(board, 0, FRICTION=True)
+        board.write("param.acceleration_limit", [400.0 if what == "ramp" else 4000.0] * 2)
+        board.run(0.01)
+        assert desk.tool("tune", CONFIG, "--dry-run") == 0  # the table of variables is read before the motion
+        if what == "position":
+            command_position(board, 0, desk.raw("axis1.position")[0] + 200_000)
+        else:
+            choose_mode(board, 0, "SPEED")
+            command_speed(board, 0, 280.0 if what == "ramp" else 120.0)
+        board.set_load(0, 0.03)
+        line.advance(board.time_ns + 300_000_000)
+        line.seen.clear()
+        assert desk.tool("tune", file) == 0
+        tick = desk.raw("config.taken_tick")[0]
+        line.advance(board.time_ns + 100_000_000)
+        assert (desk.raw("axis1.limits"), desk.raw("axis1.faults")) == ([0], [0]), "free to move"
+        for column, name in enumerate(("i_q", "u_q")):
+            seen = line.around(tick, 320)[:, column]
+            before, after = seen[:320], seen[320:]
+            slope = float(np.polyfit(np.arange(320), before, 1)[0])  # of a ramp
+            by_itself = float(np.abs(np.diff(before)).max())
+            assert float(np.abs(np.diff(seen[312:344])).max()) <= 1.5 * by_itself, name
+            shift = float(after[:32].mean() - before[-32:].mean()) - 32 * slope
+            assert abs(shift) <= float(np.ptp(before - slope * np.arange(320))), name
