@@ -14,7 +14,8 @@ from line_world import SimulatedLine
 from numpy.typing import NDArray
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
-from servo_bridge.tool_commands import Context
+from servo_bridge.tool_commands import Context, Runner
+from servo_bridge.tool_values import UsageError
 from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import Session, connect
 from servo_msgs_py.catalogue import Catalogue
@@ -51,7 +52,7 @@ class Desk:
         if self.session is None:
             client = Client(Line(self.line, baud=BAUD, clock=self.line.clock))
             self.session = connect(client, Catalogue.load())
-        run: tool.tool_commands.Runner = args.run
+        run: Runner = args.run
         return run(Context(args, Catalogue.load(), self.session, "line", BAUD, LowLatency(True, "")))
 
     def raw(self, name: str) -> list[int]:
@@ -127,7 +128,7 @@ def test_what_the_tuning_code_refuses_does_not_reach_the_board(
     assert "speed_bandwidth" in capsys.readouterr().err
     assert desk.raw("config.checksum") == own
     for arguments in ((), ("--from-board", CONFIG), (CONFIG, "-o", "x.toml")):
-        with pytest.raises(tool.UsageError):
+        with pytest.raises(UsageError):
             desk.tool("tune", *arguments)
 
 

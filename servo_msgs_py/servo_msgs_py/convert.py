@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.board_parameters import RawParameters, parameters, si
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.joints import Joint, joint_names
@@ -240,7 +241,8 @@ class AppliedCommand:
     tick : int
         PWM periods since reset at which it took effect, extended past 32 bits as the tick of the telemetry is.
     raw : tuple of int
-        Firmware integers per axis, 0 for an axis that was not written; of ``cmd.points`` the words that were written.
+        Firmware integers per axis, 0 for an axis that was not written; of ``cmd.points`` the words that were written,
+        of ``config.take`` the members of the blocks of the axes of `mask`.
     mask : int
         Bit per written axis; bit 0 is axis 1.
     """
@@ -276,9 +278,16 @@ def applied_from_message(message: Float64MultiArray) -> AppliedCommand:
     if not (0 <= index < len(COMMAND_VARIABLES) and 0 < mask < 1 << AXES):
         raise ValueError(f"commands_applied: variable {index} or mask {mask} does not exist")
     name = COMMAND_VARIABLES[index]
-    if (len(raw) % POINT_WORDS != 0) if name == "cmd.points" else (len(raw) != AXES):
+    if not _whole(name, len(raw), mask):
         raise ValueError(f"commands_applied: {len(raw)} numbers of {name}")
     return AppliedCommand(name, tick, tuple(raw), mask)
+
+
+def _whole(name: str, count: int, mask: int) -> bool:
+    """Whether a variable may have so many raw numbers."""
+    if name == "cmd.points":
+        return count % POINT_WORDS == 0
+    return count == (bin(mask).count("1") * len(AxisConfigTable.load()) if name == "config.take" else AXES)
 
 
 # ---- states and diagnostics in words

@@ -60,12 +60,14 @@ COMMAND_VARIABLES: Final = (
     "cmd.quick_stop",
     "cmd.clear_faults",
     "cmd.points",
+    "config.take",
 )
 """Command variables in the order that numbers them in `COMMANDS_APPLIED`."""
 
 COMMAND_COLUMNS: Final = ("variable", "applied_tick", "axes_mask", "raw_axis1", "raw_axis2")
 """Columns of `COMMANDS_APPLIED`: index into `COMMAND_VARIABLES`, tick, bit per written axis, raw numbers. The words of
-``cmd.points`` stand in the place of the raw numbers of the axes, as many as were written."""
+``cmd.points`` stand in the place of the raw numbers of the axes, as many as were written, and so do the members of the
+blocks of ``config.take``, one axis after the other."""
 
 
 def variable_topic(name: str, joints: Sequence[str] = ()) -> str:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.timed_points import TimedPoint
 from servo_msgs_py.units import PERIOD_NS
@@ -205,6 +207,75 @@ class TestParameters:
             follows(rig, rig.move([-5.0, -5.0], 1.5))
             ends = [rig.pairs[-1].real[f"axis{n}.position"] for n in (1, 2)]
             assert ends == pytest.approx([-3.0, -4.0], abs=3 * COUNT)
+
+
+class TestConfiguration:
+    @staticmethod
+    def quicker(rig: TwinRig, axis: int) -> dict[str, int]:
+        """Other gains of an axis."""
+        block = read_block(rig.real, axis)
+        scale = {
+            "speed.kp": 0.8,
+            "speed.ki": 0.7,
+            "position_gain": 1.2,
+            "current_loop.q.kp": 0.8,
+            "path_omega_n_ts": 0.7,
+        }
+        return block | {path: round(block[path] * factor) for path, factor in scale.items()}
+
+    def test_gains_that_change_in_motion_change_at_the_same_tick(self) -> None:
+        with TwinRig(real_seed=7, twin_seed=7) as rig:
+            rig.up()
+            rig.move([40.0, -40.0], 0.2)
+            rig.tune({axis: self.quicker(rig, axis) for axis in range(2)})
+            rig.run(0.1)
+            rig.write("cmd.mode", [1, 1])
+            rig.write("cmd.speed", [100.0, -80.0])
+            rig.run(0.3)
+            rig.tune({1: self.quicker(rig, 1)})
+            rig.run(0.3)
+            assert rig.board.read_raw("config.taken_count") == [2]
+            assert rig.twin.synchronisations == 1
+            for pair in rig.pairs:
+                for name, value in pair.twin.items():
+                    assert value == pair.real[name], (pair.tick, name)
+
+    def test_a_twin_that_was_not_told_of_other_gains_differs(self) -> None:
+        with TwinRig(real_seed=7, twin_seed=7) as rig:
+            rig.up()
+            rig.held = []
+            rig.tune({0: self.quicker(rig, 0)})
+            rig.run(0.02)
+            rig.held = None
+            assert any(pair.twin[name] != pair.real[name] for pair in rig.move([5.0, -5.0]) for name in pair.twin)
+
+    def test_motor_data_at_rest_and_a_twin_that_begins_later(self) -> None:
+        with TwinRig(real_seed=7, twin_seed=7) as rig:
+            rig.run(0.1)
+            rig.tune({0: self.quicker(rig, 0) | {"torque_constant": 1200, "stop_ticks_max": 900}})
+            rig.up()
+            assert rig.twin.torque_constants[0] == pytest.approx(1200 / 2**15)
+            rig.twin.resync("for a test")
+            rig.run(0.3)
+            follows(rig, rig.move([5.0, -5.0]))
+            assert rig.twin.torque_constants[0] == pytest.approx(1200 / 2**15)
+
+    def test_a_configuration_that_only_the_bridge_has_seen_is_taken_over(self) -> None:
+        with TwinRig() as rig:
+            rig.listening = False
+            rig.run(0.1)
+            block = self.quicker(rig, 1)
+            rig.tune({1: block})
+            rig.run(0.1)
+            rig.listening = True
+            rig.run(0.3)
+            rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
+            assert rig.twin.status == "the board has another configuration"
+            rig.up()
+            began = rig.twin.synchronisations
+            follows(rig, rig.move([5.0, -5.0]))
+            rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
+            assert rig.twin.synchronisations == began
 
 
 class TestRotorSearch:

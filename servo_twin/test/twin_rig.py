@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import send_block
 from servo_msgs_py.board_parameters import applied, parameters, parse
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand, state_label
@@ -97,6 +99,15 @@ class TwinRig:
         words = tuple(encode_points(CATALOGUE, points))
         self.real.write_first("cmd.points", words)
         self._written.append(("cmd.points", words, axes_of_points(words)))
+
+    def tune(self, blocks: Mapping[int, Mapping[str, int]]) -> None:
+        """Let the real board take configuration blocks; their effect is reported with the next sample."""
+        mask = sum(1 << axis for axis in blocks)
+        for axis, block in blocks.items():
+            send_block(self.real, axis, block)
+        assert self.real.write_words("config.take", [mask])
+        words = [word for axis in sorted(blocks) for word in AxisConfigTable.load().words(blocks[axis])]
+        self._written.append(("config.take", tuple(words), mask))
 
     def set_parameters(self, *texts: str, tell: bool = True) -> None:
         """Set parameters of the real board, written as ``NAME=VALUE``, and tell the twin of all it has."""

@@ -15,11 +15,13 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name, numbers
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
+from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.samples import expired_mask
 
 __all__ = ["ReplayBoard", "Replica", "slow_tick"]
 
 _WRAP: Final = 1 << 32
+_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status of a value that the board does not take
 
 
 class ReplayBoard(Protocol):
@@ -132,6 +134,21 @@ class Replica:
     def write_all(self, variable: str, raw: Sequence[int]) -> None:
         """Write all elements of a variable."""
         self._board.write_memory(self._board.address(variable), self._catalogue[variable].encode_raw(raw))
+
+    def read_words(self, name: str) -> list[int]:
+        """As `read_raw`; for `servo_msgs_py.axis_config_transfer`."""
+        return self.read_raw(name)
+
+    def write_words(self, name: str, words: Sequence[int]) -> bool:
+        """Write the first elements of a variable, all at once; False if the board finds them out of range."""
+        pack = self._catalogue[name].raw_type.pack
+        try:
+            self._board.write_memory(self._board.address(name), b"".join(pack(word) for word in words))
+        except BoardError as error:
+            if error.status != _OUT_OF_RANGE:
+                raise
+            return False
+        return True
 
     def read_raw(self, variable: str) -> list[int]:
         """Firmware integers of any variable, one per element."""

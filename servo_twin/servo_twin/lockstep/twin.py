@@ -31,6 +31,7 @@ from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.lockstep.axis_tie import POINTS, AxisTie
+from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, bring, repeat
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
 from servo_twin.lockstep.samples import Activity, RestWatch, Sample, SampleReader, activity
@@ -39,6 +40,7 @@ __all__ = ["Pair", "Twin", "TwinSettings"]
 
 _OWN: Final = frozenset({"tick", "applied_tick", "applied_count"})  # columns that count on each board for itself
 _POSITIONS: Final = ("param.position_min", "param.position_max")  # parameters that are positions of a shaft
+_FOREVER: Final = 1 << 63  # later than any tick
 _SETTLE: Final = 2.0  # longest time from reset to STOP [s]
 
 
@@ -152,6 +154,7 @@ class Twin:
         self._parameters: RawParameters | None = None
         self._cause = ""  # why the twin has to begin anew, while it waits for that
         self._in_force: RawParameters = {}  # on the twin's board, as the real board has them
+        self._blocks: dict[int, tuple[int, ...]] = {}  # configuration of the real board, where not the built-in one
 
     # ---- in
     @property
@@ -164,6 +167,23 @@ class Twin:
         if self._replica is not None and values != self._in_force:
             changed = ", ".join(name for name in values if values[name] != self._in_force.get(name))
             self._cause = f"the board has another {changed}"
+            self.resync(self._cause)
+
+    def blocks(self, blocks: Blocks) -> None:
+        """Take the configuration blocks that the real board had when somebody looked.
+
+        Those that come as a command afterwards are taken at their tick. Begins anew when the twin's board has others.
+        """
+        known = dict(self._blocks)
+        for command in self._ledger.until(_FOREVER):
+            if command.variable == TAKE:
+                known |= blocks_of(command)
+        news = {axis: words for axis, words in blocks.items() if known.get(axis) != tuple(words)}
+        if not news:
+            return
+        self._blocks |= news
+        if self._replica is not None:
+            self._cause = "the board has another configuration"
             self.resync(self._cause)
 
     def command(self, command: AppliedCommand) -> None:
@@ -254,6 +274,7 @@ class Twin:
             self._last = None
             for axis in self._axes:
                 axis.memory.clear()
+            self._blocks.clear()
         elif step > _ticks(self.settings.gap) and self._replica is not None:
             self.resync(f"no telemetry for {step * PERIOD_NS * 1e-9:.1f} s of board time")
 
@@ -278,6 +299,7 @@ class Twin:
         replica = self._replica
         if replica is not None and not began:
             self._replay(replica, sample)
+            replica = self._replica
         self._settle(sample)
         self._last = sample
         if replica is None:
@@ -324,6 +346,8 @@ class Twin:
                 return False
         replica = self._switch_on()
         replica.run_until(lambda: set(self.labels()) == {"STOP"}, _ticks(_SETTLE))
+        bring(replica, self._blocks)
+        self._note_torque(replica)
         active = sum(axis.begin(sample, replica) << number for number, axis in enumerate(self._axes))
         self._set_parameters(replica)
         replica.write("cmd.enable", [1] * AXES, active)
@@ -332,13 +356,16 @@ class Twin:
 
     def _switch_on(self) -> Replica:
         self._replica = replica = Replica(self._new_board())
-        constants = (replica.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
-        self.torque_constants = [float(value) for value in constants if isinstance(value, (int, float))]
+        self._note_torque(replica)
         self._in_force = self._parameters or {v.name: replica.read_raw(v.name) for v in parameters(self._catalogue)}
         self._shift = 0
         self.synchronisations += 1
         self.status = self._cause = ""
         return replica
+
+    def _note_torque(self, replica: Replica) -> None:
+        constants = (replica.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
+        self.torque_constants = [float(value) for value in constants if isinstance(value, (int, float))]
 
     def _wait(self, reason: str) -> None:
         self.status = f"waiting: {reason}" + (f"; {self._cause}" if self._cause else "")
@@ -362,15 +389,32 @@ class Twin:
     # ---- replaying
     def _replay(self, replica: Replica, sample: Sample) -> None:
         """Run to the sample, with every command on the way."""
+        taken = False
         for command in self._ledger.until(sample.tick):
             replica.run_to(slow_tick(command.tick + self._shift - 1))
+            if command.variable == TAKE:
+                repeat(replica, command)
+                taken = True
+                continue
             axes = sum(axis.repeat(replica, command) << number for number, axis in enumerate(self._axes))
             if axes:
                 counts = [-axis.offset for axis in self._axes]
                 replica.write_first(POINTS, shifted_points(command.raw, self._shift, counts, axes))
         replica.run_to(sample.tick + self._shift)
+        if taken:
+            self._note_torque(replica)
+            self._check_blocks(replica)
+
+    def _check_blocks(self, replica: Replica) -> None:
+        """Begin anew where the twin's board has not taken the blocks: it may move while the real one rests."""
+        if replica.read_raw("config.refusal") != [0]:
+            self._cause = "the twin's board did not take another configuration while it moved"
+            self.resync(self._cause)
 
     def _remember(self, command: AppliedCommand) -> None:
+        if command.variable == TAKE:
+            self._blocks |= blocks_of(command)
+            return
         for axis in self._axes:
             axis.remember(command)
 
