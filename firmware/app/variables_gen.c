@@ -190,7 +190,7 @@ CHECK(172, SIZE(axis[1].events.command) >= 2);
 CHECK(173, SIZE(axis[1].events.mode) >= 2);
 CHECK(174, SIZE(axis[1].sm.entered) >= 2);
 
-static const char strings[] =
+static const char strings[] TABLE_MEMORY =
     "state_t\0"
     "\xED:ENUM\0"
     "FAULT\0"
@@ -388,7 +388,7 @@ static const char strings[] =
     "axis2.event_mode\0"
     "axis2.event_state\0";
 
-static const tsa_entry_t entries[] = {
+static const tsa_entry_t entries[] TABLE_MEMORY = {
     {0, 8, 0, 2, TSA_KIND_NONE}, /* state_t */
     {15, 21, 0, 0, TSA_KIND_NONE}, /* FAULT */
     {29, 21, 1, 0, TSA_KIND_NONE}, /* INIT */

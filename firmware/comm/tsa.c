@@ -11,7 +11,7 @@
 
 static bool is_mapped(const tsa_table_t *table, const tsa_entry_t *entry)
 {
-    return entry->type < table->strings_size && table->strings[entry->type] != TYPE_NOT_MAPPED;
+    return entry->type < table->strings_size && table_byte(table->strings + entry->type) != TYPE_NOT_MAPPED;
 }
 
 static bool in_variable(const tsa_space_t *space, uint32_t address, uint32_t size, bool writing)
@@ -21,9 +21,9 @@ static bool in_variable(const tsa_space_t *space, uint32_t address, uint32_t siz
         return false; /* even a wrong table opens nothing beyond the lent memory */
     }
     for (uint16_t i = 0; i < table->entries; i++) {
-        const tsa_entry_t *entry = &table->entry[i];
-        const bool allowed = writing ? entry->kind == TSA_KIND_RW : entry->kind != TSA_KIND_NONE;
-        if (allowed && tsa_inside(address, size, entry->address, entry->size) && is_mapped(table, entry)) {
+        const tsa_entry_t entry = tsa_entry(table, i);
+        const bool allowed = writing ? entry.kind == TSA_KIND_RW : entry.kind != TSA_KIND_NONE;
+        if (allowed && tsa_inside(address, size, entry.address, entry.size) && is_mapped(table, &entry)) {
             return true;
         }
     }
@@ -33,8 +33,15 @@ static bool in_variable(const tsa_space_t *space, uint32_t address, uint32_t siz
 /* The blob holds strings only, so a range without 00 is part of one string. */
 static bool in_string(const tsa_table_t *table, uint32_t address, uint32_t size)
 {
-    return tsa_inside(address, size, TSA_STRINGS_BASE, table->strings_size) &&
-           memchr(table->strings + (size_t)(address - TSA_STRINGS_BASE), 0, (size_t)size) == NULL;
+    if (!tsa_inside(address, size, TSA_STRINGS_BASE, table->strings_size)) {
+        return false;
+    }
+    const uint8_t *at = table->strings + (size_t)(address - TSA_STRINGS_BASE);
+    const uint8_t *end = at + (size_t)size;
+    while (at != end && table_byte(at) != 0) {
+        at++;
+    }
+    return at == end;
 }
 
 /* The source of a range, and where in the live memory it is; NULL without one. */
@@ -113,15 +120,15 @@ static void copy_live(const uint8_t *from, const tsa_place_t *place, uint8_t *da
     }
 }
 
-static uint8_t table_byte(const tsa_table_t *table, uint32_t offset)
+static uint8_t wire_byte(const tsa_table_t *table, uint32_t offset)
 {
-    const tsa_entry_t *entry = &table->entry[(size_t)(offset / TSA_WIRE_ENTRY_SIZE)];
+    const tsa_entry_t entry = tsa_entry(table, (uint16_t)(offset / TSA_WIRE_ENTRY_SIZE));
     const unsigned at = (unsigned)(offset % TSA_WIRE_ENTRY_SIZE);
     const uint32_t field[] = {
-        TSA_STRINGS_BASE + entry->name,
-        TSA_STRINGS_BASE + entry->type,
-        entry->address,
-        (uint32_t)entry->size << 2 | entry->kind,
+        TSA_STRINGS_BASE + entry.name,
+        TSA_STRINGS_BASE + entry.type,
+        entry.address,
+        (uint32_t)entry.size << 2 | entry.kind,
     };
     return (uint8_t)(field[at / FIELD_SIZE] >> (8u * (at % FIELD_SIZE)) & 0xFFu);
 }
@@ -133,11 +140,11 @@ void tsa_copy(const tsa_space_t *space, const tsa_place_t *place, uint8_t *data)
         memcpy(data, space->memory + (size_t)place->offset, place->size);
         break;
     case TSA_REGION_STRINGS:
-        memcpy(data, space->table->strings + (size_t)place->offset, place->size);
+        table_copy(data, space->table->strings + (size_t)place->offset, place->size);
         break;
     case TSA_REGION_TABLE:
         for (uint16_t i = 0; i < place->size; i++) {
-            data[i] = table_byte(space->table, place->offset + i);
+            data[i] = wire_byte(space->table, place->offset + i);
         }
         break;
     case TSA_REGION_LIVE:
@@ -153,7 +160,7 @@ bool tsa_string_length(const tsa_table_t *table, uint32_t address, uint16_t *len
     }
     const uint16_t offset = (uint16_t)(address - TSA_STRINGS_BASE);
     uint16_t end = offset;
-    while (end < table->strings_size && table->strings[end] != 0) {
+    while (end < table->strings_size && table_byte(table->strings + end) != 0) {
         end++;
     }
     *length = (uint16_t)(end - offset);

@@ -13,6 +13,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "comm/table_memory.h"
+
 #ifndef TSA_VARIABLES_BASE
 #define TSA_VARIABLES_BASE UINT32_C(0x00001000)
 #endif
@@ -53,9 +55,9 @@ typedef struct {
 } tsa_source_t;
 
 typedef struct {
-    const tsa_entry_t *entry;
+    const tsa_entry_t *entry; /* in TABLE_MEMORY */
     uint16_t entries;
-    const uint8_t *strings; /* 00-terminated strings one after the other, nothing else */
+    const uint8_t *strings; /* 00-terminated strings one after the other, nothing else; in TABLE_MEMORY */
     uint16_t strings_size;
     const tsa_source_t *source;
     uint16_t sources;
@@ -78,6 +80,13 @@ typedef struct {
     uint16_t size;
     uint8_t region; /* tsa_region_t */
 } tsa_place_t;
+
+static inline tsa_entry_t tsa_entry(const tsa_table_t *table, uint16_t i)
+{
+    tsa_entry_t entry;
+    table_copy(&entry, &table->entry[i], sizeof entry);
+    return entry;
+}
 
 /* True if `size` bytes at `address` lie in the `extent` bytes at `base`; no sum that could wrap is formed. */
 static inline bool tsa_inside(uint32_t address, uint32_t size, uint32_t base, uint32_t extent)

@@ -170,10 +170,10 @@ def variable_table(catalogue: Catalogue) -> str:
 /* The table and the structure agree on every size. */
 {_checks(catalogue)}
 
-static const char strings[] =
+static const char strings[] TABLE_MEMORY =
 {strings.c_source()};
 
-static const tsa_entry_t entries[] = {{
+static const tsa_entry_t entries[] TABLE_MEMORY = {{
 {chr(10).join(rows)}
 }};
 

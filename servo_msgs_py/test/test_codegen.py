@@ -164,7 +164,7 @@ def test_table_has_the_source_of_every_number_in_a_loop() -> None:
 
 def test_string_offsets_point_at_the_strings() -> None:
     table = codegen.variable_table(CATALOGUE)
-    block = table.split("static const char strings[] =\n")[1].split(";")[0]
+    block = table.split("static const char strings[] TABLE_MEMORY =\n")[1].split(";")[0]
     blob = b"".join(
         line.strip()[1:-1].encode().decode("unicode_escape").encode("latin-1") for line in block.splitlines()
     )

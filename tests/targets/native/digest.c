@@ -29,20 +29,20 @@ uint32_t digest_long(uint32_t value, uint32_t word)
 
 bool digest_snapshot_field(const servo_t *servo, uint16_t i, uint32_t *value)
 {
-    const tsa_entry_t *entry = &servo_variables.entry[i];
+    const tsa_entry_t entry = tsa_entry(&servo_variables, i);
     const uint32_t begin = TSA_VARIABLES_BASE + (uint32_t)offsetof(servo_t, snapshot);
-    if (entry->kind != TSA_KIND_RO || entry->address < begin || entry->address >= begin + sizeof servo->snapshot) {
+    if (entry.kind != TSA_KIND_RO || entry.address < begin || entry.address >= begin + sizeof servo->snapshot) {
         return false;
     }
-    const uint8_t *at = (const uint8_t *)servo + (size_t)(entry->address - TSA_VARIABLES_BASE);
+    const uint8_t *at = (const uint8_t *)servo + (size_t)(entry.address - TSA_VARIABLES_BASE);
     uint16_t narrow;
     uint32_t wide;
-    if (entry->size == sizeof narrow) {
+    if (entry.size == sizeof narrow) {
         memcpy(&narrow, at, sizeof narrow);
         *value = narrow;
         return true;
     }
-    if (entry->size == sizeof wide) {
+    if (entry.size == sizeof wide) {
         memcpy(&wide, at, sizeof wide);
         *value = wide;
         return true;

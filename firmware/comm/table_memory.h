@@ -1,0 +1,22 @@
+/* table_memory.h - where large tables lie that only the server reads. Some machines (AVR) have constants in a memory that
+ * pointers do not reach, and no room for copies of them: such a table is declared with TABLE_MEMORY and read by way of
+ * table_copy() and table_byte(). */
+#ifndef COMM_TABLE_MEMORY_H
+#define COMM_TABLE_MEMORY_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef __AVR__
+#include <avr/pgmspace.h>
+#define TABLE_MEMORY PROGMEM
+static inline void table_copy(void *to, const void *from, size_t size) { (void)memcpy_P(to, from, size); }
+static inline uint8_t table_byte(const uint8_t *at) { return pgm_read_byte(at); }
+#else
+#define TABLE_MEMORY
+static inline void table_copy(void *to, const void *from, size_t size) { (void)memcpy(to, from, size); }
+static inline uint8_t table_byte(const uint8_t *at) { return *at; }
+#endif
+
+#endif
