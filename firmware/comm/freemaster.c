@@ -333,9 +333,9 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
     server->space.memory_size = app->memory_size < MEMORY_SIZE_MAX ? app->memory_size : MEMORY_SIZE_MAX;
     server->space.live = app->live;
     server->space.live_size = app->live_size;
+    (void)memset(&server->samples, 0, sizeof server->samples);
     server->samples.samples = app->samples;
     server->samples.size = app->samples_size;
-    server->samples.owner = NULL;
     for (uint16_t i = 0; i < FREEMASTER_RECORDERS; i++) {
         recorder_init(&server->recorder[i], &app->recorder[i], &server->samples);
     }

@@ -39,10 +39,10 @@ static bool complete(const payload_reader_t *operand) { return !operand->missing
 
 static void forget(recorder_t *recorder)
 {
-    recorder->sampling.running = false;
+    recorder->running = false;
     recorder->slots = 0;
     for (uint16_t k = 0; k < RECORDER_SLOTS; k++) {
-        recorder->slot[k].source = NULL;
+        recorder->memory->slot[k].source = NULL;
     }
     recorder->configured = false;
     recorder->started = false;
@@ -60,7 +60,7 @@ static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
     }
     recorder_memory_t *memory = recorder->memory;
     if (memory->owner != NULL && memory->owner != recorder) {
-        if (memory->owner->sampling.running) {
+        if (memory->owner->running) {
             return FM_BUSY;
         }
         forget(memory->owner);
@@ -134,18 +134,18 @@ static uint8_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_
         return FM_BAD_SIZE;
     }
     slot.direct = slot.limit == NULL && slot.cell == slot.size && slot.size > 1 ? slot.size : 0;
-    recorder->slot[index] = slot;
+    recorder->memory->slot[index] = slot;
     return FM_OK;
 }
 
 /* What a sample needs is written as volatile memory, in the order of the statements: the loop may come in between. */
 static void make_moves(recorder_t *recorder, uint8_t cell)
 {
-    volatile recorder_sampling_t *sampling = &recorder->sampling;
+    volatile recorder_sampling_t *sampling = &recorder->memory->sampling;
     uint16_t moves = 0;
     uint16_t triggers = 0;
     for (uint16_t k = 0; k < recorder->slots; k++) {
-        recorder_slot_t *slot = &recorder->slot[k];
+        recorder_slot_t *slot = &recorder->memory->slot[k];
         if ((slot->mode & RECORDER_MODE_TYPE) != RECORDER_TYPE_NONE) {
             sampling->trigger[triggers++] = slot;
         }
@@ -156,7 +156,7 @@ static void make_moves(recorder_t *recorder, uint8_t cell)
         }
     }
     sampling->cell = cell;
-    sampling->trigger_end = recorder->sampling.trigger + triggers;
+    sampling->trigger_end = recorder->memory->sampling.trigger + triggers;
 }
 
 /* All slots are set and at least one is stored: from now on the configuration stands. */
@@ -165,11 +165,14 @@ static bool finish(recorder_t *recorder)
     if (recorder->configured) {
         return true;
     }
+    if (recorder->memory->owner != recorder) {
+        return false; /* the slots are those of another one */
+    }
     uint16_t point = 0;
     uint8_t stored = 0;
     uint8_t cell = 4;
     for (uint16_t k = 0; k < recorder->slots; k++) {
-        const recorder_slot_t *slot = &recorder->slot[k];
+        const recorder_slot_t *slot = &recorder->memory->slot[k];
         if (slot->source == NULL) {
             return false;
         }
@@ -192,7 +195,7 @@ static bool finish(recorder_t *recorder)
         recorder->before = 0;
     }
     make_moves(recorder, cell);
-    volatile recorder_sampling_t *sampling = &recorder->sampling;
+    volatile recorder_sampling_t *sampling = &recorder->memory->sampling;
     sampling->divider = recorder->divider;
     sampling->next = (uint8_t *)memory->samples;
     sampling->end = sampling->next + (size_t)(recorder->total * point);
@@ -209,15 +212,15 @@ static uint8_t start(recorder_t *recorder)
     if (!finish(recorder)) {
         return FM_BAD_SIZE;
     }
-    volatile recorder_sampling_t *sampling = &recorder->sampling;
-    if (!sampling->running) {
+    volatile recorder_sampling_t *sampling = &recorder->memory->sampling;
+    if (!recorder->running) {
         recorder->started = true;
         sampling->next = (uint8_t *)recorder->memory->samples;
         sampling->skip = 0;
         sampling->filled = false;
         sampling->armed = false;
         sampling->stopping = false;
-        sampling->running = true; /* last: the loop may come in between */
+        recorder->running = true; /* last: the loop may come in between */
     }
     return FM_OK;
 }
@@ -227,7 +230,7 @@ static uint8_t stop(recorder_t *recorder)
     if (!recorder->configured) {
         return FM_NOT_CONFIGURED;
     }
-    recorder->sampling.running = false;
+    recorder->running = false;
     return FM_OK;
 }
 
@@ -270,13 +273,13 @@ static recorder_state_t state_of(recorder_t *recorder)
     if (!finish(recorder)) {
         return RECORDER_NOT_CONFIGURED;
     }
-    if (recorder->sampling.running) {
+    if (recorder->running) {
         return RECORDER_RUNNING;
     }
     if (!recorder->started) {
         return RECORDER_EMPTY;
     }
-    return recorder->sampling.filled ? RECORDER_FULL : RECORDER_STOPPED;
+    return recorder->memory->sampling.filled ? RECORDER_FULL : RECORDER_STOPPED;
 }
 
 static void put_info(recorder_t *recorder, payload_writer_t *reply)
@@ -288,7 +291,7 @@ static void put_info(recorder_t *recorder, payload_writer_t *reply)
         payload_put_bytes(reply, nothing, (uint16_t)sizeof nothing);
         return;
     }
-    const recorder_sampling_t *sampling = &recorder->sampling;
+    const recorder_sampling_t *sampling = &recorder->memory->sampling;
     const uint8_t *samples = (const uint8_t *)recorder->memory->samples;
     const uint16_t next = (uint16_t)((uint16_t)(sampling->next - samples) / sampling->point);
     const bool all = sampling->filled || !recorder->started;
@@ -326,7 +329,7 @@ uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t
 const uint8_t *recorder_samples(const recorder_memory_t *memory, uint32_t address, uint32_t size)
 {
     const recorder_t *owner = memory->owner;
-    if (owner == NULL || owner->sampling.running || !tsa_inside(address, size, TSA_SAMPLES_BASE, memory->size)) {
+    if (owner == NULL || owner->running || !tsa_inside(address, size, TSA_SAMPLES_BASE, memory->size)) {
         return NULL;
     }
     return (const uint8_t *)memory->samples + (size_t)(address - TSA_SAMPLES_BASE);

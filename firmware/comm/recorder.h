@@ -39,13 +39,6 @@ typedef struct {
     uint32_t timebase; /* time from one recorder_sample() to the next [ns] */
 } recorder_app_t;
 
-/* Samples, of one recorder at a time: of the one that was configured last. */
-typedef struct {
-    uint32_t *samples; /* words, so that every variable is aligned in it */
-    uint16_t size; /* bytes */
-    struct recorder *owner; /* NULL: none yet */
-} recorder_memory_t;
-
 /* One variable. */
 typedef struct {
     const uint8_t *source; /* NULL: not set */
@@ -62,7 +55,6 @@ typedef struct {
 
 /* What a sample needs. */
 typedef struct {
-    volatile bool running;
     bool filled;   /* once, since the start */
     bool armed;    /* .. and no trigger has fired */
     bool stopping; /* one has */
@@ -79,11 +71,19 @@ typedef struct {
     const uint8_t *source[RECORDER_SLOTS * RECORDER_SLOT_BYTES]; /* of each move */
 } recorder_sampling_t;
 
+/* Samples and what leads to them, of one recorder at a time: of the one that was configured last. */
+typedef struct {
+    uint32_t *samples; /* words, so that every variable is aligned in it */
+    uint32_t size; /* bytes */
+    struct recorder *owner; /* NULL: none yet */
+    recorder_slot_t slot[RECORDER_SLOTS];
+    recorder_sampling_t sampling;
+} recorder_memory_t;
+
 typedef struct recorder {
     recorder_app_t app;
     recorder_memory_t *memory;
-    recorder_sampling_t sampling;
-    recorder_slot_t slot[RECORDER_SLOTS];
+    volatile bool running;
     uint8_t slots;   /* in use */
     uint8_t stored;  /* of these; others are triggers only */
     bool configured; /* all slots are set, nothing more may be */
@@ -110,7 +110,7 @@ void recorder_take(recorder_t *recorder);
 /* In every call of the loop. */
 static inline void recorder_sample(recorder_t *recorder)
 {
-    if (recorder->sampling.running) {
+    if (recorder->running) {
         recorder_take(recorder);
     }
 }

@@ -89,7 +89,7 @@ static void store(const recorder_sampling_t *sampling, uint8_t *to, const uint8_
 
 void recorder_take(recorder_t *recorder)
 {
-    recorder_sampling_t *sampling = &recorder->sampling;
+    recorder_sampling_t *sampling = &recorder->memory->sampling;
     if (sampling->skip != 0) {
         sampling->skip--;
         return;
@@ -108,7 +108,7 @@ void recorder_take(recorder_t *recorder)
     sampling->next = next;
     if (sampling->stopping) {
         if (sampling->left == 0) {
-            sampling->running = false;
+            recorder->running = false;
         } else {
             sampling->left--;
         }

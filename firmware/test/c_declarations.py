@@ -24,6 +24,7 @@ _STANDARD = {
     "stdint.h": _WIDTHS,
     "stdbool.h": "#define bool _Bool\n#define true 1\n#define false 0\n",
     "stddef.h": "#define NULL 0\n",
+    "string.h": "",
 }
 
 
