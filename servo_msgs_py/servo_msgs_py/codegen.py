@@ -271,7 +271,7 @@ def variable_list(catalogue: Catalogue) -> str:
 
 def outputs(firmware: Path, catalogue: Catalogue) -> dict[Path, str]:
     """Generated files and what has to stand in them."""
-    rules = FaultRules.parse((firmware / "diagnosis" / "fault_isolate.c").read_text(encoding="utf-8"))
+    rules = FaultRules.parse((firmware / "diagnosis" / "fault_rules.c").read_text(encoding="utf-8"))
     members = AxisConfigTable.load()
     return {
         firmware / "config" / "contract_gen.h": contract_header(catalogue),

@@ -15,7 +15,7 @@ from servo_msgs_py import codegen
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 CATALOGUE = Catalogue.load()
-ISOLATE = FIRMWARE / "diagnosis" / "fault_isolate.c"
+ISOLATE = FIRMWARE / "diagnosis" / "fault_rules.c"
 
 
 @pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
@@ -27,10 +27,10 @@ def test_committed_files_are_up_to_date() -> None:
 def test_generation_writes_then_agrees_then_sees_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for folder in ("firmware/config", "firmware/app", "firmware/doc", "firmware/diagnosis", "servo_msgs_py"):
         (tmp_path / folder).mkdir(parents=True)
-    (tmp_path / "firmware" / "diagnosis" / "fault_isolate.c").write_text(ISOLATE.read_text("utf-8"), encoding="utf-8")
+    (tmp_path / "firmware" / "diagnosis" / "fault_rules.c").write_text(ISOLATE.read_text("utf-8"), encoding="utf-8")
     arguments = ["--firmware", str(tmp_path / "firmware")]
     assert codegen.main([*arguments, "--check"]) == 1
-    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["fault_isolate.c"]
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["fault_rules.c"]
     assert codegen.main(arguments) == 0
     assert codegen.main([*arguments, "--check"]) == 0
     header = tmp_path / "firmware" / "config" / "contract_gen.h"

@@ -1,0 +1,33 @@
+/* fault_rules.h - the tables that name faults; fault_isolate.c applies them. Tables only, so that a chip may keep them in a
+ * slower memory. */
+#ifndef DIAGNOSIS_FAULT_RULES_H
+#define DIAGNOSIS_FAULT_RULES_H
+
+#include "diagnosis/fault_isolate.h"
+
+#define FAULT_CAUSES 4
+#define FAULT_REVISIONS 2
+
+typedef struct {
+    fault_set_t fault;
+    uint16_t instead; /* SUSPECT_ bits */
+    fault_set_t otherwise;
+} fault_rule_t;
+
+typedef struct {
+    uint16_t suspicion; /* SUSPECT_ bit */
+    fault_set_t fault;
+} fault_cause_t;
+
+typedef struct {
+    fault_set_t fault;
+    uint32_t within; /* PWM periods */
+    fault_set_t after;
+    fault_set_t voids;
+} fault_revision_rule_t;
+
+extern const fault_rule_t fault_rules[FINDINGS];
+extern const fault_cause_t fault_causes[FAULT_CAUSES];
+extern const fault_revision_rule_t fault_revisions[FAULT_REVISIONS];
+
+#endif
