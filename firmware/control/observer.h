@@ -56,33 +56,37 @@ static inline int32_t observer_part(int32_t x, int32_t factor, unsigned bits)
     return (int32_t)asr64((int64_t)x * factor, bits);
 }
 
-/* A sample was taken; `voltage` is what the duties computed from it stand for. They load half a period later, so the mean
+/* The sums wrap: with gains that make the observer unstable its states go round, which its checks see.
+ *
+ * A sample was taken; `voltage` is what the duties computed from it stand for. They load half a period later, so the mean
  * voltage until the next sample is half theirs and half their predecessors'. */
 static inline void observer_step(observer_t *observer, const observer_config_t *config, ab_t current, ab_t voltage)
 {
     const observer_ab_t error = {
-        observer->i.alpha - current.alpha * (INT32_C(1) << config->f1),
-        observer->i.beta - current.beta * (INT32_C(1) << config->f1),
+        i32_sub_wrap(observer->i.alpha, current.alpha * (INT32_C(1) << config->f1)),
+        i32_sub_wrap(observer->i.beta, current.beta * (INT32_C(1) << config->f1)),
     };
     const observer_ab_t i = {
-        observer->i.alpha + observer_part(error.alpha, config->k1, 31),
-        observer->i.beta + observer_part(error.beta, config->k1, 31),
+        i32_add_wrap(observer->i.alpha, observer_part(error.alpha, config->k1, 31)),
+        i32_add_wrap(observer->i.beta, observer_part(error.beta, config->k1, 31)),
     };
     const observer_ab_t at = {
-        observer->e.alpha + observer_part(error.alpha, config->k2, 28),
-        observer->e.beta + observer_part(error.beta, config->k2, 28),
+        i32_add_wrap(observer->e.alpha, observer_part(error.alpha, config->k2, 28)),
+        i32_add_wrap(observer->e.beta, observer_part(error.beta, config->k2, 28)),
     };
     const int32_t s = observer->turn_sin;
     const int32_t c = observer->turn_versine;
     const observer_ab_t e = {
-        at.alpha - observer_upper(at.alpha, c) - observer_upper(at.beta, s),
-        at.beta - observer_upper(at.beta, c) + observer_upper(at.alpha, s),
+        i32_sub_wrap(i32_sub_wrap(at.alpha, observer_upper(at.alpha, c)), observer_upper(at.beta, s)),
+        i32_add_wrap(i32_sub_wrap(at.beta, observer_upper(at.beta, c)), observer_upper(at.alpha, s)),
     };
     const int32_t half = INT32_C(1) << (config->f2 - 1U);
-    const int32_t rest_alpha = ((int32_t)observer->v.alpha + voltage.alpha) * half - e.alpha;
-    const int32_t rest_beta = ((int32_t)observer->v.beta + voltage.beta) * half - e.beta;
-    observer->i.alpha = i.alpha - observer_upper(i.alpha, config->loss) + observer_upper(rest_alpha, config->drive);
-    observer->i.beta = i.beta - observer_upper(i.beta, config->loss) + observer_upper(rest_beta, config->drive);
+    const int32_t rest_alpha = i32_sub_wrap(((int32_t)observer->v.alpha + voltage.alpha) * half, e.alpha);
+    const int32_t rest_beta = i32_sub_wrap(((int32_t)observer->v.beta + voltage.beta) * half, e.beta);
+    observer->i.alpha = i32_add_wrap(i32_sub_wrap(i.alpha, observer_upper(i.alpha, config->loss)),
+                                     observer_upper(rest_alpha, config->drive));
+    observer->i.beta = i32_add_wrap(i32_sub_wrap(i.beta, observer_upper(i.beta, config->loss)),
+                                    observer_upper(rest_beta, config->drive));
     observer->e = e;
     observer->v = voltage;
 }

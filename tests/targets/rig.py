@@ -45,6 +45,8 @@ class Rig:
 
     Attributes
     ----------
+    catalogue : Catalogue
+        Of the board's variables.
     entries : sequence of str
         Names of the entries in the table of variables.
     written : list of (str, tuple of int)
@@ -53,7 +55,7 @@ class Rig:
 
     def __init__(self, ffi: Any, lib: Any, plant: PlantConfig, seed: int) -> None:
         self._ffi, self._lib = ffi, lib
-        self._catalogue = Catalogue.load()
+        self.catalogue = Catalogue.load()
         config = ffi.new("board_config_t *")
         plant.fill(config)
         config.baud, config.seed = BAUD, seed
@@ -120,22 +122,22 @@ class Rig:
 
     def command(self, name: str) -> None:
         """Run an application command."""
-        self.request(commands.send_command(self._catalogue.bits["command"][name]))
+        self.request(commands.send_command(self.catalogue.bits["command"][name]))
         self.request(commands.get_command_status())
 
     def set(self, name: str, *values: float) -> None:
         """Write a variable in SI units: one value per element, or one for all."""
-        variable = self._catalogue[name]
+        variable = self.catalogue[name]
         self.set_raw(name, *map(variable.to_raw, values * variable.count if len(values) == 1 else values))
 
     def set_raw(self, name: str, *raw: int) -> None:
         """Write the raw numbers of a variable; the board refuses those outside its range."""
-        self.request(commands.write_memory(self.address(name), self._catalogue[name].encode_raw(raw)))
+        self.request(commands.write_memory(self.address(name), self.catalogue[name].encode_raw(raw)))
         self.written.append((name, raw))
 
     def points(self, *points: TimedPoint) -> None:
         """Write timed points; the board may refuse them."""
-        words = encode_points(self._catalogue, points)
+        words = encode_points(self.catalogue, points)
         self.words(*words)
 
     def words(self, *words: int) -> None:
@@ -148,7 +150,7 @@ class Rig:
         """Write timed points with nothing between the requests."""
         frames = b""
         for points in writes:
-            data = b"".join(word.to_bytes(4, "little", signed=True) for word in encode_points(self._catalogue, points))
+            data = b"".join(word.to_bytes(4, "little", signed=True) for word in encode_points(self.catalogue, points))
             frames += commands.write_memory(self.address("cmd.points"), data).frame
         self.send(frames)
 
@@ -159,24 +161,29 @@ class Rig:
 
     def get(self, name: str) -> float:
         """Value of a scalar in SI units."""
-        variable = self._catalogue[name]
+        variable = self.catalogue[name]
         value = variable.decode(self._memory.read(self.address(name), variable.size))
         if not isinstance(value, (int, float)):
             raise RigError(f"{name} is not a scalar")
         return value
+
+    def raw(self, name: str) -> list[int]:
+        """Raw numbers of a variable."""
+        variable = self.catalogue[name]
+        return variable.decode_raw(self._memory.read(self.address(name), variable.size))
 
     def places(self) -> list[str]:
         """Where both axes are: the sub-state in RUN, else the state."""
         return [self._place(f"axis{k}") for k in (1, 2)]
 
     def _place(self, axis: str) -> str:
-        state = self._catalogue.label("state_t", round(self.get(f"{axis}.state")))
-        substate = self._catalogue.label("substate_t", round(self.get(f"{axis}.substate")))
+        state = self.catalogue.label("state_t", round(self.get(f"{axis}.state")))
+        substate = self.catalogue.label("substate_t", round(self.get(f"{axis}.substate")))
         return substate if state == "RUN" else state
 
     def faults(self, axis: int) -> list[str]:
         """Names of the faults of an axis (0 or 1)."""
-        return [flag.name for flag in self._catalogue.active("faults", round(self.get(f"axis{axis + 1}.faults")))]
+        return [flag.name for flag in self.catalogue.active("faults", round(self.get(f"axis{axis + 1}.faults")))]
 
     # ---- the plant --------------------------------------------------------------------------------------------------
 

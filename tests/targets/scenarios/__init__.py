@@ -12,7 +12,7 @@ from typing import Final
 from targets import server_requests
 from targets.recording import Scenario
 from targets.rig import Rig
-from targets.scenarios import faults, moves, observers, stops
+from targets.scenarios import faults, moves, observers, stops, tuning
 from targets.scenarios.parts import plant, ready
 
 
@@ -57,5 +57,6 @@ SCENARIOS: Final = (
     Scenario("too-fast-for-a-short", plant(), stops.too_fast_for_a_short),
     Scenario("broken-phases", plant(), faults.broken_phases),
     Scenario("broken-encoders", plant(), faults.broken_encoders),
+    Scenario("tuning", plant(), tuning.tuning),
     Scenario("server", plant(), server),
 )

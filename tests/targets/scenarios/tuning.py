@@ -1,0 +1,106 @@
+"""Other configurations: at rest, in motion, and what the board refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Final
+
+from servo_bridge.freemaster import commands
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, send_block, take_blocks
+
+from targets.rig import Rig
+from targets.scenarios.parts import POSITION, SPEED, features, ready, spin, stop
+
+_TABLE: Final = AxisConfigTable.load()
+
+
+class _Blocks:
+    """The board as `BlockMemory` wants it: writes go over the line, reads past it."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+
+    def read_words(self, name: str) -> list[int]:
+        return self._rig.raw(name)
+
+    def write_words(self, name: str, words: Sequence[int]) -> bool:
+        pack = self._rig.catalogue[name].raw_type.pack
+        self._rig.request(commands.write_memory(self._rig.address(name), b"".join(map(pack, words))))
+        return self.read_words("config.refusal") == [0]
+
+    def together(self, *writes: tuple[str, Sequence[int]]) -> None:
+        """Writes with nothing between the requests."""
+        frames = b""
+        for name, words in writes:
+            pack = self._rig.catalogue[name].raw_type.pack
+            frames += commands.write_memory(self._rig.address(name), b"".join(map(pack, words))).frame
+        self._rig.send(frames)
+
+    def pause(self, seconds: float) -> None:
+        self._rig.run(seconds)
+
+    def wait(self) -> bool:
+        self._rig.run(0.001)
+        return True
+
+
+def _take(blocks: _Blocks, changed: dict[int, dict[str, float]]) -> None:
+    """Let axes take their blocks with some members times a factor."""
+    for axis, factors in changed.items():
+        block = read_block(blocks, axis)
+        send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in factors.items()})
+    take_blocks(blocks, list(changed), blocks.wait)
+
+
+def tuning(rig: Rig) -> None:
+    """Blocks of both axes at rest, gains in motion with every estimator, and every refusal."""
+    blocks = _Blocks(rig)
+    ready(rig)
+    defaults = dict.fromkeys(("speed_limit", "acceleration_limit", "i_q_limit", "following_error", "over_speed"), 0.9)
+    defaults |= {"position_limit": 0.5, "features": 0.5, "stop.disable": 0.5, "stop.quick_stop": 0.4}
+    _take(blocks, {0: {**defaults, "torque_constant": 0.95, "stop_ticks_max": 1.1}, 1: {"u_dc_max": 0.99}})
+    _take(blocks, {0: dict.fromkeys(("speed_limit", "acceleration_limit", "i_q_limit"), 1.1)})
+    block = read_block(blocks, 1)
+    send_block(blocks, 1, block | {"feedback": 1})
+    take_blocks(blocks, [1], blocks.wait)
+    send_block(blocks, 1, block)
+    take_blocks(blocks, [1], blocks.wait)
+
+    _refusals(blocks, block)
+    rig.set("param.features", features("FRICTION", "SPEED_OBSERVER", "ACCELERATION_FORWARD"), features("ANGLE_CHECK"))
+    spin(rig)
+    rig.set("cmd.mode", SPEED, POSITION)
+    rig.set("cmd.speed", 60.0, 0.0)
+    rig.set("cmd.position", 0.0, 3.0)
+    rig.run(0.04)
+    gains = ("speed.kp", "current_loop.q.kp", "current_loop.d.kp", "current_loop.omega_psi", "friction.viscous")
+    shaft = ("speed_observer.acceleration_per_current", "pll.acceleration", "path_omega_n_ts", "acceleration_forward")
+    _take(blocks, {axis: {**dict.fromkeys(gains, 0.8), **dict.fromkeys(shaft, 1.1)} for axis in (0, 1)})
+    _take(blocks, {1: {"position_gain": 0.999}, 0: {"position_gain": 1.5}})
+    with suppress(BlockRefusedError):
+        _take(blocks, {0: {"u_dc_max": 0.98}})
+    rig.run(0.03)
+    stop(rig)
+
+
+def _refusals(blocks: _Blocks, block: dict[str, int]) -> None:
+    words = _TABLE.words(block)
+    header = [1, _TABLE.layout - (1 << 32) * (_TABLE.layout >> 31), len(_TABLE), 0]
+    for part in (
+        [2, 0, 0], [0, -1, 0], [0, 0, 25, 0], [0, 0, 2, 0], [0, 0, 1, -1], [0, 0],
+        [1, list(block).index("stop.ramp"), 1, 1],
+    ):  # fmt: skip
+        blocks.write_words("config.window", part)
+    for wrong in ([2, *header[1:]], [1, 0, *header[2:]], [*header[:2], 1, 0], header):
+        blocks.write_words("config.header", wrong)
+    for axes in (0, 4, 2):
+        blocks.write_words("config.take", [axes])
+    for busy in (("config.take", [2]), ("config.window", [1, 0, 1, words[0]]), ("config.header", header)):
+        for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # one of them is early in its slow tick
+            send_block(blocks, 1, block)
+            blocks.pause(later)
+            # What comes while an answer is due is lost: the one in the middle.
+            blocks.together(("config.take", [2]), ("config.take", [2]), busy)
+            blocks.wait()
