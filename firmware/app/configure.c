@@ -7,16 +7,22 @@
 
 /* ---- members as numbers --------------------------------------------------------------------------------------------- */
 
-static int32_t member_get(const void *member, uint16_t kind)
+static const axis_range_t *range_of(uint16_t number) { return &axis_ranges[axis_members[number].range]; }
+
+static int32_t member_get(const axis_config_t *block, uint16_t number)
 {
+    const void *member = (const uint8_t *)block + axis_members[number].offset;
+    const uint16_t kind = range_of(number)->kind;
     if ((kind & MEMBER_WIDE) != 0U) {
         return (kind & MEMBER_SIGNED) != 0U ? *(const int32_t *)member : (int32_t)(*(const uint32_t *)member);
     }
     return (kind & MEMBER_SIGNED) != 0U ? *(const int16_t *)member : (int32_t)(*(const uint16_t *)member);
 }
 
-static void member_set(void *member, uint16_t kind, int32_t value)
+static void member_set(axis_config_t *block, uint16_t number, int32_t value)
 {
+    void *member = (uint8_t *)block + axis_members[number].offset;
+    const uint16_t kind = range_of(number)->kind;
     if ((kind & MEMBER_WIDE) != 0U) {
         if ((kind & MEMBER_SIGNED) != 0U) {
             *(int32_t *)member = value;
@@ -30,10 +36,11 @@ static void member_set(void *member, uint16_t kind, int32_t value)
     }
 }
 
-static bool member_accepts(uint16_t kind, int32_t min, int32_t max, int32_t value)
+static bool member_accepts(uint16_t number, int32_t value)
 {
-    const bool bits = (kind & MEMBER_BITS) == 0U || ((uint32_t)value & ~(uint32_t)max) == 0U;
-    return value >= min && value <= max && bits;
+    const axis_range_t *range = range_of(number);
+    const bool bits = (range->kind & MEMBER_BITS) == 0U || ((uint32_t)value & ~(uint32_t)range->max) == 0U;
+    return value >= range->min && value <= range->max && bits;
 }
 
 /* ---- a part of a block, and the host's words ------------------------------------------------------------------------ */
@@ -45,37 +52,6 @@ static int32_t get_word(const uint8_t *data, uint16_t word)
         value |= (uint32_t)(data[4U * word + k] & 0xFFU) << (8U * k);
     }
     return (int32_t)value;
-}
-
-typedef struct {
-    uint16_t number; /* of the member that is visited next */
-    uint16_t first;
-    uint16_t end;
-    const uint8_t *data; /* words of the members from `first` on; NULL: into `shown` */
-    int32_t *shown;
-    uint16_t refused; /* first member that is out of range; AXIS_MEMBERS: none */
-    bool apply;
-} part_t;
-
-static void part_visit(void *context, void *member, uint16_t kind, int32_t min, int32_t max)
-{
-    part_t *part = (part_t *)context;
-    const uint16_t number = part->number;
-    part->number++;
-    if (number < part->first || number >= part->end) {
-        return;
-    }
-    const uint16_t word = (uint16_t)(number - part->first);
-    if (part->data == NULL) {
-        part->shown[word] = member_get(member, kind);
-        return;
-    }
-    const int32_t value = get_word(part->data, word);
-    if (part->apply) {
-        member_set(member, kind, value);
-    } else if (part->refused == AXIS_MEMBERS && !member_accepts(kind, min, max, value)) {
-        part->refused = number;
-    }
 }
 
 /* ---- the sum of a block --------------------------------------------------------------------------------------------- */
@@ -98,44 +74,27 @@ static uint32_t crc_bytes(uint32_t crc, uint32_t value, uint16_t size)
     return crc;
 }
 
-static void sum_visit(void *context, void *member, uint16_t kind, int32_t min, int32_t max)
-{
-    uint32_t *crc = (uint32_t *)context;
-    (void)min;
-    (void)max;
-    *crc = crc_bytes(*crc, (uint32_t)member_get(member, kind), (kind & MEMBER_WIDE) != 0U ? 4U : 2U);
-}
-
-static uint32_t checksum(axis_config_t *block, uint16_t axis)
+static uint32_t checksum(const axis_config_t *block, uint16_t axis)
 {
     uint32_t crc = crc_bytes(CRC_START, AXIS_LAYOUT, 4);
     crc = crc_bytes(crc, AXIS_MEMBERS, 4);
     crc = crc_bytes(crc, axis, 4);
-    axis_members_visit(block, sum_visit, &crc);
+    for (uint16_t k = 0; k < AXIS_MEMBERS; k++) {
+        const bool wide = (range_of(k)->kind & MEMBER_WIDE) != 0U;
+        crc = crc_bytes(crc, (uint32_t)member_get(block, k), wide ? 4U : 2U);
+    }
     return crc ^ CRC_START;
 }
 
-/* ---- what two blocks differ in -------------------------------------------------------------------------------------- */
-
-typedef struct {
-    uint16_t number;
-    const uint8_t *block; /* whose members are visited */
-    const uint8_t *other;
-    bool differs; /* in a member that may only change at rest .. */
-    uint16_t first; /* .. this one first */
-} difference_t;
-
-static void difference_visit(void *context, void *member, uint16_t kind, int32_t min, int32_t max)
+/* First member that differs and may only change at rest; AXIS_MEMBERS: there is none. */
+static uint16_t rest_difference(const axis_config_t *block, const axis_config_t *other)
 {
-    difference_t *difference = (difference_t *)context;
-    const void *other = difference->other + ((const uint8_t *)member - difference->block);
-    (void)min;
-    (void)max;
-    if ((kind & MEMBER_LIVE) == 0U && !difference->differs && member_get(member, kind) != member_get(other, kind)) {
-        difference->differs = true;
-        difference->first = difference->number;
+    uint16_t k = 0;
+    while (k < AXIS_MEMBERS &&
+           ((range_of(k)->kind & MEMBER_LIVE) != 0U || member_get(block, k) == member_get(other, k))) {
+        k++;
     }
-    difference->number++;
+    return k;
 }
 
 /* ---- the host's requests -------------------------------------------------------------------------------------------- */
@@ -148,47 +107,38 @@ static axis_config_t *spare(configure_t *configure, uint16_t axis)
 /* A set of axes, a bit each, holds this one. */
 static bool holds(uint16_t axes, uint32_t axis) { return ((uint32_t)axes >> axis & 1U) != 0U; }
 
-static bool window_part(const uint8_t *data, part_t *part)
-{
-    const uint32_t first = (uint32_t)get_word(data, CONFIG_FIRST);
-    const uint32_t count = (uint32_t)get_word(data, CONFIG_COUNT);
-    if (first >= AXIS_MEMBERS || count > CONFIG_TOGETHER || first + count > AXIS_MEMBERS) {
-        return false;
-    }
-    part->first = (uint16_t)first;
-    part->end = (uint16_t)(first + count);
-    return true;
-}
-
 static uint16_t write_window(configure_t *configure, config_status_t *status, const uint8_t *data, uint16_t size)
 {
     const uint32_t axis = (uint32_t)get_word(data, CONFIG_AXIS);
-    part_t part = {.data = data + 4U * CONFIG_VALUES, .refused = AXIS_MEMBERS};
+    const uint32_t first = (uint32_t)get_word(data, CONFIG_FIRST);
+    const uint32_t count = (uint32_t)get_word(data, CONFIG_COUNT);
     if (axis >= HAL_AXES) {
         return CONFIG_REFUSAL_AXIS;
     }
-    if (!window_part(data, &part)) {
+    if (first >= AXIS_MEMBERS || count > CONFIG_TOGETHER || first + count > AXIS_MEMBERS) {
         return CONFIG_REFUSAL_MEMBER;
     }
-    if (size != 4U * (CONFIG_VALUES + (uint32_t)(part.end - part.first))) {
+    if (size != 4U * (CONFIG_VALUES + count)) {
         return CONFIG_REFUSAL_FORM;
     }
-    if (part.first == part.end) {
+    if (count == 0U) {
         return CONFIG_REFUSAL_NONE; /* shows what is in force */
     }
     if (holds(configure->pending, axis)) {
         return CONFIG_REFUSAL_BUSY;
     }
-    axis_config_t *block = spare(configure, (uint16_t)axis);
-    axis_members_visit(block, part_visit, &part);
-    if (part.refused != AXIS_MEMBERS) {
-        status->refused_member = part.refused;
-        return CONFIG_REFUSAL_RANGE;
+    for (uint16_t k = 0; k < count; k++) {
+        const uint16_t number = (uint16_t)(first + k);
+        if (!member_accepts(number, get_word(data, (uint16_t)(CONFIG_VALUES + k)))) {
+            status->refused_member = number;
+            return CONFIG_REFUSAL_RANGE;
+        }
     }
     configure->ready[axis] = false;
-    part.number = 0;
-    part.apply = true;
-    axis_members_visit(block, part_visit, &part);
+    for (uint16_t k = 0; k < count; k++) {
+        const int32_t value = get_word(data, (uint16_t)(CONFIG_VALUES + k));
+        member_set(spare(configure, (uint16_t)axis), (uint16_t)(first + k), value);
+    }
     return CONFIG_REFUSAL_NONE;
 }
 
@@ -208,19 +158,13 @@ static uint16_t write_header(configure_t *configure, const uint8_t *data)
     if ((uint32_t)get_word(data, 2) != AXIS_MEMBERS) {
         return CONFIG_REFUSAL_LENGTH;
     }
-    axis_config_t *block = spare(configure, (uint16_t)axis);
+    const axis_config_t *block = spare(configure, (uint16_t)axis);
     const uint32_t sum = checksum(block, (uint16_t)axis);
     if ((uint32_t)get_word(data, 3) != sum) {
         return CONFIG_REFUSAL_CHECKSUM;
     }
-    difference_t difference = {
-        .block = (const uint8_t *)block,
-        .other = (const uint8_t *)configure_block(configure, (uint16_t)axis),
-    };
-    axis_members_visit(block, difference_visit, &difference);
     configure->checksum[axis] = sum;
-    configure->needs_rest[axis] = difference.differs;
-    configure->rest_member[axis] = difference.first;
+    configure->rest_member[axis] = rest_difference(block, configure_block(configure, (uint16_t)axis));
     configure->ready[axis] = true;
     return CONFIG_REFUSAL_NONE;
 }
@@ -258,19 +202,16 @@ bool configure_accept(configure_t *configure, config_status_t *status, uint16_t 
     return refusal == CONFIG_REFUSAL_NONE;
 }
 
-void configure_show(configure_t *configure, config_request_t *request)
+void configure_show(const configure_t *configure, config_request_t *request)
 {
     if (request->window[CONFIG_COUNT] != 0) {
         return;
     }
-    const uint16_t axis = (uint16_t)request->window[CONFIG_AXIS];
+    const axis_config_t *block = configure_block(configure, (uint16_t)request->window[CONFIG_AXIS]);
     const uint16_t first = (uint16_t)request->window[CONFIG_FIRST];
-    part_t part = {
-        .first = first,
-        .end = (uint16_t)(first + CONFIG_TOGETHER),
-        .shown = &request->window[CONFIG_VALUES],
-    };
-    axis_members_visit(&configure->block[axis][configure->in_force[axis]], part_visit, &part);
+    for (uint16_t k = 0; k < CONFIG_TOGETHER && first + k < AXIS_MEMBERS; k++) {
+        request->window[CONFIG_VALUES + k] = member_get(block, (uint16_t)(first + k));
+    }
 }
 
 /* ---- taking --------------------------------------------------------------------------------------------------------- */
@@ -289,7 +230,8 @@ void configure_init(configure_t *configure, config_status_t *status)
 static bool may_take(const configure_t *configure, config_status_t *status, const axis_t *axes)
 {
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        if (holds(configure->pending, i) && configure->needs_rest[i] && !axis_takes_any_config(&axes[i])) {
+        if (holds(configure->pending, i) && configure->rest_member[i] != AXIS_MEMBERS &&
+            !axis_takes_any_config(&axes[i])) {
             status->refusal = CONFIG_REFUSAL_MOTION;
             status->refused_member = configure->rest_member[i];
             return false;

@@ -17,8 +17,8 @@ typedef struct {
     uint16_t in_force[HAL_AXES]; /* which of the two */
     bool ready[HAL_AXES];        /* the spare has the right checksum .. */
     uint32_t checksum[HAL_AXES]; /* .. and this is it */
-    bool needs_rest[HAL_AXES];   /* .. it differs from the block in force in more than what may change in motion .. */
-    uint16_t rest_member[HAL_AXES]; /* .. here first */
+    uint16_t
+        rest_member[HAL_AXES]; /* first one that differs and may not change in motion; AXIS_MEMBERS: there is none */
     uint16_t pending;            /* axes whose spare is to be taken, a bit each */
 } configure_t;
 
@@ -36,7 +36,7 @@ bool configure_accept(configure_t *configure, config_status_t *status, uint16_t 
                       uint16_t size);
 
 /* An accepted write of config.window has become the value of `request`: without members it asks for those in force. */
-void configure_show(configure_t *configure, config_request_t *request);
+void configure_show(const configure_t *configure, config_request_t *request);
 
 /* Between two slow ticks: take what is pending, if the axes are at rest or need not be. True if blocks have been taken;
  * parameters whose default is another one then have the new default. */

@@ -10,9 +10,19 @@
 #define MEMBER_BITS 4U   /* a set of bits: the range has all that may be set */
 #define MEMBER_LIVE 8U   /* may change in motion */
 
-/* Called with each member: where it is, MEMBER_ bits, and the range that nothing in the loops leaves its format with. */
-typedef void (*axis_member_visit_t)(void *context, void *member, uint16_t kind, int32_t min, int32_t max);
+/* What nothing in the loops leaves its format with. */
+typedef struct {
+    uint16_t kind; /* MEMBER_ bits */
+    int32_t min;
+    int32_t max;
+} axis_range_t;
 
-void axis_members_visit(axis_config_t *config, axis_member_visit_t visit, void *context);
+typedef struct {
+    uint16_t offset; /* in an axis_config_t [bytes] */
+    uint16_t range;
+} axis_member_t;
+
+extern const axis_range_t axis_ranges[];
+extern const axis_member_t axis_members[AXIS_MEMBERS];
 
 #endif

@@ -3,6 +3,9 @@
 /* clang-format off */
 #include "config/axis_members.h"
 
+#include <stddef.h>
+
+#define OFFSET(path) ((uint16_t)offsetof(axis_config_t, path))
 #define SIZE(path) sizeof(((axis_config_t *)0)->path)
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
 
@@ -146,144 +149,196 @@ CHECK(135, SIZE(stop.hold_ticks) == 2);
 CHECK(136, SIZE(regeneration_speed) == 4);
 CHECK(137, SIZE(copper_current) == 2);
 
-void axis_members_visit(axis_config_t *config, axis_member_visit_t visit, void *context)
-{
-    visit(context, &config->current_loop.d.kp, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432));
-    visit(context, &config->current_loop.d.ki, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432));
-    visit(context, &config->current_loop.d.kc, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(16777216));
-    visit(context, &config->current_loop.q.kp, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432));
-    visit(context, &config->current_loop.q.ki, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432));
-    visit(context, &config->current_loop.q.kc, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(16777216));
-    visit(context, &config->current_loop.omega_l_d, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(1056964608));
-    visit(context, &config->current_loop.omega_l_q, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(1056964608));
-    visit(context, &config->current_loop.omega_psi, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(1056964608));
-    visit(context, &config->current_loop.angle_step, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(8388608));
-    visit(context, &config->current_loop.dead_time.duty, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->current_loop.dead_time.v_drop, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->current_loop.dead_time.slope, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->current_loop.modulation_limit, MEMBER_SIGNED, INT32_C(1), INT32_C(28378));
-    visit(context, &config->encoder.counts, 0U, INT32_C(4000), INT32_C(4000));
-    visit(context, &config->encoder.pole_pairs, 0U, INT32_C(1), INT32_C(24));
-    visit(context, &config->encoder.angle_per_count, MEMBER_WIDE, INT32_C(1073742), INT32_C(1073742));
-    visit(context, &config->mt_speed.speed_per_ratio, MEMBER_WIDE, INT32_C(1), INT32_C(2147483));
-    visit(context, &config->speed_observer.acceleration_per_current, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->speed_observer.speed_per_step, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(12884902), INT32_C(12884902));
-    visit(context, &config->speed_observer.step_per_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(10922667), INT32_C(10922667));
-    visit(context, &config->speed_observer.l_position, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(16777216));
-    visit(context, &config->speed_observer.l_speed, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(33554432));
-    visit(context, &config->speed_observer.l_acceleration, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(16777216));
-    visit(context, &config->rotor_search.current_step, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2147483647));
-    visit(context, &config->rotor_search.current_slew, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(1073741824));
-    visit(context, &config->rotor_search.current_limit, MEMBER_SIGNED, INT32_C(1), INT32_C(32767));
-    visit(context, &config->rotor_search.hold_ticks, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->rotor_search.rest_ticks, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->rotor_search.move_counts, 0U, INT32_C(2), INT32_C(1000));
-    visit(context, &config->rotor_search.verify_angle, 0U, INT32_C(1), INT32_C(8192));
-    visit(context, &config->rotor_search.verify_step, 0U, INT32_C(1), INT32_C(8192));
-    visit(context, &config->rotor_search.angle_per_count, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(134217728));
-    visit(context, &config->rotor_search.interval, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(65535));
-    visit(context, &config->rotor_search.follow.ticks, 0U, INT32_C(1), INT32_C(32767));
-    visit(context, &config->rotor_search.follow.step, 0U, INT32_C(1), INT32_C(8192));
-    visit(context, &config->rotor_search.follow.inductive, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->rotor_search.follow.flux_min, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2147483647));
-    visit(context, &config->observer.f1, 0U, INT32_C(0), INT32_C(11));
-    visit(context, &config->observer.f2, 0U, INT32_C(11), INT32_C(11));
-    visit(context, &config->observer.loss, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->observer.drive, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->observer.k1, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_MIN, INT32_C(0));
-    visit(context, &config->observer.k2, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->pll.kp, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->pll.ki, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(8388608));
-    visit(context, &config->pll.e_min, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->pll.step_max, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(1073741823));
-    visit(context, &config->pll.speed_per_step, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->pll.step_per_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(536870912));
-    visit(context, &config->pll.counts_per_turn, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->pll.acceleration, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->pll.load, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->pll.follow, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->pll.follow_load, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->pll.forget, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(8388608));
-    visit(context, &config->reliability.period, 0U, INT32_C(0), INT32_C(1000));
-    visit(context, &config->reliability.variance_threshold, 0U, INT32_C(0), INT32_C(65535));
-    visit(context, &config->reliability.hysteresis, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->emf_check.floor, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->emf_check.floor_spin, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->emf_check.resistance, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->emf_check.part, 0U, INT32_C(0), INT32_C(65535));
-    visit(context, &config->emf_check.ticks_spin, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->emf_check.ticks_stand, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->emf_check.ticks_check, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->startup.first_current, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->startup.final_current, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->startup.current_step, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(-2147483647), INT32_C(2147483647));
-    visit(context, &config->startup.final_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->startup.speed_step, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->startup.duration_ticks, MEMBER_LIVE, INT32_C(0), INT32_C(65534));
-    visit(context, &config->startup.tests, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->startup.minimum_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->startup.mean_min, 0U, INT32_C(0), INT32_C(65535));
-    visit(context, &config->startup.mean_max, 0U, INT32_C(0), INT32_C(65535));
-    visit(context, &config->startup.damping, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->startup.damping_limit, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->startup.catch_ticks, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->startup.fade_step, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->feedback, 0U, INT32_C(0), INT32_C(1));
-    visit(context, &config->speed.kp, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432));
-    visit(context, &config->speed.ki, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432));
-    visit(context, &config->speed.kc, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(16777216));
-    visit(context, &config->observed_speed.kp, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432));
-    visit(context, &config->observed_speed.ki, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432));
-    visit(context, &config->observed_speed.kc, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(16777216));
-    visit(context, &config->position_gain, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(2147483647));
-    visit(context, &config->path_omega_n_ts, MEMBER_LIVE, INT32_C(1), INT32_C(16384));
-    visit(context, &config->path_step_per_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(10922667), INT32_C(10922667));
-    visit(context, &config->speed_per_path_step, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(12884902), INT32_C(12884902));
-    visit(context, &config->friction.coulomb, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->friction.viscous, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->friction.smooth, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(2147483647));
-    visit(context, &config->friction.slope, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->acceleration_forward, MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->torque_constant, MEMBER_SIGNED, INT32_C(1), INT32_C(32767));
-    visit(context, &config->i_q_limit, MEMBER_SIGNED, INT32_C(1), INT32_C(15888));
-    visit(context, &config->speed_limit, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(1718483103));
-    visit(context, &config->acceleration_limit, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(102534791));
-    visit(context, &config->features, 0U, INT32_C(0), INT32_C(8191));
-    visit(context, &config->position_limit, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(954929659));
-    visit(context, &config->following_error, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(6), INT32_C(636620));
-    visit(context, &config->over_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2050695827));
-    visit(context, &config->u_dc_nominal, MEMBER_SIGNED, INT32_C(1), INT32_C(32767));
-    visit(context, &config->u_dc_max, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->u_dc_min, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->offset_tolerance, 0U, INT32_C(0), INT32_C(2047));
-    visit(context, &config->offset_duty_min, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->winding.silent, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->winding.direction_min, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->winding.resistance, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->winding.inductance, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->winding.turn_per_voltage, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->winding.emf_floor, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->heat.hot, 0U, INT32_C(0), INT32_C(4095));
-    visit(context, &config->heat.cool, 0U, INT32_C(0), INT32_C(4095));
-    visit(context, &config->shaft.runaway_margin, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2147483647));
-    visit(context, &config->shaft.runaway_ticks_max, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->shaft.stall_ticks_max, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->shaft.following_ticks_max, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->shaft.over_speed_ticks_max, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->settle_ticks, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->rest_ticks_max, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->search_ticks_max, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->stop_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2147483647));
-    visit(context, &config->stop_ticks_max, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->stop.disable, 0U, INT32_C(0), INT32_C(3));
-    visit(context, &config->stop.quick_stop, 0U, INT32_C(0), INT32_C(3));
-    visit(context, &config->stop.shorted, MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(77121));
-    visit(context, &config->stop.ramp, MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(11328));
-    visit(context, &config->stop.hold, MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(3136));
-    visit(context, &config->stop.short_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->stop.short_current, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-    visit(context, &config->stop.ticks_max, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->stop.hold_ticks, 0U, INT32_C(0), INT32_C(65534));
-    visit(context, &config->regeneration_speed, MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647));
-    visit(context, &config->copper_current, MEMBER_SIGNED, INT32_C(0), INT32_C(32767));
-}
+const axis_range_t axis_ranges[] = {
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(16777216)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(1056964608)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(8388608)},
+    {MEMBER_SIGNED, INT32_C(0), INT32_C(32767)},
+    {MEMBER_SIGNED, INT32_C(1), INT32_C(28378)},
+    {0U, INT32_C(4000), INT32_C(4000)},
+    {0U, INT32_C(1), INT32_C(24)},
+    {MEMBER_WIDE, INT32_C(1073742), INT32_C(1073742)},
+    {MEMBER_WIDE, INT32_C(1), INT32_C(2147483)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2147483647)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(12884902), INT32_C(12884902)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(10922667), INT32_C(10922667)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(33554432)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2147483647)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(1073741824)},
+    {MEMBER_SIGNED, INT32_C(1), INT32_C(32767)},
+    {0U, INT32_C(0), INT32_C(65534)},
+    {0U, INT32_C(2), INT32_C(1000)},
+    {0U, INT32_C(1), INT32_C(8192)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(134217728)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(65535)},
+    {0U, INT32_C(1), INT32_C(32767)},
+    {0U, INT32_C(0), INT32_C(11)},
+    {0U, INT32_C(11), INT32_C(11)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(2147483647)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_MIN, INT32_C(0)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(8388608)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(1073741823)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(536870912)},
+    {0U, INT32_C(0), INT32_C(1000)},
+    {0U, INT32_C(0), INT32_C(65535)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(-2147483647), INT32_C(2147483647)},
+    {MEMBER_LIVE, INT32_C(0), INT32_C(65534)},
+    {0U, INT32_C(0), INT32_C(1)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(2147483647)},
+    {MEMBER_LIVE, INT32_C(1), INT32_C(16384)},
+    {MEMBER_SIGNED, INT32_C(1), INT32_C(15888)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(1718483103)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(102534791)},
+    {0U, INT32_C(0), INT32_C(8191)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(954929659)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(6), INT32_C(636620)},
+    {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2050695827)},
+    {0U, INT32_C(0), INT32_C(2047)},
+    {0U, INT32_C(0), INT32_C(4095)},
+    {0U, INT32_C(0), INT32_C(3)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(77121)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(11328)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(3136)},
+};
+
+const axis_member_t axis_members[AXIS_MEMBERS] = {
+    {OFFSET(current_loop.d.kp), 0U},
+    {OFFSET(current_loop.d.ki), 0U},
+    {OFFSET(current_loop.d.kc), 1U},
+    {OFFSET(current_loop.q.kp), 0U},
+    {OFFSET(current_loop.q.ki), 0U},
+    {OFFSET(current_loop.q.kc), 1U},
+    {OFFSET(current_loop.omega_l_d), 2U},
+    {OFFSET(current_loop.omega_l_q), 2U},
+    {OFFSET(current_loop.omega_psi), 2U},
+    {OFFSET(current_loop.angle_step), 3U},
+    {OFFSET(current_loop.dead_time.duty), 4U},
+    {OFFSET(current_loop.dead_time.v_drop), 4U},
+    {OFFSET(current_loop.dead_time.slope), 4U},
+    {OFFSET(current_loop.modulation_limit), 5U},
+    {OFFSET(encoder.counts), 6U},
+    {OFFSET(encoder.pole_pairs), 7U},
+    {OFFSET(encoder.angle_per_count), 8U},
+    {OFFSET(mt_speed.speed_per_ratio), 9U},
+    {OFFSET(speed_observer.acceleration_per_current), 10U},
+    {OFFSET(speed_observer.speed_per_step), 11U},
+    {OFFSET(speed_observer.step_per_speed), 12U},
+    {OFFSET(speed_observer.l_position), 1U},
+    {OFFSET(speed_observer.l_speed), 13U},
+    {OFFSET(speed_observer.l_acceleration), 1U},
+    {OFFSET(rotor_search.current_step), 14U},
+    {OFFSET(rotor_search.current_slew), 15U},
+    {OFFSET(rotor_search.current_limit), 16U},
+    {OFFSET(rotor_search.hold_ticks), 17U},
+    {OFFSET(rotor_search.rest_ticks), 17U},
+    {OFFSET(rotor_search.move_counts), 18U},
+    {OFFSET(rotor_search.verify_angle), 19U},
+    {OFFSET(rotor_search.verify_step), 19U},
+    {OFFSET(rotor_search.angle_per_count), 20U},
+    {OFFSET(rotor_search.interval), 21U},
+    {OFFSET(rotor_search.follow.ticks), 22U},
+    {OFFSET(rotor_search.follow.step), 19U},
+    {OFFSET(rotor_search.follow.inductive), 4U},
+    {OFFSET(rotor_search.follow.flux_min), 14U},
+    {OFFSET(observer.f1), 23U},
+    {OFFSET(observer.f2), 24U},
+    {OFFSET(observer.loss), 25U},
+    {OFFSET(observer.drive), 25U},
+    {OFFSET(observer.k1), 26U},
+    {OFFSET(observer.k2), 10U},
+    {OFFSET(pll.kp), 10U},
+    {OFFSET(pll.ki), 27U},
+    {OFFSET(pll.e_min), 4U},
+    {OFFSET(pll.step_max), 28U},
+    {OFFSET(pll.speed_per_step), 25U},
+    {OFFSET(pll.step_per_speed), 29U},
+    {OFFSET(pll.counts_per_turn), 25U},
+    {OFFSET(pll.acceleration), 10U},
+    {OFFSET(pll.load), 10U},
+    {OFFSET(pll.follow), 10U},
+    {OFFSET(pll.follow_load), 10U},
+    {OFFSET(pll.forget), 27U},
+    {OFFSET(reliability.period), 30U},
+    {OFFSET(reliability.variance_threshold), 31U},
+    {OFFSET(reliability.hysteresis), 17U},
+    {OFFSET(emf_check.floor), 4U},
+    {OFFSET(emf_check.floor_spin), 4U},
+    {OFFSET(emf_check.resistance), 25U},
+    {OFFSET(emf_check.part), 31U},
+    {OFFSET(emf_check.ticks_spin), 17U},
+    {OFFSET(emf_check.ticks_stand), 17U},
+    {OFFSET(emf_check.ticks_check), 17U},
+    {OFFSET(startup.first_current), 4U},
+    {OFFSET(startup.final_current), 4U},
+    {OFFSET(startup.current_step), 32U},
+    {OFFSET(startup.final_speed), 25U},
+    {OFFSET(startup.speed_step), 10U},
+    {OFFSET(startup.duration_ticks), 33U},
+    {OFFSET(startup.tests), 17U},
+    {OFFSET(startup.minimum_speed), 25U},
+    {OFFSET(startup.mean_min), 31U},
+    {OFFSET(startup.mean_max), 31U},
+    {OFFSET(startup.damping), 10U},
+    {OFFSET(startup.damping_limit), 4U},
+    {OFFSET(startup.catch_ticks), 17U},
+    {OFFSET(startup.fade_step), 25U},
+    {OFFSET(feedback), 34U},
+    {OFFSET(speed.kp), 0U},
+    {OFFSET(speed.ki), 0U},
+    {OFFSET(speed.kc), 1U},
+    {OFFSET(observed_speed.kp), 0U},
+    {OFFSET(observed_speed.ki), 0U},
+    {OFFSET(observed_speed.kc), 1U},
+    {OFFSET(position_gain), 35U},
+    {OFFSET(path_omega_n_ts), 36U},
+    {OFFSET(path_step_per_speed), 12U},
+    {OFFSET(speed_per_path_step), 11U},
+    {OFFSET(friction.coulomb), 10U},
+    {OFFSET(friction.viscous), 10U},
+    {OFFSET(friction.smooth), 35U},
+    {OFFSET(friction.slope), 10U},
+    {OFFSET(acceleration_forward), 10U},
+    {OFFSET(torque_constant), 16U},
+    {OFFSET(i_q_limit), 37U},
+    {OFFSET(speed_limit), 38U},
+    {OFFSET(acceleration_limit), 39U},
+    {OFFSET(features), 40U},
+    {OFFSET(position_limit), 41U},
+    {OFFSET(following_error), 42U},
+    {OFFSET(over_speed), 43U},
+    {OFFSET(u_dc_nominal), 16U},
+    {OFFSET(u_dc_max), 4U},
+    {OFFSET(u_dc_min), 4U},
+    {OFFSET(offset_tolerance), 44U},
+    {OFFSET(offset_duty_min), 4U},
+    {OFFSET(winding.silent), 4U},
+    {OFFSET(winding.direction_min), 4U},
+    {OFFSET(winding.resistance), 25U},
+    {OFFSET(winding.inductance), 25U},
+    {OFFSET(winding.turn_per_voltage), 25U},
+    {OFFSET(winding.emf_floor), 4U},
+    {OFFSET(heat.hot), 45U},
+    {OFFSET(heat.cool), 45U},
+    {OFFSET(shaft.runaway_margin), 14U},
+    {OFFSET(shaft.runaway_ticks_max), 17U},
+    {OFFSET(shaft.stall_ticks_max), 17U},
+    {OFFSET(shaft.following_ticks_max), 17U},
+    {OFFSET(shaft.over_speed_ticks_max), 17U},
+    {OFFSET(settle_ticks), 17U},
+    {OFFSET(rest_ticks_max), 17U},
+    {OFFSET(search_ticks_max), 17U},
+    {OFFSET(stop_speed), 14U},
+    {OFFSET(stop_ticks_max), 17U},
+    {OFFSET(stop.disable), 46U},
+    {OFFSET(stop.quick_stop), 46U},
+    {OFFSET(stop.shorted), 47U},
+    {OFFSET(stop.ramp), 48U},
+    {OFFSET(stop.hold), 49U},
+    {OFFSET(stop.short_speed), 25U},
+    {OFFSET(stop.short_current), 4U},
+    {OFFSET(stop.ticks_max), 17U},
+    {OFFSET(stop.hold_ticks), 17U},
+    {OFFSET(regeneration_speed), 25U},
+    {OFFSET(copper_current), 4U},
+};

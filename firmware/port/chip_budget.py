@@ -58,7 +58,6 @@ POINTERS: Final[Mapping[str, str]] = {
     "accepts": "accepts",
     "written": "written",
     "app_command.c:run": "app_command",
-    "visit": r"(part|sum|difference)_visit",
     "freemaster.c:run": r"(read|write)_memory|read_memory_from_base|(read|set)_scope|send_app_command"
     r"|(set|get)_recorder|get_(tsa_info|string_length|configuration|app_command_status|app_command_data)",
 }

@@ -1,7 +1,7 @@
 """Write what follows from the contract: ``python -m servo_msgs_py.codegen``.
 
 All of it is committed: the C constants (`contract_header`), the table that the FreeMASTER server answers from
-(`variable_table`), the walk through a configuration block (`member_walk`), and for people the list of variables
+(`variable_table`), the members of a configuration block (`member_table`), and for people the list of variables
 (`variable_list`) and of faults (`fault_list`, with the priority table of the firmware). ``--check`` only compares and
 exits with 1 when a file is out of date.
 """
@@ -21,7 +21,7 @@ __all__ = [
     "contract_header",
     "main",
     "member_header",
-    "member_walk",
+    "member_table",
     "outputs",
     "variable_list",
     "variable_table",
@@ -206,7 +206,8 @@ def member_header(table: AxisConfigTable) -> str:
 """
 
 
-def _member_call(member: Member) -> str:
+def _range_text(member: Member) -> str:
+    """One row of the table of ranges."""
     kind = [
         name
         for name, holds in (
@@ -217,31 +218,39 @@ def _member_call(member: Member) -> str:
         )
         if holds
     ]
-    limits = f"{_int_constant(member.minimum)}, {_int_constant(member.maximum)}"
-    return f"    visit(context, &config->{member.path}, {' | '.join(kind) or '0U'}, {limits});"
+    return f"{' | '.join(kind) or '0U'}, {_int_constant(member.minimum)}, {_int_constant(member.maximum)}"
 
 
-def member_walk(table: AxisConfigTable) -> str:
-    """Function that shows a visitor every member of a block, with its range. As code it takes no memory for data."""
-    calls = "\n".join(map(_member_call, table.members.values()))
-    checks = "\n".join(
-        f"CHECK({number}, SIZE({member.path}) == {member.size});"
-        for number, member in enumerate(table.members.values())
+def member_table(table: AxisConfigTable) -> str:
+    """Where each member of a block is, and its range; many have the same one."""
+    ranges = list(dict.fromkeys(map(_range_text, table.members.values())))
+    rows = "\n".join(
+        f"    {{OFFSET({member.path}), {ranges.index(_range_text(member))}U}}," for member in table.members.values()
     )
+    checks = "\n".join(
+        f"CHECK({number}, SIZE({member.path}) == {member.size});" for number, member in enumerate(table.members.values())
+    )
+    limits = "\n".join(f"    {{{text}}}," for text in ranges)
     return f"""{_BLOCK_BANNER}
 /* clang-format off */
 #include "config/axis_members.h"
 
+#include <stddef.h>
+
+#define OFFSET(path) ((uint16_t)offsetof(axis_config_t, path))
 #define SIZE(path) sizeof(((axis_config_t *)0)->path)
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
 
 /* The table and the structure agree on every size. */
 {checks}
 
-void axis_members_visit(axis_config_t *config, axis_member_visit_t visit, void *context)
-{{
-{calls}
-}}
+const axis_range_t axis_ranges[] = {{
+{limits}
+}};
+
+const axis_member_t axis_members[AXIS_MEMBERS] = {{
+{rows}
+}};
 """
 
 
@@ -276,7 +285,7 @@ def outputs(firmware: Path, catalogue: Catalogue) -> dict[Path, str]:
     return {
         firmware / "config" / "contract_gen.h": contract_header(catalogue),
         firmware / "config" / "axis_layout_gen.h": member_header(members),
-        firmware / "config" / "axis_members_gen.c": member_walk(members),
+        firmware / "config" / "axis_members_gen.c": member_table(members),
         firmware / "app" / "variables_gen.c": variable_table(catalogue),
         firmware / "doc" / "faults.md": fault_list(catalogue, rules),
         firmware.parent / "servo_msgs_py" / "VARIABLES.md": variable_list(catalogue),
