@@ -228,7 +228,8 @@ def member_table(table: AxisConfigTable) -> str:
         f"    {{OFFSET({member.path}), {ranges.index(_range_text(member))}U}}," for member in table.members.values()
     )
     checks = "\n".join(
-        f"CHECK({number}, SIZE({member.path}) == {member.size});" for number, member in enumerate(table.members.values())
+        f"CHECK({number}, SIZE({member.path}) == {member.size});"
+        for number, member in enumerate(table.members.values())
     )
     limits = "\n".join(f"    {{{text}}}," for text in ranges)
     return f"""{_BLOCK_BANNER}

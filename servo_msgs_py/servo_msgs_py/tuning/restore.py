@@ -76,6 +76,14 @@ _FOUND: Final = (
 """In an order in which none depends on a later one."""
 
 
+_NOT_ON_A_BOARD: Final = {
+    "motor.rotor_inertia": "motor.inertia",
+    "motor.rated_speed": "limits.speed",
+    "motor.rated_current": "limits.current",
+}
+"""Entries that only serve a report, and what stands for them."""
+
+
 def restored(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> dict[str, Any]:
     """The file as TOML has it.
 
@@ -194,6 +202,8 @@ class _Restorer:
         for found in _FOUND:
             axis = self._find(axis, found)
         axis = self._shorten(axis)
+        for entry, same in _NOT_ON_A_BOARD.items():
+            axis = _with(axis, entry, axis(same))
         result: dict[str, Any] = {"feedback": axis.feedback, **{group: dict(v) for group, v in axis.groups.items()}}
         result["stop"] = {**axis.groups["stop"], **stop}
         result["features"] = features

@@ -1,0 +1,96 @@
+"""Configuration blocks as integers, bytes and words."""
+
+from __future__ import annotations
+
+import zlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_msgs_py.axis_config import AxisConfigError, AxisConfigTable, Member
+from servo_msgs_py.catalogue import Catalogue
+
+TABLE = AxisConfigTable.load()
+MEMBERS = list(TABLE.members.values())
+
+
+def raw(member: Member) -> st.SearchStrategy[int]:
+    numbers = st.integers(member.minimum, member.maximum)
+    return numbers.map(lambda x: x & member.maximum) if member.bits else numbers
+
+
+BLOCKS = st.fixed_dictionaries({member.path: raw(member) for member in MEMBERS})
+
+
+@given(BLOCKS, st.integers(0, 1))
+def test_a_block_survives_bytes_and_words(block: dict[str, int], axis: int) -> None:
+    data = TABLE.encode(block)
+    assert len(data) == sum(member.size for member in MEMBERS)
+    assert TABLE.decode(data) == block
+    assert TABLE.block(TABLE.words(block)) == block
+    head = b"".join(number.to_bytes(4, "little") for number in (TABLE.layout, len(TABLE), axis))
+    assert TABLE.checksum(axis, block) == zlib.crc32(head + data)
+    assert TABLE.checksum(axis, block) != TABLE.checksum(1 - axis, block)
+
+
+@given(BLOCKS, st.sampled_from(MEMBERS), st.sampled_from([-1, 1]))
+def test_what_a_board_does_not_take_is_named(block: dict[str, int], member: Member, way: int) -> None:
+    wrong = member.maximum + 1 if way > 0 else member.minimum - 1
+    with pytest.raises(AxisConfigError, match=member.path.replace(".", r"\.")):
+        TABLE.check({**block, member.path: wrong})
+    missing = dict(block)
+    del missing[member.path]
+    with pytest.raises(AxisConfigError, match="missing"):
+        TABLE.encode(missing)
+    with pytest.raises(AxisConfigError, match="no member"):
+        TABLE.check({**block, "nothing": 1})
+
+
+def test_lengths_have_to_fit() -> None:
+    with pytest.raises(AxisConfigError, match=f"{len(TABLE)} expected"):
+        TABLE.block([0])
+    with pytest.raises(AxisConfigError, match="bytes"):
+        TABLE.decode(b"\x00")
+
+
+def test_values_have_units() -> None:
+    members = TABLE.members
+    assert members["i_q_limit"].text(15888) == "4.00012 A"
+    assert members["winding.resistance"].text(3145728) == "0.55 V/A"
+    assert members["speed.kp"].unit == "A/(rad/s)"
+    assert members["search_ticks_max"].text(10000) == "5 s"
+    assert members["stop.ramp"].text(0x40) == "0x40"
+    assert members["encoder.pole_pairs"].text(2) == "2"
+
+
+def test_the_layout_is_another_one_when_a_range_or_a_name_is() -> None:
+    table = {"formats": {"f": {"type": "int16", "maximum": 5}}, "members": {"a": {"format": "f"}, "b": {"format": "f"}}}
+    catalogue = Catalogue.load()
+    layouts = {
+        AxisConfigTable.parse({**table, "members": members}, catalogue).layout
+        for members in (
+            {"a": {"format": "f"}, "b": {"format": "f"}},
+            {"b": {"format": "f"}, "a": {"format": "f"}},
+            {"a": {"format": "f"}, "b": {"format": "f", "live": True}},
+            {"a": {"format": "f"}, "b": {"format": "f", "maximum": 4}},
+            {"a": {"format": "f"}, "b": {"format": "f", "bits": 1}},
+            {"a": {"format": "f"}, "c": {"format": "f"}},
+        )
+    }
+    assert len(layouts) == 6
+
+
+@pytest.mark.parametrize(
+    ("entry", "reason"),
+    [
+        ({}, "no type"),
+        ({"format": "f", "maximum": 40000}, "does not fit"),
+        ({"format": "f", "minimum": 6}, "does not fit"),
+        ({"format": "f", "scale": "nothing"}, "unknown scale"),
+        ({"format": "f", "colour": 1}, "unknown key colour"),
+    ],
+)
+def test_a_table_that_is_not_well_formed_is_refused(entry: dict[str, object], reason: str) -> None:
+    table = {"formats": {"f": {"type": "int16", "maximum": 5}}, "members": {"a": entry}}
+    with pytest.raises(AxisConfigError, match=f"^a: .*{reason}"):
+        AxisConfigTable.parse(table, Catalogue.load())
