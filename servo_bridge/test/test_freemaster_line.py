@@ -190,6 +190,21 @@ def test_a_lost_port_is_passed_on() -> None:
         line_on(FakeTransport(gone)).exchange(READ)
 
 
+def test_work_is_done_while_the_line_is_busy() -> None:
+    transport = answers(GOOD, GOOD)
+    line = line_on(transport)
+    seen: list[tuple[int, int]] = []
+    line.meanwhile = lambda: seen.append((len(transport.requests), transport.now))
+    begin = transport.now
+    line.exchange(READ)
+    line.exchange(READ)
+    assert seen == [(1, begin)]
+    line.meanwhile = lambda: seen.append((0, 0))
+    line.work_off()
+    line.work_off()
+    assert seen[1:] == [(0, 0)]
+
+
 def test_the_owner_can_stop_a_long_job() -> None:
     class StopError(Exception):
         pass

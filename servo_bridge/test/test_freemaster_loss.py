@@ -130,10 +130,10 @@ def test_the_estimate_follows_and_backs_off() -> None:
     assert estimate.allowance_ns == 200 * MS
     for _ in range(40):
         estimate.answered(MS)
-    assert estimate.allowance_ns == pytest.approx(3 * MS, rel=0.05)
+    assert estimate.allowance_ns == pytest.approx(2.5 * MS, rel=0.05)
     for k in range(1, 5):
         estimate.lost()
-        assert estimate.allowance_ns == pytest.approx(3 * MS << k, rel=0.05)
+        assert estimate.allowance_ns == pytest.approx((5 * MS // 2) << k, rel=0.05)
     for _ in range(10):
         estimate.lost()
     assert estimate.allowance_ns == 200 * MS

@@ -111,6 +111,8 @@ class Line:
     ----------
     fence : Fence or None
         Of the target that answers, once it is known.
+    meanwhile : callable or None
+        Called once, when the next request has been sent: work for the time that the line needs. Must not send itself.
     """
 
     def __init__(
@@ -131,6 +133,7 @@ class Line:
         self._latency_ns = round(latency * 1e9)
         self._round_trip = RoundTrip(self._latency_ns)
         self.fence: Fence | None = None
+        self.meanwhile: Callable[[], None] | None = None
         self.retries = retries
         self.clock = clock
         self.before_request = before_request
@@ -191,6 +194,12 @@ class Line:
             left -= 1
             self.statistics.retries += 1
 
+    def work_off(self) -> None:
+        """Do now what would be done while the next request is on its way."""
+        work, self.meanwhile = self.meanwhile, None
+        if work is not None:
+            work()
+
     def _attempt(self, request: Request, *, ambiguous: bool) -> Exchange:
         """Send once; an answer says nothing about the round trip when it may be that to an earlier request."""
         if self.before_request is not None:
@@ -205,6 +214,7 @@ class Line:
         request_ns = self.clock()
         self._transport.write(request.frame)
         statistics.bytes_out += len(request.frame)
+        self.work_off()
         request_wire = len(request.frame) * self._byte_ns
         answer_size = _FIRST_CHUNK if request.answer_size is None else request.answer_size + _FRAME_BYTES
         allowance = self._latency_ns if request.patient else self._round_trip.allowance_ns

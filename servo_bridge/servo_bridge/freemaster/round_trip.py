@@ -6,7 +6,7 @@ from typing import Final
 
 __all__ = ["RoundTrip"]
 
-_FLOOR_NS: Final = 2_000_000
+_FLOOR_NS: Final = 1_500_000
 """Least margin: what a computer and an adapter in low-latency mode may be late."""
 
 

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from functools import partial
 from typing import Any, Final, TypeVar
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
@@ -322,12 +323,20 @@ class Link:
         name = session.info.name or "board"
         self._set_status(LinkStatus(LinkState.CONNECTED, f"connected to {name} at {self._config.url}"))
         self._deliver(first)
-        self._loop(client, reader)
+        try:
+            self._loop(client, reader)
+        finally:
+            line.work_off()
         self._write_last(client)
         raise _StopError
 
     def _loop(self, client: Client, reader: ScopeReader) -> None:
-        """Alternate between one job and one sample until the owner wants to stop."""
+        """Alternate between one job and one sample until the owner wants to stop.
+
+        A sample is handed to the owner while the line carries the request after it; one that shows the effect of a
+        write at once, for there may be a next one.
+        """
+        line = client.line
         period = round(1e9 / self._config.rate) if self._config.rate > 0.0 else 0
         patience_ns = round(self._config.lost_after * self._config.latency * 1e9)
         due = time.monotonic_ns() + period
@@ -335,8 +344,11 @@ class Link:
         silent_ns = 0
         wrote, grace = False, 0.0
         while not self._stop.is_set():
-            job = self._queue.take(max(grace, (due - time.monotonic_ns()) * 1e-9))
+            left = max(grace, (due - time.monotonic_ns()) * 1e-9)
             grace = 0.0
+            if left > 0.0:
+                line.work_off()
+            job = self._queue.take(left)
             if job is not None:
                 self._execute(job, client)
                 wrote |= job.write
@@ -359,7 +371,7 @@ class Link:
                 continue
             timeouts = damaged = 0
             if sample is not None:
-                self._deliver(sample)
+                line.meanwhile = partial(self._deliver, sample)
                 grace = _NEXT_WRITE * (sample.response_ns - sample.request_ns) * 1e-9 if wrote else 0.0
                 wrote = False
 

@@ -1,0 +1,102 @@
+"""What a lost frame costs on the serial line: ``make bench``.
+
+A fake target on a pseudo terminal whose answers take the time of the line, and that does not answer every so many-th
+request. The cost is what an exchange with one loss takes longer than the median of those without.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "servo_bridge" / "test"))
+
+from fake_port import FakePort  # noqa: E402
+from fake_target import FakeTarget  # noqa: E402
+from servo_bridge.freemaster.client import Client  # noqa: E402
+from servo_bridge.freemaster.commands import ScopeSlot  # noqa: E402
+from servo_bridge.freemaster.line import Line  # noqa: E402
+from servo_bridge.wire.serial_port import SerialPort  # noqa: E402
+
+BAUDS = (115_200, 1_000_000)
+VARIABLES = (8, 24)
+EXCHANGES = 2000
+LOST = 20
+"""One request of so many is not answered."""
+
+
+class Lossy:
+    """A target that does not answer some requests for its scope."""
+
+    def __init__(self, target: FakeTarget) -> None:
+        self.target = target
+        self.count = 0
+        self.losing = False
+
+    def feed(self, data: bytes) -> bytes:
+        answer = self.target.feed(data)
+        if self.losing and data.startswith(b"+\x27"):
+            self.count += 1
+            if self.count % LOST == 0:
+                return b""
+        return answer
+
+
+def measure(baud: int, variables: int) -> dict[str, Any]:
+    """Round trip and cost of a loss for a scope of 16-bit variables."""
+    device = Lossy(FakeTarget(mtu=254, scope_limit=24, safety=False))
+    with (
+        tempfile.TemporaryDirectory(prefix="bench-") as folder,
+        FakePort(Path(folder) / "tty", device, baud) as fake,
+        SerialPort(fake.path, baud) as port,
+    ):
+        client = Client(Line(port, baud=baud))
+        client.identify()
+        request = client.set_scope([ScopeSlot(0x1000 + 2 * k, 2) for k in range(variables)])
+        device.losing = True
+        usual, lost = [], []
+        for _ in range(EXCHANGES):
+            retries, begin = client.line.statistics.retries, time.monotonic()
+            client.exchange(request)
+            seconds = time.monotonic() - begin
+            losses = client.line.statistics.retries - retries
+            if losses < 2:
+                (lost if losses else usual).append(1e3 * seconds)
+    round_trip = float(np.median(usual))
+    cost = np.array(lost) - round_trip
+    return {
+        "baud": baud,
+        "variables": variables,
+        "round_trip_ms": round_trip,
+        "losses": len(lost),
+        "cost_p50_ms": float(np.median(cost)),
+        "cost_p95_ms": float(np.percentile(cost, 95)),
+        "round_trips": float(np.median(cost)) / round_trip,
+    }
+
+
+def main() -> int:
+    """Measure, print a table, write ``out/bench/link.json``."""
+    rows = [measure(baud, variables) for baud in BAUDS for variables in VARIABLES]
+    print("    baud  variables  round trip [ms]  losses  a loss costs p50, p95 [ms]  in round trips")
+    for row in rows:
+        print(
+            f"{row['baud']:8} {row['variables']:10} {row['round_trip_ms']:16.2f} {row['losses']:7}"
+            f" {row['cost_p50_ms']:18.2f} {row['cost_p95_ms']:7.2f} {row['round_trips']:15.1f}"
+        )
+    print("aim below 3 round trips at 115200 baud")
+    out = ROOT / "out" / "bench" / "link.json"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
