@@ -20,6 +20,9 @@ __all__ = ["Phase", "Recording"]
 _POLL: Final = 0.05
 """Between two questions for the state of the recorder [s]."""
 
+_MARGIN: Final = 0.05
+"""After which a memory that is filled without a trigger is surely full [s]."""
+
 _GRACE: Final = 2.0
 """In which a recorder that was told to stop has to [s]."""
 
@@ -147,7 +150,7 @@ class Recording:
         if prepared.setup.trigger is not None:
             self.phase = Phase.WAITING
         elif prepared.period_ns:
-            self._due = self._clock() + self._span
+            self._due = self._clock() + self._span + _MARGIN
 
     @property
     def _span(self) -> float:

@@ -19,6 +19,7 @@ from servo_msgs_py.value_text import words_of
 
 from servo_bridge import parameter_file
 from servo_bridge.freemaster.client import LEVELS
+from servo_bridge.freemaster.errors import StatusError
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.sampler import Reading, Sampler
 from servo_bridge.tool_values import UsageError, describe, lookup, opened, parse_values, value_text
@@ -77,6 +78,7 @@ def info(context: Context) -> int:
         ("byte order", "high byte first" if board.big_endian else "low byte first"),
         ("password", password),
         ("scopes, recorders, pipes", f"{board.scopes}, {board.recorders}, {board.pipes}"),
+        *((f"recorder {index}", _recorder_text(session, index)) for index in range(board.recorders)),
         ("variables", str(len(session.variables))),
         ("catalogue", contract),
     ]
@@ -87,6 +89,20 @@ def info(context: Context) -> int:
     ]
     _print_columns([row for row in rows if row[1]])
     return 0
+
+
+def _recorder_text(session: Session, index: int) -> str:
+    """Say what a recorder can do, as far as the board tells."""
+    try:
+        limits = session.client.recorder(index).limits()
+    except StatusError as error:
+        return error.meaning
+    parts = [limits.name] if limits.name else []
+    if limits.memory is not None:
+        parts.append(f"{limits.memory} bytes")
+    if limits.period_ns:
+        parts.append(f"{1e9 / limits.period_ns:g} Hz")
+    return ", ".join(parts)
 
 
 def list_variables(context: Context) -> int:

@@ -206,6 +206,21 @@ def test_echo_and_debug_frames_are_no_answers() -> None:
     assert AnswerParser(2).feed(echo + b"+\xa9\x56" * 3 + answer_frame(0, b"ab")) == Answer(0, b"ab")
 
 
+def test_an_answer_of_another_kind_is_passed_over() -> None:
+    parser = AnswerParser(2, statuses=(0,))
+    assert parser.feed(answer_frame(0x40, b"late") + answer_frame(0, b"ab")) == Answer(0, b"ab")
+    assert (parser.passed_over, parser.trailing) == (1, False)
+    assert AnswerParser(2, statuses=(0,)).feed(answer_frame(0x89)) == Answer(0x89, b"")
+
+
+@pytest.mark.parametrize("extra", [b"x", b"+", b"++", b"+\x00"])
+def test_bytes_behind_an_answer_are_noted(extra: bytes) -> None:
+    for data in (b"ab", b"a+"):
+        parser = AnswerParser(2)
+        assert parser.feed(answer_frame(0, data) + extra) == Answer(0, data)
+        assert parser.trailing
+
+
 def test_damage_is_counted_and_the_next_frame_found() -> None:
     parser = AnswerParser(2)
     broken = bytearray(answer_frame(0, b"ab"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -14,6 +15,7 @@ from fake_port import FakePort
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import RO, FakeEntry, FakeTarget
 from fake_target_v3 import FakeTargetV3
+from servo_bridge.tool_progress import ProgressLine
 
 from servo_bridge import recording, tool
 
@@ -154,6 +156,28 @@ def test_wrong_options(run: Run, arguments: list[str], capsys: pytest.CaptureFix
     with pytest.raises(SystemExit):
         run("record", "x", "-o", "x.csv", *arguments)
     assert "usage: servo-tool" in capsys.readouterr().err
+
+
+def test_info_tells_the_recorder(servo: FakeServo, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info") == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("recorder 0"))
+    assert line.split(None, 2)[2] == "fast, 2048 bytes, 16000 Hz"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_progress_is_a_line_at_a_terminal_that_is_wiped_at_the_end() -> None:
+    terminal, pipe = Terminal(), io.StringIO()
+    for stream in (terminal, pipe):
+        with ProgressLine(stream) as progress:
+            progress.bar("reading", 1, 4)
+            progress.bar("reading", 4, 4)
+    assert pipe.getvalue() == ""
+    shown = terminal.getvalue().split("\r\x1b[K")
+    assert shown[1:] == [f"reading [{'#' * 8}{'.' * 22}]  25%", f"reading [{'#' * 30}] 100%", ""]
 
 
 @pytest.mark.parametrize("big_endian", [False, True])

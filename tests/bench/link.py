@@ -61,7 +61,8 @@ def measure(baud: int, variables: int) -> dict[str, Any]:
         client.identify()
         request = client.set_scope([ScopeSlot(0x1000 + 2 * k, 2) for k in range(variables)])
         device.losing = True
-        usual, lost = [], []
+        usual: list[float] = []
+        lost: list[float] = []
         for _ in range(EXCHANGES):
             retries, begin = client.line.statistics.retries, time.monotonic()
             client.exchange(request)

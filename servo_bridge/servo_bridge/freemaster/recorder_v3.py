@@ -98,6 +98,8 @@ class RecorderV3:
         try:
             self._ask(request)
         except StatusError as error:
+            if error.code == Status.UNKNOWN_COMMAND:
+                raise RecorderError("the board has no recorder") from error
             if error.code == Status.BAD_SIZE:
                 raise RecorderError(
                     f"{points} points of {len(setup.slots)} variable(s) do not fit the memory of the recorder; "
