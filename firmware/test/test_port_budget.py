@@ -14,7 +14,9 @@ from port_board import PORT
 STACK_MARGIN = 1.5  # frames of the chip's own compiler are not known
 LIBRARY_ROOM = 512  # words of the run-time library, which runs from RAM, too
 OTHERS = {"test", "port/avr", "port/cortex_m3"}  # folders that are not flashed
-FAST_ROOTS = r"drive_current|recorder_take|drive_observed|(encoder|observer)_source_fast|adc_take_(first|second)|port_receive"
+FAST_ROOTS = (
+    r"drive_current|recorder_take|drive_observed|(encoder|observer)_source_fast|adc_take_(first|second)|port_receive"
+)
 """What every period executes, on the way from the sample to the duties; and the receiver, which must not be late."""
 
 

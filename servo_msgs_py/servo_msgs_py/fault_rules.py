@@ -89,7 +89,8 @@ class FaultRules:
             tuple(Rule(a, b, suspects(c), d, e) for a, b, c, d, e in _rows(source, "fault_rules", _RULE)),
             tuple(Suspicion(*row) for row in _rows(source, "fault_causes", _CAUSE)),
             tuple(
-                Revision(a, int(b), faults(c), faults(d), e) for a, b, c, d, e in _rows(source, "fault_revisions", _REVISION)
+                Revision(a, int(b), faults(c), faults(d), e)
+                for a, b, c, d, e in _rows(source, "fault_revisions", _REVISION)
             ),
         )
 
