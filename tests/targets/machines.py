@@ -15,7 +15,7 @@ from targets.toolchain import TargetError, TooLargeError, compile_objects, has_l
 AVR_MCU: Final = "atmega1284p"
 AVR_CLOCK: Final = 16_000_000
 AVR_SMALL: Final = ("-mrelax", "-mcall-prologues", "-mstrict-X", "-fno-inline", "-DSERVO_SAMPLES=640")
-"""For a small program: the flash has to hold a recording as well, and the RAM has no room for all samples of a recorder."""
+"""For a small program: the flash holds a recording as well, and the RAM has no room for all samples of a recorder."""
 
 AVR_OPTIONS: Final = (f"-mmcu={AVR_MCU}", "-fwrapv", *AVR_SMALL)
 """A sum that is too large for 16 bits wraps, as on the 56800EX, where the compiler would be free to widen it and hide a
