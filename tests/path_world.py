@@ -21,6 +21,7 @@ from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name, numbers
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
+from servo_msgs_py.robot_description import Motor
 from servo_msgs_py.timed_points import periods_ahead
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
@@ -77,11 +78,12 @@ class PathWorld:
         constants = [numbers(board.read(f"{axis_name(axis)}.torque_constant"))[0] for axis in range(AXES)]
         self.arbiter.set_torque_constants(constants)
         self.follower.torque_constants = constants
+        currents = [numbers(board.read(f"{axis_name(axis)}.acceleration_current"))[0] for axis in range(AXES)]
         self.limits = path_limits(
             CATALOGUE,
             {v.name: board.read_raw(v.name) for v in parameters(CATALOGUE)},
             joints,
-            constants,
+            [Motor(k, k * current) for k, current in zip(constants, currents, strict=True)],
         )
         self.arbiter.release()
         self.dispatcher.open()

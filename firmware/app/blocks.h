@@ -118,6 +118,7 @@ typedef struct {
 /* What the controller believes about the motors, for the host's conversions. */
 typedef struct {
     frac16_t torque_constant[HAL_AXES];
+    int32_t acceleration_current[HAL_AXES]; /* axis_config_t.acceleration_forward */
 } belief_block_t;
 
 #endif

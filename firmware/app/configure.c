@@ -279,6 +279,7 @@ bool configure_latch(configure_t *configure, config_status_t *status, parameter_
         axis_take_config(&axes[i], after);
         renew_parameters(parameter, i, before, after);
         belief->torque_constant[i] = after->torque_constant;
+        belief->acceleration_current[i] = after->acceleration_forward;
         configure->in_force[i] = (uint16_t)(1U - configure->in_force[i]);
         configure->ready[i] = false;
         status->checksum[i] = configure->checksum[i];

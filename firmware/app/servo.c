@@ -165,6 +165,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->parameter.following_error[i] = config->following_error;
         servo->parameter.over_speed[i] = config->over_speed;
         servo->belief.torque_constant[i] = config->torque_constant;
+        servo->belief.acceleration_current[i] = config->acceleration_forward;
     }
     for (uint16_t i = 0; i < HAL_MONITORS; i++) {
         servo->parameter.monitor[i] = MONITOR_NONE;

@@ -82,113 +82,115 @@ CHECK(64, SIZE(estimate.axis[0].emf) == 2);
 CHECK(65, SIZE(estimate.axis[0].reliable) == 2);
 CHECK(66, SIZE(record[0].pending) == 4);
 CHECK(67, SIZE(belief.torque_constant[0]) == 2);
-CHECK(68, SIZE(snapshot.axis[1].position) == 4);
-CHECK(69, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(70, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(71, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(72, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(73, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(74, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(75, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(76, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(77, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(78, SIZE(snapshot.axis[1].state) == 2);
-CHECK(79, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(80, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(81, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(82, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(83, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(84, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(85, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(86, SIZE(snapshot.monitor[1]) == 2);
-CHECK(87, SIZE(estimate.axis[1].speed) == 4);
-CHECK(88, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(89, SIZE(estimate.axis[1].emf) == 2);
-CHECK(90, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(91, SIZE(record[1].pending) == 4);
-CHECK(92, SIZE(belief.torque_constant[1]) == 2);
-CHECK(93, SIZE(tick) >= 4);
-CHECK(94, SIZE(applied_tick) >= 4);
-CHECK(95, SIZE(applied_count) >= 2);
-CHECK(96, SIZE(axis[0].u_dc) >= 2);
-CHECK(97, SIZE(late_loops) >= 2);
-CHECK(98, SIZE(points_refused) >= 2);
-CHECK(99, SIZE(point_refusal) >= 2);
-CHECK(100, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(101, SIZE(axis[0].feedback.position) >= 4);
-CHECK(102, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(103, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(104, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(105, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(106, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(107, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(108, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(109, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(110, SIZE(axis[0].latch.captured) >= 4);
-CHECK(111, SIZE(axis[0].latch.first) >= 2);
-CHECK(112, SIZE(axis[0].active_limits) >= 2);
-CHECK(113, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(114, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(115, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(116, SIZE(axis[0].estimate.size) >= 2);
-CHECK(117, SIZE(axis[0].latch.pending) >= 4);
-CHECK(118, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(119, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(120, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(121, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(122, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(123, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(124, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(125, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(126, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(127, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(128, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(129, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(130, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(131, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(132, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(133, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(134, SIZE(axis[0].command.mode) >= 2);
-CHECK(135, SIZE(axis[0].events.command) >= 2);
-CHECK(136, SIZE(axis[0].events.mode) >= 2);
-CHECK(137, SIZE(axis[0].sm.entered) >= 2);
-CHECK(138, SIZE(axis[1].feedback.position) >= 4);
-CHECK(139, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(140, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(141, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(142, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(143, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(144, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(145, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(146, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(147, SIZE(axis[1].latch.captured) >= 4);
-CHECK(148, SIZE(axis[1].latch.first) >= 2);
-CHECK(149, SIZE(axis[1].active_limits) >= 2);
-CHECK(150, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(151, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(152, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(153, SIZE(axis[1].estimate.size) >= 2);
-CHECK(154, SIZE(axis[1].latch.pending) >= 4);
-CHECK(155, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(156, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(157, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(158, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(159, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(160, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(161, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(162, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(163, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(164, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(165, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(166, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(167, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(168, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(169, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(170, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(171, SIZE(axis[1].command.mode) >= 2);
-CHECK(172, SIZE(axis[1].events.command) >= 2);
-CHECK(173, SIZE(axis[1].events.mode) >= 2);
-CHECK(174, SIZE(axis[1].sm.entered) >= 2);
+CHECK(68, SIZE(belief.acceleration_current[0]) == 4);
+CHECK(69, SIZE(snapshot.axis[1].position) == 4);
+CHECK(70, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(71, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(72, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(73, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(74, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(75, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(76, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(77, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(78, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(79, SIZE(snapshot.axis[1].state) == 2);
+CHECK(80, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(81, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(82, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(83, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(84, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(85, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(86, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(87, SIZE(snapshot.monitor[1]) == 2);
+CHECK(88, SIZE(estimate.axis[1].speed) == 4);
+CHECK(89, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(90, SIZE(estimate.axis[1].emf) == 2);
+CHECK(91, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(92, SIZE(record[1].pending) == 4);
+CHECK(93, SIZE(belief.torque_constant[1]) == 2);
+CHECK(94, SIZE(belief.acceleration_current[1]) == 4);
+CHECK(95, SIZE(tick) >= 4);
+CHECK(96, SIZE(applied_tick) >= 4);
+CHECK(97, SIZE(applied_count) >= 2);
+CHECK(98, SIZE(axis[0].u_dc) >= 2);
+CHECK(99, SIZE(late_loops) >= 2);
+CHECK(100, SIZE(points_refused) >= 2);
+CHECK(101, SIZE(point_refusal) >= 2);
+CHECK(102, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(103, SIZE(axis[0].feedback.position) >= 4);
+CHECK(104, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(105, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(106, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(107, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(108, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(109, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(110, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(111, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(112, SIZE(axis[0].latch.captured) >= 4);
+CHECK(113, SIZE(axis[0].latch.first) >= 2);
+CHECK(114, SIZE(axis[0].active_limits) >= 2);
+CHECK(115, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(116, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(117, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(118, SIZE(axis[0].estimate.size) >= 2);
+CHECK(119, SIZE(axis[0].latch.pending) >= 4);
+CHECK(120, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(121, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(122, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(123, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(124, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(125, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(126, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(127, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(128, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(129, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(130, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(131, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(132, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(133, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(134, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(135, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(136, SIZE(axis[0].command.mode) >= 2);
+CHECK(137, SIZE(axis[0].events.command) >= 2);
+CHECK(138, SIZE(axis[0].events.mode) >= 2);
+CHECK(139, SIZE(axis[0].sm.entered) >= 2);
+CHECK(140, SIZE(axis[1].feedback.position) >= 4);
+CHECK(141, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(142, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(143, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(144, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(145, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(146, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(147, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(148, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(149, SIZE(axis[1].latch.captured) >= 4);
+CHECK(150, SIZE(axis[1].latch.first) >= 2);
+CHECK(151, SIZE(axis[1].active_limits) >= 2);
+CHECK(152, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(153, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(154, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(155, SIZE(axis[1].estimate.size) >= 2);
+CHECK(156, SIZE(axis[1].latch.pending) >= 4);
+CHECK(157, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(158, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(159, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(160, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(161, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(162, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(163, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(164, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(165, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(166, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(167, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(168, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(169, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(170, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(171, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(172, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(173, SIZE(axis[1].command.mode) >= 2);
+CHECK(174, SIZE(axis[1].events.command) >= 2);
+CHECK(175, SIZE(axis[1].events.mode) >= 2);
+CHECK(176, SIZE(axis[1].sm.entered) >= 2);
 
 static const char strings[] TABLE_MEMORY =
     "state_t\0"
@@ -321,6 +323,7 @@ static const char strings[] TABLE_MEMORY =
     "axis1.pending\0"
     "axis1.fault_record\0"
     "axis1.torque_constant\0"
+    "axis1.acceleration_current\0"
     "axis1.i_a\0"
     "axis1.i_b\0"
     "axis1.i_c\0"
@@ -367,6 +370,7 @@ static const char strings[] TABLE_MEMORY =
     "axis2.pending\0"
     "axis2.fault_record\0"
     "axis2.torque_constant\0"
+    "axis2.acceleration_current\0"
     "axis2.i_a\0"
     "axis2.i_b\0"
     "axis2.i_c\0"
@@ -514,72 +518,74 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {1507, 478, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
     {1521, 489, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
     {1540, 530, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1562, 530, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {1572, 530, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {1582, 530, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {1592, 530, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {1606, 530, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {1619, 530, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {1632, 530, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {1645, 603, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {1656, 603, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {1667, 603, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {1682, 615, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {1698, 615, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {1717, 615, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {1733, 603, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {1749, 603, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {1765, 603, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {1780, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
-    {1791, 523, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {1811, 523, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {1828, 523, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {1846, 603, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1861, 603, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1880, 615, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1892, 615, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1908, 530, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1918, 530, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1928, 530, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1942, 530, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1952, 530, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1962, 530, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {1976, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {1988, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2003, 478, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2016, 523, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2034, 523, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {2047, 523, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {2068, 523, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {2087, 523, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {2105, 530, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {2119, 615, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {2140, 530, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {2163, 530, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {2182, 523, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {2206, 478, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {2220, 489, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {2239, 530, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {2261, 530, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {2271, 530, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {2281, 530, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {2291, 530, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {2305, 530, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {2318, 530, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {2331, 530, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {2344, 603, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {2355, 603, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {2366, 603, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {2381, 615, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {2397, 615, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {2416, 615, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {2432, 603, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {2448, 603, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {2464, 603, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {2479, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
-    {2490, 523, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {2510, 523, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {2527, 523, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {1562, 603, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {1589, 530, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {1599, 530, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {1609, 530, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {1619, 530, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {1633, 530, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {1646, 530, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {1659, 530, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {1672, 603, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {1683, 603, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {1694, 603, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {1709, 615, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {1725, 615, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {1744, 615, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {1760, 603, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {1776, 603, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {1792, 603, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {1807, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
+    {1818, 523, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {1838, 523, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {1855, 523, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {1873, 603, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {1888, 603, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {1907, 615, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {1919, 615, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {1935, 530, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {1945, 530, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {1955, 530, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {1969, 530, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {1979, 530, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {1989, 530, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {2003, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {2015, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2030, 478, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2043, 523, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2061, 523, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {2074, 523, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {2095, 523, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {2114, 523, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {2132, 530, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {2146, 615, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {2167, 530, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {2190, 530, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {2209, 523, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {2233, 478, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {2247, 489, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {2266, 530, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {2288, 603, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {2315, 530, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {2325, 530, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {2335, 530, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {2345, 530, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {2359, 530, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {2372, 530, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {2385, 530, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {2398, 603, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {2409, 603, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {2420, 603, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {2435, 615, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {2451, 615, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {2470, 615, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {2486, 603, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {2502, 603, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {2518, 603, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {2533, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
+    {2544, 523, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {2564, 523, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {2581, 523, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] = {

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x52898D47)
+#define CATALOGUE_HASH UINT32_C(0x33CF8F4A)
 
 typedef enum {
     STATE_FAULT = 0,

@@ -40,7 +40,7 @@ from servo_msgs_py.board_parameters import Assignment, RawParameters, applied, f
 from servo_msgs_py.catalogue import Catalogue, Variable
 from servo_msgs_py.convert import parameters_from_message
 from servo_msgs_py.joints import Joint
-from servo_msgs_py.robot_description import joints_of
+from servo_msgs_py.robot_description import Motor, joints_of, motors_of
 from servo_msgs_py.value_text import value_text
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -275,6 +275,10 @@ class Commander(Node):
         self.wait_for(lambda: applied or heard("rejected"), "the bridge neither took nor rejected the set-points")
         if heard("rejected"):
             raise CommandError(heard("rejected")[0])
+
+    def motors(self) -> list[Motor]:
+        """The motors, in the order of the axes; empty if the bridge does not know them."""
+        return motors_of(self._latched(topics.ROBOT_DESCRIPTION))
 
     def joints(self) -> list[Joint]:
         """The joints, in the order of the axes.

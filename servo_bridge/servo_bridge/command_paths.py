@@ -14,6 +14,7 @@ from builtin_interfaces.msg import Duration
 from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import Joint, joint_names
+from servo_msgs_py.robot_description import Motor
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from servo_bridge.trajectory.check import Limits, require
@@ -39,6 +40,9 @@ class PathUser(Protocol):
 
     def joints(self) -> list[Joint]:
         """The joints, in the order of the axes."""
+
+    def motors(self) -> list[Motor]:
+        """The motors, in the order of the axes; empty if they are not known."""
 
     def parameters(self) -> RawParameters:
         """Raw parameters of the board."""
@@ -108,14 +112,12 @@ def run_path(user: PathUser, args: argparse.Namespace) -> str:
         If there is no such path, or it leaves the limits; nothing has moved then. Or if the board refuses a part of it.
     """
     positions = user.positions()
-    joints, raw = user.joints(), user.parameters()
+    joints, motors, raw = user.joints(), user.motors(), user.parameters()
     names = joint_names(joints)
-    limits = dict(zip(names, _limits(raw, joints), strict=True))
-    lsb = Catalogue.load()["param.i_q_limit"].lsb
-    currents = {name: limit * lsb for name, limit in zip(names, raw["param.i_q_limit"], strict=True)}
+    limits = dict(zip(names, path_limits(Catalogue.load(), raw, joints, motors), strict=True))
     path = _plan(args, positions, limits)
     require(path, [limits[joint] for joint in path.joints])
-    report = _report(path, limits, currents)
+    report = _report(path, limits, _currents(joints, motors, raw))
     if args.dry_run:
         return report
     print(report)
@@ -135,8 +137,13 @@ def _places(user: PathUser, path: Path) -> str:
     return ", ".join(f"{joint} at {reached[joint]:.4f} rad" for joint in path.joints)
 
 
-def _limits(raw: RawParameters, joints: Sequence[Joint]) -> list[Limits]:
-    return path_limits(Catalogue.load(), raw, joints, [math.inf] * len(joints))
+def _currents(joints: Sequence[Joint], motors: Sequence[Motor], raw: RawParameters) -> dict[str, tuple[float, float]]:
+    """Current per torque of every joint [A/(N m)], 0 if it is not known; and the limit of the current [A]."""
+    lsb = Catalogue.load()["param.i_q_limit"].lsb
+    return {
+        joint.name: (1.0 / (motors[axis].torque_constant * joint.gear_ratio) if motors else 0.0, limit * lsb)
+        for axis, (joint, limit) in enumerate(zip(joints, raw["param.i_q_limit"], strict=True))
+    }
 
 
 def _plan(args: argparse.Namespace, positions: dict[str, float], limits: dict[str, Limits]) -> Path:
@@ -158,19 +165,18 @@ def _check_joints(names: Sequence[str] | dict[str, float], positions: dict[str, 
         raise TrajectoryError(f"joint {unknown[0]!r} does not exist; the joints are {', '.join(positions)}")
 
 
-def _report(path: Path, limits: dict[str, Limits], currents: dict[str, float]) -> str:
-    """What a path takes, against the limits.
-
-    The current depends on the inertia, which the board does not tell: only its limit is known here.
-    """
+def _report(path: Path, limits: dict[str, Limits], currents: dict[str, tuple[float, float]]) -> str:
+    """What a path takes, against the limits; the current is that of the acceleration, without friction and load."""
     state = path.state(np.linspace(path.start_time, path.end_time, _SAMPLES))
     lines = [f"{path.duration:g} s"]
     for k, joint in enumerate(path.joints):
         speed, acceleration = (np.abs(x[:, k]).max() for x in (state.velocity, state.acceleration))
+        per_torque, current_max = currents[joint]
+        current = f"{acceleration * limits[joint].inertia * per_torque:.3g}" if per_torque else "an unknown current"
         lines.append(
             f"  {joint}: to {path.end[k]:g} rad, at most {speed:.4g} of {limits[joint].velocity_max:.4g} rad/s, "
-            f"{acceleration:.4g} of {limits[joint].acceleration_max:.4g} rad/s^2, with a current (not predicted) "
-            f"of up to {currents[joint]:.3g} A"
+            f"{acceleration:.4g} of {limits[joint].acceleration_max:.4g} rad/s^2, for it {current} of "
+            f"{current_max:.3g} A"
         )
     return "\n".join(lines)
 

@@ -23,7 +23,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
 from servo_msgs_py.convert import diagnostic_array, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.node_shell import full_name
-from servo_msgs_py.robot_description import describe
+from servo_msgs_py.robot_description import Motor, describe
 from servo_msgs_py.timed_points import periods_ahead
 from servo_msgs_py.units import PERIOD_NS
 from std_srvs.srv import SetBool, Trigger
@@ -64,6 +64,7 @@ from servo_msgs_py import topics
 
 __all__ = ["BoardLink", "LinkFactory", "Supervisor"]
 
+_BELIEFS: Final = ("torque_constant", "acceleration_current")
 _COMMAND_TIMEOUT: Final = "param.command_timeout"
 _TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
 _URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
@@ -200,7 +201,7 @@ class Supervisor:
         self._frame: Frame | None = None
         self._epoch = 0
         self._ended = False
-        self._torque_constants: list[float] | None = None
+        self._motors: list[Motor] = []  # empty until the board has told them
         self._counts: dict[str, int] | None = None
         self._counting = False
         self._expired = next(flag.mask for flag in self._catalogue.flags["limits"] if flag.name == "EXPIRED")
@@ -336,10 +337,10 @@ class Supervisor:
         self._link.read("point_refusal").add_done_callback(told)
 
     def _path_limits(self) -> list[Limits] | None:
-        values, constants = self._board_parameters.values, self._torque_constants
-        if values is None or constants is None:
+        values = self._board_parameters.values
+        if values is None or not self._motors:
             return None
-        return path_limits(self._catalogue, values, self._settings.joints, constants)
+        return path_limits(self._catalogue, values, self._settings.joints, self._motors)
 
     def _check_path(self, path: Path) -> None:
         limits = self._path_limits()
@@ -371,7 +372,7 @@ class Supervisor:
         if status.state is LinkState.CONNECTED:
             self._log.info(str(status))
             self._dispatcher.open(_TAKE_OVER)
-            self._read_torque_constants()
+            self._read_motors()
             self._board_parameters.connected()
         else:
             if status.state is LinkState.CONNECTING:
@@ -380,7 +381,7 @@ class Supervisor:
                 self._log.error(str(status))
             self._publications.flush()
             self._frame = None
-            self._torque_constants = None
+            self._motors = []
             self._counts = None
             self._board_parameters.link_lost()
             self._variables.link_lost()
@@ -426,7 +427,7 @@ class Supervisor:
             self._publications.applied(applied)
             if applied.variable == "cmd.points":
                 self._streamer.arrived(periods_ahead(applied.raw, applied.tick) * PERIOD)
-        self._publications.sample(frame, stamp, self._torque_constants)
+        self._publications.sample(frame, stamp, [motor.torque_constant for motor in self._motors] or None)
         self._publish_state()
 
     def _axis_reports(self, frame: Frame) -> list[AxisReport]:
@@ -466,15 +467,19 @@ class Supervisor:
         self._log.error(f"{self._joints[record.axis]}: {record.summary()}")
         self._publications.fault_record(record)
 
-    def _read_torque_constants(self) -> None:
-        futures = [self._link.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES)]
+    def _read_motors(self) -> None:
+        names = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _BELIEFS]
+        futures = [self._link.read(name) for name in names]
 
         def take() -> None:
             if any(error_of(future) is not None for future in futures):
                 return  # a lost link; they are read again when it is back
-            self._torque_constants = [float(_scalar(future.result())) for future in futures]
-            self._arbiter.set_torque_constants(self._torque_constants)
-            self._follower.torque_constants = self._torque_constants
+            values = [float(_scalar(future.result())) for future in futures]
+            self._motors = [Motor(k, k * current) for k, current in zip(values[::2], values[1::2], strict=True)]
+            constants = [motor.torque_constant for motor in self._motors]
+            self._arbiter.set_torque_constants(constants)
+            self._follower.torque_constants = constants
+            self._publish_description()
 
         # The link works in order: when the last one is done, all are.
         futures[-1].add_done_callback(lambda _: self._inbox.post(take))
@@ -503,6 +508,7 @@ class Supervisor:
             commands_topic=resolve(topics.JOINT_COMMANDS),
             states_topic=resolve(topics.JOINT_STATES),
             interfaces=self._settings.command_interfaces,
+            motors=self._motors,
         )
         self._publications.description(text)
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import Joint
+from servo_msgs_py.robot_description import Motor
 
 from servo_bridge.trajectory.check import Limits
 
@@ -15,7 +16,7 @@ __all__ = ["path_limits"]
 
 
 def path_limits(
-    catalogue: Catalogue, raw: RawParameters, joints: Sequence[Joint], torque_constants: Sequence[float]
+    catalogue: Catalogue, raw: RawParameters, joints: Sequence[Joint], motors: Sequence[Motor]
 ) -> list[Limits]:
     """Limits of every joint.
 
@@ -27,8 +28,8 @@ def path_limits(
         Parameters of the board.
     joints : sequence of Joint
         In the order of the axes.
-    torque_constants : sequence of float
-        Of the motors [N m/A].
+    motors : sequence of Motor
+        In the order of the axes; empty if they are not known: then the torque has no limit.
     """
     confine = next(flag.mask for flag in catalogue.flags["features"] if flag.name == "POSITION_LIMITS")
     values = _si(catalogue, raw)
@@ -38,6 +39,7 @@ def path_limits(
         ends = sorted(joint.position(values[f"param.position_{end}"][axis]) for end in ("min", "max"))
         low, high = ends if confined else (-math.inf, math.inf)
         own = joint.limits
+        motor = motors[axis] if motors else Motor(math.inf, 0.0)
         limits.append(
             Limits(
                 position_min=max(own.position_min, low),
@@ -45,8 +47,9 @@ def path_limits(
                 velocity_max=min(own.velocity_max, abs(joint.velocity(values["param.speed_limit"][axis]))),
                 acceleration_max=abs(joint.velocity(values["param.acceleration_limit"][axis])),
                 torque_max=min(
-                    own.effort_max, abs(joint.effort(values["param.i_q_limit"][axis] * torque_constants[axis]))
+                    own.effort_max, abs(joint.effort(values["param.i_q_limit"][axis] * motor.torque_constant))
                 ),
+                inertia=motor.inertia * joint.gear_ratio**2,
             )
         )
     return limits

@@ -8,6 +8,7 @@ from servo_bridge.trajectory_limits import path_limits
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import Joint, JointLimits
+from servo_msgs_py.robot_description import Motor
 
 CATALOGUE = Catalogue.load()
 VALUES = {
@@ -24,7 +25,7 @@ def limits(*joints: Joint, confined: bool = True) -> list[Limits]:
     raw |= {name: [CATALOGUE[name].to_raw(value)] * 2 for name, value in VALUES.items()}
     flag = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "POSITION_LIMITS")
     raw["param.features"] = [flag if confined else 0] * 2
-    return path_limits(CATALOGUE, raw, joints, [0.05, 0.04])
+    return path_limits(CATALOGUE, raw, joints, [Motor(0.05, 1e-5), Motor(0.04, 2e-5)])
 
 
 def test_limits_of_the_board_go_through_the_gear_and_change_ends() -> None:

@@ -2,7 +2,7 @@
 
 The description has what robot_state_publisher and MoveIt need, and a ``ros2_control`` tag for hardware that speaks by
 the topics of the bridge. Gear ratio, direction and offset stand in the transmissions of that tag: twin, viewer and
-commander take them from there.
+commander take them from there. Its joints have what the board believes of its motors.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.joints import Joint, JointLimits
 
-__all__ = ["COMMAND_INTERFACES", "NO_LIMIT", "describe", "joints_of"]
+__all__ = ["COMMAND_INTERFACES", "NO_LIMIT", "Motor", "describe", "joints_of", "motors_of"]
 
 NO_LIMIT: Final = 1.0e15
 """Stands for an infinite limit, which not every reader of XML or YAML takes."""
@@ -34,6 +35,22 @@ _RADIUS: Final = 0.1
 _HEIGHT: Final = 0.01
 
 
+@dataclass(frozen=True)
+class Motor:
+    """What the controller of an axis believes of its motor.
+
+    Attributes
+    ----------
+    torque_constant : float
+        Torque per current i_q [N m/A].
+    inertia : float
+        Of rotor and load, at the shaft of the motor [kg m^2].
+    """
+
+    torque_constant: float
+    inertia: float
+
+
 # ---- writing
 def describe(
     joints: Sequence[Joint],
@@ -42,6 +59,7 @@ def describe(
     commands_topic: str,
     states_topic: str,
     interfaces: Mapping[str, Collection[str]] | None = None,
+    motors: Sequence[Motor] = (),
 ) -> str:
     """Description of the joints of one board.
 
@@ -55,6 +73,8 @@ def describe(
         Names of the topics of set-points and of states, fully resolved.
     interfaces : mapping of str to collection of str, optional
         Command interfaces by joint; by default `COMMAND_INTERFACES`.
+    motors : sequence of Motor
+        In the order of the axes; empty before they are known.
 
     Returns
     -------
@@ -72,7 +92,7 @@ def describe(
     ET.SubElement(hardware, "plugin").text = _PLUGIN
     for name, topic in (("joint_commands_topic", commands_topic), ("joint_states_topic", states_topic)):
         ET.SubElement(hardware, "param", name=name).text = topic
-    for joint in joints:
+    for axis, joint in enumerate(joints):
         given = COMMAND_INTERFACES if interfaces is None else interfaces[joint.name]
         part = ET.SubElement(control, "joint", name=joint.name)
         for interface in _STATE_INTERFACES:
@@ -80,6 +100,8 @@ def describe(
                 ET.SubElement(part, "command_interface", name=interface)
         for interface in _STATE_INTERFACES:
             ET.SubElement(part, "state_interface", name=interface)
+        for name, value in vars(motors[axis]).items() if motors else ():
+            ET.SubElement(part, "param", name=name).text = _text(value)
     for axis, joint in enumerate(joints):
         gear = ET.SubElement(control, "transmission", name=f"{joint.name}_transmission")
         ET.SubElement(gear, "plugin").text = _TRANSMISSION
@@ -160,6 +182,23 @@ def joints_of(description: str) -> list[Joint]:
     if len(joints) != AXES:
         raise ValueError(f"the robot description has {len(joints)} transmissions; that of a servo bridge has {AXES}")
     return joints
+
+
+def motors_of(description: str) -> list[Motor]:
+    """Motors of a description made by `describe`, in the order of the axes; empty where it does not tell them.
+
+    Raises
+    ------
+    ValueError
+        If it tells something else than numbers.
+    """
+    motors = []
+    for joint in ET.fromstring(description).iterfind("ros2_control/joint"):
+        told = {param.get("name", ""): param.text for param in joint.iterfind("param")}
+        names = [each.name for each in fields(Motor)]
+        if all(name in told for name in names):
+            motors.append(Motor(*(_number(told[name], f"{name} of {joint.get('name')}") for name in names)))
+    return motors if len(motors) == AXES else []
 
 
 def _limits(joint: ET.Element) -> JointLimits:

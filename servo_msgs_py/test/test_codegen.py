@@ -68,7 +68,7 @@ def test_list_of_faults_follows_the_priority_table_of_the_firmware() -> None:
             "cannot be read",
         ),
         ("{FAULT_OVER_TEMPERATURE, 0, 0}", "{FAULT_STALLED, 0, 0}", "OVER_TEMPERATURE"),
-        ("} causes[] = {", "} reasons[] = {", "no table causes"),
+        (" fault_causes[", " fault_reasons[", "no table fault_causes"),
     ],
 )
 def test_a_table_of_faults_that_cannot_be_told_is_refused(row: str, instead: str, message: str) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, JointLimits
-from servo_msgs_py.robot_description import describe, joints_of
+from servo_msgs_py.robot_description import Motor, describe, joints_of, motors_of
 
 CATALOGUE = Catalogue.load()
 SMALL = st.floats(-1e4, 1e4)
@@ -73,6 +73,15 @@ def test_what_is_no_gear_is_refused(values: tuple[float, int, float], said: str)
 @given(JOINTS)
 def test_a_description_gives_its_joints_back(joint: Joint) -> None:
     assert joints_of(described(joint, LIFT)) == [joint, LIFT]
+
+
+def test_a_description_gives_its_motors_back_once_they_are_known() -> None:
+    motors = [Motor(0.0462, 8.0e-6), Motor(0.0414, 1.2e-5)]
+    joints = [Joint("pan"), LIFT]
+    told = describe(joints, CATALOGUE, commands_topic="/a", states_topic="/b", motors=motors)
+    assert motors_of(told) == motors
+    assert joints_of(told) == joints_of(described(*joints))
+    assert motors_of(described(*joints)) == []
 
 
 def test_a_description_is_a_tree_with_the_limits_that_its_readers_require() -> None:

@@ -1,0 +1,53 @@
+"""What ``servo-command`` says of a path before anything moves."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from types import SimpleNamespace
+
+import pytest
+from servo_bridge.command_paths import run_path
+from servo_bridge.trajectory.errors import TrajectoryError
+from servo_msgs_py.board_parameters import parameters
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.joints import Joint
+from servo_msgs_py.robot_description import Motor
+
+CATALOGUE = Catalogue.load()
+RAW = {v.name: [0] * v.count for v in parameters(CATALOGUE)}
+for _name, _value in (("speed_limit", 300.0), ("acceleration_limit", 4000.0), ("i_q_limit", 4.0)):
+    RAW[f"param.{_name}"] = [CATALOGUE[f"param.{_name}"].to_raw(_value)] * 2
+MOTORS = [Motor(0.05, 8.0e-6), Motor(0.04, 2.0e-5)]
+
+
+def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1000.0) -> str:
+    """The report on a sine of so much acceleration of the joint [rad/s^2]."""
+    user = SimpleNamespace(
+        positions=lambda: {"axis1": 0.0, "axis2": 0.0},
+        joints=lambda: [Joint("axis1", gear_ratio), Joint("axis2")],
+        motors=lambda: motors,
+        parameters=lambda: RAW,
+    )
+    omega = 2.0 * 3.141592653589793 * 5.0
+    options = {"joint": "axis1", "amplitude": acceleration / omega**2, "frequency": 5.0, "duration": 4.0}
+    args = argparse.Namespace(verb="sine", dry_run=True, **options)
+    return run_path(user, args)
+
+
+@pytest.mark.parametrize("gear_ratio", [1.0, 3.0])
+def test_a_dry_run_tells_the_current_of_the_acceleration(gear_ratio: float) -> None:
+    said = re.search(r"rad/s, (\S+) of \S+ rad/s\^2, for it (\S+) of 4 A", report(MOTORS, gear_ratio))
+    assert said is not None
+    acceleration, current = map(float, said.groups())
+    assert current == pytest.approx(acceleration * gear_ratio * 8.0e-6 / 0.05, rel=0.01)
+    assert acceleration == pytest.approx(1000.0, rel=0.2)
+
+
+def test_a_motor_that_is_not_known_has_no_current() -> None:
+    assert "for it an unknown current of 4 A" in report([])
+
+
+def test_a_path_that_needs_more_torque_than_the_current_gives_is_refused() -> None:
+    with pytest.raises(TrajectoryError, match="torque"):
+        report([Motor(0.05, 8.0e-4), MOTORS[1]], acceleration=400.0)
