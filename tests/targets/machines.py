@@ -9,17 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
-from targets.sources import STRICT, Sources
+from targets.sources import SAMPLES, STRICT, Sources
 from targets.toolchain import TargetError, TooLargeError, compile_objects, has_library, has_program, run
 
 AVR_MCU: Final = "atmega1284p"
 AVR_CLOCK: Final = 16_000_000
-AVR_SMALL: Final = ("-mrelax", "-mcall-prologues", "-mstrict-X", "-fno-inline", "-DSERVO_SAMPLES=640")
-"""For a small program: the flash holds a recording as well, and the RAM has no room for all samples of a recorder."""
-
-AVR_OPTIONS: Final = (f"-mmcu={AVR_MCU}", "-fwrapv", *AVR_SMALL)
+AVR_OPTIONS: Final = (f"-mmcu={AVR_MCU}", "-fwrapv", "-mrelax", "-mcall-prologues", "-mstrict-X", "-fno-inline")
 """A sum that is too large for 16 bits wraps, as on the 56800EX, where the compiler would be free to widen it and hide a
-missing cast."""
+missing cast. The others make small programs: the flash has to hold a recording as well."""
 
 AVR_DATA_MOST: Final = 15 * 1024
 """Bytes of static data, of 16 kB: the linker does not see that the stack needs the rest."""
@@ -127,7 +124,7 @@ class Host:
         machine = sources.native / "host"
         include = [f"-I{path}" for path in (sources.firmware, sources.native, machine)]
         files = [*sources.core(), *sources.replay(), machine / "machine.c"]
-        objects = compile_objects([self.compiler, *STRICT, *self.options, *include], files, folder)
+        objects = compile_objects([self.compiler, *STRICT, SAMPLES, *self.options, *include], files, folder)
         run([self.compiler, *self.options, *objects, "-o", program])
         return HostProgram(program)
 
@@ -182,7 +179,7 @@ class CortexM3:
         return has_library("arm-none-eabi-gcc", "libc.a") and has_program(QEMU[0])
 
     def build(self, sources: Sources, folder: Path) -> QemuProgram:
-        options = [self.optimisation]
+        options = [self.optimisation, SAMPLES]
         files = [*sources.core(), *sources.replay()]
         objects = compile_objects(cortex_m3_compiler(sources, options), files, folder)
         return QemuProgram(build_cortex_m3(sources, folder / "replay.elf", objects, options))
@@ -252,7 +249,7 @@ class Avr:
         include = [f"-I{path}" for path in (sources.firmware, sources.native, port)]
 
         files = [*sources.core(), *sources.replay(), port / "machine.c"]
-        objects = compile_objects(["avr-gcc", *STRICT, *options, *include], files, folder)
+        objects = compile_objects(["avr-gcc", *STRICT, SAMPLES, *options, *include], files, folder)
         return AvrProgram(tuple(objects), port / "image.S")
 
 

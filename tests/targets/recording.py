@@ -18,7 +18,7 @@ from servo_twin.plant import PlantConfig
 from targets.calls import Call, parse_log
 from targets.machines import ARITHMETIC_NAME
 from targets.rig import Rig
-from targets.sources import STRICT, Sources
+from targets.sources import SAMPLES, STRICT, Sources
 from targets.toolchain import TargetError, run
 
 CHECK_PERIODS: Final = 160
@@ -161,7 +161,7 @@ class Recorder:
         wrap = [f"-Wl,--wrap={name}" for name in wrapped_functions(sources)]
         # Without contraction of a * b + c the plant computes the same bits on every processor.
         options = ["-O2", "-ffp-contract=off", "-fPIC", "-shared", "-Wl,-z,defs"]
-        run(["gcc", *STRICT, *options, *include, *wrap, *sources.recorder(), "-lm", "-o", library])
+        run(["gcc", *STRICT, SAMPLES, *options, *include, *wrap, *sources.recorder(), "-lm", "-o", library])
         self._ffi: Any = ffi
         self._lib: Any = ffi.dlopen(str(library))
 

@@ -105,7 +105,7 @@ def _scope(rig: Rig) -> Iterator[bytes]:
 
 
 def _recorder(rig: Rig) -> Iterator[bytes]:
-    """Points that fit into the memory of the smallest target, which is why nothing is asked for its size."""
+    """Slots, triggers, samples and refusals of both recorders."""
 
     def setting(recorder: int, *operations: bytes) -> bytes:
         return encode_request(_SETREC, bytes([recorder]) + b"".join(operations))
@@ -120,7 +120,17 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
     start, stop = operation(3), operation(4)
     for payload in (b"", b"\x02", b"\x00\x05\x00", b"\x00\x03\x01", b"\x00" + start, b"\x00" + stop):
         yield encode_request(_SETREC, payload)
-    for payload in (b"", b"\x00", b"\x02\x84", b"\x00\x80", b"\x00\x81", b"\x01\x81", b"\x00\x83", b"\x01\x84"):
+    for payload in (
+        b"",
+        b"\x00",
+        b"\x02\x84",
+        b"\x00\x80",
+        b"\x00\x81",
+        b"\x01\x81",
+        b"\x00\x83",
+        b"\x01\x84",
+        b"\x00\x82",
+    ):
         yield encode_request(_GETREC, payload)
     yield setting(0, operation(1, b"\x09\x14\x05\x00"))
     yield setting(0, operation(1, b"\x01\x14\x05\x00"), variable(1, "tick"))
@@ -151,6 +161,44 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
         yield encode_request(_GETREC, bytes([recorder, 0x83]))
         for offset in (0, 240):
             yield commands.read_memory(SAMPLES + offset, 240).frame
+    # A memory that is full soon; the level fires at once, and points follow it.
+    yield setting(
+        0, operation(1, b"\x02\x06\x02\x00"), variable(0, "tick", b"\x51\x00"), variable(1, "u_dc_now"), start
+    )
+    for _ in range(8):
+        yield encode_request(_GETREC, b"\x00\x83")
+    yield commands.read_memory(SAMPLES, 48).frame
+    yield setting(0, operation(1, b"\x01\x06\x02\x00"), start)
+    yield setting(0, variable(0, "tick", b"\x04\x00"), start)
+    # Every size and alignment, with thresholds of both kinds; nothing of it is reached before the memory is full.
+    tick, wide = encode_uleb(rig.address("tick")), encode_uleb(rig.address("cmd.position"))
+    part = encode_uleb(rig.address("tick") + 1)
+    for trigger in (b"\x12" + encode_sleb(-1), b"\x92" + wide, b"\x21" + encode_uleb(7), b"\xa1" + wide):
+        yield setting(1, operation(1, b"\x02\x06\x02\x00"), operation(2, b"\x00" + wide + b"\x08" + trigger))
+        yield setting(1, operation(2, b"\x01" + part + b"\x02\x11\x00"), start)
+        for _ in range(3):
+            yield encode_request(_GETREC, b"\x01\x83")
+        yield setting(1, stop)
+        yield commands.read_memory(SAMPLES, 60).frame
+    yield setting(0, operation(1, b"\x02\x05\x02\x00"), operation(2, b"\x00" + tick + b"\x04\x41\x00"))
+    for data in (
+        b"",
+        b"\x01" + tick + b"\x03\x00\x00",
+        b"\x01" + tick + b"\x04\x03\x00",
+        b"\x01" + tick + b"\x02\x03\x00",
+        b"\x01" + tick + b"\x04\x91" + _UNENDING,
+        b"\x01" + tick + b"\x04\x91" + encode_uleb(VARIABLES - 4),
+        b"\x01" + tick + b"\x04\x00\x00\x00",
+        b"\x01" + tick + b"\x04\x12" + encode_sleb(-(2**31)),
+    ):
+        yield setting(0, operation(2, data))
+    yield setting(0, start, operation(2, b"\x00" + tick + b"\x04\x00\x00"))
+    yield setting(0, operation(1, b"\x01\x00\x7f\x00"), variable(0, "axis1.i_a", b"\x04\x00"), start)
+    yield setting(0, operation(1, b"\x01\x00" + encode_uleb(2**20) + b"\x00"), variable(0, "axis1.i_a"))
+    for what in (0x84, 0x83):
+        yield encode_request(_GETREC, bytes([0, what]))
+    for name, size in (("axis1.i_a", 2), ("u_dc_now", 4), ("u_dc_now", 3), ("axis1.i_a", 4)):
+        yield commands.read_memory(rig.address(name), size).frame
     yield setting(0, operation(1, b"\x03\x0a\x00\x01"), *(variable(k, "axis1.i_a") for k in range(3)), start)
     yield setting(0, stop, start, operation(1, b"\x00\x00\x00\x00"))
 

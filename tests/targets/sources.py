@@ -16,6 +16,9 @@ ROOMS: Final = ("math", "control", "sensing", "diagnosis", "drive", "app", "comm
 STRICT: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 """Options of every compiler: nowhere in the core does a number change its type unseen."""
 
+SAMPLES: Final = "-DSERVO_SAMPLES=640"
+"""Bytes that recorders have on every target: no more than the smallest one has room for."""
+
 _FOLDERS: Final = ("firmware", "servo_twin/native", "tests/targets/native", "tests/bench/native")
 _REPLAY: Final = ("replay_main", "replay", "replay_hal", "arithmetic", "digest", "trace_model", "trace_reader", "text")
 _IDEAL_BOARD: Final = ("board", "board_ideal", "ideal_chip", "uart")
