@@ -178,6 +178,25 @@ def test_another_motor_needs_no_compiler(tmp_path: Path) -> None:
         assert way == pytest.approx([MOVE, -MOVE], abs=3)
 
 
+def test_no_loop_is_late_when_both_axes_take_blocks(tmp_path: Path) -> None:
+    """At the level of registers, where code takes time, with every feature that a block has to do with."""
+    on = ("FRICTION", "SPEED_OBSERVER", "SPEED_FORWARD", "ACCELERATION_FORWARD", "FOLLOWING_ERROR", "ANGLE_CHECK")
+    changes = {"speed_bandwidth": 60.0, "position_gain": 50.0, "current_bandwidth": 900.0, "path_current_use": 0.4}
+    file = edited(tmp_path, "gains.toml", control=changes, axis1__motor={"inertia": 0.9e-5})
+    with Board(level="registers", baud=BAUD, seed=4) as board:
+        enable(board)
+        desk = Desk(board)
+        for axis in range(2):
+            features(board, axis, **dict.fromkeys(on, True))
+            command_position(board, axis, desk.raw(f"axis{axis + 1}.position")[0] + 200_000)
+        board.run(0.1)
+        for number, source in enumerate((file, CONFIG, file), 1):
+            assert desk.tool("tune", source) == 0
+            assert desk.raw("config.taken_count") == [number]
+        board.run(0.02)
+        assert (desk.raw("late_loops"), desk.raw("axis1.faults"), desk.raw("axis2.faults")) == ([0], [0], [0])
+
+
 class FineLine(SimulatedLine):
     """Keeps what axis 1 does in every PWM period: true i_q, and u_q as the last snapshot has it."""
 
