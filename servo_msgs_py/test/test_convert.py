@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
@@ -109,12 +110,13 @@ def test_damaged_tables_are_refused(damage: str) -> None:
 @given(
     st.sampled_from(COMMAND_VARIABLES),
     st.integers(0, 2**53 - 1),
-    st.lists(st.integers(-(2**31), 2**32 - 1), min_size=32, max_size=32),
+    st.lists(st.integers(-(2**31), 2**32 - 1), min_size=32, max_size=32).map(lambda numbers: numbers * 9),
     st.integers(1, 8),
     st.integers(1, 3),
 )
 def test_applied_commands_are_exact(variable: str, tick: int, raw: list[int], points: int, mask: int) -> None:
-    count = POINT_WORDS * points if variable == "cmd.points" else 2
+    members = bin(mask).count("1") * len(AxisConfigTable.load())
+    count = {"cmd.points": POINT_WORDS * points, "config.take": members}.get(variable, 2)
     applied = AppliedCommand(variable, tick, tuple(raw[:count]), mask)
     message = deserialize_message(serialize_message(convert.applied_message(applied)), Float64MultiArray)
     assert convert.applied_from_message(message) == applied
@@ -122,7 +124,8 @@ def test_applied_commands_are_exact(variable: str, tick: int, raw: list[int], po
 
 @pytest.mark.parametrize(
     "data", [[], [0.0, 1.0, 2.0, 3.0], [0.0, 1.5, 1.0, 0.0, 0.0], [99.0, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 4.0, 0.0, 0.0],
-             [math.nan, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0, 0.0, 0.0], [7.0, 1.0, 1.0, 0.0, 0.0]]
+             [math.nan, 1.0, 1.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0, 0.0, 0.0], [7.0, 1.0, 1.0, 0.0, 0.0],
+             [8.0, 1.0, 1.0, 0.0, 0.0]]
 )  # fmt: skip
 def test_damaged_applied_commands_are_refused(data: list[float]) -> None:
     with pytest.raises(ValueError, match="commands_applied"):

@@ -35,10 +35,10 @@ def test_command_variables_exist_can_be_written_and_hold_one_element_per_axis() 
     catalogue = Catalogue.load()
     for name in topics.COMMAND_VARIABLES:
         variable = catalogue[name]
-        count = POINT_WORDS * POINTS_TOGETHER if name == "cmd.points" else 2
+        count = {"cmd.points": POINT_WORDS * POINTS_TOGETHER, "config.take": 1}.get(name, 2)
         assert (variable.writable, variable.count) == (True, count), name
     commands = {name for name in catalogue.variables if name.startswith("cmd.")}
-    assert commands == set(topics.COMMAND_VARIABLES)
+    assert commands | {"config.take"} == set(topics.COMMAND_VARIABLES)
 
 
 def test_telemetry_is_deep_and_reliable() -> None:
