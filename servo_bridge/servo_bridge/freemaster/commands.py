@@ -90,7 +90,8 @@ class Request:
     statuses : tuple of int
         Successes without data beside the usual one.
     lengthy : bool
-        Whether the target may work for a while before it answers.
+        Whether to wait for the answer for the full time: the target may work for a while, or a request that arrives
+        twice, once late, would do more than one.
     frame : bytes
         The bytes on the line.
     """
@@ -110,7 +111,7 @@ class Request:
 
     @property
     def patient(self) -> bool:
-        """Whether it has to be waited for to the end: it must not arrive twice, or the target may take its time."""
+        """Whether its answer has to be waited for for the full time."""
         return self.lengthy or not self.idempotent
 
     @property
@@ -210,7 +211,7 @@ def set_scope(slots: Sequence[ScopeSlot], *, scope: int = 0, payload_limit: int 
         if len(payloads[-1]) + len(operation) > payload_limit:
             payloads.append(head)
         payloads[-1] += operation
-    return [Request(f"SETSCOPE {len(slots)} slots", Command.SETSCOPE, payload, 0) for payload in payloads]
+    return [Request(f"SETSCOPE {len(slots)} slots", Command.SETSCOPE, payload, 0, lengthy=True) for payload in payloads]
 
 
 def read_scope(size: int, *, scope: int = 0) -> Request:

@@ -92,7 +92,9 @@ class MemoryForm:
 
     def set_scope(self, slots: Sequence[ScopeSlot]) -> Request:
         """Set up the scope; the command takes one frame."""
-        return Request(f"SETUPSCOPE {len(slots)} slots", self._code(0x08, 0x0A), self.slots(slots), 0, framing=V3)
+        return Request(
+            f"SETUPSCOPE {len(slots)} slots", self._code(0x08, 0x0A), self.slots(slots), 0, framing=V3, lengthy=True
+        )
 
     def read_scope(self, size: int) -> Request:
         """Read all slots, `size` bytes together."""

@@ -53,7 +53,9 @@ def set_up(form: MemoryForm, setup: Setup) -> Request:
         + form.number(trigger.threshold & 0xFFFF_FFFF, 4)
         + form.slots(setup.slots)
     )
-    return Request(f"SETUPREC {len(setup.slots)} variables", 0x0B if form.wide else 0x09, payload, 0, framing=V3)
+    return Request(
+        f"SETUPREC {len(setup.slots)} variables", 0x0B if form.wide else 0x09, payload, 0, framing=V3, lengthy=True
+    )
 
 
 class RecorderV3:
@@ -112,11 +114,11 @@ class RecorderV3:
         return points
 
     def start(self) -> None:
-        self._ask(Request("STARTREC", 0xC1, b"", 0, framing=V3, statuses=_STATUSES))
+        self._ask(Request("STARTREC", 0xC1, b"", 0, framing=V3, statuses=_STATUSES, lengthy=True))
         self._started = True
 
     def stop(self) -> None:
-        self._ask(Request("STOPREC", 0xC2, b"", 0, framing=V3, statuses=_STATUSES))
+        self._ask(Request("STOPREC", 0xC2, b"", 0, framing=V3, statuses=_STATUSES, lengthy=True))
 
     def state(self) -> State:
         try:

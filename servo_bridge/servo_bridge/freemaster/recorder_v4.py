@@ -56,7 +56,7 @@ def set_up(index: int, setup: Setup, payload_limit: int) -> list[Request]:
         if len(payloads[-1]) + len(operation) > payload_limit and payloads[-1] != head:
             payloads.append(head)
         payloads[-1] += operation
-    return [Request(f"SETREC {len(slots)} variables", Command.SETREC, payload, 0) for payload in payloads]
+    return [Request(f"SETREC {len(slots)} variables", Command.SETREC, payload, 0, lengthy=True) for payload in payloads]
 
 
 def _operation(code: int, body: bytes = b"") -> bytes:
@@ -133,7 +133,9 @@ class RecorderV4:
         return self._ask(Request("GETREC", Command.GETREC, bytes((self._index, operation)), None)).data
 
     def _set(self, operation: int) -> None:
-        self._ask(Request("SETREC", Command.SETREC, bytes((self._index,)) + _operation(operation), 0))
+        payload = bytes((self._index,)) + _operation(operation)
+        # A START that arrives late would begin anew.
+        self._ask(Request("SETREC", Command.SETREC, payload, 0, lengthy=True))
 
 
 def _state(data: bytes) -> State:

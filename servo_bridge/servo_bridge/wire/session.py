@@ -212,7 +212,7 @@ class Session:
                 limit = self.client.write_limit(variable.address)
                 step = max(limit - limit % variable.target.type.size, variable.target.type.size)
             for start in range(0, len(data), max(step, 1)):
-                self.client.write_memory(variable.address + offset + start, data[start : start + step])
+                self.client.write_memory(variable.address + offset + start, data[start : start + step], lengthy=True)
 
 
 def connect(client: Client, catalogue: Catalogue, progress: Progress | None = None) -> Session:
