@@ -1,15 +1,20 @@
 """What a lost frame costs on the serial line: ``make bench``.
 
-A fake target on a pseudo terminal whose answers take the time of the line, and that does not answer every so many-th
-request. The cost is what an exchange with one loss takes longer than the median of those without.
+A fake target on a pseudo terminal, in a process of its own, whose answers take the time of the line, and that does not
+answer every so many-th request. The cost is what an exchange with one loss takes longer than the median of those
+without.
 """
 
 from __future__ import annotations
 
 import json
+import multiprocessing
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
@@ -35,32 +40,45 @@ LOST = 20
 class Lossy:
     """A target that does not answer some requests for its scope."""
 
-    def __init__(self, target: FakeTarget) -> None:
-        self.target = target
+    def __init__(self) -> None:
+        self.target = FakeTarget(mtu=254, scope_limit=24, safety=False)
         self.count = 0
-        self.losing = False
 
     def feed(self, data: bytes) -> bytes:
         answer = self.target.feed(data)
-        if self.losing and data.startswith(b"+\x27"):
-            self.count += 1
-            if self.count % LOST == 0:
-                return b""
-        return answer
+        self.count += data.startswith(b"+\x27")
+        return b"" if data.startswith(b"+\x27") and self.count % LOST == 0 else answer
+
+
+def serve(link: Path, baud: int, up: Event, end: Event) -> None:
+    """Be the target until the end."""
+    with FakePort(link, Lossy(), baud):
+        up.set()
+        end.wait()
+
+
+@contextmanager
+def a_target(baud: int) -> Iterator[str]:
+    """A target in a process of its own; yields its port."""
+    up, end = multiprocessing.Event(), multiprocessing.Event()
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        link = Path(folder) / "tty"
+        process = multiprocessing.Process(target=serve, args=(link, baud, up, end))
+        process.start()
+        try:
+            up.wait()
+            yield str(link)
+        finally:
+            end.set()
+            process.join()
 
 
 def measure(baud: int, variables: int) -> dict[str, Any]:
     """Round trip and cost of a loss for a scope of 16-bit variables."""
-    device = Lossy(FakeTarget(mtu=254, scope_limit=24, safety=False))
-    with (
-        tempfile.TemporaryDirectory(prefix="bench-") as folder,
-        FakePort(Path(folder) / "tty", device, baud) as fake,
-        SerialPort(fake.path, baud) as port,
-    ):
+    with a_target(baud) as path, SerialPort(path, baud) as port:
         client = Client(Line(port, baud=baud))
         client.identify()
         request = client.set_scope([ScopeSlot(0x1000 + 2 * k, 2) for k in range(variables)])
-        device.losing = True
         usual: list[float] = []
         lost: list[float] = []
         for _ in range(EXCHANGES):
