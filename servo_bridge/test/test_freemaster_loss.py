@@ -142,6 +142,13 @@ def test_the_estimate_follows_and_backs_off() -> None:
     for k in range(60):
         estimate.answered(MS if k % 2 else 9 * MS)
     assert 15 * MS < estimate.allowance_ns < 30 * MS
+    for _ in range(300):
+        estimate.answered(MS)
+    assert estimate.allowance_ns < 3 * MS
+    estimate.answered(30 * MS)
+    for _ in range(40):
+        estimate.answered(MS)
+    assert 10 * MS < estimate.allowance_ns < 30 * MS, "few answers are late, and those by far"
     estimate.answered(-5 * MS)
     estimate.answered(10_000 * MS)
     assert estimate.allowance_ns <= 200 * MS

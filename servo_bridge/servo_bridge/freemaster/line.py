@@ -304,8 +304,7 @@ class Line:
             if fence.answer in received:
                 self.statistics.bytes_in += len(fence.answer)
                 self.statistics.stray_bytes += len(received) - len(fence.answer)
-                if deadline < limit:
-                    self._round_trip.answered(now - sent_ns - len(received) * self._byte_ns)
+                self._round_trip.answered(now - sent_ns - len(received) * self._byte_ns)
                 return
             if now >= limit:
                 self.statistics.stray_bytes += len(received)

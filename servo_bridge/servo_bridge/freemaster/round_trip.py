@@ -9,12 +9,16 @@ __all__ = ["RoundTrip"]
 _FLOOR_NS: Final = 1_500_000
 """Least margin: what a computer and an adapter in low-latency mode may be late."""
 
+_PEAK_LIFE: Final = 64
+"""Answers after which a late one is forgotten by two thirds: on a busy computer few are late, and those by far."""
+
 
 class RoundTrip:
     """Running estimate of what the target and the adapters add to the time on the wire.
 
     Mean and mean deviation are smoothed as those of TCP are (RFC 6298); the time on the wire is known and is not part
-    of them, so that one estimate serves requests of every length. Every loss doubles the wait, until an answer comes.
+    of them, so that one estimate serves requests of every length. The latest of the last answers counts as well. Every
+    loss doubles the wait, until an answer comes.
 
     Parameters
     ----------
@@ -26,6 +30,7 @@ class RoundTrip:
         self.limit_ns = limit_ns
         self._mean: int | None = None
         self._deviation = 0
+        self._peak = 0
         self._shift = 0
 
     @property
@@ -33,7 +38,8 @@ class RoundTrip:
         """How long to wait beyond the time on the wire [ns]."""
         if self._mean is None:
             return self.limit_ns
-        return min((self._mean + max(4 * self._deviation, _FLOOR_NS)) << self._shift, self.limit_ns)
+        usual = self._mean + max(4 * self._deviation, _FLOOR_NS)
+        return min(max(usual, self._peak) << self._shift, self.limit_ns)
 
     def stalled(self) -> None:
         """Wait as long as possible next time: the target seems to be slow, or the line to be bad."""
@@ -48,6 +54,7 @@ class RoundTrip:
         else:
             self._deviation += (abs(extra_ns - self._mean) - self._deviation) // 4
             self._mean += (extra_ns - self._mean) // 8
+        self._peak = max(extra_ns, self._peak - self._peak // _PEAK_LIFE)
         self._shift = 0
 
     def lost(self) -> None:
