@@ -2,17 +2,30 @@
 
 #include <stddef.h>
 
+#include "comm/table_memory.h"
 #include "config/axis_members.h"
 #include "drive/take_config.h"
 
 /* ---- members as numbers --------------------------------------------------------------------------------------------- */
 
-static const axis_range_t *range_of(uint16_t number) { return &axis_ranges[axis_members[number].range]; }
+static axis_member_t member_at(uint16_t number)
+{
+    axis_member_t member;
+    table_copy(&member, &axis_members[number], sizeof member);
+    return member;
+}
+
+static axis_range_t range_of(uint16_t number)
+{
+    axis_range_t range;
+    table_copy(&range, &axis_ranges[member_at(number).range], sizeof range);
+    return range;
+}
 
 static int32_t member_get(const axis_config_t *block, uint16_t number)
 {
-    const void *member = (const uint8_t *)block + axis_members[number].offset;
-    const uint16_t kind = range_of(number)->kind;
+    const void *member = (const uint8_t *)block + member_at(number).offset;
+    const uint16_t kind = range_of(number).kind;
     if ((kind & MEMBER_WIDE) != 0U) {
         return (kind & MEMBER_SIGNED) != 0U ? *(const int32_t *)member : (int32_t)(*(const uint32_t *)member);
     }
@@ -21,8 +34,8 @@ static int32_t member_get(const axis_config_t *block, uint16_t number)
 
 static void member_set(axis_config_t *block, uint16_t number, int32_t value)
 {
-    void *member = (uint8_t *)block + axis_members[number].offset;
-    const uint16_t kind = range_of(number)->kind;
+    void *member = (uint8_t *)block + member_at(number).offset;
+    const uint16_t kind = range_of(number).kind;
     if ((kind & MEMBER_WIDE) != 0U) {
         if ((kind & MEMBER_SIGNED) != 0U) {
             *(int32_t *)member = value;
@@ -38,9 +51,9 @@ static void member_set(axis_config_t *block, uint16_t number, int32_t value)
 
 static bool member_accepts(uint16_t number, int32_t value)
 {
-    const axis_range_t *range = range_of(number);
-    const bool bits = (range->kind & MEMBER_BITS) == 0U || ((uint32_t)value & ~(uint32_t)range->max) == 0U;
-    return value >= range->min && value <= range->max && bits;
+    const axis_range_t range = range_of(number);
+    const bool bits = (range.kind & MEMBER_BITS) == 0U || ((uint32_t)value & ~(uint32_t)range.max) == 0U;
+    return value >= range.min && value <= range.max && bits;
 }
 
 /* ---- a part of a block, and the host's words ------------------------------------------------------------------------ */
@@ -61,14 +74,16 @@ static int32_t get_word(const uint8_t *data, uint16_t word)
 /* CRC-32 as in zlib, four bits at a time: reflected, polynomial 04C11DB7h. */
 static uint32_t crc_bytes(uint32_t crc, uint32_t value, uint16_t size)
 {
-    static const uint32_t step[16] = {
+    static const uint32_t steps[16] TABLE_MEMORY = {
         UINT32_C(0x00000000), UINT32_C(0x1DB71064), UINT32_C(0x3B6E20C8), UINT32_C(0x26D930AC),
         UINT32_C(0x76DC4190), UINT32_C(0x6B6B51F4), UINT32_C(0x4DB26158), UINT32_C(0x5005713C),
         UINT32_C(0xEDB88320), UINT32_C(0xF00F9344), UINT32_C(0xD6D6A3E8), UINT32_C(0xCB61B38C),
         UINT32_C(0x9B64C2B0), UINT32_C(0x86D3D2D4), UINT32_C(0xA00AE278), UINT32_C(0xBDBDF21C),
     };
     for (uint16_t k = 0; k < 2U * size; k++) {
-        crc = (crc >> 4) ^ step[(crc ^ value) & 0xFU];
+        uint32_t step;
+        table_copy(&step, &steps[(crc ^ value) & 0xFU], sizeof step);
+        crc = (crc >> 4) ^ step;
         value >>= 4;
     }
     return crc;
@@ -80,7 +95,7 @@ static uint32_t checksum(const axis_config_t *block, uint16_t axis)
     crc = crc_bytes(crc, AXIS_MEMBERS, 4);
     crc = crc_bytes(crc, axis, 4);
     for (uint16_t k = 0; k < AXIS_MEMBERS; k++) {
-        const bool wide = (range_of(k)->kind & MEMBER_WIDE) != 0U;
+        const bool wide = (range_of(k).kind & MEMBER_WIDE) != 0U;
         crc = crc_bytes(crc, (uint32_t)member_get(block, k), wide ? 4U : 2U);
     }
     return crc ^ CRC_START;
@@ -91,7 +106,7 @@ static uint16_t rest_difference(const axis_config_t *block, const axis_config_t 
 {
     uint16_t k = 0;
     while (k < AXIS_MEMBERS &&
-           ((range_of(k)->kind & MEMBER_LIVE) != 0U || member_get(block, k) == member_get(other, k))) {
+           ((range_of(k).kind & MEMBER_LIVE) != 0U || member_get(block, k) == member_get(other, k))) {
         k++;
     }
     return k;

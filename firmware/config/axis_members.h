@@ -22,6 +22,7 @@ typedef struct {
     uint16_t range;
 } axis_member_t;
 
+/* Both in the memory of large tables: comm/table_memory.h. */
 extern const axis_range_t axis_ranges[];
 extern const axis_member_t axis_members[AXIS_MEMBERS];
 

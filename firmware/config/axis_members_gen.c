@@ -5,6 +5,8 @@
 
 #include <stddef.h>
 
+#include "comm/table_memory.h"
+
 #define OFFSET(path) ((uint16_t)offsetof(axis_config_t, path))
 #define SIZE(path) sizeof(((axis_config_t *)0)->path)
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
@@ -149,7 +151,7 @@ CHECK(135, SIZE(stop.hold_ticks) == 2);
 CHECK(136, SIZE(regeneration_speed) == 4);
 CHECK(137, SIZE(copper_current) == 2);
 
-const axis_range_t axis_ranges[] = {
+const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(16777216)},
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(1056964608)},
@@ -202,7 +204,7 @@ const axis_range_t axis_ranges[] = {
     {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(3136)},
 };
 
-const axis_member_t axis_members[AXIS_MEMBERS] = {
+const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(current_loop.d.kp), 0U},
     {OFFSET(current_loop.d.ki), 0U},
     {OFFSET(current_loop.d.kc), 1U},

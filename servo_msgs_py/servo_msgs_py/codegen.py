@@ -238,6 +238,8 @@ def member_table(table: AxisConfigTable) -> str:
 
 #include <stddef.h>
 
+#include "comm/table_memory.h"
+
 #define OFFSET(path) ((uint16_t)offsetof(axis_config_t, path))
 #define SIZE(path) sizeof(((axis_config_t *)0)->path)
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
@@ -245,11 +247,11 @@ def member_table(table: AxisConfigTable) -> str:
 /* The table and the structure agree on every size. */
 {checks}
 
-const axis_range_t axis_ranges[] = {{
+const axis_range_t axis_ranges[] TABLE_MEMORY = {{
 {limits}
 }};
 
-const axis_member_t axis_members[AXIS_MEMBERS] = {{
+const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {{
 {rows}
 }};
 """
