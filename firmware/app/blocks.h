@@ -77,7 +77,7 @@ typedef struct {
     uint16_t unused; /* the size is the same on every machine */
 } parameter_block_t;
 
-#define CONFIG_TOGETHER 24 /* members of a configuration block that are written at once */
+#define CONFIG_TOGETHER 22 /* members of a configuration block that are written at once */
 #define CONFIG_AXIS 0      /* words of the window */
 #define CONFIG_FIRST 1
 #define CONFIG_COUNT 2

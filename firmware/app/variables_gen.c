@@ -31,7 +31,7 @@ CHECK(13, SIZE(command.enable) == 4);
 CHECK(14, SIZE(command.quick_stop) == 4);
 CHECK(15, SIZE(command.clear_faults) == 4);
 CHECK(16, SIZE(command.points) == 128);
-CHECK(17, SIZE(config.window) == 108);
+CHECK(17, SIZE(config.window) == 100);
 CHECK(18, SIZE(config.header) == 16);
 CHECK(19, SIZE(config.take) == 2);
 CHECK(20, SIZE(config_status.layout) == 4);
@@ -687,7 +687,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(command.quick_stop), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.quick_stop */
     {OFFSET(command.clear_faults), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.clear_faults */
     {OFFSET(command.points), 4, 32, INT32_MIN, INT32_C(2147483647)}, /* cmd.points */
-    {OFFSET(config.window), 4, 27, INT32_MIN, INT32_C(2147483647)}, /* config.window */
+    {OFFSET(config.window), 4, 25, INT32_MIN, INT32_C(2147483647)}, /* config.window */
     {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */
     {OFFSET(config.take), 2, 1, INT32_C(0), INT32_C(3)}, /* config.take */
     {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */

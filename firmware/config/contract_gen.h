@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x33CF8F4A)
+#define CATALOGUE_HASH UINT32_C(0xD7FD1F9D)
 
 typedef enum {
     STATE_FAULT = 0,

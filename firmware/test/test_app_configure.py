@@ -144,7 +144,7 @@ def test_a_fault_may_not_be_answered_by_what_cannot_work(bench: BlockBench) -> N
         ([0, len(TABLE) - 1, 2, 0, 0], "MEMBER"),
         ([0, -1, 1, 0], "MEMBER"),
         ([0, 0, -1], "MEMBER"),
-        ([0, 0, 25, *[0] * 24], "MEMBER"),
+        ([0, 0, 23, *[0] * 22], "MEMBER"),
         ([0, 0, 2, 0], "FORM"),
         ([0, 0], "FORM"),
     ],
