@@ -1,9 +1,9 @@
 /* fault_rules.h - the tables that name faults; fault_isolate.c applies them. Tables only, so that a chip may keep them in a
  * slower memory. */
-#ifndef DIAGNOSIS_FAULT_RULES_H
-#define DIAGNOSIS_FAULT_RULES_H
+#ifndef SERVO_DIAGNOSIS_FAULT_RULES_H
+#define SERVO_DIAGNOSIS_FAULT_RULES_H
 
-#include "diagnosis/fault_isolate.h"
+#include "diagnosis/evidence.h"
 
 #define FAULT_CAUSES 4
 #define FAULT_REVISIONS 2
