@@ -35,7 +35,7 @@ static const case_t cases[] = {
 
 static int32_t variables[VARIABLES];
 static uint32_t samples[POINTS * VARIABLES];
-static recorder_memory_t memory = {samples, (uint16_t)sizeof samples, NULL};
+static recorder_memory_t memory = {.samples = samples, .size = sizeof samples};
 static recorder_t recorder;
 
 static const uint8_t strings[] = "v\0\xE2";
