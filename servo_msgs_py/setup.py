@@ -26,6 +26,7 @@ setup(
     python_requires=">=3.10",
     install_requires=["numpy", 'tomli; python_version < "3.11"'],
     extras_require={
+        "plot": ["matplotlib"],
         # Only for machines without ROS 2: there these come as wheels.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": ["pytest", "hypothesis"],
