@@ -24,7 +24,8 @@ int32s = st.integers(*INT32)
 @cache
 def axis_config(core: Core) -> Any:
     """What the configuration computes for axis 1."""
-    return core.ffi.addressof(Bench(core).axis(0).config, "speed_observer")
+    board = Bench(core)  # has the block, and has to outlive this line
+    return core.ffi.new("speed_observer_config_t *", board.axis(0).config.speed_observer)
 
 
 def saturated(x: int) -> int:
