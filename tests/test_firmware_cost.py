@@ -149,7 +149,7 @@ def test_everything_is_included(measurement: Measurement) -> None:
     """No part of the fast loop is missing from the run."""
     parts = {name.split("/")[1] for name, mean in measurement.stages.fast.items() if mean > 1.0}
     assert parts >= {
-        *("axis", "run_states", "encoder", "current_sense", "transforms"),
+        *("axis", "run_step", "encoder", "current_sense", "transforms"),
         *("trig", "pi", "current_loop", "svm", "dead_time"),
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zlib
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from servo_msgs_py.axis_config import AxisConfigError, AxisConfigTable, Member
 from servo_msgs_py.catalogue import Catalogue
@@ -22,6 +22,7 @@ def raw(member: Member) -> st.SearchStrategy[int]:
 BLOCKS = st.fixed_dictionaries({member.path: raw(member) for member in MEMBERS})
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # a block has many members
 @given(BLOCKS, st.integers(0, 1))
 def test_a_block_survives_bytes_and_words(block: dict[str, int], axis: int) -> None:
     data = TABLE.encode(block)
@@ -33,6 +34,7 @@ def test_a_block_survives_bytes_and_words(block: dict[str, int], axis: int) -> N
     assert TABLE.checksum(axis, block) != TABLE.checksum(1 - axis, block)
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(BLOCKS, st.sampled_from(MEMBERS), st.sampled_from([-1, 1]))
 def test_what_a_board_does_not_take_is_named(block: dict[str, int], member: Member, way: int) -> None:
     wrong = member.maximum + 1 if way > 0 else member.minimum - 1
