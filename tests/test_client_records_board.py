@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from line_world import World
-from servo_bridge.burst import Burst
-from servo_bridge.burst_request import Before, BurstRequest
+from servo_bridge.bursts.burst import Burst
+from servo_bridge.bursts.recording import Recording
+from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError
-from servo_bridge.recording import Recording
 from servo_bridge.wire.session import Session, connect
 
 

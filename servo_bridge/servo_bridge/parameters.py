@@ -22,7 +22,7 @@ from servo_msgs_py.node_shell import ParameterError, Spec, full_name
 from servo_msgs_py.node_shell import declare as declare_all
 from servo_msgs_py.robot_description import NO_LIMIT
 
-from servo_bridge.burst_request import BurstRequest
+from servo_bridge.bursts.request import BurstRequest
 from servo_bridge.telemetry import telemetry_variables
 from servo_bridge.tool_values import UsageError
 from servo_bridge.trajectory.goal import GoalDefaults

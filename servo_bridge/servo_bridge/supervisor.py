@@ -25,11 +25,12 @@ from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.node_shell import full_name
 from servo_msgs_py.robot_description import Motor, describe
 from servo_msgs_py.timed_points import periods_ahead
-from servo_msgs_py.units import PERIOD_NS
+from servo_msgs_py.units import PERIOD_NS, unwrap_u32
 from std_srvs.srv import SetBool, Trigger
 
 from servo_bridge.arbiter import Arbiter, CommandWrite
 from servo_bridge.board_parameters import BoardParameters
+from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
@@ -42,7 +43,6 @@ from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import error_of
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
-from servo_bridge.record_service import RecordService
 from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.setpoint_topics import SetPointTopics
 from servo_bridge.telemetry import Frame, Telemetry
@@ -69,7 +69,6 @@ _COMMAND_TIMEOUT: Final = "param.command_timeout"
 _TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
 _URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
 _SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
-
 
 T = TypeVar("T")
 
@@ -221,6 +220,7 @@ class Supervisor:
         self._records = RecordService(
             node,
             catalogue,
+            settings.recording,
             self._link.call,
             self._inbox.post,
             piece=self._link.layout.size,
@@ -228,7 +228,6 @@ class Supervisor:
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
-        self._records.request = settings.recording
         self._offer_services()
         self._start_timers()
         self._publish_description()
@@ -352,11 +351,12 @@ class Supervisor:
         return None if offset is None else self._wall.wall_ns(round(offset))
 
     def _times(self, ticks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Extended ticks of uint32 ticks of the last hours, and their ROS times [ns]."""
-        assert self._frame is not None
-        extended = self._frame.tick - ((self._frame.tick - ticks) & 0xFFFF_FFFF)
-        origin = self._board_clock.host_ns(0)
-        return extended, np.array([self._wall.wall_ns(origin + tick * PERIOD_NS) for tick in extended.tolist()])
+        """Extended ticks of uint32 ticks near that of the newest sample, and their ROS times [ns]."""
+        frame, origin_ns = self._frame, self._origin_ns()
+        assert frame is not None
+        assert origin_ns is not None
+        extended = np.array([unwrap_u32(tick, frame.tick) for tick in ticks.tolist()])
+        return extended, origin_ns + extended * PERIOD_NS
 
     def _pace_keep_alive(self) -> None:
         # What is wanted may be in force on the board long before it has been read again.

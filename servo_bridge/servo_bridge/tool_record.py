@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servo_bridge import burst_request
-from servo_bridge.burst import Burst
-from servo_bridge.burst_files import writer_for
-from servo_bridge.burst_request import BurstRequest
-from servo_bridge.recording import Phase, Recording
+from servo_bridge.bursts import request as burst_request
+from servo_bridge.bursts.burst import Burst
+from servo_bridge.bursts.files import writer_for
+from servo_bridge.bursts.recording import Phase, Recording
+from servo_bridge.bursts.request import BurstRequest
 from servo_bridge.tool_commands import record as record_rows
 from servo_bridge.tool_commands import warn
 from servo_bridge.tool_progress import ProgressLine

@@ -15,9 +15,10 @@ from fake_port import FakePort
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import RO, FakeEntry, FakeTarget
 from fake_target_v3 import FakeTargetV3
+from servo_bridge.bursts import recording
 from servo_bridge.tool_progress import ProgressLine
 
-from servo_bridge import recording, tool
+from servo_bridge import tool
 
 pytestmark = pytest.mark.realtime
 
@@ -30,7 +31,7 @@ TICKS = 400  # of the fast loop per request
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     monkeypatch.setenv("SERVO_PORT", str(tmp_path / "ttyFAKE"))
     monkeypatch.delenv("SERVO_BAUD", raising=False)
-    monkeypatch.setattr(recording, "_POLL", 0.001)
+    monkeypatch.setattr(recording, "POLL", 0.001)
     return lambda *arguments: tool.main(arguments)
 
 

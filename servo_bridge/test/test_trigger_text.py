@@ -9,10 +9,10 @@ from operator import ge, gt, le, lt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from servo_bridge.bursts.trigger_text import Expression, parse_expression, trigger_of
 from servo_bridge.freemaster.recorder import Compare
 from servo_bridge.freemaster.tsa import TargetVariable, TypeKind, ValueType, parse_type
 from servo_bridge.tool_values import UnknownVariableError, UsageError
-from servo_bridge.trigger_text import Expression, parse_expression, trigger_of
 from servo_bridge.wire.session import BoardVariable
 from servo_msgs_py.catalogue import Catalogue
 

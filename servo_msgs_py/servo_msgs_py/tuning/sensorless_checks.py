@@ -72,7 +72,7 @@ def _observer(axis: Axis, board: Board, pll: Pll) -> None:
 
 
 def _signs(axis: Axis, board: Board) -> None:
-    """K1 and K2 that somebody has typed."""
+    """K1 and K2 where the file gives them as numbers."""
     k1, k2, rate = axis("observer.k_1"), axis("observer.k_2"), board("pwm_frequency")
     if k1 >= 0.0:
         reason = "not below 0: the estimated current would leave the measured one"

@@ -170,7 +170,7 @@ class Twin:
             self.resync(self._cause)
 
     def blocks(self, blocks: Blocks) -> None:
-        """Take the configuration blocks that the real board had when somebody looked.
+        """Take the configuration blocks of the real board, as they were last read.
 
         Those that come as a command afterwards are taken at their tick. Begins anew when the twin's board has others.
         """

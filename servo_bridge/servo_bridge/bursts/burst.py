@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_bridge.bursts.trigger_text import channel_slot
 from servo_bridge.freemaster.commands import ScopeSlot
 from servo_bridge.freemaster.errors import CodecError
 from servo_bridge.freemaster.tsa import TypeKind
-from servo_bridge.trigger_text import channel_slot
 from servo_bridge.wire.session import BoardVariable
 
 __all__ = ["Burst", "Channel", "burst_of", "channels_of"]

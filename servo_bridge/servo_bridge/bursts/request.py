@@ -9,11 +9,11 @@ from typing import Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge.burst import Channel, channels_of
+from servo_bridge.bursts.burst import Channel, channels_of
+from servo_bridge.bursts.trigger_text import parse_expression, trigger_of
 from servo_bridge.freemaster.errors import RecorderError, StatusError
 from servo_bridge.freemaster.recorder import Limits, Recorder, Setup, Trigger
 from servo_bridge.tool_values import UsageError, lookup, opened
-from servo_bridge.trigger_text import parse_expression, trigger_of
 from servo_bridge.wire.session import Session
 
 __all__ = ["Before", "BurstRequest", "Prepared", "add_options"]

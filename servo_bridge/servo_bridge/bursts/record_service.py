@@ -16,10 +16,10 @@ from servo_msgs_py.convert import snapshot_message
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
-from servo_bridge.burst import Burst
-from servo_bridge.burst_request import BurstRequest
+from servo_bridge.bursts.burst import Burst
+from servo_bridge.bursts.recording import POLL, Phase, Recording
+from servo_bridge.bursts.request import BurstRequest
 from servo_bridge.outcome import error_of
-from servo_bridge.recording import Phase, Recording
 from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.wire.session import Session
 from servo_msgs_py import topics
@@ -29,8 +29,6 @@ __all__ = ["RecordService", "table_of"]
 T = TypeVar("T")
 
 _TICK: Final = "tick"
-_POLL: Final = 0.05
-"""Between two questions for the state of the recorder [s]."""
 
 
 class Call(Protocol):
@@ -48,6 +46,8 @@ class RecordService:
         Owner of service and topic.
     catalogue : Catalogue
         Meaning of the variables.
+    request : BurstRequest
+        What the service records.
     call : Call
         Way to the board.
     post : callable
@@ -58,12 +58,18 @@ class RecordService:
         From uint32 ticks, oldest first, to extended ticks and ROS times [ns].
     say, warn : callable
         Get a sentence for the log.
+
+    Attributes
+    ----------
+    request : BurstRequest
+        As above; another one counts from the next burst on.
     """
 
     def __init__(
         self,
         node: Node,
         catalogue: Catalogue,
+        request: BurstRequest,
         call: Call,
         post: Callable[[Callable[[], None]], None],
         *,
@@ -80,9 +86,9 @@ class RecordService:
         self._say, self._warn = say, warn
         self._recording: Recording | None = None
         self._answer: Future[Outcome] | None = None
-        self.request = BurstRequest(())
+        self.request = request
         self._publisher = node.create_publisher(Float64MultiArray, topics.RECORDING, topics.latched_qos())
-        self._timer = node.create_timer(_POLL, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = node.create_timer(POLL, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer.cancel()
         self._service = DeferredService(node, SetBool, topics.RECORD, lambda request: self._asked(request.data))
 

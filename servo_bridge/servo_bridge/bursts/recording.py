@@ -9,15 +9,15 @@ from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge.burst import Burst, burst_of
-from servo_bridge.burst_request import BurstRequest, Prepared
+from servo_bridge.bursts.burst import Burst, burst_of
+from servo_bridge.bursts.request import BurstRequest, Prepared
 from servo_bridge.freemaster.errors import RecorderError
 from servo_bridge.freemaster.recorder import SampleMemory, State, in_order, memory_checked
 from servo_bridge.wire.session import Session
 
-__all__ = ["Phase", "Recording"]
+__all__ = ["POLL", "Phase", "Recording"]
 
-_POLL: Final = 0.05
+POLL: Final = 0.05
 """Between two questions for the state of the recorder [s]."""
 
 _MARGIN: Final = 0.05
@@ -97,7 +97,7 @@ class Recording:
     @property
     def pause(self) -> float:
         """How long to wait before the next step [s]."""
-        return _POLL if self.phase in (Phase.RECORDING, Phase.WAITING, Phase.STOPPING) else 0.0
+        return POLL if self.phase in (Phase.RECORDING, Phase.WAITING, Phase.STOPPING) else 0.0
 
     @property
     def text(self) -> str:

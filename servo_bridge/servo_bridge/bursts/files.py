@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from servo_bridge.burst import Burst
+from servo_bridge.bursts.burst import Burst
 from servo_bridge.tool_values import UsageError
 
 __all__ = ["writer_for"]
