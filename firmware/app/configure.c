@@ -2,6 +2,7 @@
 
 #include <stddef.h>
 
+#include "app/words.h"
 #include "comm/table_memory.h"
 #include "config/axis_members.h"
 #include "drive/take_config.h"
@@ -58,14 +59,7 @@ static bool member_accepts(uint16_t number, int32_t value)
 
 /* ---- a part of a block, and the host's words ------------------------------------------------------------------------ */
 
-static int32_t get_word(const uint8_t *data, uint16_t word)
-{
-    uint32_t value = 0;
-    for (uint16_t k = 0; k < 4U; k++) {
-        value |= (uint32_t)(data[4U * word + k] & 0xFFU) << (8U * k);
-    }
-    return (int32_t)value;
-}
+static int32_t get_word(const uint8_t *data, uint16_t word) { return (int32_t)word_at(data + (size_t)(4U * word)); }
 
 /* ---- the sum of a block --------------------------------------------------------------------------------------------- */
 
@@ -255,7 +249,7 @@ static bool may_take(const configure_t *configure, config_status_t *status, cons
     return true;
 }
 
-/* Parameters that nobody has a reason to keep: their default has changed. */
+/* Parameters whose default has changed get the new one. */
 #define RENEW(parameter_element, member)                                                                               \
     do {                                                                                                               \
         if (before->member != after->member) {                                                                         \

@@ -2,6 +2,7 @@
 
 #include <stddef.h>
 
+#include "app/words.h"
 #include "drive/motion.h"
 
 /* Words of a point: tick; position [counts]; speed; i_q in the low half, then 12 bits of a count, the axis, and whether the
@@ -31,15 +32,6 @@ static record_t record_of(const uint32_t words[POINT_WORDS])
         .replace = (last & REPLACE_BIT) != 0U,
         .valid = (last & RESERVED_BITS) == 0U,
     };
-}
-
-static uint32_t word_at(const uint8_t *data)
-{
-    uint32_t word = 0;
-    for (uint16_t k = 0; k < 4U; k++) {
-        word |= (uint32_t)(data[k] & 0xFFU) << (8U * k);
-    }
-    return word;
 }
 
 static record_t record_at(const uint8_t *data)

@@ -4,6 +4,8 @@
 
 #include "comm/leb128.h"
 
+#define OPERATION_HEAD 2u /* code and length */
+
 const uint8_t *payload_take(payload_reader_t *reader, uint32_t size)
 {
     if (size > reader->left) {
@@ -41,6 +43,18 @@ int32_t payload_get_signed(payload_reader_t *reader)
     int32_t value = 0;
     step(reader, leb128_get_signed(reader->data, reader->left, &value));
     return value;
+}
+
+bool payload_next_operation(payload_reader_t *list, payload_operation_t *operation)
+{
+    if (list->left < OPERATION_HEAD) {
+        return false;
+    }
+    operation->code = payload_get_u8(list);
+    const uint8_t length = payload_get_u8(list);
+    const uint8_t *data = payload_take(list, length);
+    operation->operand = (payload_reader_t){data, length, false};
+    return data != NULL;
 }
 
 uint8_t *payload_reserve(payload_writer_t *writer, uint32_t size)

@@ -29,6 +29,16 @@ int32_t payload_get_signed(payload_reader_t *reader);
 /* The next `size` bytes, or NULL. */
 const uint8_t *payload_take(payload_reader_t *reader, uint32_t size);
 
+/* One of a list of operations: u8 code, u8 length, data. */
+typedef struct {
+    uint8_t code;
+    payload_reader_t operand;
+} payload_operation_t;
+
+/* The next operation of a list; false at its end, where a single left-over byte is ignored, and where one is cut off, which
+ * makes the list `missing`. */
+bool payload_next_operation(payload_reader_t *list, payload_operation_t *operation);
+
 /* Room for `size` more bytes, or NULL. */
 uint8_t *payload_reserve(payload_writer_t *writer, uint32_t size);
 

@@ -9,7 +9,6 @@
 #define OPERATION_VARIABLE 0x02u
 #define OPERATION_START 0x03u
 #define OPERATION_STOP 0x04u
-#define OPERATION_HEAD 2u /* code and length */
 
 #define QUERY_DESCRIPTION 0x81u
 #define QUERY_LIMITS 0x82u
@@ -253,17 +252,11 @@ static uint8_t run_operation(recorder_t *recorder, const tsa_space_t *space, uin
 uint8_t recorder_configure(recorder_t *recorder, const tsa_space_t *space, payload_reader_t *operations)
 {
     uint8_t status = FM_OK;
-    while (!fm_is_error(status) && operations->left >= OPERATION_HEAD) { /* a single left-over byte is ignored */
-        const uint8_t code = payload_get_u8(operations);
-        const uint8_t length = payload_get_u8(operations);
-        const uint8_t *data = payload_take(operations, length);
-        if (data == NULL) {
-            return FM_BAD_SIZE;
-        }
-        payload_reader_t operand = {data, length, false};
-        status = run_operation(recorder, space, code, &operand);
+    payload_operation_t operation;
+    while (!fm_is_error(status) && payload_next_operation(operations, &operation)) {
+        status = run_operation(recorder, space, operation.code, &operation.operand);
     }
-    return status;
+    return operations->missing ? FM_BAD_SIZE : status;
 }
 
 /* ---- answers ---------------------------------------------------------------------------------------------------- */

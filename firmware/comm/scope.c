@@ -6,7 +6,6 @@
 
 #define OPERATION_RESET 0x01u
 #define OPERATION_SLOT 0x02u
-#define OPERATION_HEAD 2u /* code and length */
 
 static void reset(scope_t *scope, uint8_t count)
 {
@@ -50,27 +49,21 @@ static uint8_t run_slot(scope_t *scope, const tsa_space_t *space, payload_reader
 uint8_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader_t *operations)
 {
     uint8_t status = FM_OK;
-    while (!fm_is_error(status) && operations->left >= OPERATION_HEAD) { /* a single left-over byte is ignored */
-        const uint8_t code = payload_get_u8(operations);
-        const uint8_t length = payload_get_u8(operations);
-        const uint8_t *data = payload_take(operations, length);
-        if (data == NULL) {
-            return FM_BAD_SIZE;
-        }
-        payload_reader_t operand = {data, length, false};
-        switch (code) {
+    payload_operation_t operation;
+    while (!fm_is_error(status) && payload_next_operation(operations, &operation)) {
+        switch (operation.code) {
         case OPERATION_RESET:
-            status = run_reset(scope, &operand);
+            status = run_reset(scope, &operation.operand);
             break;
         case OPERATION_SLOT:
-            status = run_slot(scope, space, &operand);
+            status = run_slot(scope, space, &operation.operand);
             break;
         default:
             status = FM_UNKNOWN_COMMAND;
             break;
         }
     }
-    return status;
+    return operations->missing ? FM_BAD_SIZE : status;
 }
 
 uint8_t scope_read(const scope_t *scope, const tsa_space_t *space, payload_writer_t *reply)
