@@ -2,6 +2,7 @@
 
 #include <stddef.h>
 
+#include "app/login.h"
 #include "app/points.h"
 #include "app/ranges.h"
 #include "app/variables.h"
@@ -77,6 +78,21 @@ static void written(void *context, uint16_t offset, uint16_t size)
     } else if (offset < offsetof(servo_t, config) || offset >= offsetof(servo_t, config_status)) {
         servo->marks.parameters = true; /* nothing else can be written */
     }
+}
+
+static uint32_t nonce(void *context)
+{
+    const servo_t *servo = (const servo_t *)context;
+    return login_nonce(servo->tick, servo->axis);
+}
+
+/* What moves an axis is a command, what changes how it moves is tuning. */
+static uint8_t level_to_write(void *context, uint16_t offset, uint16_t size)
+{
+    (void)context;
+    (void)size; /* no variable lies across the ends of a block */
+    const uint16_t begin = (uint16_t)offsetof(servo_t, command);
+    return (offset >= begin && offset < begin + sizeof(command_block_t)) ? ACCESS_COMMAND : ACCESS_TUNE;
 }
 
 static void write_to_all(servo_t *servo, uint16_t *field, uint16_t value)
@@ -193,7 +209,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         raise_on_all(servo, FINDING_WATCHDOG_RESET);
     }
 
-    const freemaster_app_t app = {
+    freemaster_app_t app = {
         .context = servo,
         .memory = (uint8_t *)servo,
         .memory_size = (uint32_t)offsetof(servo_t, hal),
@@ -211,7 +227,10 @@ void servo_init(servo_t *servo, hal_t *hal)
         .accepts = accepts,
         .written = written,
         .command = app_command,
+        .nonce = nonce,
+        .level_to_write = level_to_write,
     };
+    login_passwords(&app.passwords);
     freemaster_init(&servo->freemaster, &app);
 }
 

@@ -10,7 +10,8 @@
 #define SCOPES 1
 #define PIPES 0
 #define PROTOCOL_VERSION 4
-#define FLAGS 0x02 /* little endian, no passwords, remote access allowed */
+#define FLAGS 0x02u /* little endian, remote access allowed */
+#define FLAGS_GUARDED_AT 4u
 
 /* The order is the protocol's. */
 typedef enum {
@@ -78,7 +79,7 @@ uint8_t configuration_get(const freemaster_app_t *app, payload_reader_t *request
         payload_put_string(reply, app->build);
         break;
     case KEY_F1:
-        payload_put_u8(reply, FLAGS);
+        payload_put_u8(reply, (uint8_t)(FLAGS | (unsigned)access_guarded(&app->passwords) << FLAGS_GUARDED_AT));
         break;
     case KEY_BA:
         payload_put_unsigned(reply, TSA_VARIABLES_BASE);

@@ -90,6 +90,8 @@ uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *
     return copy_in(server, &place, data, mask);
 }
 
+uint8_t freemaster_level(const freemaster_t *server) { return server->access.level; }
+
 /* ---- commands -------------------------------------------------------------------------------------------------- */
 
 static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
@@ -102,6 +104,9 @@ static uint8_t read_range(freemaster_t *server, uint32_t address, uint32_t size,
 {
     tsa_place_t place;
     const uint8_t *samples = recorder_samples(&server->samples, address, size);
+    if (freemaster_level(server) < ACCESS_VIEW) {
+        return FM_PASSWORD_NEEDED;
+    }
     if (samples == NULL && !tsa_readable(&server->space, address, size, &place)) {
         return FM_DENIED;
     }
@@ -142,8 +147,15 @@ static uint8_t write_memory(freemaster_t *server, payload_reader_t *request, pay
     if (request->missing) {
         return FM_BAD_SIZE;
     }
+    if (freemaster_level(server) < ACCESS_COMMAND) {
+        return FM_PASSWORD_NEEDED;
+    }
     if (!tsa_writable(&server->space, address, size, &place)) {
         return FM_DENIED;
+    }
+    if (freemaster_level(server) <
+        server->app.level_to_write(server->app.context, (uint16_t)place.offset, place.size)) {
+        return FM_PASSWORD_NEEDED;
     }
     const uint8_t *data = payload_take(request, size);
     const uint8_t *mask = (flags & WRITE_MASKED) != 0 ? payload_take(request, size) : NULL;
@@ -235,6 +247,17 @@ static uint8_t get_string_length(freemaster_t *server, payload_reader_t *request
     return FM_OK_VARIABLE;
 }
 
+static uint8_t challenge_client(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    const uint32_t nonce = server->app.nonce(server->app.context);
+    return access_challenge(&server->access, nonce, request, reply);
+}
+
+static uint8_t check_password(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    return access_prove(&server->access, request, reply);
+}
+
 static uint8_t send_app_command(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     (void)reply;
@@ -272,6 +295,8 @@ static const command_t commands[] = {
     {0x27, read_scope},
     {0x29, get_tsa_info},
     {0x2A, get_string_length},
+    {0x2C, challenge_client},
+    {0x2D, check_password},
     {0x30, send_app_command},
     {0x31, get_app_command_status},
     {0x32, get_app_command_data},
@@ -344,6 +369,7 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
     frame_transmitter_init(&server->transmitter);
     scope_init(&server->scope);
     app_command_init(&server->app_command);
+    access_init(&server->access, &app->passwords);
 }
 
 void freemaster_poll(freemaster_t *server, hal_t *hal)

@@ -1,6 +1,6 @@
 /* freemaster.h - FreeMASTER v4 server: lets a client on the serial line read and write the application's variables.
  *
- * One scope, recorders, application commands, target-side addressing with safety; no pipes, passwords or sessions:
+ * One scope, recorders, application commands, target-side addressing with safety, passwords; no pipes or sessions:
  * their commands answer FM_UNKNOWN_COMMAND. A server is one freemaster_t; any number may live side by side.
  */
 #ifndef COMM_FREEMASTER_H
@@ -9,6 +9,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "comm/access.h"
 #include "comm/app_command.h"
 #include "comm/frame.h"
 #include "comm/freemaster_app.h"
@@ -35,6 +36,7 @@ typedef struct {
     recorder_memory_t samples;
     recorder_t recorder[FREEMASTER_RECORDERS];
     app_command_t app_command;
+    access_t access;
     freemaster_statistics_t statistics;
 } freemaster_t;
 
@@ -44,7 +46,10 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app);
  * handed to the line is dropped: a vendor target would destroy both answers. */
 void freemaster_poll(freemaster_t *server, hal_t *hal);
 
-/* As READMEM and WRITEMEM, without a frame and its limits; 0 or a status code. `mask` may be NULL. */
+/* What the client on the line may do: ACCESS_NONE .. ACCESS_TUNE. */
+uint8_t freemaster_level(const freemaster_t *server);
+
+/* As READMEM and WRITEMEM, without a frame, its limits and a password; 0 or a status code. `mask` may be NULL. */
 uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
                          uint16_t size);

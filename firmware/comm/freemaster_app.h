@@ -5,6 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "comm/access.h"
 #include "comm/app_command.h"
 #include "comm/recorder.h"
 #include "comm/tsa.h"
@@ -36,6 +37,14 @@ typedef struct {
     void (*written)(void *context, uint16_t offset, uint16_t size);
 
     app_command_run_t command;
+
+    access_passwords_t passwords;
+
+    /* A number that is hard to foresee, for the salt of a password. */
+    uint32_t (*nonce)(void *context);
+
+    /* The level that a client needs to write `size` bytes at `offset`: ACCESS_COMMAND or ACCESS_TUNE. */
+    uint8_t (*level_to_write)(void *context, uint16_t offset, uint16_t size);
 } freemaster_app_t;
 
 #endif

@@ -20,6 +20,8 @@
 #define FM_NOT_CONFIGURED UINT8_C(0x88)
 #define FM_DENIED UINT8_C(0x89)           /* not in the variable table; unknown configuration key */
 #define FM_NO_FLOAT UINT8_C(0x90)         /* no triggers on floating-point numbers */
+#define FM_PASSWORD_NEEDED UINT8_C(0x91)
+#define FM_PASSWORD_WRONG UINT8_C(0x92)
 #define FM_BAD_INSTANCE UINT8_C(0x94)     /* no such scope, recorder or slot of it */
 #define FM_BAD_OPERATION UINT8_C(0x95)    /* of a recorder */
 #define FM_OUT_OF_RANGE UINT8_C(0x97) /* the application refuses the value: it is outside the range of its variable */

@@ -6,6 +6,8 @@
 #ifndef SERVO_CONFIG_AXIS_CONFIG_H
 #define SERVO_CONFIG_AXIS_CONFIG_H
 
+#include "comm/access.h"
+#include "comm/sha1.h"
 #include "config/contract_gen.h"
 #include "control/current_loop.h"
 #include "control/friction.h"
@@ -84,6 +86,7 @@ typedef struct {
     brake_config_t brake;
     uint16_t host_timeout; /* defaults of the writable time-outs, slow ticks */
     uint16_t command_timeout;
+    uint8_t password[ACCESS_LEVELS][SHA1_SIZE]; /* SHA-1 by level, from ACCESS_VIEW on; zeros: no password */
 } servo_config_t;
 
 extern const servo_config_t servo_config;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -28,6 +29,8 @@ void harness_poke_live(harness_t *harness, uint16_t offset, const uint8_t *data,
 void harness_sample(harness_t *harness, uint16_t recorder);
 uint16_t harness_events(harness_t *harness, uint16_t triples[{3 * EVENTS}]);
 uint16_t harness_violations(const harness_t *harness);
+void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_t *command, const uint8_t *tune);
+uint8_t harness_level(const harness_t *harness);
 void harness_statistics(const harness_t *harness, uint32_t values[6]);
 """
 
@@ -119,6 +122,15 @@ class Board:
         triples = self._ffi.new("uint16_t[]", 3 * EVENTS)
         count = self._lib.harness_events(self._harness, triples)
         return [(EVENT_NAMES[triples[3 * i]], triples[3 * i + 1], triples[3 * i + 2]) for i in range(count)]
+
+    def set_passwords(self, *passwords: bytes | None) -> None:
+        """Start anew with these passwords for the levels 1, 2, 3."""
+        hashes = [self._ffi.NULL if text is None else hashlib.sha1(text).digest() for text in passwords]
+        self._lib.harness_set_passwords(self._harness, *hashes)
+
+    def level(self) -> int:
+        """What the client may do now."""
+        return int(self._lib.harness_level(self._harness))
 
     def violations(self) -> int:
         """Calls to the application that broke its rules."""

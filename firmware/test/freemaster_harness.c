@@ -3,7 +3,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "comm/sha1.h"
+
 #define SCRAMBLE 0xA5u
+#define TUNING 0x100u /* from this offset on the memory is for tuning */
 
 struct hal {
     uint8_t in[HARNESS_LINE];
@@ -25,6 +28,8 @@ struct harness {
     uint16_t violations;
     uint16_t events;
     uint16_t event[3 * HARNESS_EVENTS];
+    uint8_t password[ACCESS_LEVELS][SHA1_SIZE];
+    uint32_t nonces;
 };
 
 bool hal_serial_get(hal_t *hal, uint8_t *byte)
@@ -124,23 +129,20 @@ static uint8_t command(void *context, uint8_t code, const uint8_t *arguments, ui
     return 0x42;
 }
 
-harness_t *harness_new(void)
+static uint32_t nonce(void *context)
 {
-    harness_t *harness = calloc(1, sizeof *harness);
-    if (harness == NULL) {
-        return NULL;
-    }
-    harness->memory = malloc(fixture_memory_size);
-    harness->live = calloc(1, fixture_live_size);
-    harness->samples = calloc(1, HARNESS_SAMPLES);
-    if (harness->memory == NULL || harness->live == NULL || harness->samples == NULL) {
-        harness_free(harness);
-        return NULL;
-    }
-    memcpy(harness->memory, fixture_memory, fixture_memory_size);
-    scramble(harness);
-    harness->hal.put_room = HARNESS_LINE;
+    harness_t *harness = context;
+    return harness->nonces++;
+}
 
+static uint8_t level_to_write(void *context, uint16_t offset, uint16_t size)
+{
+    (void)context;
+    return (uint32_t)offset + size > TUNING ? ACCESS_TUNE : ACCESS_COMMAND;
+}
+
+static void start(harness_t *harness, const access_passwords_t *passwords)
+{
     const freemaster_app_t app = {
         .context = harness,
         .memory = harness->memory,
@@ -159,11 +161,50 @@ harness_t *harness_new(void)
         .accepts = accepts,
         .written = written,
         .command = command,
+        .passwords = *passwords,
+        .nonce = nonce,
+        .level_to_write = level_to_write,
     };
     memset(&harness->server, 0xEE, sizeof harness->server); /* init must not rely on cleared memory */
     freemaster_init(&harness->server, &app);
+}
+
+harness_t *harness_new(void)
+{
+    harness_t *harness = calloc(1, sizeof *harness);
+    if (harness == NULL) {
+        return NULL;
+    }
+    harness->memory = malloc(fixture_memory_size);
+    harness->live = calloc(1, fixture_live_size);
+    harness->samples = calloc(1, HARNESS_SAMPLES);
+    if (harness->memory == NULL || harness->live == NULL || harness->samples == NULL) {
+        harness_free(harness);
+        return NULL;
+    }
+    memcpy(harness->memory, fixture_memory, fixture_memory_size);
+    scramble(harness);
+    harness->hal.put_room = HARNESS_LINE;
+
+    const access_passwords_t none = {{NULL, NULL, NULL}};
+    start(harness, &none);
     return harness;
 }
+
+void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_t *command_, const uint8_t *tune)
+{
+    const uint8_t *given[ACCESS_LEVELS] = {view, command_, tune};
+    access_passwords_t passwords;
+    for (uint16_t i = 0; i < ACCESS_LEVELS; i++) {
+        if (given[i] != NULL) {
+            memcpy(harness->password[i], given[i], SHA1_SIZE);
+        }
+        passwords.password[i] = given[i] != NULL ? harness->password[i] : NULL;
+    }
+    start(harness, &passwords);
+}
+
+uint8_t harness_level(const harness_t *harness) { return freemaster_level(&harness->server); }
 
 void harness_free(harness_t *harness)
 {

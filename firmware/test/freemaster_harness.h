@@ -24,6 +24,10 @@ typedef struct harness harness_t;
 harness_t *harness_new(void);
 void harness_free(harness_t *harness);
 
+/* Start the server anew, with the SHA-1 of a password for each level (NULL: none of its own). */
+void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_t *command, const uint8_t *tune);
+uint8_t harness_level(const harness_t *harness);
+
 /* Bytes that the transmitter takes in each poll from now on. */
 void harness_set_put_room(harness_t *harness, uint16_t bytes);
 

@@ -14,6 +14,7 @@ NONE, RO, FLASH, RW = range(4)
 COMM_SOURCES = tuple(
     f"comm/{name}.c"
     for name in (
+        "access",
         "app_command",
         "configuration",
         "crc8",
@@ -24,6 +25,7 @@ COMM_SOURCES = tuple(
         "recorder",
         "recorder_take",
         "scope",
+        "sha1",
         "tsa",
     )
 )

@@ -16,7 +16,7 @@ from freemaster_recorder import SIGNED, START, STOP, VARIABLE, memory, variable
 
 AVR = ["-mmcu=atmega1284p", "-Os"]
 CORTEX_M3 = ["-mcpu=cortex-m3", "-mthumb", "-Os", "-ffreestanding", "-nostdlib", "-r"]
-CODE_SIZE_MAX = 6144  # bytes of code and constants on a Cortex-M3
+CODE_SIZE_MAX = 8192  # bytes of code and constants on a Cortex-M3
 RUN_TIME = 120.0  # seconds of patience with a simulator
 LINE = 700
 
@@ -49,6 +49,7 @@ def script() -> list[bytes]:
     frames += [request(0x31), request(0x30, b"\x11" + bytes(range(0x20, 0x40))), request(0x32, b"\x01\x00")]
     frames += [request(0x31), request(0x32, b"\x20\x00"), request(0x32, b"\x02" + uleb(2**32 - 1))]
     frames += recordings()
+    frames += [request(0x2C, bytes([level])) for level in range(4)] + [request(0x2D, b"\x03" + bytes(20))]
     frames += [source.randbytes(40) for _ in range(20)]
     return frames
 

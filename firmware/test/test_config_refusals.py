@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 from servo_msgs_py.tuning.braking import brake_constants
 from servo_msgs_py.tuning.constants import time_outs
 from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.passwords import password_constants
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
 from servo_msgs_py.tuning.source import c_source
@@ -410,3 +412,34 @@ def test_stops_reach_the_c_file() -> None:
     assert ".stop.shorted = FAULT_FOLLOWING_ERROR," in axis1
     assert ".stop.ramp = FAULT_HOST_SILENT | FAULT_OVER_SPEED," in axis1
     assert ".stop.hold = 0," in axis1
+
+
+# ---- passwords ------------------------------------------------------------------------------------------------------
+
+
+def test_passwords_go_into_the_firmware_as_hashes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SERVO_PASSWORD", "secret")
+    constants = password_constants(
+        configuration(board__passwords={"command": "env:SERVO_PASSWORD", "tune": "sha1:" + 20 * "0A"}).board.passwords
+    )
+    assert constants == {"password[1]": tuple(hashlib.sha1(b"secret").digest()), "password[2]": 20 * (10,)}
+    text = c_source([], {}, constants)
+    assert f".password[2] = {{{', '.join(['10'] * 20)}}}," in text
+    assert password_constants(configuration().board.passwords) == {}, "off by default"
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"command": "open sesame"}, r"board\.passwords\.command = \.\.\.: neither a hash"),
+        ({"view": "sha1:12"}, r"board\.passwords\.view = \.\.\.: neither a hash"),
+        ({"view": 12}, r"board\.passwords\.view = 12: no text"),
+        ({"tune": "env:SERVO_NOT_SET"}, r"env:SERVO_NOT_SET: the environment variable is not set"),
+        ({"tunes": "env:HOME"}, r"board\.passwords\.tunes is unknown; did you mean tune"),
+    ],
+)
+def test_passwords_that_are_none(entries: dict[str, object], message: str) -> None:
+    """The message never shows what may be the password itself."""
+    with pytest.raises(ConfigError, match=message) as error:
+        configuration(board__passwords=entries)
+    assert "sesame" not in str(error.value)

@@ -15,6 +15,7 @@ from servo_msgs_py.tuning.braking import brake_constants
 from servo_msgs_py.tuning.configuration import Configuration
 from servo_msgs_py.tuning.constants import time_outs
 from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.passwords import password_constants
 from servo_msgs_py.tuning.picture import PictureError, draw
 from servo_msgs_py.tuning.reading import load
 from servo_msgs_py.tuning.report import as_dict, axis_reports, text
@@ -71,7 +72,7 @@ def _generate(args: argparse.Namespace, configuration: Configuration) -> int:
     source = c_source(
         [report.tuned.constants for report in reports],
         brake_constants(configuration),
-        time_outs(configuration.board),
+        {**time_outs(configuration.board), **password_constants(configuration.board.passwords)},
     )
     stale = update([(args.output, source)], check=args.check)
     return 1 if args.check and stale else 0

@@ -10,6 +10,7 @@ from typing import Any, Final
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.errors import ConfigError, refused
+from servo_msgs_py.tuning.passwords import password_hashes
 from servo_msgs_py.tuning.schema import (
     AXIS_GROUPS,
     BOARD_GROUPS,
@@ -71,6 +72,8 @@ class Board:
         Of the heat sinks.
     brake : bool
         Whether there is a brake resistor.
+    passwords : mapping
+        SHA-1 of the password of each level that has one.
     complete : bool
         Whether the groups are there that no configuration block of an axis depends on, [board.brake] and
         [board.regeneration]; both or neither.
@@ -79,6 +82,7 @@ class Board:
     values: Mapping[str, float]
     temperature: Temperature
     brake: bool
+    passwords: Mapping[str, bytes]
     complete: bool = True
 
     def __call__(self, key: str) -> float:
@@ -110,16 +114,17 @@ class Board:
         """
         plain = dict(check_table("board", table))
         temperature = Temperature.of(plain.pop("temperature", {}))
+        passwords = password_hashes(plain.pop("passwords", {}))
         absent = all(group not in plain for group in BOARD_GROUPS)
         if absent:
-            return cls(check_group("board", "board", plain), temperature, brake=False, complete=False)
+            return cls(check_group("board", "board", plain), temperature, brake=False, passwords=passwords, complete=False)
         groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
         values = check_group("board", "board", plain)
         switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}
         for group, entries in groups.items():
             checked = check_group(f"board.{group}", group, entries)
             values |= {f"{group}.{key}": value for key, value in checked.items()}
-        return cls(values, temperature, check_switches("board.brake", switch, ["fitted"])["fitted"])
+        return cls(values, temperature, check_switches("board.brake", switch, ["fitted"])["fitted"], passwords)
 
     def refused(self, key: str, reason: str, remedy: str) -> ConfigError:
         """Error about one entry of the group."""

@@ -36,7 +36,7 @@ class Switches(tuple[str, ...]):
     """Features that are on, by their names in the contract."""
 
 
-Field = int | PiRaw | Switches | FaultSet | Category
+Field = int | tuple[int, ...] | PiRaw | Switches | FaultSet | Category
 AxisConstants = Mapping[str, Field]
 """C path of every field of ``axis_config_t`` with its value."""
 

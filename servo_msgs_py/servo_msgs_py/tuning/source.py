@@ -29,10 +29,10 @@ def _axis(constants: AxisConstants) -> str:
     return f"        {{\n{fields}\n        }},"
 
 
-def c_source(axes: Sequence[AxisConstants], brake: Mapping[str, int], time_outs: Mapping[str, int]) -> str:
+def c_source(axes: Sequence[AxisConstants], brake: Mapping[str, int], board: Mapping[str, Field]) -> str:
     """Text of the file; the same numbers give the same text."""
     body = "\n".join(_axis(axis) for axis in axes)
-    times = "\n".join(f"    .{name} = {value}," for name, value in time_outs.items())
+    rest = "\n".join(f"    .{name} = {_literal(value)}," for name, value in board.items())
     bus = "\n".join(f"        .{name} = {value}," for name, value in brake.items())
     return f"""{_BANNER}
 #include "config/axis_config.h"
@@ -45,6 +45,6 @@ const servo_config_t servo_config = {{
     .brake = {{
 {bus}
     }},
-{times}
+{rest}
 }};
 """

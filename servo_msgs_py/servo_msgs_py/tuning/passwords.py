@@ -1,0 +1,56 @@
+"""The group [board.passwords]: what a client on the serial line needs to know before it may do something."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping
+from typing import Final
+
+from servo_msgs_py.tuning.errors import refused
+from servo_msgs_py.tuning.schema import check_table, unknown_name
+
+__all__ = ["LEVELS", "password_constants", "password_hashes"]
+
+LEVELS: Final = ("view", "command", "tune")
+"""Names of the levels, from the lowest, in the order of ``ACCESS_VIEW``."""
+
+_HASH: Final = re.compile(r"sha1:([0-9a-fA-F]{40})")
+_VARIABLE: Final = re.compile(r"env:(\w+)")
+_FORM: Final = 'write "sha1:" and the 40 digits of its SHA-1, or "env:" and the name of an environment variable'
+
+
+def password_hashes(value: object) -> Mapping[str, bytes]:
+    """SHA-1 of the password of each level that has one.
+
+    Raises
+    ------
+    ConfigError
+        If a level is unknown, or its entry gives no password.
+    """
+    hashes: dict[str, bytes] = {}
+    for level, entry in check_table("board.passwords", value).items():
+        where = f"board.passwords.{level}"
+        if level not in LEVELS:
+            raise unknown_name(where, level, LEVELS)
+        if not isinstance(entry, str):
+            raise refused(where, repr(entry), "no text", _FORM)
+        if found := _HASH.fullmatch(entry):
+            hashes[level] = bytes.fromhex(found[1])
+        elif found := _VARIABLE.fullmatch(entry):
+            hashes[level] = _hash_of(where, entry, os.environ.get(found[1], ""))
+        else:  # it may be the password itself: a message must not show it
+            raise refused(where, "...", "neither a hash nor an environment variable", _FORM)
+    return hashes
+
+
+def _hash_of(where: str, entry: str, password: str) -> bytes:
+    if not password:
+        raise refused(where, entry, "the environment variable is not set, or empty", "put the password there")
+    return hashlib.sha1(password.encode("utf-8"), usedforsecurity=False).digest()
+
+
+def password_constants(hashes: Mapping[str, bytes]) -> dict[str, tuple[int, ...]]:
+    """Fields of ``servo_config_t``; a level that is left out has no password of its own."""
+    return {f"password[{LEVELS.index(level)}]": tuple(digest) for level, digest in hashes.items()}

@@ -1,0 +1,69 @@
+"""A board whose configuration has passwords asks for them on its serial line."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from servo_bridge.freemaster.codec import crc8, encode_uleb
+from servo_twin.board import Board
+from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PASSWORDS = {"command": b"drive", "tune": b"gains"}
+NEEDED, OK = 0x91, 0x00
+
+
+@pytest.fixture(scope="module")
+def firmware() -> Any:
+    table: dict[str, Any] = copy.deepcopy(tomllib.loads(SERVO_TOML.read_text(encoding="utf-8")))
+    table["board"]["passwords"] = {
+        level: f"sha1:{hashlib.sha1(text).hexdigest()}" for level, text in PASSWORDS.items()
+    }
+    return build_firmware(as_toml(table), "ideal")
+
+
+@pytest.fixture
+def board(firmware: Any) -> Iterator[Board]:
+    with Board(seed=1, level="ideal", firmware=firmware) as board:
+        board.run(0.01)
+        yield board
+
+
+def ask(board: Board, code: int, payload: bytes) -> bytes:
+    """Status and data of the answer."""
+    body = bytes([code, len(payload)]) + payload
+    board.serial_in(b"\x2b" + (body + bytes([crc8(body)])).replace(b"\x2b", b"\x2b\x2b"))
+    board.run(0.05)
+    return board.serial_out()[1:-1].replace(b"\x2b\x2b", b"\x2b")
+
+
+def write(board: Board, name: str, data: bytes) -> int:
+    """Status of writing a variable."""
+    return ask(board, 0x23, b"\x00" + encode_uleb(board.address(name)) + bytes([len(data)]) + data)[0]
+
+
+def log_in(board: Board, level: int, password: bytes) -> bytes:
+    salt = ask(board, 0x2C, bytes([level]))[3:19]
+    return ask(board, 0x2D, bytes([level]) + hashlib.sha1(salt + hashlib.sha1(password).digest() + salt).digest())
+
+
+def test_commands_and_parameters_have_their_passwords(board: Board) -> None:
+    command = ("cmd.speed", bytes(8))
+    parameter = ("param.host_timeout", b"\x00\x08")
+    assert (write(board, *command), write(board, *parameter)) == (NEEDED, NEEDED)
+    assert log_in(board, 2, b"drive") == b"\x00\x02"
+    assert (write(board, *command), write(board, *parameter)) == (OK, NEEDED)
+    assert log_in(board, 3, b"gains") == b"\x00\x03"
+    assert (write(board, *command), write(board, *parameter)) == (OK, OK)
+    assert board.read_raw("param.host_timeout") == [2048]
+    assert log_in(board, 3, b"guess") == b"\x92"
+    assert (write(board, *command), write(board, *parameter)) == (NEEDED, NEEDED)
