@@ -25,9 +25,7 @@ NEEDED, OK = 0x91, 0x00
 @pytest.fixture(scope="module")
 def firmware() -> Any:
     table: dict[str, Any] = copy.deepcopy(tomllib.loads(SERVO_TOML.read_text(encoding="utf-8")))
-    table["board"]["passwords"] = {
-        level: f"sha1:{hashlib.sha1(text).hexdigest()}" for level, text in PASSWORDS.items()
-    }
+    table["board"]["passwords"] = {level: f"sha1:{hashlib.sha1(text).hexdigest()}" for level, text in PASSWORDS.items()}
     return build_firmware(as_toml(table), "ideal")
 
 

@@ -10,6 +10,7 @@ void app_command_init(app_command_t *command)
 {
     command->code = 0;
     command->status = APP_COMMAND_NONE;
+    command->begun = false;
     command->arguments_size = 0;
     command->result_size = 0;
 }
@@ -35,19 +36,36 @@ uint8_t app_command_send(app_command_t *command, payload_reader_t *request)
     command->code = code;
     command->result_size = 0;
     command->status = APP_COMMAND_PENDING;
+    command->begun = false;
     return FM_OK;
+}
+
+static void finish(app_command_t *command, uint8_t code, uint16_t size)
+{
+    command->result_size = size <= APP_COMMAND_RESULT_MAX ? size : (uint16_t)APP_COMMAND_RESULT_MAX;
+    command->status = code <= APP_COMMAND_CODE_MAX ? code : APP_COMMAND_CODE_MAX;
 }
 
 uint8_t app_command_poll(app_command_t *command, app_command_run_t run, void *context)
 {
-    if (command->status == APP_COMMAND_PENDING) {
+    if (command->status == APP_COMMAND_PENDING && !command->begun) {
         uint16_t size = APP_COMMAND_RESULT_MAX;
+        command->begun = true;
         const uint8_t code =
             run(context, command->code, command->arguments, command->arguments_size, command->result, &size);
-        command->result_size = size <= APP_COMMAND_RESULT_MAX ? size : (uint16_t)APP_COMMAND_RESULT_MAX;
-        command->status = code <= APP_COMMAND_CODE_MAX ? code : APP_COMMAND_CODE_MAX;
+        if (code != APP_COMMAND_PENDING) {
+            finish(command, code, size);
+        }
     }
     return command->status;
+}
+
+void app_command_finish(app_command_t *command, uint8_t code, const uint8_t *result, uint16_t size)
+{
+    if (command->status == APP_COMMAND_PENDING && command->begun) {
+        finish(command, code, size);
+        memcpy(command->result, result, command->result_size);
+    }
 }
 
 uint8_t app_command_data(const app_command_t *command, payload_reader_t *request, payload_writer_t *reply)

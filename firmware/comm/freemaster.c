@@ -92,6 +92,11 @@ uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *
 
 uint8_t freemaster_level(const freemaster_t *server) { return server->access.level; }
 
+void freemaster_finish_command(freemaster_t *server, uint8_t code, const uint8_t *result, uint16_t size)
+{
+    app_command_finish(&server->app_command, code, result, size);
+}
+
 /* ---- commands -------------------------------------------------------------------------------------------------- */
 
 static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)

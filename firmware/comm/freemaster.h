@@ -49,6 +49,10 @@ void freemaster_poll(freemaster_t *server, hal_t *hal);
 /* What the client on the line may do: ACCESS_NONE .. ACCESS_TUNE. */
 uint8_t freemaster_level(const freemaster_t *server);
 
+/* What the application has answered with APP_COMMAND_PENDING is done; see app_command_finish. From the background, as
+ * freemaster_poll. */
+void freemaster_finish_command(freemaster_t *server, uint8_t code, const uint8_t *result, uint16_t size);
+
 /* As READMEM and WRITEMEM, without a frame, its limits and a password; 0 or a status code. `mask` may be NULL. */
 uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,

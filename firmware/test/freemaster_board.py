@@ -30,6 +30,7 @@ void harness_sample(harness_t *harness, uint16_t recorder);
 uint16_t harness_events(harness_t *harness, uint16_t triples[{3 * EVENTS}]);
 uint16_t harness_violations(const harness_t *harness);
 void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_t *command, const uint8_t *tune);
+void harness_finish(harness_t *harness, uint8_t code, const uint8_t *result, uint16_t size);
 uint8_t harness_level(const harness_t *harness);
 void harness_statistics(const harness_t *harness, uint32_t values[6]);
 """
@@ -127,6 +128,10 @@ class Board:
         """Start anew with these passwords for the levels 1, 2, 3."""
         hashes = [self._ffi.NULL if text is None else hashlib.sha1(text).digest() for text in passwords]
         self._lib.harness_set_passwords(self._harness, *hashes)
+
+    def finish(self, code: int, result: bytes = b"") -> None:
+        """Let the application finish a command that it has left pending."""
+        self._lib.harness_finish(self._harness, code, result, len(result))
 
     def level(self) -> int:
         """What the client may do now."""

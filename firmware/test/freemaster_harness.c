@@ -109,7 +109,7 @@ static void written(void *context, uint16_t offset, uint16_t size)
     note(harness, EVENT_WRITTEN, offset, size);
 }
 
-/* 0x11 answers the complements of its arguments; any other code nothing, and itself as the result. */
+/* 0x11 answers the complements of its arguments; any other code nothing, and itself as the result: FE stays pending. */
 static uint8_t command(void *context, uint8_t code, const uint8_t *arguments, uint16_t size, uint8_t *result,
                        uint16_t *result_size)
 {
@@ -202,6 +202,11 @@ void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_
         passwords.password[i] = given[i] != NULL ? harness->password[i] : NULL;
     }
     start(harness, &passwords);
+}
+
+void harness_finish(harness_t *harness, uint8_t code, const uint8_t *result, uint16_t size)
+{
+    freemaster_finish_command(&harness->server, code, result, size);
 }
 
 uint8_t harness_level(const harness_t *harness) { return freemaster_level(&harness->server); }

@@ -189,6 +189,41 @@ def test_command_arguments(servo: Board) -> None:
 
 def test_reserved_codes(servo: Board) -> None:
     assert servo.ask(SEND, b"\xff") == Answer(0x81), "would look pending for ever"
-    for code, result in ((0xF7, 0xF7), (0xF8, 0xF7), (0xFE, 0xF7)):
+    for code, result in ((0xF7, 0xF7), (0xF8, 0xF7), (0xFD, 0xF7)):
         assert servo.ask(SEND, bytes([code])) == OK
         assert servo.ask(STATUS) == Answer(0, bytes([result])), "reserved results do not leave the server"
+
+
+LATER = b"\xfe"
+"""A command that the application of the harness does not finish by itself."""
+
+
+def test_command_that_takes_its_time(servo: Board) -> None:
+    servo.ask(SEND, b"\x11\x01")
+    servo.ask(STATUS)
+    servo.finish(0x21)
+    assert servo.ask(STATUS) == Answer(0, b"\x42"), "none is under way"
+    assert servo.ask(SEND, LATER + b"\x07") == OK
+    servo.finish(0x21, b"early")
+    for _ in range(3):
+        assert servo.ask(STATUS) == Answer(0, b"\xfe"), "not begun by finishing it"
+        assert servo.ask(SEND, b"\x11") == servo.ask(DATA, b"\x01\x00") == Answer(0x87)
+    assert [event for event in servo.events() if event[0] == "command"] == [("command", 0x11, 1), ("command", 0xFE, 1)]
+    servo.finish(0x21, b"done")
+    servo.finish(0x22, b"twice")
+    assert servo.ask(STATUS) == Answer(0, b"\x21")
+    assert servo.ask(DATA, b"\x04\x00") == Answer(0x40, b"done")
+    assert servo.ask(DATA, b"\x05\x00") == Answer(0x86)
+    assert servo.ask(SEND, b"\x11") == OK
+    assert servo.ask(STATUS) == Answer(0, b"\x42")
+
+
+@pytest.mark.parametrize(("code", "result", "answered"), [(0xFE, b"", 0xF7), (0xFF, b"", 0xF7), (0, bytes(40), 0)])
+def test_what_a_late_result_may_be(servo: Board, code: int, result: bytes, answered: int) -> None:
+    servo.ask(SEND, LATER)
+    servo.ask(STATUS)
+    servo.finish(code, result)
+    assert servo.ask(STATUS) == Answer(0, bytes([answered]))
+    size = min(len(result), 32)
+    assert servo.ask(DATA, bytes([size + 1, 0])) == Answer(0x86)
+    assert servo.ask(SEND, b"\x05") == OK
