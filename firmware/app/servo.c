@@ -63,7 +63,11 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
         .positions = (uint16_t)offsetof(servo_t, command.position),
         .snapshot = &servo->snapshot,
     };
-    return ranges_accept(&memory, offset, data, mask, size);
+    const bool accepted = ranges_accept(&memory, offset, data, mask, size);
+    if (!accepted) {
+        journal_refused(&servo->journal, servo->tick, offset);
+    }
+    return accepted;
 }
 
 static void written(void *context, uint16_t offset, uint16_t size)
@@ -205,7 +209,9 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->host_silence = 0;
     servo->host_seen = false;
 
-    if (hal_reset_by_watchdog(hal)) {
+    const bool by_watchdog = hal_reset_by_watchdog(hal);
+    journal_init(&servo->journal, by_watchdog);
+    if (by_watchdog) {
         raise_on_all(servo, FINDING_WATCHDOG_RESET);
     }
 
@@ -227,6 +233,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         .accepts = accepts,
         .written = written,
         .command = app_command,
+        .console = "log",
         .nonce = nonce,
         .level_to_write = level_to_write,
     };
@@ -497,7 +504,12 @@ void servo_edge_isr(servo_t *servo, uint16_t axis) { axis_edge(&servo->axis[axis
 
 void servo_break_isr(servo_t *servo, uint16_t axis) { axis_break(&servo->axis[axis]); }
 
-void servo_background(servo_t *servo) { freemaster_poll(&servo->freemaster, servo->hal); }
+void servo_background(servo_t *servo)
+{
+    journal_watch(&servo->journal, &servo->snapshot);
+    journal_print(&servo->journal, &servo->freemaster);
+    freemaster_poll(&servo->freemaster, servo->hal);
+}
 
 uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size)
 {

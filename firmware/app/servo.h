@@ -8,6 +8,7 @@
 
 #include "app/blocks.h"
 #include "app/configure.h"
+#include "app/journal.h"
 #include "app/latch.h"
 #include "app/monitor.h"
 #include "comm/freemaster.h"
@@ -59,6 +60,7 @@ typedef struct servo {
     uint16_t host_commands_seen;     /* by the last supervision */
     uint16_t host_silence;           /* slow ticks since then */
     bool host_seen;                  /* the line has carried a command at all */
+    journal_t journal;
     freemaster_t freemaster;
     uint32_t samples[SERVO_SAMPLES / 4];
 } servo_t;

@@ -13,7 +13,17 @@ typedef struct {
     int32_t max;
 } variable_range_t;
 
+/* Names of the values 0, 1, ..: offsets in the strings of servo_variables. */
+typedef struct {
+    const uint16_t *offset;
+    uint16_t count;
+} name_list_t;
+
 extern const tsa_table_t servo_variables;
+extern const name_list_t servo_state_names;
+extern const name_list_t servo_substate_names;
+extern const name_list_t servo_refusal_names;
+extern const name_list_t servo_fault_names; /* of the bits */
 extern const variable_range_t servo_ranges[];
 extern const uint16_t servo_ranges_count;
 

@@ -390,7 +390,27 @@ static const char strings[] TABLE_MEMORY =
     "axis2.mode\0"
     "axis2.event_command\0"
     "axis2.event_mode\0"
-    "axis2.event_state\0";
+    "axis2.event_state\0"
+    "OVER_VOLTAGE\0"
+    "UNDER_VOLTAGE\0"
+    "OVER_CURRENT\0"
+    "CURRENT_OFFSET\0"
+    "ROTOR_SEARCH\0"
+    "HOST_SILENT\0"
+    "STALLED\0"
+    "RUNAWAY\0"
+    "ENCODER_LOST\0"
+    "FOLLOWING_ERROR\0"
+    "OVER_SPEED\0"
+    "ENCODER_REVERSED\0"
+    "OVER_TEMPERATURE\0"
+    "START_UP\0"
+    "SPEED_FEEDBACK\0"
+    "ANGLE_MISMATCH\0"
+    "PHASE_LOST\0"
+    "CURRENT_SENSE\0"
+    "LATE_LOOP\0"
+    "WATCHDOG\0";
 
 static const tsa_entry_t entries[] TABLE_MEMORY = {
     {0, 8, 0, 2, TSA_KIND_NONE}, /* state_t */
@@ -677,6 +697,15 @@ const tsa_table_t servo_variables = {
     entries, (uint16_t)(sizeof entries / sizeof entries[0]), (const uint8_t *)strings, (uint16_t)(sizeof strings - 1),
     sources, (uint16_t)(sizeof sources / sizeof sources[0])
 };
+
+static const uint16_t state_offsets[] = {15, 29, 34, 39};
+const name_list_t servo_state_names = {state_offsets, 4};
+static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87};
+const name_list_t servo_substate_names = {substate_offsets, 6};
+static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 119, 265, 278, 283};
+const name_list_t servo_refusal_names = {refusal_offsets, 11};
+static const uint16_t fault_offsets[] = {2545, 2558, 2572, 2585, 2600, 159, 2613, 2625, 2633, 2641, 2654, 2670, 2681, 2698, 2715, 2724, 2739, 2754, 2765, 2779, 2789};
+const name_list_t servo_fault_names = {fault_offsets, 21};
 
 const variable_range_t servo_ranges[] = {
     {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */

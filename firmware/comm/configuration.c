@@ -8,7 +8,7 @@
 #define KEY_SIZE 3u
 
 #define SCOPES 1
-#define PIPES 0
+#define PIPES 1
 #define PROTOCOL_VERSION 4
 #define FLAGS 0x02u /* little endian, remote access allowed */
 #define FLAGS_GUARDED_AT 4u

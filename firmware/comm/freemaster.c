@@ -97,6 +97,13 @@ void freemaster_finish_command(freemaster_t *server, uint8_t code, const uint8_t
     app_command_finish(&server->app_command, code, result, size);
 }
 
+uint16_t freemaster_console_room(const freemaster_t *server) { return pipe_room(&server->pipe); }
+
+void freemaster_print(freemaster_t *server, const uint8_t *text, uint16_t size)
+{
+    pipe_write(&server->pipe, text, size);
+}
+
 /* ---- commands -------------------------------------------------------------------------------------------------- */
 
 static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
@@ -252,6 +259,16 @@ static uint8_t get_string_length(freemaster_t *server, payload_reader_t *request
     return FM_OK_VARIABLE;
 }
 
+static uint8_t exchange_pipe(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    return pipe_exchange(&server->pipe, request, reply);
+}
+
+static uint8_t get_pipe(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
+{
+    return pipe_query(&server->pipe, request, reply);
+}
+
 static uint8_t challenge_client(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint32_t nonce = server->app.nonce(server->app.context);
@@ -298,10 +315,12 @@ static const command_t commands[] = {
     {0x25, get_recorder},
     {0x26, set_scope},
     {0x27, read_scope},
+    {0x28, exchange_pipe},
     {0x29, get_tsa_info},
     {0x2A, get_string_length},
     {0x2C, challenge_client},
     {0x2D, check_password},
+    {0x2F, get_pipe},
     {0x30, send_app_command},
     {0x31, get_app_command_status},
     {0x32, get_app_command_data},
@@ -375,6 +394,7 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
     scope_init(&server->scope);
     app_command_init(&server->app_command);
     access_init(&server->access, &app->passwords);
+    pipe_init(&server->pipe, app->console);
 }
 
 void freemaster_poll(freemaster_t *server, hal_t *hal)

@@ -1,6 +1,6 @@
 /* freemaster.h - FreeMASTER v4 server: lets a client on the serial line read and write the application's variables.
  *
- * One scope, recorders, application commands, target-side addressing with safety, passwords; no pipes or sessions:
+ * One scope, recorders, application commands, target-side addressing with safety, passwords, a pipe; no sessions:
  * their commands answer FM_UNKNOWN_COMMAND. A server is one freemaster_t; any number may live side by side.
  */
 #ifndef COMM_FREEMASTER_H
@@ -13,6 +13,7 @@
 #include "comm/app_command.h"
 #include "comm/frame.h"
 #include "comm/freemaster_app.h"
+#include "comm/pipe.h"
 #include "comm/scope.h"
 #include "comm/tsa.h"
 #include "hal/hal.h"
@@ -37,6 +38,7 @@ typedef struct {
     recorder_t recorder[FREEMASTER_RECORDERS];
     app_command_t app_command;
     access_t access;
+    pipe_t pipe;
     freemaster_statistics_t statistics;
 } freemaster_t;
 
@@ -52,6 +54,10 @@ uint8_t freemaster_level(const freemaster_t *server);
 /* What the application has answered with APP_COMMAND_PENDING is done; see app_command_finish. From the background, as
  * freemaster_poll. */
 void freemaster_finish_command(freemaster_t *server, uint8_t code, const uint8_t *result, uint16_t size);
+
+/* Bytes of text that the client's console has room for now, and text for it: as a whole, or not at all. */
+uint16_t freemaster_console_room(const freemaster_t *server);
+void freemaster_print(freemaster_t *server, const uint8_t *text, uint16_t size);
 
 /* As READMEM and WRITEMEM, without a frame, its limits and a password; 0 or a status code. `mask` may be NULL. */
 uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size);

@@ -38,6 +38,8 @@ typedef struct {
 
     app_command_run_t command;
 
+    const char *console; /* name of its pipe */
+
     access_passwords_t passwords;
 
     /* A number that is hard to foresee, for the salt of a password. */

@@ -19,6 +19,7 @@
 #define FM_BUSY UINT8_C(0x87)
 #define FM_NOT_CONFIGURED UINT8_C(0x88)
 #define FM_DENIED UINT8_C(0x89)           /* not in the variable table; unknown configuration key */
+#define FM_PIPE UINT8_C(0x8C)           /* no such pipe, or no request for one */
 #define FM_NO_FLOAT UINT8_C(0x90)         /* no triggers on floating-point numbers */
 #define FM_PASSWORD_NEEDED UINT8_C(0x91)
 #define FM_PASSWORD_WRONG UINT8_C(0x92)

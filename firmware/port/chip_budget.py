@@ -62,7 +62,7 @@ POINTERS: Final[Mapping[str, str]] = {
     "app_command.c:run": "app_command",
     "freemaster.c:run": r"(read|write)_memory|read_memory_from_base|(read|set)_scope|send_app_command"
     r"|(set|get)_recorder|get_(tsa_info|string_length|configuration|app_command_status|app_command_data)"
-    r"|challenge_client|check_password",
+    r"|challenge_client|check_password|exchange_pipe|get_pipe",
 }
 """Functions that a pointer may hold, by its name in the source, or by file and name."""
 

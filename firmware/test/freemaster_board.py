@@ -31,6 +31,7 @@ uint16_t harness_events(harness_t *harness, uint16_t triples[{3 * EVENTS}]);
 uint16_t harness_violations(const harness_t *harness);
 void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_t *command, const uint8_t *tune);
 void harness_finish(harness_t *harness, uint8_t code, const uint8_t *result, uint16_t size);
+void harness_print(harness_t *harness, const uint8_t *text, uint16_t size);
 uint8_t harness_level(const harness_t *harness);
 void harness_statistics(const harness_t *harness, uint32_t values[6]);
 """
@@ -132,6 +133,10 @@ class Board:
     def finish(self, code: int, result: bytes = b"") -> None:
         """Let the application finish a command that it has left pending."""
         self._lib.harness_finish(self._harness, code, result, len(result))
+
+    def print(self, text: bytes) -> None:
+        """Let the application print a text on the client's console."""
+        self._lib.harness_print(self._harness, text, len(text))
 
     def level(self) -> int:
         """What the client may do now."""

@@ -161,6 +161,7 @@ static void start(harness_t *harness, const access_passwords_t *passwords)
         .accepts = accepts,
         .written = written,
         .command = command,
+        .console = "log",
         .passwords = *passwords,
         .nonce = nonce,
         .level_to_write = level_to_write,
@@ -207,6 +208,11 @@ void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_
 void harness_finish(harness_t *harness, uint8_t code, const uint8_t *result, uint16_t size)
 {
     freemaster_finish_command(&harness->server, code, result, size);
+}
+
+void harness_print(harness_t *harness, const uint8_t *text, uint16_t size)
+{
+    freemaster_print(&harness->server, text, size);
 }
 
 uint8_t harness_level(const harness_t *harness) { return freemaster_level(&harness->server); }

@@ -28,6 +28,7 @@ void harness_free(harness_t *harness);
 void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_t *command, const uint8_t *tune);
 /* The application is done with a command that it has left pending. */
 void harness_finish(harness_t *harness, uint8_t code, const uint8_t *result, uint16_t size);
+void harness_print(harness_t *harness, const uint8_t *text, uint16_t size);
 uint8_t harness_level(const harness_t *harness);
 
 /* Bytes that the transmitter takes in each poll from now on. */

@@ -22,6 +22,7 @@ COMM_SOURCES = tuple(
         "freemaster",
         "leb128",
         "payload",
+        "pipe",
         "recorder",
         "recorder_take",
         "scope",

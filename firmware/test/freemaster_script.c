@@ -46,6 +46,7 @@ int main(void)
 {
     static uint8_t answer[HARNESS_LINE];
     harness_t *harness = harness_new();
+    harness_print(harness, (const uint8_t *)"text + text\n", 12);
     open_output();
     printf("begin\n");
     for (const uint8_t *frame = fixture_script; harness != NULL && *frame != 0; frame += 1 + *frame) {

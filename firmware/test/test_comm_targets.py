@@ -49,6 +49,8 @@ def script() -> list[bytes]:
     frames += [request(0x31), request(0x30, b"\x11" + bytes(range(0x20, 0x40))), request(0x32, b"\x01\x00")]
     frames += [request(0x31), request(0x32, b"\x20\x00"), request(0x32, b"\x02" + uleb(2**32 - 1))]
     frames += recordings()
+    frames += [request(0x28, bytes([port, 3, 0x2B])) for port in (1, 1, 0x81, 2)]
+    frames += [request(0x2F, bytes([flags, 1 - flags, what])) for flags in (0, 1) for what in (0x81, 0x82)]
     frames += [request(0x2C, bytes([level])) for level in range(4)] + [request(0x2D, b"\x03" + bytes(20))]
     frames += [source.randbytes(40) for _ in range(20)]
     return frames

@@ -131,6 +131,24 @@ def _source_row(variable: Variable, address: str) -> str:
     return f"    {{{address}, OFFSET({variable.source}){part}, {variable.size}}}, /* {variable.name} */"
 
 
+def _name_lists(catalogue: Catalogue, strings: _Strings) -> str:
+    """Names of states, refusals and faults by their numbers, for texts that the board composes."""
+    lists = {
+        "state": dict(catalogue.enums.get("state_t", {})),
+        "substate": dict(catalogue.enums.get("substate_t", {})),
+        "refusal": dict(catalogue.enums.get("point_refusal_t", {})),
+        "fault": {flag.name: flag.bit for flag in catalogue.flags.get("faults", ())},
+    }
+    lines: list[str] = []
+    for name, values in lists.items():
+        if list(values.values()) != list(range(len(values))):
+            raise CatalogueError(f"names of {name}: the numbers are not 0, 1, .. in order")
+        offsets = ", ".join(str(strings.offset(key, len(key))) for key in values) or "0"
+        lines.append(f"static const uint16_t {name}_offsets[] = {{{offsets}}};")
+        lines.append(f"const name_list_t servo_{name}_names = {{{name}_offsets, {len(values)}}};")
+    return "\n".join(lines)
+
+
 def variable_table(catalogue: Catalogue) -> str:
     """The TSA table: enumerations with their constants, then every variable with its place in ``servo_t``.
 
@@ -152,6 +170,7 @@ def variable_table(catalogue: Catalogue) -> str:
         kind = "TSA_KIND_RW" if v.writable else "TSA_KIND_RO"
         row(v.name, _type_text(v), *places[v.name], kind)
     sources = "\n".join(_source_row(v, places[v.name][0]) for v in catalogue.variables.values() if v.source)
+    names = _name_lists(catalogue, strings)
     ranges = "\n".join(_range_row(v, catalogue) for v in catalogue.variables.values() if v.writable)
     return f"""{_BANNER}
 /* clang-format off */
@@ -185,6 +204,8 @@ const tsa_table_t servo_variables = {{
     entries, (uint16_t)(sizeof entries / sizeof entries[0]), (const uint8_t *)strings, (uint16_t)(sizeof strings - 1),
     sources, (uint16_t)(sizeof sources / sizeof sources[0])
 }};
+
+{names}
 
 const variable_range_t servo_ranges[] = {{
 {ranges}

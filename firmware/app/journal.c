@@ -1,0 +1,249 @@
+#include "app/journal.h"
+
+#include <string.h>
+
+#include "app/variables.h"
+#include "comm/table_memory.h"
+#include "config/contract_gen.h"
+
+#define NAME_UNKNOWN "?"
+
+typedef enum {
+    EVENT_RESET,
+    EVENT_WATCHDOG,
+    EVENT_STATE,
+    EVENT_FAULT,
+    EVENT_CLEARED,
+    EVENT_POINTS,
+    EVENT_REFUSED,
+    EVENT_LATE,
+    EVENT_OVERRUN,
+} event_kind_t;
+
+/* ---- events ----------------------------------------------------------------------------------------------------- */
+
+static void note(journal_t *journal, uint32_t tick, event_kind_t kind, uint16_t axis, uint16_t value)
+{
+    if (journal->count == JOURNAL_EVENTS) {
+        journal->first = (uint16_t)((journal->first + 1U) % JOURNAL_EVENTS);
+        journal->count--;
+        journal->lost = (uint16_t)(journal->lost + (journal->lost < UINT16_MAX ? 1U : 0U));
+    }
+    journal_event_t *event = &journal->event[(journal->first + journal->count) % JOURNAL_EVENTS];
+    event->tick = tick;
+    event->kind = (uint8_t)kind;
+    event->axis = (uint8_t)axis;
+    event->value = value;
+    journal->count++;
+}
+
+void journal_init(journal_t *journal, bool by_watchdog)
+{
+    *journal = (journal_t){0};
+    note(journal, 0, by_watchdog ? EVENT_WATCHDOG : EVENT_RESET, 0, 0);
+}
+
+static void compare_axis(journal_t *journal, uint32_t tick, uint16_t index, const journal_axis_t *now)
+{
+    journal_axis_t *old = &journal->axis[index];
+    for (uint16_t bit = 0; bit < servo_fault_names.count; bit++) {
+        if (((now->faults & ~old->faults) >> bit & 1U) != 0U) {
+            note(journal, tick, EVENT_FAULT, index, bit);
+        }
+    }
+    if (now->faults == 0U && old->faults != 0U) {
+        note(journal, tick, EVENT_CLEARED, index, 0);
+    }
+    if (now->state != old->state || (now->state == (uint16_t)STATE_RUN && now->substate != old->substate)) {
+        note(journal, tick, EVENT_STATE, index, (uint16_t)(now->state << 8U | now->substate));
+    }
+    *old = *now;
+}
+
+static void compare_count(journal_t *journal, uint32_t tick, event_kind_t kind, uint16_t *old, uint16_t now,
+                          uint16_t value)
+{
+    if (now != *old) {
+        note(journal, tick, kind, 0, value);
+        *old = now;
+    }
+}
+
+void journal_watch(journal_t *journal, const volatile snapshot_t *snapshot)
+{
+    const uint32_t tick = snapshot->tick;
+    if (tick == journal->tick) {
+        return;
+    }
+    journal_axis_t axis[HAL_AXES];
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        axis[i].faults = snapshot->axis[i].faults;
+        axis[i].state = snapshot->axis[i].state;
+        axis[i].substate = snapshot->axis[i].substate;
+    }
+    const uint16_t points_refused = snapshot->points_refused;
+    const uint16_t refusal = snapshot->point_refusal;
+    const uint16_t late = snapshot->late_loops;
+    const uint16_t overruns = snapshot->receiver_overruns;
+    if (snapshot->tick != tick) {
+        return; /* another one came meanwhile: the next look gets all of it */
+    }
+    journal->tick = tick;
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        compare_axis(journal, tick, i, &axis[i]);
+    }
+    compare_count(journal, tick, EVENT_POINTS, &journal->points_refused, points_refused, refusal);
+    compare_count(journal, tick, EVENT_LATE, &journal->late_loops, late, late);
+    compare_count(journal, tick, EVENT_OVERRUN, &journal->receiver_overruns, overruns, overruns);
+}
+
+void journal_refused(journal_t *journal, uint32_t tick, uint16_t offset)
+{
+    note(journal, tick, EVENT_REFUSED, 0, offset);
+}
+
+/* ---- lines ------------------------------------------------------------------------------------------------------ */
+
+typedef struct {
+    uint8_t *text;
+    uint16_t size;
+} writer_t;
+
+static void put(writer_t *writer, const char *text)
+{
+    for (; *text != '\0' && writer->size < JOURNAL_LINE - 1U; text++) {
+        writer->text[writer->size++] = (uint8_t)*text;
+    }
+}
+
+static void put_number(writer_t *writer, uint32_t number)
+{
+    char digits[11]; /* of 32 bits */
+    char *digit = &digits[sizeof digits - 1U];
+    *digit = '\0';
+    do {
+        *--digit = (char)('0' + (char)(number % 10U));
+        number /= 10U;
+    } while (number != 0U);
+    put(writer, digit);
+}
+
+/* A string of the table of variables. */
+static void put_stored(writer_t *writer, uint16_t offset)
+{
+    const uint8_t *at = servo_variables.strings + offset;
+    for (uint8_t c = table_byte(at); c != 0U && writer->size < JOURNAL_LINE - 1U; c = table_byte(++at)) {
+        writer->text[writer->size++] = c;
+    }
+}
+
+static void put_name(writer_t *writer, const name_list_t *names, uint16_t value)
+{
+    if (value < names->count) {
+        put_stored(writer, names->offset[value]);
+    } else {
+        put(writer, NAME_UNKNOWN);
+    }
+}
+
+static void put_variable(writer_t *writer, uint16_t offset)
+{
+    for (uint16_t i = 0; i < servo_variables.entries; i++) {
+        tsa_entry_t entry;
+        table_copy(&entry, &servo_variables.entry[i], sizeof entry);
+        if (entry.kind == TSA_KIND_RW && offset + TSA_VARIABLES_BASE - entry.address < entry.size) {
+            put_stored(writer, entry.name);
+            return;
+        }
+    }
+    put(writer, NAME_UNKNOWN);
+}
+
+static void put_event(writer_t *writer, const journal_event_t *event)
+{
+    switch ((event_kind_t)event->kind) {
+    case EVENT_RESET:
+        put(writer, "reset");
+        break;
+    case EVENT_WATCHDOG:
+        put(writer, "reset by the watchdog");
+        break;
+    case EVENT_STATE:
+        put_name(writer, &servo_state_names, (uint16_t)(event->value >> 8U));
+        if (event->value >> 8U == (uint16_t)STATE_RUN) {
+            put(writer, "/");
+            put_name(writer, &servo_substate_names, (uint16_t)(event->value & 0xFFU));
+        }
+        break;
+    case EVENT_FAULT:
+        put(writer, "fault ");
+        put_name(writer, &servo_fault_names, event->value);
+        break;
+    case EVENT_CLEARED:
+        put(writer, "faults cleared");
+        break;
+    case EVENT_POINTS:
+        put(writer, "points refused: ");
+        put_name(writer, &servo_refusal_names, event->value);
+        break;
+    case EVENT_REFUSED:
+        put(writer, "refused ");
+        put_variable(writer, event->value);
+        break;
+    case EVENT_LATE:
+        put(writer, "late loops: ");
+        put_number(writer, event->value);
+        break;
+    case EVENT_OVERRUN:
+        put(writer, "receiver overruns: ");
+        put_number(writer, event->value);
+        break;
+    }
+}
+
+static bool is_of_an_axis(uint8_t kind)
+{
+    return kind == (uint8_t)EVENT_STATE || kind == (uint8_t)EVENT_FAULT || kind == (uint8_t)EVENT_CLEARED;
+}
+
+/* The oldest line. */
+static uint16_t compose(const journal_t *journal, uint8_t line[JOURNAL_LINE])
+{
+    writer_t writer = {line, 0};
+    const journal_event_t *event = &journal->event[journal->first];
+    put_number(&writer, event->tick);
+    put(&writer, " ");
+    if (journal->lost != 0U) {
+        put(&writer, "lost before: ");
+        put_number(&writer, journal->lost);
+    } else {
+        if (is_of_an_axis(event->kind)) {
+            put(&writer, "axis");
+            put_number(&writer, event->axis + 1U);
+            put(&writer, " ");
+        }
+        put_event(&writer, event);
+    }
+    line[writer.size++] = (uint8_t)'\n';
+    return writer.size;
+}
+
+static void forget(journal_t *journal)
+{
+    if (journal->lost != 0U) {
+        journal->lost = 0;
+    } else {
+        journal->first = (uint16_t)((journal->first + 1U) % JOURNAL_EVENTS);
+        journal->count--;
+    }
+}
+
+void journal_print(journal_t *journal, freemaster_t *server)
+{
+    while (journal->count != 0U && freemaster_console_room(server) >= JOURNAL_LINE) {
+        uint8_t line[JOURNAL_LINE];
+        const uint16_t size = compose(journal, line);
+        freemaster_print(server, line, size);
+        forget(journal);
+    }
+}

@@ -1,0 +1,55 @@
+/* journal.h - what has happened, as lines of text with their tick: for the console of a client.
+ *
+ * The background compares each snapshot with the one before: the interrupts do nothing for it. Of what comes and goes
+ * between two of its looks only the last is noted. Events are kept until their line is wanted; the oldest go first.
+ */
+#ifndef SERVO_APP_JOURNAL_H
+#define SERVO_APP_JOURNAL_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "app/blocks.h"
+#include "comm/freemaster.h"
+
+#define JOURNAL_EVENTS 10
+#define JOURNAL_LINE 56 /* bytes at most, with the end of the line */
+
+typedef struct {
+    uint32_t tick;
+    uint8_t kind;
+    uint8_t axis;
+    uint16_t value;
+} journal_event_t;
+
+typedef struct {
+    fault_set_t faults;
+    uint16_t state;
+    uint16_t substate;
+} journal_axis_t;
+
+typedef struct {
+    journal_event_t event[JOURNAL_EVENTS];
+    uint16_t first;
+    uint16_t count;
+    uint16_t lost; /* since the last line */
+    uint32_t tick; /* of the snapshot looked at last */
+    uint16_t points_refused;
+    uint16_t late_loops;
+    uint16_t receiver_overruns;
+    journal_axis_t axis[HAL_AXES];
+} journal_t;
+
+/* The board has been reset, by its watchdog or not. */
+void journal_init(journal_t *journal, bool by_watchdog);
+
+/* Note what is new in the snapshot, which an interrupt may be writing. */
+void journal_watch(journal_t *journal, const volatile snapshot_t *snapshot);
+
+/* The board has not taken what was to be written at this offset of servo_t. */
+void journal_refused(journal_t *journal, uint32_t tick, uint16_t offset);
+
+/* Hand lines to the console of the client, as many as it has room for now. */
+void journal_print(journal_t *journal, freemaster_t *server);
+
+#endif

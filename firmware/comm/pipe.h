@@ -1,0 +1,39 @@
+/* pipe.h - text of the application for a console of the client (PIPE, GETPIPE): one pipe, from here to there.
+ *
+ * The client fetches what is queued and acknowledges it with its next request; until then it is sent again. A toggle bit
+ * tells a new request from a repeated one. What a client sends is taken and ignored: it needs no answer.
+ */
+#ifndef COMM_PIPE_H
+#define COMM_PIPE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "comm/payload.h"
+
+#define PIPE_PORT UINT8_C(1)
+#define PIPE_QUEUE 96 /* bytes */
+
+typedef struct {
+    const char *name;
+    bool odd;         /* toggle bit of the next new request */
+    uint8_t accepted; /* bytes that the last new one has brought */
+    uint8_t size;     /* bytes queued */
+    uint8_t queue[PIPE_QUEUE];
+} pipe_t;
+
+void pipe_init(pipe_t *pipe, const char *name);
+
+/* Bytes that can be queued now. */
+static inline uint16_t pipe_room(const pipe_t *pipe) { return (uint16_t)(PIPE_QUEUE - pipe->size); }
+
+/* Queue a text as a whole, or not at all if there is no room. */
+void pipe_write(pipe_t *pipe, const uint8_t *text, uint16_t size);
+
+/* PIPE: u8 port with the toggle bit, u8 bytes received, data. */
+uint8_t pipe_exchange(pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply);
+
+/* GETPIPE: u8 flags, u8 index or port, u8 operation. */
+uint8_t pipe_query(const pipe_t *pipe, payload_reader_t *request, payload_writer_t *reply);
+
+#endif
