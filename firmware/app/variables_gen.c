@@ -11,6 +11,8 @@
 #define AT(path) ((uint32_t)(TSA_VARIABLES_BASE + offsetof(servo_t, path)))
 #define LIVE(number) (TSA_LIVE_BASE + 4U * (number))
 #define SIZE(path) ((uint16_t)sizeof(((servo_t *)0)->path))
+#define IN(type, member) ((uint32_t)offsetof(type, member))
+#define SIZE_IN(type, member) ((uint16_t)sizeof(((type *)0)->member))
 #define CHECK(number, holds) typedef char check_##number[(holds) ? 1 : -1]
 
 /* The table and the structure agree on every size. */
@@ -191,6 +193,20 @@ CHECK(173, SIZE(axis[1].command.mode) >= 2);
 CHECK(174, SIZE(axis[1].events.command) >= 2);
 CHECK(175, SIZE(axis[1].events.mode) >= 2);
 CHECK(176, SIZE(axis[1].sm.entered) >= 2);
+CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
+CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
+CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
+CHECK(fault_record_t_state, IN(fault_record_t, state) == 10 && SIZE_IN(fault_record_t, state) == 2);
+CHECK(fault_record_t_substate, IN(fault_record_t, substate) == 12 && SIZE_IN(fault_record_t, substate) == 2);
+CHECK(fault_record_t_next, IN(fault_record_t, next) == 14 && SIZE_IN(fault_record_t, next) == 2);
+CHECK(fault_record_t_size, IN(fault_record_t, size) == 16 && SIZE_IN(fault_record_t, size) == 2);
+CHECK(fault_record_t_unused, IN(fault_record_t, unused) == 18 && SIZE_IN(fault_record_t, unused) == 2);
+CHECK(fault_record_t_i_d, IN(fault_record_t, i_d) == 20 && SIZE_IN(fault_record_t, i_d) == 128);
+CHECK(fault_record_t_i_q, IN(fault_record_t, i_q) == 148 && SIZE_IN(fault_record_t, i_q) == 128);
+CHECK(fault_record_t_theta_e, IN(fault_record_t, theta_e) == 276 && SIZE_IN(fault_record_t, theta_e) == 128);
+CHECK(fault_record_t_u_dc, IN(fault_record_t, u_dc) == 404 && SIZE_IN(fault_record_t, u_dc) == 128);
+CHECK(fault_record_t_speed, IN(fault_record_t, speed) == 532 && SIZE_IN(fault_record_t, speed) == 128);
+CHECK(fault_record_t, sizeof(fault_record_t) == 660);
 
 static const char strings[] TABLE_MEMORY =
     "state_t\0"
@@ -246,11 +262,10 @@ static const char strings[] TABLE_MEMORY =
     "AXIS2_U_Q\0"
     "AXIS2_THETA_E\0"
     "AXIS2_SPEED\0"
-    "catalogue_hash\0"
-    "\xE2\0"
-    "snapshot\0"
-    "\xE0\0"
+    "snapshot_t\0"
+    "\xED:STRUCT\0"
     "tick\0"
+    "\xE2\0"
     "applied_tick\0"
     "applied_count\0"
     "\xE1\0"
@@ -260,10 +275,38 @@ static const char strings[] TABLE_MEMORY =
     "receiver_overruns\0"
     "points_refused\0"
     "point_refusal\0"
-    "cmd.position\0"
+    "axis\0"
+    "axis_snapshot_t\0"
+    "monitor\0"
+    "position\0"
     "\xF2\0"
-    "cmd.speed\0"
+    "position_ref\0"
+    "speed\0"
     "\xF6\0"
+    "speed_ref\0"
+    "i_q\0"
+    "i_d\0"
+    "i_q_ref\0"
+    "u_d\0"
+    "u_q\0"
+    "theta_e\0"
+    "state\0"
+    "substate\0"
+    "faults\0"
+    "first_fault\0"
+    "limits\0"
+    "points_waiting\0"
+    "points_taken\0"
+    "points_late\0"
+    "fault_record_t\0"
+    "pending\0"
+    "code\0"
+    "next\0"
+    "size\0"
+    "catalogue_hash\0"
+    "snapshot\0"
+    "cmd.position\0"
+    "cmd.speed\0"
     "cmd.i_q\0"
     "cmd.mode\0"
     "cmd.enable\0"
@@ -467,145 +510,188 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {427, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
     {437, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
     {451, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {463, 478, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {480, 489, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {491, 478, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {496, 478, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {509, 523, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {525, 530, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {532, 523, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
-    {543, 523, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
-    {561, 523, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
-    {576, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {590, 603, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {605, 615, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {617, 530, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {625, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {634, 523, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {645, 523, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {660, 523, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {677, 603, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {688, 603, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {702, 603, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {716, 523, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {728, 478, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {742, 478, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {758, 478, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {776, 523, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {795, 523, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {810, 523, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {825, 523, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {847, 615, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {865, 615, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {890, 530, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {906, 523, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {921, 603, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {940, 603, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {959, 603, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {981, 615, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {998, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1013, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1030, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1050, 478, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {1071, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {1085, 523, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {1104, 523, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {1126, 523, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {1138, 615, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {1147, 603, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {1162, 603, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {1181, 615, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {1193, 615, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {1209, 530, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {1219, 530, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {1229, 530, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {1243, 530, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {1253, 530, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {1263, 530, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1277, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1289, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1304, 478, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1317, 523, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1335, 523, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1348, 523, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {1369, 523, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {1388, 523, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {1406, 530, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1420, 615, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1441, 530, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1464, 530, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1483, 523, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1507, 478, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1521, 489, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1540, 530, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1562, 603, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {1589, 530, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {1599, 530, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {1609, 530, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {1619, 530, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {1633, 530, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {1646, 530, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {1659, 530, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {1672, 603, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {1683, 603, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {1694, 603, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {1709, 615, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {1725, 615, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {1744, 615, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {1760, 603, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {1776, 603, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {1792, 603, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {1807, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
-    {1818, 523, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {1838, 523, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {1855, 523, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {1873, 603, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {1888, 603, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {1907, 615, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {1919, 615, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {1935, 530, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {1945, 530, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {1955, 530, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {1969, 530, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {1979, 530, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {1989, 530, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {2003, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {2015, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2030, 478, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2043, 523, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2061, 523, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {2074, 523, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {2095, 523, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {2114, 523, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {2132, 530, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {2146, 615, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {2167, 530, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {2190, 530, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {2209, 523, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {2233, 478, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {2247, 489, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {2266, 530, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {2288, 603, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {2315, 530, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {2325, 530, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {2335, 530, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {2345, 530, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {2359, 530, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {2372, 530, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {2385, 530, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {2398, 603, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {2409, 603, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {2420, 603, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {2435, 615, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {2451, 615, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {2470, 615, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {2486, 603, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {2502, 603, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {2518, 603, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {2533, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
-    {2544, 523, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {2564, 523, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {2581, 523, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {463, 474, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
+    {483, 488, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
+    {490, 488, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
+    {503, 517, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
+    {519, 524, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {526, 517, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
+    {537, 517, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
+    {555, 517, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
+    {570, 214, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
+    {584, 589, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
+    {605, 524, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
+    {589, 474, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
+    {613, 622, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
+    {624, 622, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
+    {637, 643, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
+    {645, 643, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
+    {655, 524, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {659, 524, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {663, 524, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
+    {671, 524, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
+    {675, 524, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
+    {679, 524, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {687, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
+    {693, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
+    {702, 488, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
+    {709, 517, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
+    {721, 517, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
+    {728, 517, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
+    {743, 517, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
+    {756, 517, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
+    {768, 474, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {783, 488, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {483, 488, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
+    {791, 517, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {687, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
+    {693, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
+    {796, 517, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {801, 517, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {659, 524, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {655, 524, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {679, 524, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {519, 524, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {637, 524, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
+    {806, 488, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {821, 463, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {483, 488, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {490, 488, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {503, 517, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {519, 524, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {526, 517, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {537, 517, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {555, 517, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
+    {570, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
+    {830, 622, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {843, 643, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {853, 524, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {861, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {870, 517, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {881, 517, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {896, 517, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {913, 622, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {924, 622, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {938, 622, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {952, 517, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {964, 488, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {978, 488, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {994, 488, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1012, 517, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1031, 517, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1046, 517, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1061, 517, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1083, 643, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1101, 643, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1126, 524, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1142, 517, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1157, 622, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1176, 622, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {1195, 622, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {1217, 643, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {1234, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1249, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1266, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1286, 488, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {1307, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {1321, 517, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {1340, 517, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {1362, 517, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {1374, 643, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {1383, 622, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {1398, 622, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {1417, 643, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {1429, 643, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {1445, 524, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {1455, 524, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {1465, 524, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {1479, 524, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {1489, 524, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {1499, 524, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1513, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1525, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1540, 488, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1553, 517, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1571, 517, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1584, 517, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {1605, 517, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {1624, 517, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {1642, 524, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1656, 643, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1677, 524, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1700, 524, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1719, 517, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1743, 488, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1757, 768, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1776, 524, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1798, 622, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {1825, 524, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {1835, 524, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {1845, 524, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {1855, 524, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {1869, 524, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {1882, 524, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {1895, 524, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {1908, 622, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {1919, 622, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {1930, 622, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {1945, 643, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {1961, 643, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {1980, 643, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {1996, 622, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2012, 622, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2028, 622, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2043, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2054, 517, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2074, 517, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2091, 517, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2109, 622, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2124, 622, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {2143, 643, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {2155, 643, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {2171, 524, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {2181, 524, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {2191, 524, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {2205, 524, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {2215, 524, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {2225, 524, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {2239, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {2251, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2266, 488, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2279, 517, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2297, 517, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {2310, 517, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {2331, 517, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {2350, 517, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {2368, 524, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {2382, 643, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {2403, 524, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {2426, 524, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {2445, 517, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {2469, 488, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {2483, 768, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {2502, 524, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {2524, 622, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {2551, 524, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {2561, 524, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {2571, 524, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {2581, 524, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {2595, 524, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {2608, 524, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {2621, 524, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {2634, 622, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {2645, 622, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {2656, 622, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {2671, 643, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {2687, 643, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {2706, 643, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {2722, 622, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {2738, 622, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {2754, 622, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {2769, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
+    {2780, 517, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {2800, 517, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {2817, 517, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] = {
@@ -704,7 +790,7 @@ static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87};
 const name_list_t servo_substate_names = {substate_offsets, 6};
 static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 119, 265, 278, 283};
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
-static const uint16_t fault_offsets[] = {2545, 2558, 2572, 2585, 2600, 159, 2613, 2625, 2633, 2641, 2654, 2670, 2681, 2698, 2715, 2724, 2739, 2754, 2765, 2779, 2789};
+static const uint16_t fault_offsets[] = {2835, 2848, 2862, 2875, 2890, 159, 2903, 2915, 2923, 2931, 2944, 2960, 2971, 2988, 3005, 3014, 3029, 3044, 3055, 3069, 3079};
 const name_list_t servo_fault_names = {fault_offsets, 21};
 
 const variable_range_t servo_ranges[] = {

@@ -6,7 +6,7 @@ import math
 import sys
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -272,6 +272,8 @@ class Catalogue:
     bits: Mapping[str, Mapping[str, int]]
     scales: Mapping[str, Scale]
     hash: int
+    structs: Mapping[str, tuple[Variable, ...]] = field(default_factory=dict)
+    """Members of the blocks that hold no variables, in the order of the memory; name and path are the C name."""
 
     @classmethod
     def load(cls, path: Path | None = None) -> Catalogue:
@@ -320,7 +322,14 @@ class Catalogue:
             if variable.name in variables:
                 raise CatalogueError(f"{variable.name}: named twice")
             variables[variable.name] = variable
-        return cls(variables, enums, flags, bits, scales, _hash(variables, enums, flags))
+        structs = {
+            name: tuple(
+                _variable({"name": key, "path": key, "description": "", **entry}, scales, enums, flags)
+                for key, entry in members.items()
+            )
+            for name, members in table.get("structs", {}).items()
+        }
+        return cls(variables, enums, flags, bits, scales, _hash(variables, enums, flags), structs)
 
     def __getitem__(self, name: str) -> Variable:
         """Variable by name; a `KeyError` names the closest ones."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -16,10 +15,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 __all__ = ["COLUMNS", "FaultRecord", "record_variable"]
 
-_HEAD: Final = struct.Struct("<II6H")  # pending, tick, code, state, substate, next, size, unused
-_SAMPLES: Final = 64
-_RINGS: Final = {"i_d": "current", "i_q": "current", "theta_e": "angle", "u_dc": "bus_voltage", "speed": "speed"}
-"""Rings of the record in the order of ``fault_record_t``, each of `_SAMPLES` int16, and their scales."""
+_STRUCTURE: Final = "fault_record_t"
 _TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
 _WATCH_PERIOD: Final = SLOW_PERIODS // 2
 """PWM period after a slow tick in which the firmware takes its samples (``firmware/app/servo.c``)."""
@@ -67,12 +63,16 @@ class FaultRecord:
         ValueError
             If they are none.
         """
-        if not isinstance(data, bytes) or len(data) != _HEAD.size + 2 * _SAMPLES * len(_RINGS):
+        members = catalogue.structs[_STRUCTURE]
+        if not isinstance(data, bytes) or len(data) != sum(member.size for member in members):
             raise ValueError(f"{record_variable(axis)} is not a record of this version")
-        _, tick, code, state, substate, following, size, _ = _HEAD.unpack_from(data)
-        raw = np.frombuffer(data, "<i2", offset=_HEAD.size).reshape(len(_RINGS), _SAMPLES)
-        full = [catalogue.scales[scale].full_scale or 1.0 for scale in _RINGS.values()]
-        rings = {name: ring * scale / 2.0**15 for name, ring, scale in zip(_RINGS, raw, full, strict=True)}
+        raw: dict[str, list[int]] = {}
+        for member in members:
+            raw[member.name], data = member.decode_raw(data[: member.size]), data[member.size :]
+        tick, code, state, substate, following, size = (
+            raw[name][0] for name in ("tick", "code", "state", "substate", "next", "size")
+        )
+        rings = {m.name: np.array(raw[m.name]) * m.lsb for m in members if m.count > 1}
         flags = {flag.bit + 1: flag for flag in catalogue.flags["faults"]}
         label = catalogue.label("state_t", state)
         place = f"RUN/{catalogue.label('substate_t', substate)}" if label == "RUN" else label
@@ -113,8 +113,9 @@ class FaultRecord:
 def _table(
     tick: int, axis: int, following: int, size: int, rings: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    size = min(size, _SAMPLES)
-    order = (following - size + np.arange(size)) % _SAMPLES
+    room = len(rings["i_d"])
+    size = min(size, room)
+    order = (following - size + np.arange(size)) % room
     samples = {name: ring[order] for name, ring in rings.items()}
     # The last sample is of the fault's own period. In the period of the samples axis 1 is sampled behind its fast loop,
     # so that there is no other one, and axis 2 half a period before.

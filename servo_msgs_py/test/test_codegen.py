@@ -144,6 +144,7 @@ def test_table_names_every_variable_once_and_strings_are_shared() -> None:
         assert table.count(f'"{variable.name}\\0"') == 1
     assert table.count('"state_t\\0"') == 1
     checked = sum(bool(v.path and v.size) + bool(v.source) for v in CATALOGUE.variables.values())
+    checked += sum(1 + len(members) for members in CATALOGUE.structs.values())
     assert table.count("CHECK(") == 1 + checked
 
 
