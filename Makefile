@@ -63,7 +63,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-firmware chip-budget bench-twin launch-tools targets test lint format build fast generate tune clean
+.PHONY: help setup demo up experiments bench bench-firmware chip-budget bench-twin launch-tools targets fuzz test lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -109,6 +109,9 @@ launch-tools: $(VENV)/.packages ## `ros2 launch`, for the tests, from a folder w
 
 targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on every compiler and machine
 	@PYTHONPATH=tests $(BIN)/python -m targets $(TARGETS_ARGS)
+
+fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
+	@$(BIN)/python firmware/test/freemaster_fuzz.py --seconds $(or $(FUZZ_SECONDS),600)
 
 # What keeps the time of the wall runs by itself, the rest on every core; 5 is pytest's way to say that nothing was chosen.
 # The machine may be busy for a moment: a test that keeps the time of the wall gets a second try, and is then listed.

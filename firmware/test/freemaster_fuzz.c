@@ -1,0 +1,177 @@
+/* The harness as a target of libFuzzer, or (FUZZ_REPLAY) as a program that runs the inputs in the files it is given.
+ *
+ * The first byte says which levels have a password: bits 0 to 2. Then steps follow, each a code, a length and that many
+ * bytes:
+ *   0  bytes on the line as they are         2  the application prints them
+ *   1  a frame: command and payload          3  the application finishes a command: result code and data
+ * A whole frame has to be answered by one whole frame, but for the one behind bytes as they are, whose start may complete
+ * theirs; no step may break the rules of the application, or change memory
+ * that is not writable. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "comm/crc8.h"
+#include "comm/sha1.h"
+#include "freemaster_harness.h"
+
+#define CODES 4u
+#define STEP_HEAD 2u
+#define ERROR 0x80u
+#define VARIABLE 0x40u
+
+enum { STEP_RAW, STEP_FRAME, STEP_PRINT, STEP_FINISH };
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+static void require(bool holds, const char *what)
+{
+    if (!holds) {
+        fprintf(stderr, "%s\n", what);
+        abort();
+    }
+}
+
+static uint16_t put(uint8_t *wire, uint16_t at, uint8_t byte)
+{
+    wire[at++] = byte;
+    if (byte == FRAME_START) {
+        wire[at++] = byte;
+    }
+    return at;
+}
+
+static void feed_frame(harness_t *harness, const uint8_t *body, uint8_t size)
+{
+    static uint8_t wire[4 * 256];
+    const uint8_t payload = (uint8_t)(size - 1u);
+    uint8_t crc = crc8_add(crc8_add(CRC8_START, body[0]), payload);
+    uint16_t at = 0;
+    wire[at++] = FRAME_START;
+    at = put(wire, at, body[0]);
+    at = put(wire, at, payload);
+    for (uint16_t i = 1; i < size; i++) {
+        crc = crc8_add(crc, body[i]);
+        at = put(wire, at, body[i]);
+    }
+    at = put(wire, at, crc);
+    harness_feed(harness, wire, at);
+}
+
+/* One frame: start, undoubled status, length and data, right checksum, and nothing behind it. */
+static void check_answer(const uint8_t *wire, uint16_t size)
+{
+    static uint8_t body[HARNESS_LINE];
+    uint16_t end = 0;
+    require(size >= 3 && wire[0] == FRAME_START, "no answer");
+    for (uint16_t i = 1; i < size; i++) {
+        if (wire[i] == FRAME_START) {
+            require(i + 1u < size && wire[i + 1u] == FRAME_START, "a byte that is not doubled");
+            i++;
+        }
+        body[end++] = wire[i];
+    }
+    uint8_t crc = CRC8_START;
+    for (uint16_t i = 0; i + 1u < end; i++) {
+        crc = crc8_add(crc, body[i]);
+    }
+    require(crc == body[end - 1u], "wrong checksum");
+    if ((body[0] & ERROR) != 0) {
+        require(end == 2, "data behind an error");
+    } else if ((body[0] & VARIABLE) != 0) {
+        require(end == body[1] + 3u, "wrong length");
+    } else {
+        require(body[0] == 0, "unknown status");
+    }
+}
+
+static bool is_writable(uint16_t offset)
+{
+    for (uint16_t i = 0; i < fixture_table.entries; i++) {
+        const tsa_entry_t *entry = &fixture_table.entry[i];
+        const uint32_t at = TSA_VARIABLES_BASE + offset;
+        if (entry->kind == TSA_KIND_RW && at >= entry->address && at - entry->address < entry->size) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static void check_memory(const harness_t *harness)
+{
+    static uint8_t memory[HARNESS_LINE];
+    harness_memory(harness, memory);
+    require(harness_violations(harness) == 0, "the application was called against its rules");
+    for (uint16_t i = 0; i < fixture_memory_size; i++) {
+        require(memory[i] == fixture_memory[i] || is_writable(i), "memory that is not writable has changed");
+    }
+}
+
+static void step(harness_t *harness, uint8_t code, const uint8_t *data, uint8_t size, bool *clean)
+{
+    static uint8_t wire[HARNESS_LINE];
+    const bool whole = code == STEP_FRAME && size != 0 && data[0] != FRAME_START;
+    if (whole) {
+        feed_frame(harness, data, size);
+    } else if (code == STEP_PRINT) {
+        harness_print(harness, data, size);
+    } else if (code == STEP_FINISH && size != 0) {
+        harness_finish(harness, data[0], data + 1, (uint16_t)(size - 1u));
+    } else if (code == STEP_RAW) {
+        harness_feed(harness, data, size);
+    }
+    harness_poll(harness);
+    const uint16_t sent = harness_take(harness, wire);
+    if (whole && *clean) {
+        check_answer(wire, sent);
+    }
+    *clean = whole || (*clean && code != STEP_RAW);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    static const char *const words[ACCESS_LEVELS] = {"view", "command", "tune"};
+    if (size == 0) {
+        return 0;
+    }
+    harness_t *harness = harness_new();
+    if (harness == NULL) {
+        return 0;
+    }
+    uint8_t hash[ACCESS_LEVELS][SHA1_SIZE];
+    const uint8_t *password[ACCESS_LEVELS];
+    for (uint16_t i = 0; i < ACCESS_LEVELS; i++) {
+        sha1((const uint8_t *)words[i], (uint16_t)strlen(words[i]), hash[i]);
+        password[i] = (data[0] >> i & 1u) != 0 ? hash[i] : NULL;
+    }
+    harness_set_passwords(harness, password[0], password[1], password[2]);
+    size_t at = 1;
+    bool clean = true;
+    while (at + STEP_HEAD <= size) {
+        const uint8_t code = (uint8_t)(data[at] % CODES);
+        const size_t left = size - at - STEP_HEAD;
+        const uint8_t length = data[at + 1] <= left ? data[at + 1] : (uint8_t)left;
+        step(harness, code, data + at + STEP_HEAD, length, &clean);
+        at += STEP_HEAD + length;
+    }
+    check_memory(harness);
+    harness_free(harness);
+    return 0;
+}
+
+#ifdef FUZZ_REPLAY
+int main(int count, char **names)
+{
+    static uint8_t data[1 << 16];
+    for (int i = 1; i < count; i++) {
+        FILE *file = fopen(names[i], "rb");
+        require(file != NULL, names[i]);
+        const size_t size = fread(data, 1, sizeof data, file);
+        fclose(file);
+        printf("%s\n", names[i]);
+        fflush(stdout);
+        LLVMFuzzerTestOneInput(data, size);
+    }
+    return 0;
+}
+#endif
