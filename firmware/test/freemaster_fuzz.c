@@ -4,6 +4,7 @@
  * bytes:
  *   0  bytes on the line as they are         2  the application prints them
  *   1  a frame: command and payload          3  the application finishes a command: result code and data
+ *   4  a loop samples a recorder for each of them
  * A whole frame has to be answered by one whole frame, but for the one behind bytes as they are, whose start may complete
  * theirs; no step may break the rules of the application, or change memory
  * that is not writable. */
@@ -15,12 +16,12 @@
 #include "comm/sha1.h"
 #include "freemaster_harness.h"
 
-#define CODES 4u
+#define CODES 5u
 #define STEP_HEAD 2u
 #define ERROR 0x80u
 #define VARIABLE 0x40u
 
-enum { STEP_RAW, STEP_FRAME, STEP_PRINT, STEP_FINISH };
+enum { STEP_RAW, STEP_FRAME, STEP_PRINT, STEP_FINISH, STEP_SAMPLE };
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
@@ -117,6 +118,10 @@ static void step(harness_t *harness, uint8_t code, const uint8_t *data, uint8_t 
         harness_print(harness, data, size);
     } else if (code == STEP_FINISH && size != 0) {
         harness_finish(harness, data[0], data + 1, (uint16_t)(size - 1u));
+    } else if (code == STEP_SAMPLE) {
+        for (uint16_t i = 0; i < size; i++) {
+            harness_sample(harness, data[i] % FREEMASTER_RECORDERS);
+        }
     } else if (code == STEP_RAW) {
         harness_feed(harness, data, size);
     }

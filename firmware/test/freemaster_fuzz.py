@@ -17,6 +17,7 @@ from typing import Final
 
 from firmware_compiler import FIRMWARE, STRICT, TEST
 from freemaster_model import COMM_SOURCES, ENTRIES, SERVO, sleb, uleb
+from freemaster_recorder import START, STOP, memory, variable
 
 CORPUS: Final = TEST / "corpus" / "freemaster"
 FUZZ_FLAGS: Final = ("-g", "-O1", "-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all")
@@ -67,7 +68,13 @@ def seeds() -> dict[str, bytes]:
         + frame(0x21, uleb(SERVO.table) + b"\x30"),
         "write": frame(0x23, b"\0" + at + b"\x02\x2b\x2b") + frame(0x23, b"\x01" + at + b"\x02\xff\xff\xf0\x0f"),
         "scope": frame(0x26, b"\0\x01\x01\x02\x02" + bytes([len(slot)]) + slot) + frame(0x27, b"\0"),
-        "recorder": frame(0x24, b"\0\x01\x04\x01\x08\x03\x00\x03\x00") + frame(0x25, b"\0\x83"),
+        "recorder": frame(0x24, b"\0" + memory(1, 8, 3) + variable(0, SERVO.variables + 0x20, 2, 0x11, b"\x05") + START)
+        + b"\x04\x20"
+        + bytes(32)
+        + frame(0x25, b"\0\x83")
+        + frame(0x21, uleb(SERVO.samples) + b"\x10")
+        + frame(0x24, b"\0" + STOP)
+        + frame(0x25, b"\0\x84"),
         "table": frame(0x29, b"\0") + frame(0x2A, uleb(SERVO.strings)),
         "command": frame(0x30, b"\x11\x01\x02") + frame(0x31) + frame(0x32, b"\x02\x00"),
         "later": frame(0x30, b"\xfe") + frame(0x31) + b"\x03\x03\x21ok" + frame(0x31) + frame(0x32, b"\x02\x00"),
