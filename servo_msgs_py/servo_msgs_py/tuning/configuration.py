@@ -117,7 +117,9 @@ class Board:
         passwords = password_hashes(plain.pop("passwords", {}))
         absent = all(group not in plain for group in BOARD_GROUPS)
         if absent:
-            return cls(check_group("board", "board", plain), temperature, brake=False, passwords=passwords, complete=False)
+            return cls(
+                check_group("board", "board", plain), temperature, brake=False, passwords=passwords, complete=False
+            )
         groups = {group: dict(check_table(f"board.{group}", plain.pop(group, {}))) for group in BOARD_GROUPS}
         values = check_group("board", "board", plain)
         switch = {key: groups["brake"].pop(key) for key in ["fitted"] if key in groups["brake"]}

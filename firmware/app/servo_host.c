@@ -1,0 +1,181 @@
+/* servo_host.c - what the application does for the host, all of it in the background: what runs in the interrupts is in
+ * servo.c. */
+#include <stddef.h>
+
+#include "app/login.h"
+#include "app/points.h"
+#include "app/ranges.h"
+#include "app/servo.h"
+#include "app/variables.h"
+
+#define PWM_PERIOD_NS UINT32_C(62500)
+
+static void hold(void *context, bool on)
+{
+    servo_t *servo = (servo_t *)context;
+    servo->held = on;
+}
+
+/* The same through the server's pointer: a call that no compiler can inline keeps what it protects between the two. */
+static void server_hold(servo_t *servo, bool on) { servo->freemaster.app.hold(servo, on); }
+
+static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint16_t size)
+{
+    const points_board_t board = {servo->axis, &servo->snapshot, servo->marks.points != 0U};
+    const point_refusal_t refusal = whole ? points_check(&board, data, size) : POINT_REFUSAL_FORM;
+    if (refusal != POINT_REFUSAL_NONE) {
+        servo->point_refusal = (uint16_t)refusal;
+        servo->points_refused++;
+    }
+    return refusal == POINT_REFUSAL_NONE;
+}
+
+static bool accepts(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
+{
+    servo_t *servo = (servo_t *)context;
+    const uint16_t points = (uint16_t)offsetof(servo_t, command.points);
+    if (offset >= points && (uint32_t)offset + size <= points + sizeof servo->command.points) {
+        return accepts_points(servo, offset == points && mask == NULL, data, size);
+    }
+    const uint16_t config = (uint16_t)offsetof(servo_t, config);
+    if (offset >= config && (uint32_t)offset + size <= config + sizeof servo->config) {
+        return configure_accept(&servo->configure, &servo->config_status, (uint16_t)(offset - config), mask == NULL,
+                                data, size);
+    }
+    const ranges_memory_t memory = {
+        .memory = (const uint8_t *)servo,
+        .positions = (uint16_t)offsetof(servo_t, command.position),
+        .snapshot = &servo->snapshot,
+    };
+    const bool accepted = ranges_accept(&memory, offset, data, mask, size);
+    if (!accepted) {
+        journal_refused(&servo->journal, servo->tick, offset);
+    }
+    return accepted;
+}
+
+static void written(void *context, uint16_t offset, uint16_t size)
+{
+    servo_t *servo = (servo_t *)context;
+    const uint16_t begin = (uint16_t)offsetof(servo_t, command);
+    if (offset >= begin && (uint32_t)offset + size <= begin + sizeof servo->command) {
+        servo->host_commands++;
+        latch_mark(&servo->marks, (uint16_t)(offset - begin), size);
+    } else if (offset == offsetof(servo_t, config.window)) {
+        configure_show(&servo->configure, &servo->config);
+    } else if (offset < offsetof(servo_t, config) || offset >= offsetof(servo_t, config_status)) {
+        servo->marks.parameters = true; /* nothing else can be written */
+    }
+}
+
+static uint32_t nonce(void *context)
+{
+    const servo_t *servo = (const servo_t *)context;
+    return login_nonce(servo->tick, servo->axis);
+}
+
+/* What moves an axis is a command, what changes how it moves is tuning. */
+static uint8_t level_to_write(void *context, uint16_t offset, uint16_t size)
+{
+    (void)context;
+    (void)size; /* no variable lies across the ends of a block */
+    const uint16_t begin = (uint16_t)offsetof(servo_t, command);
+    return (offset >= begin && offset < begin + sizeof(command_block_t)) ? ACCESS_COMMAND : ACCESS_TUNE;
+}
+
+static void write_to_all(servo_t *servo, uint16_t *field, uint16_t value)
+{
+    server_hold(servo, true);
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        field[i] = value;
+    }
+    const uint16_t offset = (uint16_t)((uint8_t *)field - (uint8_t *)&servo->command);
+    latch_mark(&servo->marks, offset, (uint16_t)(HAL_AXES * sizeof field[0]));
+    server_hold(servo, false);
+}
+
+static uint8_t put_u32(uint8_t *to, uint32_t value)
+{
+    for (uint16_t k = 0; k < 4U; k++) {
+        to[k] = (uint8_t)(value >> (8U * k));
+    }
+    return 4;
+}
+
+static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uint16_t size, uint8_t *result,
+                           uint16_t *result_size)
+{
+    servo_t *servo = (servo_t *)context;
+    (void)args;
+    (void)size;
+    *result_size = 0;
+    switch (code) {
+    case COMMAND_QUICK_STOP:
+        servo->host_commands++;
+        write_to_all(servo, servo->command.quick_stop, 1);
+        return 0;
+    case COMMAND_CLEAR_FAULTS:
+        servo->host_commands++;
+        write_to_all(servo, servo->command.clear_faults, 1);
+        return 0;
+    case COMMAND_KEEP_ALIVE:
+        servo->host_commands++;
+        return 0;
+    case COMMAND_IDENTIFY:
+        server_hold(servo, true);
+        *result_size = put_u32(result, servo->catalogue_hash);
+        *result_size = (uint16_t)(*result_size + put_u32(result + 4, servo->snapshot.tick));
+        server_hold(servo, false);
+        return 0;
+    default:
+        return 1; /* unknown to the application */
+    }
+}
+
+void servo_host_init(servo_t *servo)
+{
+    freemaster_app_t app = {
+        .context = servo,
+        .memory = (uint8_t *)servo,
+        .memory_size = (uint32_t)offsetof(servo_t, hal),
+        .live = (const uint8_t *)servo,
+        .live_size = (uint32_t)sizeof *servo,
+        .recorder = {{"PWM periods", PWM_PERIOD_NS}, {"slow ticks", PWM_PERIOD_NS * SERVO_SLOW_PERIODS}},
+        .samples = servo->samples,
+        .samples_size = (uint16_t)sizeof servo->samples,
+        .tsa = &servo_variables,
+        .name = "servo",
+        .description = "dual-axis PMSM servo",
+        .version = "servo FreeMASTER 4",
+        .build = "reproducible",
+        .hold = hold,
+        .accepts = accepts,
+        .written = written,
+        .command = app_command,
+        .console = "log",
+        .nonce = nonce,
+        .level_to_write = level_to_write,
+    };
+    login_passwords(&app.passwords);
+    freemaster_init(&servo->freemaster, &app);
+}
+
+void servo_background(servo_t *servo)
+{
+    journal_watch(&servo->journal, &servo->snapshot);
+    journal_print(&servo->journal, &servo->freemaster);
+    freemaster_poll(&servo->freemaster, servo->hal);
+}
+
+uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size)
+{
+    return freemaster_read(&servo->freemaster, address, data, size);
+}
+
+uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size)
+{
+    const uint16_t commands = servo->host_commands;
+    const uint8_t status = freemaster_write(&servo->freemaster, address, data, NULL, size);
+    servo->host_commands = commands;
+    return status;
+}
