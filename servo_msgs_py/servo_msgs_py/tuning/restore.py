@@ -172,7 +172,7 @@ class _Restorer:
         self._name, self._block, self._catalogue = name, block, catalogue
         self._scales = Scales.of(catalogue)
         plain = {key: value for key, value in board.items() if key != "temperature"}
-        self._board = Board(plain, Temperature.of(board["temperature"]), brake=False, complete=False)
+        self._board = Board(plain, Temperature.of(board["temperature"]), passwords={}, brake=False, complete=False)
 
     def _at(self, path: str, factor: float = 1.0) -> float:
         return _nearest(path, self._block, factor)
