@@ -61,3 +61,17 @@ def test_what_does_not_fit_is_refused_with_what_does(world: World) -> None:
     burst = recorded(world, session, BurstRequest(("tick", "u_dc"), recorder=1, points=50), 0.0)
     assert set(np.diff(burst.values[0].astype(np.int64))) == {8}
     assert burst.times[1] == pytest.approx(500e-6)
+
+
+def test_the_log_of_the_board_comes_through_its_pipe(world: World) -> None:
+    pipe = world.host.client.pipe()
+    text = b""
+    world.enable()
+    for _ in range(50):
+        world.run(0.005, world.host.keep_alive)
+        text += pipe.exchange()[0]
+    lines = text.decode("ascii").splitlines()
+    assert lines[0] == "0 reset"
+    assert "axis1 RUN/ALIGN" in " ".join(lines)
+    ticks = [int(line.split()[0]) for line in lines]
+    assert ticks == sorted(ticks)

@@ -34,7 +34,7 @@ from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
-from servo_bridge.freemaster.client import BoardInfo
+from servo_bridge.freemaster.client import BoardInfo, password_of_environment
 from servo_bridge.health import BOARD_COUNTERS, Health
 from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
@@ -238,7 +238,11 @@ class Supervisor:
     def _make_link(self, factory: LinkFactory) -> BoardLink:
         settings = self._settings
         config = LinkConfig(
-            url=settings.port, baud=settings.baud, telemetry=settings.telemetry, rate=settings.telemetry_rate
+            url=settings.port,
+            baud=settings.baud,
+            telemetry=settings.telemetry,
+            rate=settings.telemetry_rate,
+            password=password_of_environment(),
         )
         try:
             return factory(

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_bridge import tool_commands, tool_faults, tool_record, tool_tune
-from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.client import PASSWORD_VARIABLE, Client, password_of_environment
 from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, RecorderError
 from servo_bridge.freemaster.line import Line
 from servo_bridge.parameter_file import ParameterFileError
@@ -89,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_password,
         default=argparse.SUPPRESS,
         metavar="TEXT",
-        help="for boards that want one (default: asked for)",
+        help=f"for boards that want one (default: ${PASSWORD_VARIABLE}, or asked for)",
     )
     parser = argparse.ArgumentParser(
         prog="servo-tool",
@@ -140,6 +140,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--duration", type=_positive, help="seconds (default: until Ctrl-C)")
     command.add_argument("--rate", type=_positive, help="rows, or points of a burst, per second (default: all)")
     tool_record.add_options(command)
+    command = add("log", tool_commands.log, "print the text that the board writes to a pipe: events with their tick")
+    command.add_argument("--pipe", type=_positive_whole, default=1, metavar="N", help="number of the pipe (default: 1)")
+    command.add_argument("--follow", "-f", action="store_true", help="go on until Ctrl-C")
     command = add("snapshot", tool_faults.snapshot, "print what led to the first fault of each axis")
     command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this one (default: both)")
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
@@ -183,7 +186,7 @@ def _run(args: argparse.Namespace) -> int:
         with SerialPort(port, baud) as serial_port:
             # Some boards start anew when their port is opened, so the first answer may take a second.
             client = Client(Line(serial_port, baud=baud, retries=_STARTUP_RETRIES))
-            given: str | None = getattr(args, "password", None)
+            given: str | None = getattr(args, "password", None) or password_of_environment()
             client.ask_password = _ask_password if given is None else lambda: given
             catalogue = Catalogue.load()
             session = connect(client, catalogue)

@@ -36,6 +36,7 @@ __all__ = [
     "info",
     "list_variables",
     "load",
+    "log",
     "record",
     "save",
     "select",
@@ -45,6 +46,8 @@ __all__ = [
 ]
 
 _TICK: Final = "tick"
+_LOG_POLL: Final = 0.05  # [s]
+_LOG_END: Final = 3  # the board fills its pipe when it has the time: so many empty answers are the end
 
 
 @dataclass(frozen=True)
@@ -271,6 +274,22 @@ def diff(context: Context) -> int:
         print(_change_text(context, context.session.variables[name], found[name], wanted[name]))
     print(f"{len(names)} of {len(wanted)} parameters differ")
     return 1 if names else 0
+
+
+def log(context: Context) -> int:
+    """Print what the board writes to a pipe."""
+    pipe = context.session.client.pipe(context.args.pipe)
+    empty = 0
+    try:
+        while context.args.follow or empty < _LOG_END:
+            text, _ = pipe.exchange()
+            print(text.decode("utf-8", "replace"), end="", flush=True)
+            empty = 0 if text else empty + 1
+            if empty:
+                time.sleep(_LOG_POLL)
+    except KeyboardInterrupt:
+        pass
+    return 0
 
 
 # ---- shared -------------------------------------------------------------------------------------------------------

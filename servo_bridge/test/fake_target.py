@@ -109,6 +109,7 @@ class FakeTarget:
     on_write: Callable[[int, bytes], None] | None = None
     before_scope: Callable[[], None] | None = None
     on_tick: Callable[[int], None] | None = None
+    pipe: bytearray = field(default_factory=bytearray)
     commands: dict[int, Callable[[bytes], tuple[int, bytes]]] = field(default_factory=dict)
     requests: list[tuple[int, bytes]] = field(default_factory=list)
 
@@ -130,6 +131,8 @@ class FakeTarget:
         self.ticks_done = 0
         self.open_level = min(self.passwords, default=4) - 1
         self.level = self.open_level
+        self._pipe_odd, self._pipe_accepted = False, 0
+        self.pipe_received = b""
         self._salts = 0
         self.recorders = (
             [FakeRecorder(self.peek, self.big_endian, self.recorder_memory, 0x2000_8000 if self.mtu > 64 else 0x8000)]
@@ -250,6 +253,8 @@ class FakeTarget:
                 return self._set_scope(r)
             case 0x27:
                 return self._read_scope(r)
+            case 0x28:
+                return self._exchange_pipe(r)
             case 0x29:
                 index = r.uleb()
                 address, size = self._table_places[index] if index < len(self._table_places) else (0, 999)
@@ -360,6 +365,19 @@ class FakeTarget:
                 return 0, bytes([min(known, level)])
         self.level = self.open_level
         raise Refused(0x92)
+
+    def _exchange_pipe(self, r: Reader) -> tuple[int, bytes]:
+        """Port 1 is open, and takes four bytes at a time."""
+        head, acknowledged = r.u8(), r.u8()
+        if head & 0x7F != 1:
+            raise Refused(0x8C)
+        if bool(head & 0x80) == self._pipe_odd:
+            self._pipe_odd = not self._pipe_odd
+            del self.pipe[:acknowledged]
+            taken = r.data[r.at : r.at + 4]
+            self.pipe_received += taken
+            self._pipe_accepted = len(taken)
+        return 0x40, bytes([head, self._pipe_accepted]) + self.pipe[: self.mtu - 3]
 
     # ---- recorder
     def advance(self, ticks: int) -> None:

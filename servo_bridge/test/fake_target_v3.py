@@ -27,7 +27,7 @@ class FakeTargetV3(FakeTarget):
 
     @staticmethod
     def _frame(status: int, data: bytes = b"") -> bytes:
-        body = bytes([status]) + data
+        body = bytes([status]) + (bytes([len(data)]) if status == 0x40 else b"") + data
         return escaped(body + bytes([-sum(body) % 256]))
 
     def _receive(self, byte: int) -> bytes:
@@ -133,6 +133,8 @@ class FakeTargetV3(FakeTarget):
                 while self.memory.get(end, 0):
                     end += 1
                 return 0, self._bytes(end - address, 2)
+            case 0x15:
+                return self._exchange_pipe(r)
             case 0x10:
                 return self._start_command(r)
             case 0xC6:

@@ -38,6 +38,20 @@ def test_the_scope_is_set_up_once(connected: Watcher, fake_board: FakeServo) -> 
     assert [command for command, _ in fake_board.requests].count(0x26) == 1
 
 
+@pytest.mark.usefixtures("fake_port")
+def test_a_board_with_passwords(fake_board: FakeServo, start_link: StartLink) -> None:
+    fake_board.passwords = {1: "look"}
+    fake_board.open_level = 0
+    fake_board.reset()
+    refused = start_link()
+    assert "SERVO_PASSWORD" in refused.wait_state(LinkState.FAILED).remedy
+    refused.link.close()
+    watcher = start_link(password="look")
+    watcher.wait_state(LinkState.CONNECTED)
+    watcher.wait_samples(2)
+    assert "look" not in repr(LinkConfig("port", password="look"))
+
+
 def test_statistics(connected: Watcher) -> None:
     connected.wait_samples(100)
     figures = connected.link.statistics()

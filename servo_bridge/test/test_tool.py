@@ -501,7 +501,7 @@ def test_a_password_opens_its_level(locked: FakeTarget, run: Run, capsys: pytest
     assert run("--password", "look", "get", "x") == 0
     locked.reset()
     assert run("set", "x", "7", "--password", "look") == 1
-    assert "password needed; give servo-tool a password for this" in capsys.readouterr().err
+    assert "password needed; put one that opens this level" in capsys.readouterr().err
     assert run("set", "x", "7", "--password", "move") == 0
     assert locked.peek(0x1000, 2) == b"\x07\x00"
     assert run("info", "--password", "look") == 0
@@ -509,6 +509,27 @@ def test_a_password_opens_its_level(locked: FakeTarget, run: Run, capsys: pytest
     locked.reset()
     assert run("get", "x", "--password", "wrong") == 1
     assert "wrong password; check the password" in capsys.readouterr().err
+
+
+def test_a_password_is_taken_from_the_environment(
+    locked: FakeTarget, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SERVO_PASSWORD", "move")
+    assert run("set", "x", "9") == 0
+    locked.reset()
+    assert run("set", "x", "9", "--password", "look") == 1, "the command line comes first"
+
+
+def test_log_prints_what_the_board_writes(stranger: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    stranger.pipe += b"0 reset\n8 axis1 INIT\n"
+    assert run("log") == 0
+    assert capsys.readouterr().out == "0 reset\n8 axis1 INIT\n"
+    assert run("log") == 0
+    assert capsys.readouterr().out == "", "what has been printed is gone"
+    assert run("log", "--pipe", "2") == 1
+    assert "pipe error" in capsys.readouterr().err
+    assert run("log", "--pipe", "200") == 1
+    assert "pipe 200 is not 1 .. 127" in capsys.readouterr().err
 
 
 def test_a_password_is_asked_for_at_a_terminal(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -27,14 +28,23 @@ from servo_bridge.freemaster.errors import (
     WrongProtocolError,
 )
 from servo_bridge.freemaster.line import Exchange, Line
+from servo_bridge.freemaster.pipe import Pipe
 from servo_bridge.freemaster.recorder import Recorder
 
-__all__ = ["LEVELS", "BoardInfo", "Client"]
+__all__ = ["LEVELS", "PASSWORD_VARIABLE", "BoardInfo", "Client", "password_of_environment"]
 
 LEVELS: Final = ("none", "view", "command", "tune")
 """Access levels of a target with passwords: read memory, write it as well, everything."""
 
 _SUM_REFUSALS: Final = (b"+\x82\x7e", b"+\x81\x7f")  # refusals of a version 3 target: sum instead of CRC
+
+
+PASSWORD_VARIABLE: Final = "SERVO_PASSWORD"
+
+
+def password_of_environment() -> str | None:
+    """Give the password that the user put into the environment; it must not stand in a file of parameters."""
+    return os.environ.get(PASSWORD_VARIABLE) or None
 
 
 class Client:
@@ -292,6 +302,12 @@ class Client:
         if len(data) < size:
             raise FreemasterError(f"{len(data)} bytes of result data, {size} expected")
         return data[len(data) - size :]
+
+    # ---- pipes ------------------------------------------------------------------------------------------------
+
+    def pipe(self, port: int = 1) -> Pipe:
+        """Give the client's end of a pipe."""
+        return Pipe(self.exchange, self._dialect, port)
 
     # ---- recorder ---------------------------------------------------------------------------------------------
 

@@ -20,6 +20,7 @@ __all__ = [
     "ScopeSlot",
     "TsaTable",
     "begin_login",
+    "exchange_pipe",
     "finish_login",
     "get_command_data",
     "get_command_status",
@@ -60,6 +61,7 @@ class Command:
     GETREC: Final = 0x25
     SETSCOPE: Final = 0x26
     READSCOPE: Final = 0x27
+    PIPE: Final = 0x28
     GETTSAINFO: Final = 0x29
     GETSTRLEN: Final = 0x2A
     AUTH1: Final = 0x2C
@@ -267,6 +269,11 @@ def get_command_status() -> Request:
 def get_command_data(size: int, offset: int = 0) -> Request:
     """Read result data of the last application command."""
     return Request("GETAPPCMDDATA", Command.GETAPPCMDDATA, encode_uleb(size) + encode_uleb(offset), None)
+
+
+def exchange_pipe(payload: bytes) -> Request:
+    """Send to and take from a pipe; the toggle in the payload makes a repetition harmless."""
+    return Request(f"PIPE {payload[0] & 0x7F}", Command.PIPE, payload, None)
 
 
 def begin_login(level: int) -> Request:

@@ -11,7 +11,7 @@ from servo_bridge.freemaster.commands import COMMAND_IDLE, Request, ScopeSlot, T
 from servo_bridge.freemaster.errors import CodecError
 from servo_bridge.freemaster.tsa import ByteOrder
 
-__all__ = ["BRIEF_INFO_SIZE", "INFO_SIZE", "MemoryForm", "get_info", "get_info_brief"]
+__all__ = ["BRIEF_INFO_SIZE", "INFO_SIZE", "MemoryForm", "exchange_pipe", "get_info", "get_info_brief"]
 
 INFO_SIZE: Final = 35
 BRIEF_INFO_SIZE: Final = 6
@@ -27,6 +27,11 @@ def get_info() -> Request:
 def get_info_brief() -> Request:
     """Ask who is there, without memory of the recorder, time base and description."""
     return Request("GETINFOBRIEF", 0xC8, b"", BRIEF_INFO_SIZE, framing=V3)
+
+
+def exchange_pipe(payload: bytes) -> Request:
+    """Send to and take from a pipe, as in version 4."""
+    return Request(f"PIPE {payload[0] & 0x7F}", 0x15, payload, None, framing=V3)
 
 
 @dataclass(frozen=True)

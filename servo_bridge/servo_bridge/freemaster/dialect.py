@@ -55,6 +55,9 @@ class Dialect(Protocol):
     def get_command_data(self, size: int, offset: int) -> Request:
         """Ask for result data, of which the last `size` bytes are those behind `offset`."""
 
+    def exchange_pipe(self, payload: bytes) -> Request:
+        """Build a request to a pipe; `Pipe` says what is in it."""
+
     def log_in(self, ask: Ask, level: int, password: str) -> int:
         """Prove the knowledge of a password; returns the level that the target grants.
 

@@ -109,6 +109,9 @@ class DialectV3:
     def get_command_data(self, size: int, offset: int) -> Request:
         return self._form.get_command_data(size, offset)
 
+    def exchange_pipe(self, payload: bytes) -> Request:
+        return commands_v3.exchange_pipe(payload)
+
     def log_in(self, ask: Ask, level: int, password: str) -> int:
         raise FreemasterError("the board speaks FreeMASTER version 3, which has no passwords")
 

@@ -103,6 +103,9 @@ class DialectV4:
     def get_command_data(self, size: int, offset: int) -> Request:
         return commands.get_command_data(size, offset)
 
+    def exchange_pipe(self, payload: bytes) -> Request:
+        return commands.exchange_pipe(payload)
+
     def log_in(self, ask: Ask, level: int, password: str) -> int:
         challenge = ask(commands.begin_login(level)).data
         algorithm, end = decode_uleb(challenge)

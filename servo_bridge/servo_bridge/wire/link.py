@@ -309,6 +309,7 @@ class Link:
             statistics=self._statistics.counters,
         )
         client = Client(line)
+        client.ask_password = lambda: self._config.password
         with taken_over(client, self._catalogue):
             session = connect(client, self._catalogue)
             if session.mismatch is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from servo_bridge.freemaster.line import Transport
@@ -54,6 +54,8 @@ class LinkConfig:
         Most jobs of each kind that may wait.
     backoff_min, backoff_max : float
         Pause before the first and the later attempts to connect again [s].
+    password : str or None
+        For a board that asks for one.
     """
 
     url: str
@@ -65,6 +67,7 @@ class LinkConfig:
     queue_limit: int = 64
     backoff_min: float = 0.1
     backoff_max: float = 2.0
+    password: str | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.baud <= 0 or self.rate < 0.0 or self.latency <= 0.0 or self.lost_after < 1 or self.queue_limit < 1:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from servo_bridge.freemaster.client import PASSWORD_VARIABLE
 from servo_bridge.freemaster.errors import (
     AnswerTimeoutError,
     DamagedAnswerError,
@@ -79,7 +80,10 @@ def status_of(error: Exception, url: str, baud: int, *, connected: bool) -> Link
     if isinstance(error, StatusError):
         remedy = "flash the firmware of this release"
         if error.code == Status.PASSWORD_NEEDED:
-            remedy = "give servo-tool a password for this with --password; the bridge needs a board without passwords"
+            remedy = (
+                f"put one that opens this level into the environment variable {PASSWORD_VARIABLE}, "
+                "or give it to servo-tool --password"
+            )
         elif error.code == Status.WRONG_PASSWORD:
             remedy = "check the password"
         return LinkStatus(LinkState.FAILED, reason, remedy)

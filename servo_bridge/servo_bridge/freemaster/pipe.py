@@ -1,0 +1,77 @@
+"""A pipe of a target: a stream of bytes in either direction, without loss on a line that loses frames."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from servo_bridge.freemaster.dialect import Ask, Dialect
+from servo_bridge.freemaster.errors import CodecError
+
+__all__ = ["PORT_MAX", "Pipe"]
+
+PORT_MAX: Final = 127
+_TOGGLE: Final = 0x80
+_HEAD: Final = 2  # port and number of bytes taken, in front of the data
+
+
+class Pipe:
+    """One pipe, polled by the client.
+
+    Each request acknowledges the bytes of the answer before it, and carries a toggle bit. A target that gets a request
+    a second time sees the toggle and answers as before; so `Line.exchange` may repeat a request whose answer was lost.
+
+    Parameters
+    ----------
+    ask : callable
+        Sends a request; see `Dialect`.
+    dialect : Dialect
+        Version of the protocol.
+    port : int
+        Number of the pipe, 1 .. 127.
+
+    Raises
+    ------
+    CodecError
+        If there is no such port.
+    """
+
+    def __init__(self, ask: Ask, dialect: Dialect, port: int = 1) -> None:
+        if not 1 <= port <= PORT_MAX:
+            raise CodecError(f"pipe {port} is not 1 .. {PORT_MAX}")
+        self._ask, self._dialect, self._port = ask, dialect, port
+        self._odd = False
+        self._acknowledged = 0
+        self._in_step = False
+
+    def exchange(self, data: bytes = b"") -> tuple[bytes, int]:
+        """Send bytes and take what the target has written.
+
+        After an error, call it again with the same bytes: the target may have taken them.
+
+        Returns
+        -------
+        received, accepted : bytes, int
+            What the target wrote, and how many of the bytes sent it took: send the others again.
+
+        Raises
+        ------
+        StatusError
+            If the target has no such pipe, or it is closed.
+        """
+        if not self._in_step:
+            # The target may take the first frame for a repetition, and ignore its data and acknowledgement.
+            self._in_step = True
+            first, _ = self._exchange(b"")
+            if first:
+                return first, 0
+        return self._exchange(data)
+
+    def _exchange(self, data: bytes) -> tuple[bytes, int]:
+        head = self._port | (_TOGGLE if self._odd else 0)
+        answer = self._ask(self._dialect.exchange_pipe(bytes((head, self._acknowledged)) + data)).data
+        if len(answer) < _HEAD or answer[0] != head:
+            raise CodecError(f"answer {answer.hex(' ') or 'without data'} to a request to pipe {self._port}")
+        self._odd = not self._odd
+        received = answer[_HEAD:]
+        self._acknowledged = len(received)
+        return received, answer[1]
