@@ -63,7 +63,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help setup demo up experiments bench bench-firmware chip-budget bench-twin launch-tools targets fuzz test lint format build fast generate tune clean
+.PHONY: help setup demo up experiments bench bench-damage bench-firmware chip-budget bench-twin launch-tools targets fuzz test lint format build fast generate tune clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -86,6 +86,9 @@ bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; c
 	@$(BIN)/python tests/bench/link.py
 	@$(BIN)/python tests/bench/trajectories.py
 	@$(BIN)/servo-sim bench
+
+bench-damage: $(VENV)/.dev ## a million damaged frames between client and server; DAMAGE_ARGS='--frames 1000'
+	@$(BIN)/python tests/bench/damage.py $(DAMAGE_ARGS)
 
 bench-firmware: $(VENV)/.packages ## instructions and bytes of the firmware on a Cortex-M3; UPDATE=1 writes the committed table
 	@PYTHONPATH=tests $(BIN)/python tests/bench/firmware.py $(if $(UPDATE),--update)

@@ -33,6 +33,7 @@ class LossyLine(FakeTransport):
         self.lose_answer = 0.0
         self.damage = 0.0
         self.lost = 0
+        self.damaged = 0
         self._busy_until = 0
 
     def _carried(self, request: bytes) -> list[tuple[int, bytes]]:
@@ -51,5 +52,6 @@ class LossyLine(FakeTransport):
         """Change one byte, or drop it."""
         if self.random.random() >= self.damage:
             return frame
+        self.damaged += 1
         place, byte = self.random.randrange(len(frame)), bytes([self.random.randrange(256)])
         return frame[:place] + (byte if self.random.randrange(4) else b"") + frame[place + 1 :]

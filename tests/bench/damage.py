@@ -1,0 +1,124 @@
+"""A client and the server of the firmware on a line that damages bytes in both directions: ``make bench-damage``.
+
+One byte of a frame is changed or lost. Nothing may be written that was not meant, and nothing may be read that is not
+there: a variable holds the value written last, or one whose write failed since. No byte is put in: CRC-8 lets one of
+256 of such frames pass.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "servo_bridge" / "test"), str(ROOT / "firmware" / "test")]
+
+from fake_transport import client_on  # noqa: E402
+from firmware_compiler import LibraryCompiler  # noqa: E402
+from freemaster_board import CDEF, Board  # noqa: E402
+from freemaster_model import COMM_SOURCES, ENTRIES, SERVO  # noqa: E402
+from lossy_line import LossyLine  # noqa: E402
+from servo_bridge.freemaster.commands import ScopeSlot  # noqa: E402
+from servo_bridge.freemaster.errors import FreemasterError  # noqa: E402
+
+VARIABLES: Final = tuple(
+    entry for entry in ENTRIES if entry.name in ("M.var_u16", "M.var_i32", "M.ramp", "M.word0", "M.pair")
+)
+"""What is written; no other byte of the memory may change."""
+
+FRAMES: Final = 1_000_000
+SHARE: Final = 0.33
+
+
+@dataclass
+class Report:
+    """What a damaging line has done.
+
+    Attributes
+    ----------
+    damaged : int
+        Frames of which one byte was damaged.
+    exchanges, failed : int
+        Requests of the user, and those of them that ended in an error after all retries.
+    wrong_writes, wrong_reads : int
+        Words that hold, or were read as, something that was not meant.
+    """
+
+    damaged: int = 0
+    exchanges: int = 0
+    failed: int = 0
+    wrong_writes: int = 0
+    wrong_reads: int = 0
+
+
+def new_server(folder: Path) -> Board:
+    """The server of the firmware with the memory of the product."""
+    table = folder / "table.c"
+    table.write_text(SERVO.c_source(), encoding="ascii")
+    sources = [*COMM_SOURCES, "test/freemaster_harness.c", table]
+    ffi, lib = LibraryCompiler(folder)("freemaster_damage", sources, CDEF, SERVO.defines)
+    return Board(ffi, lib, SERVO)
+
+
+def run(board: Board, frames: int, seed: int = 1, share: float = SHARE) -> Report:
+    """Write, read and watch variables until that many frames have been damaged."""
+    line = LossyLine(board.send, seed=seed)
+    client = client_on(line)
+    client.identify()
+    base, random, report = SERVO.variables, line.random, Report()
+    memory = board.memory()
+    allowed = {entry: {memory[entry.at : entry.at + entry.size]} for entry in VARIABLES}
+    scope = client.set_scope([ScopeSlot(base + entry.at, entry.size) for entry in VARIABLES])
+    line.damage = share
+    while line.damaged < frames:
+        entry = random.choice(VARIABLES)
+        report.exchanges += 1
+        try:
+            match random.randrange(3):
+                case 0:
+                    data = random.randbytes(entry.size)
+                    allowed[entry].add(data)
+                    client.write_memory(base + entry.at, data)
+                    allowed[entry] = {data}
+                case 1:
+                    report.wrong_reads += client.read_memory(base + entry.at, entry.size) not in allowed[entry]
+                case 2:
+                    data = client.exchange(scope).data
+                    for watched in VARIABLES:
+                        report.wrong_reads += data[: watched.size] not in allowed[watched]
+                        data = data[watched.size :]
+        except FreemasterError:
+            report.failed += 1
+        found = board.memory()
+        for watched in VARIABLES:
+            part = slice(watched.at, watched.at + watched.size)
+            report.wrong_writes += found[part] not in allowed[watched]
+            found = found[: part.start] + memory[part] + found[part.stop :]
+        report.wrong_writes += found != memory
+        line.requests.clear()
+        line.sent_at.clear()
+    report.damaged = line.damaged
+    return report
+
+
+def main() -> int:
+    """Run the command line; exit status 1 when something was written or read that was not meant."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--frames", type=int, default=FRAMES, help="damaged frames (default: %(default)d)")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        report = run(new_server(Path(folder)), arguments.frames, arguments.seed)
+    print(
+        f"{report.damaged} damaged frames, {report.exchanges} requests: {report.failed} failed after all retries, "
+        f"{report.wrong_writes} words written and {report.wrong_reads} read that were not meant"
+    )
+    return int(report.wrong_writes + report.wrong_reads > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
