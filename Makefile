@@ -81,9 +81,10 @@ up: $(VENV)/.native ## board, bridge, twin and viewer until Ctrl-C; PORT=... for
 experiments: $(VENV)/.native ## repeat the experiments of the reference design; tables and pictures in out/experiments
 	@$(BIN)/servo-sim experiment all --out out/experiments
 
-bench: $(VENV)/.native $(VENV)/.dev ## telemetry and latency against the wire; cost of a lost frame; error along a path; real-time factor of a board
+bench: $(VENV)/.native $(VENV)/.dev ## telemetry, latency and download against the wire; cost of a lost frame; error along a path; real-time factor of a board
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/telemetry.py
 	@$(BIN)/python tests/bench/link.py
+	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/download.py
 	@$(BIN)/python tests/bench/trajectories.py
 	@$(BIN)/servo-sim bench
 

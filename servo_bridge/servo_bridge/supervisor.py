@@ -31,6 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 from servo_bridge.arbiter import Arbiter, CommandWrite
 from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.bursts.record_service import RecordService
+from servo_bridge.bursts.recording import piece_size
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
@@ -223,7 +224,7 @@ class Supervisor:
             settings.recording,
             self._link.call,
             self._inbox.post,
-            piece=self._link.layout.size,
+            piece=piece_size(self._link.layout.size, settings.baud),
             times=self._times,
             say=lambda text: self._log.info(text),
             warn=self._warn,

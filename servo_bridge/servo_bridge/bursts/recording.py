@@ -15,7 +15,7 @@ from servo_bridge.freemaster.errors import RecorderError
 from servo_bridge.freemaster.recorder import SampleMemory, State, in_order, memory_checked
 from servo_bridge.wire.session import Session
 
-__all__ = ["POLL", "Phase", "Recording"]
+__all__ = ["POLL", "Phase", "Recording", "piece_size"]
 
 POLL: Final = 0.05
 """Between two questions for the state of the recorder [s]."""
@@ -25,6 +25,19 @@ _MARGIN: Final = 0.05
 
 _GRACE: Final = 2.0
 """In which a recorder that was told to stop has to [s]."""
+
+
+_PIECE_SECONDS: Final = 0.0025
+"""For which a set-point may wait for a piece of the samples, however short the telemetry is [s]."""
+
+
+def piece_size(sample_size: int, baud: int) -> int:
+    """Bytes to read between two samples of the telemetry.
+
+    On a slow line a piece takes as long as a sample, so that the telemetry keeps half of its rate; on a fast one what
+    counts is the number of exchanges.
+    """
+    return max(sample_size, round(_PIECE_SECONDS * baud / 10))
 
 
 class Phase(Enum):
@@ -130,7 +143,8 @@ class Recording:
         elif self._memory is None:
             self._look(self._prepared)
         elif self.read < self.size:
-            piece = min(self._piece or session.client.read_limit & ~7, self.size - self.read)
+            limit = session.client.read_limit & ~7
+            piece = min(limit, self._piece or limit, self.size - self.read)
             self._data += session.client.read_memory(self._memory.address + self.read, piece)
         if self._memory is None or self.read < self.size:
             return None
