@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parent / "bench"))
-
-import damage
+from bench import damage
 
 
 def test_damage_changes_nothing_that_was_not_meant(tmp_path: Path) -> None:

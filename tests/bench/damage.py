@@ -59,7 +59,7 @@ def new_server(folder: Path) -> Board:
     """The server of the firmware with the memory of the product."""
     table = folder / "table.c"
     table.write_text(SERVO.c_source(), encoding="ascii")
-    sources = [*COMM_SOURCES, "test/freemaster_harness.c", table]
+    sources: list[str | Path] = [*COMM_SOURCES, "test/freemaster_harness.c", table]
     ffi, lib = LibraryCompiler(folder)("freemaster_damage", sources, CDEF, SERVO.defines)
     return Board(ffi, lib, SERVO)
 
