@@ -1,11 +1,12 @@
 /* servo_host.c - what the application does for the host, all of it in the background: what runs in the interrupts is in
  * servo.c. */
+#include "app/servo_host.h"
+
 #include <stddef.h>
 
 #include "app/login.h"
 #include "app/points.h"
 #include "app/ranges.h"
-#include "app/servo.h"
 #include "app/variables.h"
 
 #define PWM_PERIOD_NS UINT32_C(62500)
