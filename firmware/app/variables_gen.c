@@ -694,7 +694,7 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {2817, 517, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
-static const tsa_source_t sources[] = {
+static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.tick), OFFSET(tick), 4}, /* tick */
     {AT(snapshot.applied_tick), OFFSET(applied_tick), 4}, /* applied_tick */
     {AT(snapshot.applied_count), OFFSET(applied_count), 2}, /* applied_count */

@@ -44,17 +44,18 @@ static bool in_string(const tsa_table_t *table, uint32_t address, uint32_t size)
     return at == end;
 }
 
-/* The source of a range, and where in the live memory it is; NULL without one. */
-static const tsa_source_t *find_source(const tsa_space_t *space, uint32_t address, uint32_t size, uint32_t *offset)
+/* Where in the live memory a range has its source; false without one. */
+static bool find_source(const tsa_space_t *space, uint32_t address, uint32_t size, uint32_t *offset)
 {
     for (uint16_t i = 0; i < space->table->sources; i++) {
-        const tsa_source_t *source = &space->table->source[i];
-        if (tsa_inside(address, size, source->address, source->size)) {
-            *offset = source->offset + (address - source->address);
-            return tsa_inside(*offset, size, 0, space->live_size) ? source : NULL;
+        tsa_source_t source;
+        table_copy(&source, &space->table->source[i], sizeof source);
+        if (tsa_inside(address, size, source.address, source.size)) {
+            *offset = source.offset + (address - source.address);
+            return tsa_inside(*offset, size, 0, space->live_size);
         }
     }
-    return NULL;
+    return false;
 }
 
 static bool fill(tsa_place_t *place, tsa_region_t region, uint32_t offset, uint32_t size)
@@ -80,7 +81,7 @@ bool tsa_readable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa
         return fill(place, TSA_REGION_TABLE, address - TSA_TABLE_BASE, size);
     }
     uint32_t offset = 0;
-    return address >= TSA_LIVE_BASE && find_source(space, address, size, &offset) != NULL &&
+    return address >= TSA_LIVE_BASE && find_source(space, address, size, &offset) &&
            fill(place, TSA_REGION_LIVE, offset, size);
 }
 
@@ -94,7 +95,7 @@ const uint8_t *tsa_live(const tsa_space_t *space, uint32_t address, uint32_t siz
 {
     uint32_t offset = 0;
     const uint8_t *memory = space->live;
-    if (find_source(space, address, size, &offset) == NULL) {
+    if (!find_source(space, address, size, &offset)) {
         if (!in_variable(space, address, size, false)) {
             return NULL;
         }

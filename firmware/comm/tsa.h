@@ -59,7 +59,7 @@ typedef struct {
     uint16_t entries;
     const uint8_t *strings; /* 00-terminated strings one after the other, nothing else; in TABLE_MEMORY */
     uint16_t strings_size;
-    const tsa_source_t *source;
+    const tsa_source_t *source; /* in TABLE_MEMORY */
     uint16_t sources;
 } tsa_table_t;
 

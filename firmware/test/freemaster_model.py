@@ -309,7 +309,7 @@ class Layout:
             '#include "freemaster_harness.h"\n'
             f"static const uint8_t strings[] TABLE_MEMORY = {{{c_bytes(self.blob)}}};\n"
             f"static const tsa_entry_t entry[] TABLE_MEMORY = {{\n{rows}\n}};\n"
-            f"static const tsa_source_t source[] = {{\n{sources}\n}};\n"
+            f"static const tsa_source_t source[] TABLE_MEMORY = {{\n{sources}\n}};\n"
             "const tsa_table_t fixture_table = "
             f"{{entry, {len(ENTRIES)}, strings, sizeof strings, source, {len(SOURCES)}}};\n"
             f"const uint16_t fixture_live_size = {LIVE_SIZE};\n"

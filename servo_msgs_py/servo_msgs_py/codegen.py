@@ -252,7 +252,7 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {{
 {chr(10).join(rows)}
 }};
 
-static const tsa_source_t sources[] = {{
+static const tsa_source_t sources[] TABLE_MEMORY = {{
 {sources}
 }};
 

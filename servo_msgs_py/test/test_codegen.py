@@ -150,7 +150,7 @@ def test_table_names_every_variable_once_and_strings_are_shared() -> None:
 
 def test_table_has_the_source_of_every_number_in_a_loop() -> None:
     table = codegen.variable_table(CATALOGUE)
-    rows = table.split("sources[] = {\n")[1].split("};")[0].splitlines()
+    rows = table.split("sources[] TABLE_MEMORY = {\n")[1].split("};")[0].splitlines()
     assert [row.split("/* ")[1].removesuffix(" */") for row in rows] == [
         v.name for v in CATALOGUE.variables.values() if v.source
     ]
