@@ -28,6 +28,9 @@ FAULT_RECORD: Final = "fault_record"
 RECORDING: Final = "recording"
 """std_msgs/Float64MultiArray, latched: a burst of the recorder in the form of `SNAPSHOT`, with the columns ``tick`` and
 `BURST_TIME`; ``layout.dim[0].label`` says what it is."""
+RECORDER: Final = "recorder"
+"""std_msgs/Float64MultiArray, latched: what the recorder is about to record, said before it starts, see
+`servo_msgs_py.recorder_setup`; no row when it is idle."""
 BURST_TIME: Final = "time"
 """Column of `RECORDING`: time since the trigger [s]."""
 ROBOT_DESCRIPTION: Final = "robot_description"
@@ -36,6 +39,9 @@ STATE: Final = "state"
 ARMED: Final = "armed"
 DIAGNOSTICS: Final = "/diagnostics"
 RESIDUAL: Final = "residual"
+RESIDUAL_RECORDING: Final = "residual/recording"
+"""std_msgs/Float64MultiArray, latched: a burst of the board minus that of the twin, in the form of `RECORDING`; NaN
+where the two cannot be compared."""
 HEALTHY: Final = "healthy"
 
 # ---- commands

@@ -2,6 +2,9 @@
 #include "board_parts.h"
 
 #include "app/variables.h"
+#include "comm/status.h"
+
+#define OPERATION_ROOM 24u /* bytes of an operation of SETREC, at most */
 
 size_t board_snapshot_size(void) { return sizeof(snapshot_t); }
 
@@ -19,4 +22,87 @@ void board_table(uint32_t *address, uint32_t *size)
 {
     *address = TSA_TABLE_BASE;
     *size = tsa_table_size(&servo_variables);
+}
+
+/* ---- samples ------------------------------------------------------------------------------------------------------ */
+
+static void put_operation(payload_writer_t *request, uint8_t code, const payload_writer_t *operand)
+{
+    payload_put_u8(request, code);
+    payload_put_u8(request, (uint8_t)operand->size);
+    payload_put_bytes(request, operand->data, operand->size);
+}
+
+/* The operations of SETREC: as many points as fit, all variables stored, no trigger, no divider; then start. */
+static void put_set_up(payload_writer_t *request, const board_cell_t *cell, uint16_t cells)
+{
+    uint8_t data[OPERATION_ROOM];
+    payload_writer_t memory = {data, sizeof data, 0, false};
+    payload_put_u8(&memory, (uint8_t)cells);
+    for (int k = 0; k < 3; k++) {
+        payload_put_unsigned(&memory, 0);
+    }
+    put_operation(request, 0x01u, &memory);
+    for (uint16_t k = 0; k < cells; k++) {
+        payload_writer_t slot = {data, sizeof data, 0, false};
+        payload_put_u8(&slot, (uint8_t)k);
+        payload_put_unsigned(&slot, cell[k].address);
+        payload_put_u8(&slot, cell[k].size);
+        payload_put_u8(&slot, RECORDER_TYPE_NONE);
+        payload_put_unsigned(&slot, 0);
+        put_operation(request, 0x02u, &slot);
+    }
+    const payload_writer_t nothing = {data, sizeof data, 0, false};
+    put_operation(request, 0x03u, &nothing);
+}
+
+uint8_t board_sample(board_t *board, int recorder, const board_cell_t *cell, uint16_t cells, uint32_t *samples,
+                     uint32_t points)
+{
+    freemaster_t *server = &board_servo(board)->freemaster;
+    if (recorder < 0 || recorder >= FREEMASTER_RECORDERS || cells > RECORDER_SLOTS) {
+        return FM_BAD_SIZE;
+    }
+    board_sample_end(board);
+    uint32_t point = 0;
+    for (uint16_t k = 0; k < cells; k++) {
+        point += cell[k].size;
+    }
+    uint8_t data[(RECORDER_SLOTS + 2) * OPERATION_ROOM];
+    payload_writer_t request = {data, sizeof data, 0, false};
+    put_set_up(&request, cell, cells);
+    server->samples.samples = samples;
+    server->samples.size = points * point;
+    payload_reader_t operations = {data, request.size, false};
+    const uint8_t status = recorder_configure(&server->recorder[recorder], &server->space, &operations);
+    if (fm_is_error(status)) {
+        board_sample_end(board);
+    }
+    return status;
+}
+
+uint32_t board_sampled(board_t *board, uint32_t *next)
+{
+    const recorder_memory_t *memory = &board_servo(board)->freemaster.samples;
+    const recorder_sampling_t *sampling = &memory->sampling;
+    *next = 0;
+    if (memory->owner == NULL || !memory->owner->started) {
+        return 0;
+    }
+    *next = (uint32_t)((size_t)(sampling->next - (const uint8_t *)memory->samples) / sampling->point);
+    return sampling->filled ? memory->owner->total : *next;
+}
+
+/* The recorder is as it was after the reset: its memory is its own again. */
+void board_sample_end(board_t *board)
+{
+    servo_t *servo = board_servo(board);
+    freemaster_t *server = &servo->freemaster;
+    for (int k = 0; k < FREEMASTER_RECORDERS; k++) {
+        const recorder_app_t app = server->recorder[k].app;
+        recorder_init(&server->recorder[k], &app, &server->samples);
+    }
+    server->samples.owner = NULL;
+    server->samples.samples = servo->samples;
+    server->samples.size = sizeof servo->samples;
 }

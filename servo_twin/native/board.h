@@ -167,6 +167,19 @@ typedef struct {
 
 void board_stats(const board_t *board, board_stats_t *stats);
 
+/* Have one of the firmware's recorders (0: every PWM period, 1: every slow tick) sample variables in every call of its loop, from
+ * the next one on, without a trigger. `samples` is lent until board_sample_end: room for so many points, which have the variables
+ * in their order, without gaps; when it is full it begins anew. 0 or a FreeMASTER status code; then nothing is sampled. */
+typedef struct {
+    uint32_t address;
+    uint8_t size; /* 1, 2, 4, 8 [bytes] */
+} board_cell_t;
+
+uint8_t board_sample(board_t *board, int recorder, const board_cell_t *cell, uint16_t cells, uint32_t *samples,
+                     uint32_t points);
+uint32_t board_sampled(board_t *board, uint32_t *next); /* points that are there, and which one is written next */
+void board_sample_end(board_t *board);
+
 /* Where board_read finds the table of variables, in the layout of FreeMASTER's TSA (flags 13h). */
 void board_table(uint32_t *address, uint32_t *size);
 /* CFFI-END */

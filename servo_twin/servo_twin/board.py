@@ -21,6 +21,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board_memory import BoardError, BoardMemory
+from servo_twin.board_sampler import BoardSampler
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.harm import Harm
 from servo_twin.level import Level, chosen_level
@@ -197,12 +198,14 @@ class Board:
         self._own_memory = BoardMemory(self._ffi, self._lib, self._handle)
         self._dtype: np.dtype[np.void] | None = None
         self._harms: list[Harm] = []
+        self._sampler: BoardSampler | None = None
 
     # ---- life -----------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
         """Free the board; a second call does nothing."""
         if self._handle is not None:
+            self._sampler = None
             self._ffi.release(self._handle)
             self._handle = None
 
@@ -264,6 +267,41 @@ class Board:
         )
         self._check()
         return log[:rows]
+
+    def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], room: int) -> None:
+        """Have a recorder of the firmware sample without end, from the next call of its loop on.
+
+        Parameters
+        ----------
+        recorder : int
+            0: every PWM period; 1: every slow tick.
+        elements : sequence of (Variable, int)
+            Variables and their elements, at most 8.
+        room : int
+            Points that are kept.
+
+        Raises
+        ------
+        BoardError
+            If the board does not have a variable or cannot sample it.
+        """
+        self.end_sampling()
+        places = [self.address(variable.name) + k * variable.element_size for variable, k in elements]
+        names = (f"{variable.name}[{k}]" for variable, k in elements)
+        layout = np.dtype([(name, _element(variable)) for name, (variable, _) in zip(names, elements, strict=True)])
+        self._sampler = BoardSampler(self._ffi, self._lib, self._board, recorder, places, layout, room)
+
+    def sampled(self) -> NDArray[np.void]:
+        """What `sample` has kept, oldest first; raw integers, one field per element in the order of `sample`."""
+        if self._sampler is None:
+            raise BoardError("nothing is sampled")
+        return self._sampler.points()
+
+    def end_sampling(self) -> None:
+        """End what `sample` has begun; without it does nothing."""
+        if self._sampler is not None:
+            self._sampler.close()
+            self._sampler = None
 
     def trace(self, until_ns: int, room: int = 1_000_000) -> NDArray[np.void]:
         """Run as `advance` does, and write down what a logic analyser on the chip would show.
@@ -485,9 +523,13 @@ class Board:
 
 def _format(variable: Variable) -> str:
     """Code of numpy for the raw type of a variable."""
-    kind = "i" if variable.raw_type.signed else "u"
     shape = f"{variable.count}" if variable.count > 1 else ""
-    return f"{shape}<{kind}{variable.element_size}"
+    return f"{shape}{_element(variable)}"
+
+
+def _element(variable: Variable) -> str:
+    """The same of one element."""
+    return f"<{'i' if variable.raw_type.signed else 'u'}{variable.element_size}"
 
 
 def _axis_index(axis: int) -> int:

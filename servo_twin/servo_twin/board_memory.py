@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
-__all__ = ["BoardError", "BoardMemory", "TableEntry"]
+__all__ = ["BoardError", "BoardMemory", "TableEntry", "status_text"]
 
 _ENTRY_SIZE: Final = 16
 
@@ -67,14 +67,14 @@ class BoardMemory:
         data = self._ffi.new("uint8_t[]", max(size, 1))
         status = self._lib.board_read(self._board, address, data, size)
         if status != 0:
-            raise BoardError(f"reading {size} bytes at {address:#x}: {_status_text(status)}", status)
+            raise BoardError(f"reading {size} bytes at {address:#x}: {status_text(status)}", status)
         return bytes(self._ffi.buffer(data, size))
 
     def write(self, address: int, data: bytes) -> None:
         """Write bytes at an address, as FreeMASTER WRITEMEM does."""
         status = self._lib.board_write(self._board, address, data, len(data))
         if status != 0:
-            raise BoardError(f"writing {len(data)} bytes at {address:#x}: {_status_text(status)}", status)
+            raise BoardError(f"writing {len(data)} bytes at {address:#x}: {status_text(status)}", status)
 
     @cached_property
     def table(self) -> tuple[TableEntry, ...]:
@@ -103,5 +103,6 @@ class BoardMemory:
         return text.decode("latin-1")
 
 
-def _status_text(status: int) -> str:
+def status_text(status: int) -> str:
+    """What a FreeMASTER status code means."""
     return _STATUS_TEXT.get(status, f"status {status:02X}h")

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any, Final
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -29,12 +30,14 @@ from servo_msgs_py.convert import (
 )
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.node_shell import ParameterError, Spec, claim_name, declare, full_name, run, setting_up
+from servo_msgs_py.recorder_setup import setup_from_message
 from servo_msgs_py.robot_description import joints_of
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
 from servo_twin.board import Board
+from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.lockstep.worker import TwinWorker
@@ -142,6 +145,8 @@ class ServoTwin(Node):
         self._joint_states = self.create_publisher(JointState, topics.JOINT_STATES, deep)
         self._snapshot = self.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self._residual = self.create_publisher(JointState, topics.RESIDUAL, deep)
+        self._recording = self.create_publisher(Float64MultiArray, topics.RECORDING, latched)
+        self._residual_recording = self.create_publisher(Float64MultiArray, topics.RESIDUAL_RECORDING, latched)
         self._state = self.create_publisher(String, topics.STATE, latched)
         self._healthy = self.create_publisher(Bool, topics.HEALTHY, latched)
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
@@ -156,6 +161,10 @@ class ServoTwin(Node):
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, topics.latched_qos())
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, self._on_description, topics.latched_qos())
+
+        recorder, recording = f"{board}/{topics.RECORDER}", f"{board}/{topics.RECORDING}"
+        self.create_subscription(Float64MultiArray, recorder, self._on_recorder, topics.latched_qos())
+        self.create_subscription(Float64MultiArray, recording, self._on_recording, topics.latched_qos())
 
     # ---- what comes in
     def _on_snapshot(self, message: Float64MultiArray) -> None:
@@ -185,6 +194,24 @@ class ServoTwin(Node):
         with self._lock:
             self._parameter_trouble = ""
         self._worker.parameters(values)
+
+    def _on_recorder(self, message: Float64MultiArray) -> None:
+        try:
+            setup = setup_from_message(message)
+        except ValueError as error:
+            self._log.warning(f"{self._board_namespace}/{topics.RECORDER}: {error}")
+            return
+        self._worker.recorder(setup)
+
+    def _on_recording(self, message: Float64MultiArray) -> None:
+        try:
+            columns, table = snapshot_table(message)
+            if "tick" not in columns or not len(table) or not np.isfinite(table[:, columns.index("tick")]).all():
+                raise ValueError("a burst without ticks")
+        except ValueError as error:
+            self._log.warning(f"{self._board_namespace}/{topics.RECORDING}: {error}")
+            return
+        self._worker.burst(message.layout.dim[0].label, columns, table)
 
     def _on_description(self, message: String) -> None:
         try:
@@ -234,6 +261,8 @@ class ServoTwin(Node):
                 fault = self._fault = self._twin.fault
                 status = f"synchronising: {self._twin.status}"
                 self._monitor.interrupt(self._board_trouble or (f"{fault}; {status}" if fault else status))
+        for answer in self._twin.burst_answers():
+            self._publish_burst(answer)
         self._say()
 
     def _compare(self, pair: Pair) -> Residual | None:
@@ -273,6 +302,20 @@ class ServoTwin(Node):
             with self._lock:
                 for name, publisher in self._variables.items():
                     publisher.publish(Float64(data=difference.values[name]))
+
+    def _publish_burst(self, answer: BurstAnswer) -> None:
+        """Publish what the twin has of a burst; say what it has not."""
+        for publisher, table in ((self._recording, answer.twin), (self._residual_recording, answer.residual)):
+            if len(table):
+                message = snapshot_message(answer.columns, table.tolist())
+                message.layout.dim[0].label = answer.label
+                publisher.publish(message)
+        if not len(answer.twin):
+            self._log.warning(f"no burst of the twin beside that of the board: {answer.note}")
+        elif answer.note:
+            self._log.warning(f"the burst of the twin is not complete: {answer.note}")
+        else:
+            self._log.info(f"the burst of the board on the twin: {len(answer.twin)} points")
 
     def _worker_failed(self, error: Exception) -> None:
         self.failure = f"the simulation failed: {error!r}"

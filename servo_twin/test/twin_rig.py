@@ -51,6 +51,8 @@ class TwinRig:
     ----------
     reporting, listening : bool
         Whether applied commands are reported; whether anything at all reaches the twin.
+    tick_base : int
+        As above.
     held : list or None
         If a list, reports of applied commands are kept there instead of going to the twin.
     """
@@ -72,7 +74,7 @@ class TwinRig:
         self.pairs: list[Pair] = []
         self.reporting = self.listening = True
         self.held: list[AppliedCommand] | None = None
-        self._base = tick_base
+        self.tick_base = tick_base
         self._written: list[tuple[str, tuple[int, ...], int]] = []
 
     def __enter__(self) -> TwinRig:
@@ -129,9 +131,9 @@ class TwinRig:
         """Run the real board to its next sample and hand that to the twin."""
         self.real.run_to(self.real.tick + self.every)
         for variable, raw, mask in self._written:
-            self._report(AppliedCommand(variable, self._base + self.real.raw["applied_tick"], raw, mask))
+            self._report(AppliedCommand(variable, self.tick_base + self.real.raw["applied_tick"], raw, mask))
         self._written.clear()
-        tick = self._base + self.real.tick
+        tick = self.tick_base + self.real.tick
         row = [float(self.real.raw[name] * CATALOGUE[name].lsb) for name in VARIABLES]
         row[0] = float(tick)
         row += divmod(EPOCH_NS + tick * PERIOD_NS, 1_000_000_000)

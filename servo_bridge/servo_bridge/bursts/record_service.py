@@ -1,4 +1,4 @@
-"""The service ``record`` and the topic ``recording``: bursts of the recorder of the board."""
+"""The service ``record`` and the topics ``recorder`` and ``recording``: bursts of the recorder of the board."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import snapshot_message
+from servo_msgs_py.recorder_setup import setup_message
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
@@ -40,10 +41,12 @@ class Call(Protocol):
 class RecordService:
     """Sets a recorder up when it is asked to, and publishes what it has recorded.
 
+    What it records is published before the recorder starts: a twin has to sample the same from the first point on.
+
     Parameters
     ----------
     node : Node
-        Owner of service and topic.
+        Owner of service and topics.
     catalogue : Catalogue
         Meaning of the variables.
     request : BurstRequest
@@ -88,6 +91,8 @@ class RecordService:
         self._answer: Future[Outcome] | None = None
         self.request = request
         self._publisher = node.create_publisher(Float64MultiArray, topics.RECORDING, topics.latched_qos())
+        self._setups = node.create_publisher(Float64MultiArray, topics.RECORDER, topics.latched_qos())
+        self._setups.publish(setup_message(None))
         self._timer = node.create_timer(POLL, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer.cancel()
         self._service = DeferredService(node, SetBool, topics.RECORD, lambda request: self._asked(request.data))
@@ -125,6 +130,10 @@ class RecordService:
         if error is not None:
             self._end(error)
             return
+        if recording.phase is Phase.READY:
+            self._setups.publish(setup_message(recording.setup))
+            self._step()
+            return
         if self._answer is not None:
             answer, self._answer = self._answer, None
             self._say(f"recording {recording.text}")
@@ -133,6 +142,7 @@ class RecordService:
         if burst is not None:
             self._recording = None
             self._publish(burst, recording)
+            self._setups.publish(setup_message(None))
         elif recording.phase is Phase.READING:
             self._step()
         else:
@@ -146,6 +156,8 @@ class RecordService:
             answer.set_result((False, reason))
         elif recording is not None:
             self._warn(f"the recording has failed: {reason}")
+        if recording is not None:
+            self._setups.publish(setup_message(None))
 
     def _publish(self, burst: Burst, recording: Recording) -> None:
         how = "" if recording.triggered or recording.request.trigger is None else ", stopped before the trigger"

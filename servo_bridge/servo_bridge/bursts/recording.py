@@ -8,6 +8,7 @@ from enum import Enum
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.recorder_setup import RecorderSetup
 
 from servo_bridge.bursts.burst import Burst, burst_of
 from servo_bridge.bursts.request import BurstRequest, Prepared
@@ -44,6 +45,7 @@ class Phase(Enum):
     """How far a recording is."""
 
     SET_UP = "not begun"
+    READY = "set up"
     RECORDING = "recording"
     WAITING = "waiting for the trigger"
     STOPPING = "stopping"
@@ -113,8 +115,15 @@ class Recording:
         return POLL if self.phase in (Phase.RECORDING, Phase.WAITING, Phase.STOPPING) else 0.0
 
     @property
+    def setup(self) -> RecorderSetup:
+        """What the recorder is set up for; once it is."""
+        assert self._prepared is not None
+        names = tuple(channel.name for channel in self._prepared.channels)
+        return RecorderSetup(names, self.request.recorder, self._prepared.period_ns, self._points)
+
+    @property
     def text(self) -> str:
-        """What is recorded, in words; once it has begun."""
+        """What is recorded, in words; once the recorder is set up."""
         assert self._prepared is not None
         period = self._prepared.period_ns
         rate = f" at {1e9 / period:g} Hz" if period else ""
@@ -139,7 +148,9 @@ class Recording:
             If it cannot be recorded; the recording has ended then.
         """
         if self._prepared is None:
-            self._begin(session)
+            self._set_up(session)
+        elif self.phase is Phase.READY:
+            self._begin(self._prepared)
         elif self._memory is None:
             self._look(self._prepared)
         elif self.read < self.size:
@@ -155,11 +166,14 @@ class Recording:
             self._prepared.channels, in_order(self._memory, bytes(self._data)), self._prepared.period_ns, zero
         )
 
-    def _begin(self, session: Session) -> None:
+    def _set_up(self, session: Session) -> None:
         prepared = self.request.prepare(session, self._catalogue)
         self._points = prepared.recorder.configure(prepared.setup)
-        prepared.recorder.start()
         self._prepared = prepared
+        self.phase = Phase.READY
+
+    def _begin(self, prepared: Prepared) -> None:
+        prepared.recorder.start()
         self.phase = Phase.RECORDING
         if prepared.setup.trigger is not None:
             self.phase = Phase.WAITING

@@ -8,7 +8,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import AppliedCommand
 
 from servo_twin.lockstep.replica import Replica
-from servo_twin.lockstep.samples import Activity, Sample, activity
+from servo_twin.lockstep.samples import COUNTED_FROM_ZERO, Activity, Sample, activity
 
 __all__ = ["POINTS", "AxisTie"]
 
@@ -16,7 +16,6 @@ POINTS: Final = "cmd.points"
 _SET_POINTS: Final = ("cmd.position", "cmd.speed", "cmd.i_q", "cmd.points")  # by control mode
 _STOPS: Final = (("cmd.quick_stop", 1), ("cmd.enable", 0))
 _ENABLE: Final = ("cmd.enable", 1)
-_COUNTS: Final = ("position", "position_ref")
 
 
 class AxisTie:
@@ -220,7 +219,7 @@ class AxisTie:
     def in_real_frame(self, replica: Replica, sample: Sample) -> dict[str, int]:
         """Positions of the twin's axis in the unwrapped frame of the sample [counts], by variable name."""
         near = sample.position[self._number]
-        names = [f"{self._name}.{name}" for name in _COUNTS]
+        names = [f"{self._name}.{name}" for name in COUNTED_FROM_ZERO]
         return {name: near + _int32(replica.raw[name] + self._offset - near) for name in names}
 
 

@@ -11,7 +11,7 @@ from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name, numbers
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name, numbers
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
@@ -34,6 +34,9 @@ class ReplayBoard(Protocol):
     def address(self, name: str) -> int: ...
     def write_memory(self, address: int, data: bytes) -> None: ...
     def close(self) -> None: ...
+    def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], room: int) -> None: ...
+    def sampled(self) -> NDArray[np.void]: ...
+    def end_sampling(self) -> None: ...
 
 
 def slow_tick(tick: int) -> int:
@@ -103,6 +106,18 @@ class Replica:
                 return False
             self.run_to(self.tick + step)
         return True
+
+    def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], room: int) -> None:
+        """Have a recorder of the board sample from now on; see `servo_twin.board.Board.sample`."""
+        self._board.sample(recorder, elements, room)
+
+    def sampled(self) -> NDArray[np.void]:
+        """What `sample` has kept, oldest first."""
+        return self._board.sampled()
+
+    def end_sampling(self) -> None:
+        """End what `sample` has begun."""
+        self._board.end_sampling()
 
     def write(self, variable: str, raw: Sequence[int], mask: int) -> None:
         """Write the masked axes of a command variable; takes effect with the next slow tick.

@@ -15,7 +15,29 @@ from servo_msgs_py.convert import state_label
 
 from servo_msgs_py import topics
 
-__all__ = ["Activity", "RestWatch", "Sample", "SampleReader", "activity", "expired_mask"]
+__all__ = [
+    "BY_ANGLE",
+    "COUNTED_FROM_ZERO",
+    "OWN",
+    "Activity",
+    "RestWatch",
+    "Sample",
+    "SampleReader",
+    "activity",
+    "expired_mask",
+]
+
+OWN: Final = frozenset({"tick", "applied_tick", "applied_count", "config.taken_tick", "config.taken_count"})
+"""Variables that count on each board for itself."""
+
+COUNTED_FROM_ZERO: Final = ("position", "position_ref")
+"""Variables of an axis that are counted from where its rotor was found, which is elsewhere on each board."""
+
+BY_ANGLE: Final = (
+    *("theta_e", "estimate_theta_e", "pll_angle", "emf_alpha", "emf_beta"),
+    *(f"{quantity}_{phase}" for quantity in ("i", "duty") for phase in "abc"),
+)
+"""Variables of an axis that say nothing of two shafts at different electrical angles."""
 
 _COMMON: Final = ("tick", "applied_tick", "applied_count")
 _PER_AXIS: Final = ("position", "speed", "i_q", "state", "substate")

@@ -27,18 +27,19 @@ from numpy.typing import NDArray
 from servo_msgs_py.board_parameters import RawParameters, parameters
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.lockstep.axis_tie import POINTS, AxisTie
 from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, bring, repeat
+from servo_twin.lockstep.bursts import BurstAnswer, BurstFollower, Frame
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
-from servo_twin.lockstep.samples import Activity, RestWatch, Sample, SampleReader, activity
+from servo_twin.lockstep.samples import OWN, Activity, RestWatch, Sample, SampleReader, activity
 
 __all__ = ["Pair", "Twin", "TwinSettings"]
 
-_OWN: Final = frozenset({"tick", "applied_tick", "applied_count"})  # columns that count on each board for itself
 _POSITIONS: Final = ("param.position_min", "param.position_max")  # parameters that are positions of a shaft
 _FOREVER: Final = 1 << 63  # later than any tick
 _SETTLE: Final = 2.0  # longest time from reset to STOP [s]
@@ -154,6 +155,8 @@ class Twin:
         self._parameters: RawParameters | None = None
         self._cause = ""  # why the twin has to begin anew, while it waits for that
         self._in_force: RawParameters = {}  # on the twin's board, as the real board has them
+        self._bursts = BurstFollower(self._catalogue)
+        self._apart = ""  # `Pair.difference` of the last sample
         self._blocks: dict[int, tuple[int, ...]] = {}  # configuration of the real board, where not the built-in one
 
     # ---- in
@@ -190,6 +193,25 @@ class Twin:
         """Take a write that took effect on the real board; the order of arrival does not matter."""
         if not self._ledger.add(command):
             self._remember(command)  # too late to be replayed, but not to be known
+
+    def recorder(self, setup: RecorderSetup | None) -> None:
+        """Take what the recorder of the real board is about to record; None when it is idle."""
+        if setup is None:
+            self._bursts.idle(self.newest_tick)
+            return
+        self._bursts.set_up(setup)
+        if self._replica is not None and self._last is not None:
+            self._bursts.begin(self._replica, self._frame(self._last))
+
+    def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+        """Take what the recorder of the real board has recorded, as it was published.
+
+        Raises
+        ------
+        ValueError
+            If it has no ticks.
+        """
+        self._bursts.burst(label, columns, table, self.tick)
 
     def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Take samples of the real board, in the order of their ticks.
@@ -229,6 +251,10 @@ class Twin:
     def tick(self) -> int | None:
         """Tick of the last sample that was dealt with."""
         return None if self._last is None else self._last.tick
+
+    def burst_answers(self) -> list[BurstAnswer]:
+        """What the twin has of the bursts since the call before."""
+        return self._bursts.take()
 
     @property
     def simulated_ticks(self) -> int:
@@ -311,9 +337,15 @@ class Twin:
         difference = self._difference(replica, sample)
         if self._replica is None:
             return None
+        self._apart = difference
+        if self._bursts.sampling:
+            self._bursts.note(self._frame(sample))
         stopping = tuple(axis.stopping for axis in self._axes)
         values = self._values(replica, sample)
         return Pair(sample.tick, sample.stamp_ns, sample.values, values, difference, stopping, self.fault)
+
+    def _frame(self, sample: Sample) -> Frame:
+        return Frame(sample.tick, self._shift, tuple(axis.offset for axis in self._axes), self._apart)
 
     def _settle(self, sample: Sample) -> None:
         """Everything that took effect up to this sample is dealt with."""
@@ -361,6 +393,7 @@ class Twin:
         self._shift = 0
         self.synchronisations += 1
         self.status = self._cause = ""
+        self._bursts.begin(replica)
         return replica
 
     def _note_torque(self, replica: Replica) -> None:
@@ -382,6 +415,7 @@ class Twin:
         if self._replica is not None:
             self._replica.close()
             self._replica = None
+        self._bursts.dropped(reason)
         self._rest.forget()
         self._own_rest.forget()
         self.status = reason
@@ -479,7 +513,7 @@ class Twin:
             raw.update(axis.in_real_frame(replica, sample))
         values = {"tick": float(sample.tick)}
         for name in sample.values:
-            if name in raw and name not in _OWN:
+            if name in raw and name not in OWN:
                 values[name] = raw[name] * self._catalogue[name].lsb
         return values
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.lockstep.twin import Pair, Twin
@@ -102,6 +103,14 @@ class TwinWorker:
     def parameters(self, values: RawParameters) -> None:
         """Parameters of the real board."""
         self._post(lambda: self._twin.parameters(values))
+
+    def recorder(self, setup: RecorderSetup | None) -> None:
+        """What the recorder of the real board is about to record; None when it is idle."""
+        self._post(lambda: self._twin.recorder(setup))
+
+    def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
+        """What it has recorded, with its ticks."""
+        self._post(lambda: self._twin.burst(label, columns, table))
 
     def resync(self, reason: str) -> None:
         """Begin anew."""

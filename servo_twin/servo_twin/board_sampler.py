@@ -1,0 +1,74 @@
+"""What a recorder of a virtual board samples without end, in a memory of this process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_twin.board_memory import BoardError, status_text
+
+__all__ = ["SAMPLER_CELLS", "BoardSampler"]
+
+SAMPLER_CELLS: Final = 8
+"""Numbers that a point can have."""
+
+
+class BoardSampler:
+    """Numbers at some addresses, sampled in every call of a loop, where the recorder of the firmware takes them.
+
+    Costs the board what its recorder costs, and nothing is copied before `points` is called.
+
+    Parameters
+    ----------
+    ffi, lib : cffi library
+        With the interface of ``board.h``.
+    board : cffi pointer
+        The board; it has to live until `close`.
+    recorder : int
+        0: every PWM period; 1: every slow tick.
+    addresses : sequence of int
+        Of the numbers, at most `SAMPLER_CELLS`.
+    layout : dtype
+        Of a point: one field per number, in the same order, without gaps.
+    room : int
+        Points that are kept.
+
+    Raises
+    ------
+    BoardError
+        If the board refuses.
+    """
+
+    def __init__(
+        self,
+        ffi: Any,
+        lib: Any,
+        board: Any,
+        recorder: int,
+        addresses: Sequence[int],
+        layout: np.dtype[np.void],
+        room: int,
+    ) -> None:
+        self._ffi, self._lib, self._board = ffi, lib, board
+        self._memory = np.zeros(-(-room * layout.itemsize // 4), np.uint32)  # whole words
+        self._points: NDArray[np.void] = self._memory.view(np.uint8)[: room * layout.itemsize].view(layout)
+        sizes = [layout[k].itemsize for k in range(len(addresses))]
+        cells = ffi.new("board_cell_t[]", list(zip(addresses, sizes, strict=True)))
+        self._lent = ffi.from_buffer("uint32_t[]", self._memory, require_writable=True)
+        status = lib.board_sample(board, recorder, cells, len(addresses), self._lent, room)
+        if status != 0:
+            raise BoardError(f"sampling {len(addresses)} numbers: {status_text(status)}", status)
+
+    def points(self) -> NDArray[np.void]:
+        """The last points, oldest first: as many as there is room for."""
+        following = self._ffi.new("uint32_t *")
+        count = self._lib.board_sampled(self._board, following)
+        first = following[0] if count == len(self._points) else 0
+        return np.concatenate([self._points[first:count], self._points[:first]])
+
+    def close(self) -> None:
+        """Give the recorder its own memory back."""
+        self._lib.board_sample_end(self._board)

@@ -1,0 +1,217 @@
+"""Bursts of the board's recorder on the twin: the same ticks, and what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from servo_msgs_py.recorder_setup import RecorderSetup, setup_from_message, setup_message
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_twin.harm import HotPowerStage
+from servo_twin.lockstep.bursts import BurstAnswer
+from servo_twin.plant import PlantConfig
+from twin_rig import CATALOGUE, EPOCH_NS, TwinRig
+
+from servo_msgs_py import topics
+
+FAST = RecorderSetup(
+    ("tick", "axis1.i_a", "axis1.i_q", "axis1.position", "axis1.theta_e", "axis2.position_ref", "axis2.duty_a"),
+    recorder=0,
+    period_ns=PERIOD_NS,
+    points=500,
+)
+SLOW = RecorderSetup(("tick", "axis2.speed", "u_dc"), recorder=1, period_ns=PERIOD_NS * SLOW_PERIODS, points=100)
+
+
+@pytest.fixture
+def rig() -> Iterator[TwinRig]:
+    with TwinRig() as rig:
+        rig.run(0.1)
+        yield rig
+
+
+def begin(rig: TwinRig, setup: RecorderSetup) -> None:
+    """Set the recorder of the real board up, and tell the twin before it starts."""
+    rig.twin.recorder(setup)
+    elements = [(CATALOGUE.variables[name], 0) for name in setup.names]
+    rig.board.sample(setup.recorder, elements, setup.points)
+
+
+def end(rig: TwinRig, setup: RecorderSetup) -> tuple[list[str], NDArray[np.float64]]:
+    """Columns and table of the last points, as the bridge publishes them."""
+    points = rig.board.sampled()
+    rig.board.end_sampling()
+    every = setup.period_ns // (SLOW.period_ns if setup.recorder else PERIOD_NS)
+    points = points[3::every]  # the divider begins anywhere
+    columns = [
+        points[field] * CATALOGUE[name.partition("[")[0]].lsb
+        for field, name in zip(points.dtype.names or (), setup.names, strict=True)
+    ]
+    columns[0] = columns[0] + rig.tick_base
+    stamps = EPOCH_NS + columns[0].astype(np.int64) * PERIOD_NS
+    seconds, nanoseconds = np.divmod(stamps, 1_000_000_000)
+    times = (np.arange(len(points)) - len(points) // 2) * setup.period_ns * 1e-9
+    table = np.column_stack([*columns, times, seconds, nanoseconds]).astype(np.float64)
+    return [*setup.names, topics.BURST_TIME, *topics.STAMP_COLUMNS], table
+
+
+def answer(rig: TwinRig) -> BurstAnswer:
+    answers = rig.twin.burst_answers()
+    assert len(answers) == 1
+    return answers[0]
+
+
+def recorded(rig: TwinRig, setup: RecorderSetup, turns: tuple[float, float] = (2.0, -1.0)) -> BurstAnswer:
+    """A burst in a move."""
+    begin(rig, setup)
+    rig.move(turns, 0.06)
+    columns, table = end(rig, setup)
+    rig.run(0.1)
+    rig.twin.burst("a burst", columns, table)
+    rig.twin.recorder(None)
+    return answer(rig)
+
+
+@pytest.mark.parametrize("setup", [FAST, replace(FAST, period_ns=4 * PERIOD_NS), SLOW])
+def test_of_boards_that_differ_in_nothing_the_residual_is_exactly_zero(setup: RecorderSetup) -> None:
+    with TwinRig(real_seed=7, twin_seed=7) as rig:
+        rig.up()
+        burst = recorded(rig, setup)
+        assert burst.note == ""
+        assert burst.label == "a burst"
+        assert list(burst.columns) == [*setup.names, topics.BURST_TIME, *topics.STAMP_COLUMNS]
+        width = len(setup.names)
+        assert np.ptp(burst.twin[:, 1]) > 0.0
+        assert not burst.residual[:, 1:width].any()
+        for k in (0, *range(width, width + 3)):
+            assert burst.residual[:, k].tolist() == burst.twin[:, k].tolist()
+
+
+def test_of_another_plant_it_is_the_difference() -> None:
+    plant = PlantConfig.load()
+    with TwinRig(real_seed=7, twin_seed=7, plant=plant.with_axis(0, r_s=2.0 * plant.axes[0].r_s)) as rig:
+        rig.up()
+        burst = recorded(rig, FAST)
+        width = len(FAST.names)
+        assert burst.note == ""
+        worst = dict(zip(burst.columns, np.abs(burst.residual).max(axis=0), strict=True))
+        assert worst["axis1.i_q"] > 0.01
+        assert worst["axis1.position"] < 0.5, "in the frame of the real axis"
+        assert worst["axis1.theta_e"] < 1.0, "the short way round"
+        assert not np.isnan(burst.residual[:, :width]).any()
+
+
+def test_a_twin_that_began_later_and_elsewhere_has_the_same_ticks_and_positions() -> None:
+    with TwinRig(real_seed=7, twin_seed=8, tick_base=3 << 32) as rig:
+        rig.up()
+        rig.move([1.25, -2.5])
+        rig.twin.resync("test")
+        rig.run(0.5)
+        assert rig.twin.status == ""
+        burst = recorded(rig, FAST, (-1.0, 2.0))
+        assert burst.note == (
+            "no residual of axis1.i_a, axis1.theta_e, axis2.duty_a: the twin's shaft is at another angle"
+        )
+        assert burst.twin[0, 0] > 3 << 32
+        columns = list(burst.columns)
+        for name, limit in (("axis1.position", 0.02), ("axis2.position_ref", 1e-9)):
+            assert np.abs(burst.residual[:, columns.index(name)]).max() <= limit, name
+        assert np.ptp(burst.twin[:, columns.index("axis2.position_ref")]) > 1.0
+        assert np.isnan(burst.residual[:, columns.index("axis1.theta_e")]).all()
+
+
+def test_a_burst_waits_for_a_twin_that_lags(rig: TwinRig) -> None:
+    begin(rig, FAST)
+    rig.listening = False
+    rig.run(0.1)
+    columns, table = end(rig, FAST)
+    rig.twin.burst("", columns, table)
+    rig.twin.recorder(None)
+    assert rig.twin.burst_answers() == []
+    rig.listening = True
+    rig.run(0.1)
+    assert answer(rig).note == ""
+    rig.run(2.2)
+    rig.twin.burst("", columns, table)
+    assert answer(rig).note == "the twin was not there when the recorder was set up", "sampled only when armed"
+
+
+def test_what_the_twin_does_not_have_is_left_out_and_named(rig: TwinRig) -> None:
+    begin(rig, replace(FAST, names=("tick", "cmd.position", "applied_tick", "axis2.i_q")))
+    rig.run(0.1)
+    columns, table = end(rig, replace(FAST, names=("tick", "cmd.position[0]", "applied_tick", "axis2.i_q")))
+    rig.run(0.1)
+    rig.twin.burst("", columns, table)
+    burst = answer(rig)
+    assert list(burst.columns) == ["tick", "axis2.i_q", topics.BURST_TIME, *topics.STAMP_COLUMNS]
+    assert burst.note == "without cmd.position[0], applied_tick, which the host writes or the twin does not have"
+
+
+@pytest.mark.parametrize(
+    ("setup", "said"),
+    [
+        (replace(FAST, names=("tick", "foreign", "axis1.i_q[3]")), "the twin has none of tick, foreign, axis1.i_q[3]"),
+        (replace(FAST, period_ns=0), "the board does not say at which ticks it samples"),
+        (replace(FAST, period_ns=10_000 * PERIOD_NS), "every period of 312 s takes 104 MB, and the twin keeps 64 MB"),
+    ],
+)
+def test_what_cannot_be_sampled_is_refused_with_the_reason(rig: TwinRig, setup: RecorderSetup, said: str) -> None:
+    begin(rig, FAST)
+    rig.twin.recorder(setup)
+    rig.run(0.1)
+    rig.twin.burst("", *end(rig, FAST))
+    burst = answer(rig)
+    assert (len(burst.twin), len(burst.residual)) == (0, 0)
+    assert burst.note == said
+
+
+def test_samples_of_before_the_twin_began_anew_are_not_there(rig: TwinRig) -> None:
+    begin(rig, FAST)
+    rig.run(0.05)
+    first = rig.real.tick
+    rig.twin.resync("asked to begin anew")
+    rig.run(0.2)
+    burst_columns, table = end(rig, FAST)
+    rig.run(0.05)
+    early = np.concatenate([table[:1] * (0.0,), table])
+    early[0, 0] = first
+    rig.twin.burst("", burst_columns, early)
+    said = answer(rig).note
+    assert said.startswith(f"the burst begins at tick {first}, and of the twin's samples there are those from tick ")
+    assert said.endswith(" on (asked to begin anew)")
+    table[:, 0] += 16_000.0
+    rig.twin.burst("", burst_columns, table)
+    rig.twin.resync("asked again")
+    assert answer(rig).note == "the twin does not follow the board: asked again"
+
+
+def test_where_the_boards_cannot_be_compared_the_twin_is_shown_alone() -> None:
+    with TwinRig(real_seed=7, twin_seed=7) as rig:
+        rig.up()
+        begin(rig, replace(FAST, points=4000))
+        rig.run(0.1)
+        rig.board.inject(HotPowerStage(0, 200.0))
+        rig.run(0.1)
+        columns, table = end(rig, FAST)
+        rig.run(0.1)
+        rig.twin.burst("", columns, table)
+        burst = answer(rig)
+        apart = np.isnan(burst.residual[:, 1])
+        assert 0 < apart.sum() < len(apart)
+        assert not apart[0]
+        assert not burst.residual[0, 1 : len(FAST.names)].any()
+        assert not np.isnan(burst.twin).any()
+        assert burst.note == f"no residual at {apart.sum()} of {len(apart)} points: axis1 is FAULT, its twin RUN/SPIN"
+
+
+def test_the_setup_of_a_recorder_travels_as_a_message() -> None:
+    assert setup_from_message(setup_message(FAST)) == FAST
+    assert setup_from_message(setup_message(replace(SLOW, period_ns=1_500_000))) == replace(SLOW, period_ns=1_500_000)
+    assert setup_from_message(setup_message(None)) is None
+    broken = setup_message(FAST)
+    broken.data[2] = 0.0
+    with pytest.raises(ValueError, match=r"0 points of .* are no set-up"):
+        setup_from_message(broken)
