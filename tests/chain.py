@@ -265,8 +265,7 @@ class User:
             ("/diagnostics", DiagnosticArray, deep),
             ("/rosout", Log, deep),
         ):
-            self.messages[name] = []
-            self.node.create_subscription(kind, name, self.messages[name].append, qos)
+            self.listen(name, kind, qos)
         qos = topics.command_qos()
         self.joint_commands = self.node.create_publisher(JointState, "/servo/joint_commands", qos)
         self.commands = self.node.create_publisher(Float64MultiArray, "/servo/commands", qos)
@@ -276,6 +275,11 @@ class User:
         self._clear = self.node.create_client(Trigger, "/servo/clear_faults")
         self._set_parameters = self.node.create_client(SetParameters, "/servo/servo_bridge/set_parameters")
         self.executor.add_node(self.node)
+
+    def listen(self, name: str, kind: Any, qos: Any) -> None:
+        """Keep what is published on a topic."""
+        self.messages[name] = []
+        self.node.create_subscription(kind, name, self.messages[name].append, qos)
 
     def close(self) -> None:
         self.executor.remove_node(self.node)

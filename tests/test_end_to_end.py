@@ -15,10 +15,11 @@ import pytest
 from builtin_interfaces.msg import Duration
 from chain import DOMAIN, Cable, Chain, Process, User, user, wait_for
 from sensor_msgs.msg import JointState
-from servo_msgs_py.convert import from_stamp
+from servo_msgs_py.convert import from_stamp, snapshot_table
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
 from std_msgs.msg import Float64, Float64MultiArray
+from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from servo_msgs_py import topics
@@ -295,6 +296,38 @@ def square() -> JointTrajectory:
     return JointTrajectory(joint_names=BOTH, points=points)
 
 
+RECORDED = ("axis1.i_a", "axis1.i_q", "axis1.position", "axis2.duty_a")
+
+
+class Bursts:
+    """What the recorder of the board records in between, and the twin with it."""
+
+    TOPICS = ("/servo/recording", "/twin/recording", "/twin/residual/recording")
+
+    def __init__(self, me: User) -> None:
+        self._me = me
+        self._record = me.node.create_client(SetBool, "/servo/record")
+        for name in self.TOPICS:
+            me.listen(name, Float64MultiArray, topics.latched_qos())
+
+    def begin(self) -> None:
+        """Have the recorder record."""
+        self._me.until(self._record.service_is_ready)
+        success, message = self._me.call(self._record, SetBool.Request(data=True))
+        assert success, message
+
+    def exactly_zero(self) -> None:
+        """There is one burst, and the twin has the same."""
+        self._me.until(lambda: all(self._me.messages[name] for name in self.TOPICS), what="no burst")
+        (board,), (twin,), (residual,) = (self._me.messages[name] for name in self.TOPICS)
+        assert snapshot_table(board)[0][1 : len(RECORDED) + 1] == list(RECORDED)
+        assert board.layout == twin.layout == residual.layout
+        assert board.data == twin.data
+        columns, table = snapshot_table(residual)
+        assert not table[:, 1 : columns.index("time")].any()
+        assert np.ptp(snapshot_table(twin)[1][:, columns.index("axis1.i_a")]) > 0.0
+
+
 class TestTwinOfTheSameBoard:
     """Both boards have the same noise: any difference is of what the line, or the split of the runs, does to one."""
 
@@ -305,13 +338,18 @@ class TestTwinOfTheSameBoard:
     def test_the_residual_is_exactly_zero(self, chain: Chain) -> None:
         with user() as me:
             chain.twin(seed=5)
-            chain.bridge(gear_ratio=[1.0, 1.5], direction=[1, -1], offset=[0.0, 0.5])
+            recording = f"{' '.join(RECORDED)} --rate 2000"
+            chain.bridge(gear_ratio=[1.0, 1.5], direction=[1, -1], offset=[0.0, 0.5], recording=recording)
+            # Where software takes time, a recorder changes when encoders are read, on each board from another tick on.
+            bursts = Bursts(me) if chosen_level() == "ideal" else None
             me.until(lambda: me.matched() and me.last("/twin/state"), 30.0)
             chain.board(seed=5)  # last, so that its twin can follow it from its reset on
             me.until(me.connected, 30.0)
             me.until(lambda: me.last("/twin/healthy") is True, 30.0)
             me.spinning()
             start = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
+            if bursts is not None:
+                bursts.begin()
             for turns in ((2.0, -3.0), (-1.0, 0.25)):
                 go(me, *(x * TURN for x in turns))
             trajectories = me.node.create_publisher(JointTrajectory, "/servo/joint_trajectory", topics.command_qos())
@@ -324,6 +362,8 @@ class TestTwinOfTheSameBoard:
             me.until(lambda: residuals and from_stamp(residuals[-1].header.stamp) >= end)
             assert all([*m.position, *m.velocity, *m.effort] == [0.0] * 6 for m in residuals)
             assert len([m for m in residuals if from_stamp(m.header.stamp) >= start]) > 20
+            if bursts is not None:
+                bursts.exactly_zero()
 
 
 class TestTrouble:

@@ -10,8 +10,11 @@ import pytest
 from bridge_rig import STOP, Rig
 from fake_servo import CATALOGUE, FakeServo
 from fake_transport import FakeTransport, client_on
+from servo_bridge.bursts.recording import Recording
+from servo_bridge.bursts.request import Prepared
 from servo_bridge.wire.session import connect
 from servo_msgs_py.convert import snapshot_table
+from servo_msgs_py.recorder_setup import RecorderSetup, setup_from_message, setup_message
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
@@ -41,6 +44,7 @@ def rig() -> Iterator[Rig]:
 
     with Rig(recording="axis1.i_q --trigger 'axis1.i_q > 1.0' --before 30% --points 50") as rig:
         rig.listen(topics.RECORDING, Float64MultiArray, topics.latched_qos())
+        rig.listen(topics.RECORDER, Float64MultiArray, topics.latched_qos())
         rig.record_client = rig.user.create_client(SetBool, topics.RECORD)  # type: ignore[attr-defined]
         rig.until(rig.record_client.service_is_ready)  # type: ignore[attr-defined]
         rig.up(STOP, STOP)
@@ -72,6 +76,31 @@ def test_a_burst_is_published_with_its_ticks_and_stamps(rig: Rig) -> None:
     now = rig.user.get_clock().now().nanoseconds * 1e-9
     age = (rig.link.tick - table[-1, 0]) * 62.5e-6
     assert now - stamps[-1] == pytest.approx(age, abs=5.0)
+
+
+def test_what_is_recorded_is_said_before_the_recorder_starts_and_taken_back(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[object] = []
+    begin = Recording._begin
+
+    def started(recording: Recording, prepared: Prepared) -> None:
+        done.append("started")
+        begin(recording, prepared)
+
+    def said(setup: RecorderSetup | None) -> Float64MultiArray:
+        done.append(setup)
+        return setup_message(setup)
+
+    monkeypatch.setattr(Recording, "_begin", started)
+    monkeypatch.setattr("servo_bridge.bursts.record_service.setup_message", said)
+    assert rig.set_parameter("recording", "axis1.i_q param.i_q_limit --rate 4000 --points 30")[0]
+    assert record(rig, True)[0]
+    rig.until(lambda: rig.messages[topics.RECORDING] and len(rig.messages[topics.RECORDER]) == 3)
+    names = ("tick", "axis1.i_q", "param.i_q_limit[0]", "param.i_q_limit[1]")
+    setup = RecorderSetup(names, recorder=0, period_ns=250_000, points=30)
+    assert done == [setup, "started", None]
+    assert [setup_from_message(message) for message in rig.messages[topics.RECORDER]] == [None, setup, None]
 
 
 def test_a_burst_whose_trigger_does_not_come_is_ended_by_the_service(rig: Rig) -> None:

@@ -127,8 +127,11 @@ class ServoViewer(Node):
         for namespace, take in ((board, viewer.board), (twin, viewer.twin)):
             topic = f"{namespace}/{topics.SNAPSHOT}"
             self.create_subscription(Float64MultiArray, topic, partial(self._on_snapshot, topic, take), deep)
-        for namespace, source in ((board, scene.BOARD), (twin, scene.TWIN)):
-            topic = f"{namespace}/{topics.RECORDING}"
+        for topic, source in (
+            (f"{board}/{topics.RECORDING}", scene.BOARD),
+            (f"{twin}/{topics.RECORDING}", scene.TWIN),
+            (f"{twin}/{topics.RESIDUAL_RECORDING}", scene.RESIDUAL),
+        ):
             self.create_subscription(Float64MultiArray, topic, partial(self._on_recording, topic, source), latched)
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, partial(self._on_description, description), latched)

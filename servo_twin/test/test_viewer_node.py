@@ -124,6 +124,8 @@ class Robot:
                 ("/twin/snapshot", Float64MultiArray, deep),
                 ("/twin/residual", JointState, deep),
                 ("/servo/recording", Float64MultiArray, latched),
+                ("/twin/recording", Float64MultiArray, latched),
+                ("/twin/residual/recording", Float64MultiArray, latched),
                 ("/servo/state", String, latched),
                 ("/servo/robot_description", String, latched),
                 ("/twin/healthy", Bool, latched),
@@ -210,10 +212,17 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
     names = ["tick", "axis1.i_a", topics.BURST_TIME, *topics.STAMP_COLUMNS]
     points = [[float(EVERY * 50 + k), 0.1 * k, 0.0, 0.0, 0.0] for k in range(100)]
     robot.publish("/servo/recording", snapshot_message(names, points))
+    same = [[*row[:1], row[1] - 0.5, *row[2:]] for row in points]
+    robot.publish("/twin/recording", snapshot_message(names, same))
+    rest = [[*row[:1], 0.5 if k < 60 else float("nan"), *row[2:]] for k, row in enumerate(points)]
+    robot.publish("/twin/residual/recording", snapshot_message(names, rest))
     trouble = diagnostic_status("servo_bridge: link", DiagnosticStatus.WARN, "2 timeouts", "board", {})
     robot.publish("/diagnostics", diagnostic_array(stamp(EVERY, robot.start_ns), [trouble]))
-    burst = scene.burst_entity("axis1.i_a", scene.BOARD)
-    _wait_points(file, {BOARD_SPEED: 500, TWIN_SPEED: 500, RESIDUAL: 500, burst: 100})
+    burst, burst_of_twin, burst_residual = (
+        scene.burst_entity("axis1.i_a", source) for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)
+    )
+    bursts = {burst: 100, burst_of_twin: 100, burst_residual: 100}
+    _wait_points(file, {BOARD_SPEED: 500, TWIN_SPEED: 500, RESIDUAL: 500, **bursts})
     _wait(lambda: all(_texts(file, name) for name in ("diagnostics", "link", "twin")), "all lines of the log")
     assert viewer.stop(signal.SIGTERM) == 0
     assert "Traceback" not in viewer.text()
@@ -225,6 +234,10 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
     assert times[0] == pytest.approx(board[0][50], abs=1e-6), "at its tick beside the telemetry"
     assert np.diff(times) == pytest.approx(np.full(99, PERIOD_NS * 1e-9), abs=1e-9)
     assert currents == pytest.approx(0.1 * np.arange(100))
+    assert read_scalars(file, burst_of_twin)[0] == pytest.approx(times)
+    assert read_scalars(file, burst_of_twin)[1] == pytest.approx(currents - 0.5)
+    assert read_scalars(file, burst_residual)[0] == pytest.approx(times)
+    assert read_scalars(file, burst_residual)[1] == pytest.approx([0.5] * 60 + [np.nan] * 40, nan_ok=True)
     assert set(read_scalars(file, RESIDUAL)[1]) == {0.25}
     assert read_scalars(file, RESIDUAL)[0] == pytest.approx(board[0], abs=1e-6)
     states = [state for _, state in read_texts(file, scene.state_entity("axis1"), "StateChange:state")]

@@ -59,8 +59,11 @@ def blueprint() -> Any:
     states = rrb.StateTimelineView(name="states", origin="/state", time_view=time_axis)
     kinds = [TextLogColumnKind.LogLevel, TextLogColumnKind.Body]
     log = rrb.TextLogView(name="log", origin="/log", columns=rrb.TextLogColumns(text_log_columns=kinds))
-    bursts = rrb.TimeSeriesView(name="bursts of the recorder", origin="/burst", plot_legend=rrb.Corner2D.LeftTop)
-    views = rrb.Vertical(shafts, path, states, rrb.Tabs(log, bursts, active_tab=0), row_shares=[3, 4, 3, 3])
+    bursts = [
+        rrb.TimeSeriesView(name=name, origin=origin, plot_legend=rrb.Corner2D.LeftTop)
+        for name, origin in (("bursts of the recorder", scene.BURST), ("bursts: board - twin", scene.BURST_RESIDUAL))
+    ]
+    views = rrb.Vertical(shafts, path, states, rrb.Tabs(log, *bursts, active_tab=0), row_shares=[3, 4, 3, 3])
     return rrb.Blueprint(
         rrb.Horizontal(*columns, views, column_shares=[3, 3, 2]),
         rrb.TimePanel(state="collapsed", timeline=scene.TIMELINE, play_state="following"),

@@ -13,6 +13,8 @@ from servo_msgs_py.joints import Joint
 
 __all__ = [
     "BOARD",
+    "BURST",
+    "BURST_RESIDUAL",
     "COLOURS",
     "PATH_STATES",
     "QUANTITIES",
@@ -103,6 +105,10 @@ QUANTITIES: Final = (
 
 MONITOR: Final = Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point")
 
+BURST: Final = "/burst"
+BURST_RESIDUAL: Final = "/burst_residual"
+"""Roots of the bursts of board and twin, and of what they differ by."""
+
 RESIDUALS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 """Fields of the residual, board minus twin, and their units."""
 
@@ -128,8 +134,9 @@ def state_entity(name: str) -> str:
 
 
 def burst_entity(variable: str, source: str) -> str:
-    """Where a variable of the bursts lies: ``/burst/axis1/i_q/board``."""
-    return f"/burst/{variable.replace('.', '/')}/{source}"
+    """Where a variable of the bursts lies: ``/burst/axis1/i_q/board``; its residual: ``/burst_residual/axis1/i_q``."""
+    path = variable.replace(".", "/")
+    return f"{BURST_RESIDUAL}/{path}" if source == RESIDUAL else f"{BURST}/{path}/{source}"
 
 
 def path_entity(source: str) -> str:
