@@ -352,6 +352,8 @@ class TestTwinOfTheSameBoard:
                 bursts.begin()
             for turns in ((2.0, -3.0), (-1.0, 0.25)):
                 go(me, *(x * TURN for x in turns))
+            if bursts is not None:
+                bursts.exactly_zero()
             trajectories = me.node.create_publisher(JointTrajectory, "/servo/joint_trajectory", topics.command_qos())
             me.until(trajectories.get_subscription_count)
             trajectories.publish(square())
@@ -362,8 +364,6 @@ class TestTwinOfTheSameBoard:
             me.until(lambda: residuals and from_stamp(residuals[-1].header.stamp) >= end)
             assert all([*m.position, *m.velocity, *m.effort] == [0.0] * 6 for m in residuals)
             assert len([m for m in residuals if from_stamp(m.header.stamp) >= start]) > 20
-            if bursts is not None:
-                bursts.exactly_zero()
 
 
 class TestTrouble:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servo_twin.board_memory import BoardError, status_text
 
-__all__ = ["SAMPLER_CELLS", "BoardSampler"]
-
-SAMPLER_CELLS: Final = 8
-"""Numbers that a point can have."""
+__all__ = ["BoardSampler"]
 
 
 class BoardSampler:
@@ -30,7 +27,7 @@ class BoardSampler:
     recorder : int
         0: every PWM period; 1: every slow tick.
     addresses : sequence of int
-        Of the numbers, at most `SAMPLER_CELLS`.
+        Of the numbers, at most 8.
     layout : dtype
         Of a point: one field per number, in the same order, without gaps.
     room : int

@@ -184,6 +184,9 @@ def test_samples_of_before_the_twin_began_anew_are_not_there(rig: TwinRig) -> No
     assert said.endswith(" on (asked to begin anew)")
     table[:, 0] += 16_000.0
     rig.twin.burst("", burst_columns, table)
+    rig.twin.recorder(FAST)
+    assert answer(rig).note == "the recorder was set up anew before the twin had run so far"
+    rig.twin.burst("", burst_columns, table)
     rig.twin.resync("asked again")
     assert answer(rig).note == "the twin does not follow the board: asked again"
 

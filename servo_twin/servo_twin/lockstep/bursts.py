@@ -127,6 +127,8 @@ class BurstFollower:
     # ---- in
     def set_up(self, setup: RecorderSetup) -> None:
         """Take what is about to be recorded; `begin` samples it."""
+        if self._burst is not None:
+            self._refuse(self._burst, "the recorder was set up anew before the twin had run so far")
         self._stop()
         self._setup, self._end = setup, None
         self._since = ""
