@@ -11,10 +11,12 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from servo_msgs_py.catalogue import Catalogue
 
 from servo_bridge import tool_commands, tool_faults, tool_record, tool_tune
+from servo_bridge.desktop_project import desktop_project
 from servo_bridge.freemaster.client import PASSWORD_VARIABLE, Client, password_of_environment
 from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, RecorderError
 from servo_bridge.freemaster.line import Line
@@ -61,6 +63,12 @@ def _password(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError("it is empty")
     return text
+
+
+def _project_file(text: str) -> Path:
+    if Path(text).suffix != ".pmpx":
+        raise argparse.ArgumentTypeError(f"{text} does not end in .pmpx")
+    return Path(text)
 
 
 def _ask_password() -> str | None:
@@ -147,6 +155,13 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this one (default: both)")
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
     command.add_argument("--plot", metavar="FILE", help="draw it, as .png, .svg or .pdf")
+    command = commands.add_parser(
+        "project",
+        help="write a project for NXP's desktop tool: all variables with units, SI scales and limits; needs no board",
+        description="Write a project for NXP's desktop tool FreeMASTER 3. Needs no board.",
+        parents=[common],
+    )
+    command.add_argument("file", type=_project_file, metavar="FILE.pmpx")
     command = add("tune", tool_tune.tune, "change gains and motor data of a board that runs, or read them back")
     tool_tune.add_arguments(command)
     for name, run, text in (
@@ -180,6 +195,9 @@ def _run(args: argparse.Namespace) -> int:
         baud = getattr(args, "baud", None) or _positive_whole(os.environ.get("SERVO_BAUD") or "115200")
     except argparse.ArgumentTypeError:
         raise UsageError(f"SERVO_BAUD is {os.environ['SERVO_BAUD']!r}, not a line speed") from None
+    if args.command == "project":
+        args.file.write_text(desktop_project(Catalogue.load(), baud), encoding="utf-8")
+        return 0
     run: tool_commands.Runner = args.run
     connected = False
     try:
