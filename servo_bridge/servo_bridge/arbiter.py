@@ -26,6 +26,7 @@ from servo_bridge.trajectory.errors import POINTS_REFUSED
 __all__ = ["Arbiter", "AxisStatus", "CommandWrite", "PathSource"]
 
 _POINTS = "cmd.points"
+_TAKE = "config.take"
 _TARGET = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
 _REMEDY = "send a value inside, or change the limits in the parameters of the bridge"
@@ -36,33 +37,40 @@ _NOT_ENABLED = "outputs have not been enabled over this bridge"
 
 @dataclass(frozen=True)
 class CommandWrite:
-    """A write of neighbouring elements of one command variable, or of timed points.
+    """A write of neighbouring elements of one command variable, of timed points, or of blocks that are to be taken.
 
     Attributes
     ----------
     variable : str
         Name of the array variable.
     first : int
-        Axis of the first element; 0 for points.
+        Axis of the first element; 0 for points and blocks.
     raw : tuple of int
         Firmware integers; the firmware takes only the written elements as fresh. Of points their words.
+    members : tuple of int
+        Of the blocks that ``config.take`` brings into force, one axis after the other.
     """
 
     variable: str
     first: int
     raw: tuple[int, ...]
+    members: tuple[int, ...] = ()
 
     @property
     def mask(self) -> int:
         """Bit per written axis; bit 0 is axis 1."""
         if self.variable == _POINTS:
             return axes_of_points(self.raw)
+        if self.variable == _TAKE:
+            return self.raw[0]
         return ((1 << len(self.raw)) - 1) << self.first
 
     def numbers(self) -> tuple[int, ...]:
-        """Raw number of every axis, 0 where nothing is written; the words of points."""
+        """Raw number of every axis, 0 where nothing is written; the words of points; the members of blocks."""
         if self.variable == _POINTS:
             return self.raw
+        if self.variable == _TAKE:
+            return self.members
         numbers = [0] * AXES
         numbers[self.first : self.first + len(self.raw)] = self.raw
         return tuple(numbers)

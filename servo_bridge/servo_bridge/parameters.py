@@ -137,6 +137,12 @@ _SETTINGS: Mapping[str, Spec] = {
         "\"axis1.i_a axis1.i_q --trigger 'axis1.i_q > 1.0' --before 30% --rate 16000\"",
         read_only=False,
     ),
+    "tuning": Spec(
+        "",
+        "path of a TOML file in the form of servo.toml, on the computer of the bridge: the configuration of the axes "
+        "that the service tune gives the board",
+        read_only=False,
+    ),
     "preferred_source": Spec(
         "",
         "topic with precedence, such as joint_commands: while it commands an axis, and 1 s longer, the set-points of "
@@ -174,6 +180,7 @@ class Settings:
     goal_defaults: GoalDefaults
     board_parameters: tuple[Assignment, ...]
     recording: BurstRequest
+    tuning: str
     preferred_source: str
 
     @property
@@ -223,6 +230,7 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         goal_defaults=_goal_defaults(values, names),
         board_parameters=_board_parameters(values["board_parameters"], catalogue),
         recording=_recording(values["recording"]),
+        tuning=values["tuning"],
         preferred_source=_preferred_source(values["preferred_source"], names),
     )
 

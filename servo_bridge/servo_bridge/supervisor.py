@@ -54,6 +54,7 @@ from servo_bridge.trajectory.streamer import Streamer, stream_lead
 from servo_bridge.trajectory.timed_points import PERIOD
 from servo_bridge.trajectory_limits import path_limits
 from servo_bridge.trajectory_topics import TrajectoryTopics
+from servo_bridge.tuning.service import TuningService
 from servo_bridge.variable_topics import VariableTopics
 from servo_bridge.wire.board_clock import BoardClock, WallClock
 from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
@@ -229,6 +230,16 @@ class Supervisor:
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
+        self._tuning = TuningService(
+            node,
+            settings.tuning,
+            self._link.call,
+            self._inbox.post,
+            take=self._dispatcher.urgent,
+            taken=self._read_beliefs,
+            say=lambda text: self._log.info(text),
+            warn=self._warn,
+        )
         self._offer_services()
         self._start_timers()
         self._publish_description()
@@ -313,6 +324,7 @@ class Supervisor:
         self._settings = settings
         self._arbiter.joints = list(settings.joints)
         self._records.request = settings.recording
+        self._tuning.path = settings.tuning
         self._arbiter.sources.preferred = settings.preferred_source
         self._publish_description()
         self._pace_keep_alive()
@@ -377,8 +389,8 @@ class Supervisor:
         if status.state is LinkState.CONNECTED:
             self._log.info(str(status))
             self._dispatcher.open(_TAKE_OVER)
-            self._read_motors()
-            self._board_parameters.connected()
+            self._read_beliefs()
+            self._tuning.connected()
         else:
             if status.state is LinkState.CONNECTING:
                 self._log.info(str(status))
@@ -472,6 +484,11 @@ class Supervisor:
         self._log.error(f"{self._joints[record.axis]}: {record.summary()}")
         self._publications.fault_record(record)
 
+    def _read_beliefs(self) -> None:
+        """Read what a configuration determines: motor data, and parameters whose default is another one."""
+        self._read_motors()
+        self._board_parameters.connected()
+
     def _read_motors(self) -> None:
         names = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _BELIEFS]
         futures = [self._link.read(name) for name in names]
@@ -564,6 +581,7 @@ class Supervisor:
         self._ended = True
         connected = self._status.state is LinkState.CONNECTED
         self._inbox.close()
+        self._tuning.close()
         switched_off = self._link.close(_SWITCH_OFF)
         if connected and not switched_off:
             self._warn(

@@ -4,32 +4,22 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from servo_msgs_py.axis_config import AxisConfigError, AxisConfigTable, Member
-from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, send_block, take_blocks
-from servo_msgs_py.catalogue import AXES, axis_name, numbers
+from servo_msgs_py.axis_config import AxisConfigError
+from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_blocks
+from servo_msgs_py.catalogue import AXES, numbers
 from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.reading import load
-from servo_msgs_py.tuning.report import axis_reports
-from servo_msgs_py.tuning.restore import restored, toml_text
 
-from servo_bridge.block_session import BlockSession
 from servo_bridge.tool_values import UsageError
+from servo_bridge.tuning.block_session import BlockSession
+from servo_bridge.tuning.plan import Plan, computed, file_of, read_blocks
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
 __all__ = ["add_arguments", "tune"]
-
-Block = Mapping[str, int]
-
-_HEADING = """\
-Read back from a board by `servo-tool tune --from-board`: `servo-tool tune` makes the same numbers of it.
-rotor_inertia, rated_speed and rated_current are not on a board; they only serve a report. [board.brake] and
-[board.regeneration] are compiled into the firmware; `make generate` needs both."""
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -62,9 +52,9 @@ def tune(context: Context) -> int:
 
 
 def _from_board(context: Context, memory: BlockSession) -> int:
-    blocks = [read_block(memory, axis) for axis in range(AXES)]
+    blocks = list(read_blocks(memory).values())
     timeouts = (_parameter(context, "param.host_timeout"), _parameter(context, "param.command_timeout"))
-    text = toml_text(restored(blocks, timeouts, context.catalogue), _HEADING)
+    text = file_of(blocks, timeouts, context.catalogue)
     if context.args.output:
         Path(context.args.output).write_text(text, encoding="utf-8")
         print(f"wrote {context.args.output}")
@@ -79,40 +69,21 @@ def _parameter(context: Context, name: str) -> float:
 
 def _to_board(context: Context, memory: BlockSession) -> int:
     args = context.args
-    reports = axis_reports(load(Path(args.file), context.catalogue))
+    blocks, warnings = computed(Path(args.file), context.catalogue)
     axes = range(AXES) if args.axis is None else [args.axis - 1]
     for axis in axes:
-        for finding in reports[axis].findings:
-            print(f"{args.file}: warning: {finding}", file=sys.stderr)
-    new = {axis: reports[axis].tuned.block for axis in axes}
-    old = {axis: read_block(memory, axis) for axis in axes}
-    changed = [axis for axis in axes if new[axis] != old[axis]]
-    if not changed:
+        for warning in warnings[axis]:
+            print(f"{args.file}: warning: {warning}", file=sys.stderr)
+    plan = Plan(read_blocks(memory, axes), {axis: blocks[axis] for axis in axes})
+    if not plan.axes:
         print(f"the board has the configuration of {args.file}; nothing changes")
         return 0
-    print("\n".join(change_table({axis: (old[axis], new[axis]) for axis in changed})))
+    print("\n".join(plan.table()))
     if args.diff:
         return 1
     if args.dry_run:
         return 0
-    for axis in changed:
-        send_block(memory, axis, new[axis])
-    taken = take_blocks(memory, changed, memory.wait)
-    print(f"{' and '.join(map(axis_name, changed))} taken at tick {taken.tick}")
+    plan.send(memory)
+    taken = take_blocks(memory, plan.axes, memory.wait)
+    print(f"{plan.names} taken at tick {taken.tick}")
     return 0
-
-
-def change_table(blocks: Mapping[int, tuple[Block, Block]]) -> list[str]:
-    """Lines of a table of what changes, by index of the axis: old and new block."""
-    rows: list[Sequence[str]] = [("AXIS", "MEMBER", "OLD", "NEW", "CHANGES")]
-    for axis, (old, new) in blocks.items():
-        rows += [_row(axis, member, old, new) for member in AxisConfigTable.load().changes(old, new)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-
-
-def _row(axis: int, member: Member, old: Block, new: Block) -> Sequence[str]:
-    texts: list[Any] = [member.text(block[member.path]) for block in (old, new)]
-    if texts[0] == texts[1]:
-        texts = [f"{text} (raw {block[member.path]})" for text, block in zip(texts, (old, new), strict=True)]
-    return (axis_name(axis), member.path, *texts, "in motion" if member.live else "at rest")

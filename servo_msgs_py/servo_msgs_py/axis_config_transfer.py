@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, Protocol
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
-__all__ = ["BlockMemory", "BlockRefusedError", "Taken", "read_block", "send_block", "take_blocks"]
+__all__ = ["BlockMemory", "BlockRefusedError", "Taken", "read_block", "send_block", "take_blocks", "take_result"]
 
 _HEAD: Final = 3  # words of the window before the members
 
@@ -140,6 +140,17 @@ def take_blocks(memory: BlockMemory, axes: Sequence[int], wait: Callable[[], boo
     while memory.read_words("config.answers") == before:
         if not wait():
             raise BlockRefusedError("BUSY", _TEXTS["BUSY"])
+    return take_result(memory)
+
+
+def take_result(memory: BlockMemory) -> Taken:
+    """What has become of the last ``config.take`` when the board has dealt with it.
+
+    Raises
+    ------
+    BlockRefusedError
+        If it was refused.
+    """
     _raise_refusal(memory, "the blocks")
     checksums = memory.read_words("config.checksum")
     return Taken(memory.read_words("config.taken_tick")[0], tuple(checksums[:AXES]))

@@ -33,6 +33,8 @@ RECORDER: Final = "recorder"
 `servo_msgs_py.recorder_setup`; no row when it is idle."""
 BURST_TIME: Final = "time"
 """Column of `RECORDING`: time since the trigger [s]."""
+TUNING: Final = "tuning"
+"""std_msgs/String, latched: the configuration of the axes of the board as the TOML file that gives it."""
 ROBOT_DESCRIPTION: Final = "robot_description"
 """std_msgs/String, latched: URDF of the joints, see `servo_msgs_py.robot_description`."""
 STATE: Final = "state"
@@ -55,6 +57,9 @@ QUICK_STOP: Final = "quick_stop"
 CLEAR_FAULTS: Final = "clear_faults"
 RECORD: Final = "record"
 """std_srvs/SetBool: begin to record what the parameter ``recording`` says, or end it before its trigger."""
+TUNE: Final = "tune"
+"""std_srvs/SetBool: give the board the configuration of the file that the parameter ``tuning`` names; with data: false
+only say what would change."""
 RESYNC: Final = "resync"
 
 COMMAND_VARIABLES: Final = (

@@ -32,12 +32,14 @@ from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.node_shell import ParameterError, Spec, claim_name, declare, full_name, run, setting_up
 from servo_msgs_py.recorder_setup import setup_from_message
 from servo_msgs_py.robot_description import joints_of
+from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
 from servo_twin.board import Board
 from servo_twin.lockstep.bursts import BurstAnswer
+from servo_twin.lockstep.blocks import blocks_of_file
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.lockstep.worker import TwinWorker
@@ -158,6 +160,7 @@ class ServoTwin(Node):
         self.create_subscription(Float64MultiArray, applied, self._on_applied, deep)
         parameters = f"{board}/{topics.PARAMETERS}"
         self.create_subscription(Float64MultiArray, parameters, self._on_parameters, topics.latched_qos())
+        self.create_subscription(String, f"{board}/{topics.TUNING}", self._on_tuning, topics.latched_qos())
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, topics.latched_qos())
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
         self.create_subscription(String, description, self._on_description, topics.latched_qos())
@@ -212,6 +215,14 @@ class ServoTwin(Node):
             self._log.warning(f"{self._board_namespace}/{topics.RECORDING}: {error}")
             return
         self._worker.burst(message.layout.dim[0].label, columns, table)
+
+    def _on_tuning(self, message: String) -> None:
+        try:
+            blocks = blocks_of_file(message.data, self._catalogue)
+        except ConfigError as error:
+            self._log.warning(f"the twin cannot take the configuration of the board: {error}")
+            return
+        self._worker.blocks(blocks)
 
     def _on_description(self, message: String) -> None:
         try:

@@ -269,6 +269,8 @@ class TestConfiguration:
             rig.run(0.1)
             rig.listening = True
             rig.run(0.3)
+            rig.twin.blocks({0: tuple(AxisConfigTable.load().words(read_block(rig.real, 0)))})
+            assert rig.twin.labels(), "the twin's board has that one, too, and goes on"
             rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
             assert rig.twin.status == "the board has another configuration"
             rig.up()

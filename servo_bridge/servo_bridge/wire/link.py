@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any, Final, TypeVar
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
+from servo_msgs_py.topics import COMMAND_VARIABLES
 
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.errors import (
@@ -206,7 +207,7 @@ class Link:
         """Write neighbouring elements of a variable as firmware integers; see `write`."""
         variable = self._known(name)
         offset, data = element_bytes(variable, raw, first)
-        lengthy = name.startswith("cmd.")  # each one that arrives is counted and carried out
+        lengthy = name in COMMAND_VARIABLES  # each one that arrives is counted and carried out
 
         def run(client: Client) -> WriteResult:
             assert self._reader is not None

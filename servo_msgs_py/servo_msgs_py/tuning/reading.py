@@ -18,7 +18,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["load", "parse"]
+__all__ = ["load", "loads", "parse"]
 
 AXIS_NAMES: Final = tuple(axis_name(axis) for axis in range(AXES))
 
@@ -34,8 +34,22 @@ def load(path: Path, catalogue: Catalogue) -> Configuration:
         If it cannot be read.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        return loads(path.read_text(encoding="utf-8"), catalogue)
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(error)) from error
+
+
+def loads(text: str, catalogue: Catalogue) -> Configuration:
+    """Read and check the text of a file.
+
+    Raises
+    ------
+    ConfigError
+        If it is not TOML or cannot work.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
         raise ConfigError(str(error)) from error
     return parse(table, catalogue)
 

@@ -7,13 +7,15 @@ from typing import Final
 
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_block, take_blocks
-from servo_msgs_py.catalogue import AXES
+from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.tuning.reading import loads
+from servo_msgs_py.tuning.tuned import tuned
 from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_twin.lockstep.replica import Replica
 
-__all__ = ["TAKE", "Blocks", "blocks_of", "bring", "repeat"]
+__all__ = ["TAKE", "Blocks", "blocks_of", "blocks_of_file", "bring", "checksums_of", "repeat"]
 
 TAKE: Final = "config.take"
 
@@ -35,6 +37,24 @@ def blocks_of(command: AppliedCommand) -> dict[int, tuple[int, ...]]:
     return {axis: tuple(table.words(table.block(words))) for axis, words in parts.items()}
 
 
+def blocks_of_file(text: str, catalogue: Catalogue) -> dict[int, tuple[int, ...]]:
+    """Blocks that the tuning code makes of a configuration file, given as its text.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration cannot work.
+    """
+    table, configuration = AxisConfigTable.load(), loads(text, catalogue)
+    return {k: tuple(table.words(tuned(axis, configuration).block)) for k, axis in enumerate(configuration.axes)}
+
+
+def checksums_of(blocks: Blocks) -> dict[int, int]:
+    """Checksum of each block, as the board has it in ``config.checksum``."""
+    table = AxisConfigTable.load()
+    return {axis: table.checksum(axis, table.block(words)) for axis, words in blocks.items()}
+
+
 def repeat(replica: Replica, command: AppliedCommand) -> None:
     """Write what a command has brought, so that it takes effect with the next slow tick."""
     table = AxisConfigTable.load()
@@ -51,11 +71,12 @@ def bring(replica: Replica, blocks: Blocks) -> None:
     BlockRefusedError
         If it does not take them.
     """
-    table = AxisConfigTable.load()
-    for axis, words in blocks.items():
-        send_block(replica, axis, table.block(words))
-    if blocks:
-        take_blocks(replica, list(blocks), lambda: _tick(replica))
+    table, in_force = AxisConfigTable.load(), replica.read_words("config.checksum")
+    others = [axis for axis, checksum in checksums_of(blocks).items() if checksum != in_force[axis]]
+    for axis in others:
+        send_block(replica, axis, table.block(blocks[axis]))
+    if others:
+        take_blocks(replica, others, lambda: _tick(replica))
 
 
 def _tick(replica: Replica) -> bool:

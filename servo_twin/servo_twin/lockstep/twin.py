@@ -32,8 +32,8 @@ from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.lockstep.axis_tie import POINTS, AxisTie
-from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, bring, repeat
 from servo_twin.lockstep.bursts import BurstAnswer, BurstFollower, Frame
+from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, bring, checksums_of, repeat
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
 from servo_twin.lockstep.samples import OWN, Activity, RestWatch, Sample, SampleReader, activity
@@ -157,7 +157,7 @@ class Twin:
         self._in_force: RawParameters = {}  # on the twin's board, as the real board has them
         self._bursts = BurstFollower(self._catalogue)
         self._apart = ""  # `Pair.difference` of the last sample
-        self._blocks: dict[int, tuple[int, ...]] = {}  # configuration of the real board, where not the built-in one
+        self._blocks: dict[int, tuple[int, ...]] = {}  # configuration of the real board, as far as it is known
 
     # ---- in
     @property
@@ -177,15 +177,14 @@ class Twin:
 
         Those that come as a command afterwards are taken at their tick. Begins anew when the twin's board has others.
         """
-        known = dict(self._blocks)
+        self._blocks |= {axis: tuple(words) for axis, words in blocks.items()}
+        if self._replica is None:
+            return
+        known = dict(enumerate(self._replica.read_words("config.checksum")))
         for command in self._ledger.until(_FOREVER):
             if command.variable == TAKE:
-                known |= blocks_of(command)
-        news = {axis: words for axis, words in blocks.items() if known.get(axis) != tuple(words)}
-        if not news:
-            return
-        self._blocks |= news
-        if self._replica is not None:
+                known |= checksums_of(blocks_of(command))
+        if any(known[axis] != checksum for axis, checksum in checksums_of(blocks).items()):
             self._cause = "the board has another configuration"
             self.resync(self._cause)
 

@@ -16,6 +16,7 @@ from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.units import PERIOD_NS
 
+from servo_twin.lockstep.blocks import Blocks
 from servo_twin.lockstep.twin import Pair, Twin
 
 __all__ = ["TwinWorker", "WorkerFigures"]
@@ -111,6 +112,10 @@ class TwinWorker:
     def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """What it has recorded, with its ticks."""
         self._post(lambda: self._twin.burst(label, columns, table))
+
+    def blocks(self, blocks: Blocks) -> None:
+        """Configuration blocks of the real board."""
+        self._post(lambda: self._twin.blocks(blocks))
 
     def resync(self, reason: str) -> None:
         """Begin anew."""

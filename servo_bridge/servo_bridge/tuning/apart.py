@@ -1,0 +1,120 @@
+"""The tuning code in a process of its own: half a second of computing that takes no time from the node and its line.
+
+Run as a program it reads one question from standard input and writes the answer to standard output, both as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.tuning.errors import ConfigError
+
+from servo_bridge.tuning.plan import Computed, computed, file_of
+
+__all__ = ["Apart", "ComputationError", "main"]
+
+_LONGEST: Final = 60.0
+
+
+class ComputationError(RuntimeError):
+    """The process has ended without an answer."""
+
+
+class Apart:
+    """Asks a process that is started for every question. Blocks; from one thread, but for `close`."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self._closed = False
+
+    def computed(self, path: Path) -> Computed:
+        """As `servo_bridge.tuning.plan.computed`.
+
+        Raises
+        ------
+        ConfigError
+            If the configuration cannot work, or the file cannot be read.
+        ComputationError
+            If there is no answer.
+        """
+        blocks, warnings = self._ask({"file": str(path)})
+        return Computed(blocks, warnings)
+
+    def file_of(self, blocks: Sequence[Mapping[str, int]], timeouts: tuple[float, float]) -> str:
+        """As `servo_bridge.tuning.plan.file_of`.
+
+        Raises
+        ------
+        ConfigError
+            If no file gives these blocks.
+        ComputationError
+            If there is no answer.
+        """
+        text: str = self._ask({"blocks": [dict(block) for block in blocks], "timeouts": timeouts})
+        return text
+
+    def close(self) -> None:
+        """End a process that computes; no other is started."""
+        with self._lock:
+            self._closed = True
+            if self._process is not None:
+                self._process.kill()
+
+    def _ask(self, question: Mapping[str, object]) -> Any:
+        command = bound_to_us([sys.executable, "-m", __name__])
+        pipe = subprocess.PIPE
+        with self._lock:
+            if self._closed:
+                raise ComputationError("the bridge is ending")
+            # A session of its own: Ctrl-C at the terminal is for the node, which ends this process.
+            self._process = process = subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8", start_new_session=True
+            )
+        try:
+            output, errors = process.communicate(json.dumps(question), timeout=_LONGEST)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            raise ComputationError(f"the tuning code took more than {_LONGEST:g} s") from None
+        finally:
+            with self._lock:
+                self._process = None
+        if process.returncode != 0:
+            raise ComputationError(f"the tuning code failed: {(errors.strip().splitlines() or ['it was ended'])[-1]}")
+        answer = json.loads(output)
+        if "refused" in answer:
+            raise ConfigError(answer["refused"])
+        return answer["result"]
+
+
+def _answer(question: Mapping[str, Any]) -> Any:
+    catalogue = Catalogue.load()
+    if "file" in question:
+        return computed(Path(question["file"]), catalogue)
+    host, command = question["timeouts"]
+    return file_of(question["blocks"], (host, command), catalogue)
+
+
+def main() -> int:
+    """Answer one question; returns the exit status."""
+    try:
+        answer = {"result": _answer(json.load(sys.stdin))}
+    except ConfigError as error:
+        answer = {"refused": str(error)}
+    except OSError as error:
+        answer = {"refused": error.strerror or str(error)}
+    json.dump(answer, sys.stdout)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,115 @@
+"""From a configuration file to what changes on a board, and back from a board to a file. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from servo_msgs_py.axis_config import AxisConfigTable, Member
+from servo_msgs_py.axis_config_transfer import BlockMemory, read_block, send_block
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.tuning.reading import load
+from servo_msgs_py.tuning.report import axis_reports
+from servo_msgs_py.tuning.restore import restored, toml_text
+
+__all__ = ["Computed", "Plan", "computed", "file_of", "read_blocks"]
+
+Block = Mapping[str, int]
+
+_HEADING: Final = """\
+Read back from a board by `servo-tool tune --from-board`: `servo-tool tune` makes the same numbers of it.
+rotor_inertia, rated_speed and rated_current are not on a board; they only serve a report. [board.brake] and
+[board.regeneration] are compiled into the firmware; `make generate` needs both."""
+
+
+class Computed(NamedTuple):
+    """What the tuning code makes of a file.
+
+    Attributes
+    ----------
+    blocks : sequence of mapping
+        Members by path, per axis.
+    warnings : sequence of sequence of str
+        Sentences, per axis.
+    """
+
+    blocks: Sequence[Block]
+    warnings: Sequence[Sequence[str]]
+
+
+def computed(path: Path, catalogue: Catalogue) -> Computed:
+    """Compute the blocks of a configuration file.
+
+    Raises
+    ------
+    ConfigError
+        If the configuration cannot work.
+    OSError
+        If the file cannot be read.
+    """
+    reports = axis_reports(load(path, catalogue))
+    return Computed([report.tuned.block for report in reports], [report.findings for report in reports])
+
+
+def file_of(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> str:
+    """Text of the file that gives these blocks; see `servo_msgs_py.tuning.restore.restored`."""
+    return toml_text(restored(blocks, timeouts, catalogue), _HEADING)
+
+
+def read_blocks(memory: BlockMemory, axes: Collection[int] = range(AXES)) -> dict[int, Block]:
+    """Blocks in force, by index of the axis."""
+    return {axis: read_block(memory, axis) for axis in axes}
+
+
+class Plan:
+    """What differs between the board and what it is to have.
+
+    Parameters
+    ----------
+    old, new : mapping
+        Blocks by index of the axis; of the same axes.
+
+    Attributes
+    ----------
+    changes : mapping
+        Old and new block of every axis that changes.
+    """
+
+    def __init__(self, old: Mapping[int, Block], new: Mapping[int, Block]) -> None:
+        self.changes = {axis: (old[axis], new[axis]) for axis in sorted(new) if old[axis] != new[axis]}
+
+    @property
+    def axes(self) -> list[int]:
+        """Indices of the axes that change."""
+        return list(self.changes)
+
+    @property
+    def names(self) -> str:
+        """Names of the axes that change, for a sentence."""
+        return " and ".join(map(axis_name, self.changes))
+
+    def send(self, memory: BlockMemory) -> None:
+        """Write the new blocks to the board, where they wait until they are taken."""
+        for axis, (_, new) in self.changes.items():
+            send_block(memory, axis, new)
+
+    def checksums(self) -> dict[int, int]:
+        """Checksums of the new blocks, by index of the axis."""
+        table = AxisConfigTable.load()
+        return {axis: table.checksum(axis, new) for axis, (_, new) in self.changes.items()}
+
+    def table(self) -> list[str]:
+        """Lines of a table of what changes."""
+        rows: list[Sequence[str]] = [("AXIS", "MEMBER", "OLD", "NEW", "CHANGES")]
+        for axis, (old, new) in self.changes.items():
+            rows += [_row(axis, member, old, new) for member in AxisConfigTable.load().changes(old, new)]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+        return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _row(axis: int, member: Member, old: Block, new: Block) -> Sequence[str]:
+    texts: list[Any] = [member.text(block[member.path]) for block in (old, new)]
+    if texts[0] == texts[1]:
+        texts = [f"{text} (raw {block[member.path]})" for text, block in zip(texts, (old, new), strict=True)]
+    return (axis_name(axis), member.path, *texts, "in motion" if member.live else "at rest")

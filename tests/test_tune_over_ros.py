@@ -1,0 +1,117 @@
+"""The service ``tune`` and the topic ``tuning`` with a virtual board: gains in motion, refusals, and the twin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from chain import Chain, User, user
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from servo_msgs_py.catalogue import Catalogue
+from servo_twin.lockstep.blocks import blocks_of_file
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from test_tune_on_board import CONFIG, edited
+
+from servo_msgs_py import topics
+
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+BOTH = ["axis1", "axis2"]
+FAR = 20_000.0  # rad: on the way for longer than any test
+
+
+class Tuner:
+    """A user who tunes."""
+
+    def __init__(self, me: User) -> None:
+        self.me = me
+        self.files: list[str] = []
+        self._tune = me.node.create_client(SetBool, "/servo/tune")
+        self._parameters = me.node.create_client(SetParameters, "/servo/servo_bridge/set_parameters")
+        me.node.create_subscription(
+            String, "/servo/tuning", lambda message: self.files.append(message.data), topics.latched_qos()
+        )
+
+    def call(self, file: Path, *, send: bool) -> tuple[bool, str]:
+        """Name a file and call the service."""
+        for client, request in (
+            (
+                self._parameters,
+                SetParameters.Request(parameters=[Parameter("tuning", value=str(file)).to_parameter_msg()]),
+            ),
+            (self._tune, SetBool.Request(data=send)),
+        ):
+            self.me.until(client.service_is_ready, 20.0)
+            future = client.call_async(request)
+            self.me.until(future.done, 30.0, "no answer")
+        return bool(future.result().success), str(future.result().message)
+
+    def until_published(self, count: int) -> str:
+        self.me.until(lambda: len(self.files) >= count, 30.0, "no configuration")
+        return self.files[-1]
+
+
+@pytest.fixture
+def tuner(tmp_path: Path) -> Iterator[Tuner]:
+    chain = Chain(tmp_path)
+    with user() as me:
+        try:
+            chain.board()
+            chain.bridge()
+            chain.twin()
+            me.until(me.connected, 30.0, "the bridge is not connected")
+            tuner = Tuner(me)
+            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+            yield tuner
+        finally:
+            chain.end()
+            print(chain.logs())
+
+
+def test_gains_are_given_to_a_board_in_motion_and_read_back(tuner: Tuner, tmp_path: Path) -> None:
+    me, catalogue = tuner.me, Catalogue.load()
+    own = tuner.until_published(1)
+    built_in = blocks_of_file(CONFIG.read_text(encoding="utf-8"), catalogue)
+    assert blocks_of_file(own, catalogue) == built_in
+    gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
+    motor = edited(tmp_path, "motor.toml", axis1__motor={"psi_m": 0.012})
+    bad = edited(tmp_path, "bad.toml", control={"speed_bandwidth": 4000.0})
+    me.spinning()
+    me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+    me.joint_commands.publish(JointState(name=BOTH, position=[FAR, -FAR]))
+    me.until(lambda: me.position_of(0) > 1.0)
+
+    success, message = tuner.call(bad, send=True)
+    assert not success
+    assert message.startswith(f"{bad}: ")
+    assert "speed_bandwidth" in message
+    success, message = tuner.call(gains, send=False)
+    assert success
+    assert "in motion" in message
+    assert "taken" not in message
+    success, message = tuner.call(motor, send=True)
+    assert not success
+    assert message.splitlines()[-1].startswith("rotor_search.follow.flux_min may only change while the axis is at rest")
+    assert tuner.files == [own]
+    assert not any(command.variable == "config.take" for command in me.applied())
+
+    success, message = tuner.call(gains, send=True)
+    assert success, message
+    assert "axis1 and axis2 taken at tick" in message
+    new = blocks_of_file(tuner.until_published(2), catalogue)
+    assert new == blocks_of_file(gains.read_text(encoding="utf-8"), catalogue) != built_in
+    assert me.position_of(0) < FAR - 1000.0, "still on its way"
+    (take,) = [command for command in me.applied() if command.variable == "config.take"]
+    assert message.endswith(f"tick {take.tick}")
+    assert take.raw == (*new[0], *new[1])
+    assert tuner.call(gains, send=True) == (True, f"the board has the configuration of {gains}; nothing changes")
+    start = len(me.messages["/diagnostics"])
+    me.until(lambda: len(me.messages["/diagnostics"]) > start + 6)
+    comparison = me.status("twin/servo_twin: comparison")
+    assert comparison.message == "healthy"
+    figures = {value.key: value.value for value in comparison.values}
+    assert figures["synchronisations"] == "1", "the twin has taken the blocks at their tick"
