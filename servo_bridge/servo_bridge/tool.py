@@ -15,7 +15,7 @@ from pathlib import Path
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge import tool_commands, tool_faults, tool_record, tool_tune
+from servo_bridge import tool_commands, tool_faults, tool_record, tool_scope, tool_tune
 from servo_bridge.desktop_project import desktop_project
 from servo_bridge.freemaster.client import PASSWORD_VARIABLE, Client, password_of_environment
 from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, RecorderError
@@ -151,6 +151,13 @@ def _parser() -> argparse.ArgumentParser:
     command = add("log", tool_commands.log, "print the text that the board writes to a pipe: events with their tick")
     command.add_argument("--pipe", type=_positive_whole, default=1, metavar="N", help="number of the pipe (default: 1)")
     command.add_argument("--follow", "-f", action="store_true", help="go on until Ctrl-C")
+    command = add(
+        "scope",
+        tool_scope.scope,
+        "show telemetry and one burst of the board's recorder after the other, live in the rerun viewer",
+    )
+    command.add_argument("names", nargs="+", metavar="NAME", help="variable of the bursts")
+    tool_scope.add_options(command)
     command = add("snapshot", tool_faults.snapshot, "print what led to the first fault of each axis")
     command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this one (default: both)")
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")

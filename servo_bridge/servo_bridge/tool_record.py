@@ -24,7 +24,7 @@ from servo_bridge.wire.session import Session
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-__all__ = ["add_options", "record"]
+__all__ = ["add_options", "interrupts", "record"]
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
@@ -54,7 +54,7 @@ def record(context: Context) -> int:
 def run(recording: Recording, session: Session, timeout: float | None = None) -> Burst:
     """Record a burst until its trigger, Ctrl-C or the time-out [s], with a line of progress."""
     start = time.monotonic()
-    with ProgressLine() as progress, _interrupts(recording.stop):
+    with ProgressLine() as progress, interrupts(recording.stop):
         while (burst := recording.step(session)) is None:
             seconds = time.monotonic() - start
             if recording.phase is Phase.READING:
@@ -68,8 +68,8 @@ def run(recording: Recording, session: Session, timeout: float | None = None) ->
 
 
 @contextmanager
-def _interrupts(stop: Callable[[], None]) -> Iterator[None]:
-    """Have Ctrl-C end the recording, and not an exchange with the board."""
+def interrupts(stop: Callable[[], None]) -> Iterator[None]:
+    """Have Ctrl-C call `stop`, and not end an exchange with the board."""
     before = signal.signal(signal.SIGINT, lambda *_: stop())
     try:
         yield

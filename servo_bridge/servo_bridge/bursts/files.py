@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from servo_bridge.bursts.burst import Burst
+from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 from servo_bridge.tool_values import UsageError
 
 __all__ = ["writer_for"]
@@ -54,10 +55,7 @@ def write_picture(burst: Burst, path: Path) -> None:
 
 def write_recording(burst: Burst, path: Path) -> None:
     """Write a recording that the rerun viewer opens: one entity per channel, on the time line ``time``."""
-    try:
-        import rerun as rr
-    except ImportError:
-        raise UsageError(f"{path.name}: a recording needs rerun: pip install rerun-sdk") from None
+    rr = import_rerun(f"{path.name}: a recording")
     recording = rr.RecordingStream("servo-tool", send_properties=False)
     recording.save(path)
     index = (
@@ -66,9 +64,9 @@ def write_recording(burst: Burst, path: Path) -> None:
         else rr.TimeColumn(_TIMELINE, sequence=burst.times.astype(np.int64))
     )
     for channel, column in zip(burst.channels, burst.values, strict=True):
-        entity = rr.new_entity_path(channel.name.split("."))
+        entity = entity_of(channel.name.split("."))
         recording.log(entity, rr.SeriesLines(names=channel.head), static=True)
-        recording.send_columns(entity, indexes=[index], columns=rr.Scalars.columns(scalars=column.astype(np.float64)))
+        send_curve(recording, entity, index, column)
     recording.flush()
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import replace
 from functools import partial
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -19,7 +18,7 @@ from std_srvs.srv import SetBool
 
 from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import POLL, Phase, Recording
-from servo_bridge.bursts.request import BurstRequest
+from servo_bridge.bursts.request import TICK, BurstRequest
 from servo_bridge.outcome import error_of
 from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.wire.session import Session
@@ -28,8 +27,6 @@ from servo_msgs_py import topics
 __all__ = ["RecordService", "table_of"]
 
 T = TypeVar("T")
-
-_TICK: Final = "tick"
 
 
 class Call(Protocol):
@@ -107,7 +104,7 @@ class RecordService:
             answer.set_result((False, f"{self._recording.phase.value}; end it first: call record with data: false"))
         elif begin:
             self._answer = answer
-            self._recording = Recording(_with_tick(self.request), self._catalogue, self._piece)
+            self._recording = Recording(self.request.with_tick(), self._catalogue, self._piece)
             self._step()
         elif self._recording is None:
             answer.set_result((False, "nothing is being recorded; call record with data: true first"))
@@ -179,7 +176,7 @@ def table_of(burst: Burst, label: str, times: Callable[[Any], tuple[Any, Any]]) 
     """
     names = [channel.name for channel in burst.channels]
     columns = [values.astype(np.float64) for values in burst.values]
-    where = names.index(_TICK)
+    where = names.index(TICK)
     ticks, stamps = times(burst.values[where].astype(np.int64))
     columns[where] = ticks.astype(np.float64)
     seconds, nanoseconds = np.divmod(stamps, 1_000_000_000)
@@ -187,8 +184,3 @@ def table_of(burst: Burst, label: str, times: Callable[[Any], tuple[Any, Any]]) 
     message = snapshot_message([*names, topics.BURST_TIME, *topics.STAMP_COLUMNS], rows.tolist())
     message.layout.dim[0].label = label
     return message
-
-
-def _with_tick(request: BurstRequest) -> BurstRequest:
-    """A request that also asks for the tick, which places the points on the time of the board."""
-    return request if _TICK in request.names else replace(request, names=(_TICK, *request.names))

@@ -10,7 +10,7 @@ from typing import Final
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.recorder_setup import RecorderSetup
 
-from servo_bridge.bursts.burst import Burst, burst_of
+from servo_bridge.bursts.burst import Burst, Channel, burst_of
 from servo_bridge.bursts.request import BurstRequest, Prepared
 from servo_bridge.freemaster.errors import RecorderError
 from servo_bridge.freemaster.recorder import SampleMemory, State, in_order, memory_checked
@@ -133,6 +133,23 @@ class Recording:
     def stop(self) -> None:
         """End the recording without waiting for the trigger; the next step carries it out."""
         self._stop = True
+
+    def abandon(self) -> None:
+        """Stop the recorder where it runs, and read nothing."""
+        if self._prepared is not None and self.phase in (Phase.RECORDING, Phase.WAITING):
+            self._prepared.recorder.stop()
+
+    @property
+    def timed(self) -> bool:
+        """Whether the board says how fast it samples; once it has begun."""
+        assert self._prepared is not None
+        return self._prepared.period_ns > 0
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """What is recorded; once it has begun."""
+        assert self._prepared is not None
+        return self._prepared.channels
 
     def step(self, session: Session) -> Burst | None:
         """Do what is next, which takes a few exchanges at most.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
@@ -16,7 +16,10 @@ from servo_bridge.freemaster.recorder import Limits, Recorder, Setup, Trigger
 from servo_bridge.tool_values import UsageError, lookup, opened
 from servo_bridge.wire.session import Session
 
-__all__ = ["Before", "BurstRequest", "Prepared", "add_options"]
+__all__ = ["TICK", "Before", "BurstRequest", "Prepared", "add_options"]
+
+TICK: Final = "tick"
+"""PWM periods since the reset of a board of ours."""
 
 _FAST, _SLOW = 0, 1
 _RATE_TOLERANCE: Final = 0.01
@@ -115,6 +118,10 @@ class BurstRequest:
             return cls.of(parser.parse_args(shlex.split(text)))
         except ValueError as error:
             raise UsageError(f"{text!r}: {error}") from None
+
+    def with_tick(self) -> BurstRequest:
+        """The same with the tick, which places the points on the time of the board."""
+        return self if TICK in self.names else replace(self, names=(TICK, *self.names))
 
     def prepare(self, session: Session, catalogue: Catalogue) -> Prepared:
         """Ask the board what its recorder can, and work out its set-up.

@@ -1,0 +1,271 @@
+"""What ``servo-tool scope`` shows: telemetry and bursts on one time line, in the viewer or in a file.
+
+The names of time line and curves are those of the recordings of the twin. All calls of rerun are made by a thread of
+their own, because single ones take half a second.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import socket
+import subprocess
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
+from servo_bridge.tool_values import UsageError
+
+__all__ = ["TIMELINE", "Curve", "ScopeView", "ViewLostError", "burst_parts", "telemetry_parts"]
+
+TIMELINE: Final = "board_time"
+"""Seconds since the first row of telemetry."""
+
+_WINDOW: Final = 15.0  # what the plots of the telemetry show of the past [s]
+_WAITING: Final = 20  # pieces that may wait for the thread before the caller waits
+_REACH: Final = 2.0  # longest wait for a viewer to answer [s]
+_LOOPBACK: Final = "127.0.0.1"
+_START: Final = 20.0  # longest wait for a viewer that is started [s]
+_POLL: Final = 0.2
+_FLUSH: Final = 5.0  # longest wait for the last bytes [s]
+_SET_POINT: Final = "_ref"
+
+
+class ViewLostError(RuntimeError):
+    """The viewer or the file has not taken everything."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A curve.
+
+    Attributes
+    ----------
+    parts : tuple of str
+        Path of its entity.
+    title : str
+        Name with unit.
+    unit : str
+        Curves of one unit share a plot.
+    """
+
+    parts: tuple[str, ...]
+    title: str
+    unit: str
+
+
+def telemetry_parts(name: str) -> tuple[str, ...]:
+    """Where a variable of the telemetry lies: ``plot/axis1/i_q/board``; its reference ``plot/axis1/i_q/set_point``."""
+    if name.endswith(_SET_POINT):
+        return ("plot", *name.removesuffix(_SET_POINT).split("."), "set_point")
+    return ("plot", *name.split("."), "board")
+
+
+def burst_parts(name: str) -> tuple[str, ...]:
+    """Where a variable of the bursts lies: ``burst/axis1/i_q/board``."""
+    return ("burst", *name.split("."), "board")
+
+
+class ScopeView:
+    """An open recording.
+
+    Parameters
+    ----------
+    telemetry, bursts : sequence of Curve
+        What comes.
+    save : Path, optional
+        File to write.
+    connect : str, optional
+        Address of a viewer that runs. With neither a viewer is started.
+
+    Raises
+    ------
+    UsageError
+        If rerun is not installed, the file cannot be written or no viewer can be reached.
+    """
+
+    def __init__(
+        self,
+        telemetry: Sequence[Curve],
+        bursts: Sequence[Curve],
+        *,
+        save: Path | None = None,
+        connect: str | None = None,
+    ) -> None:
+        self._rr = rr = import_rerun("scope")
+        sinks: list[Any] = []
+        if save is not None:
+            _check_file(save)
+            sinks.append(rr.FileSink(str(save)))
+        if connect is not None:
+            _check_viewer(connect)
+        elif save is None:
+            connect = _viewer_started()
+        if connect is not None:
+            sinks.append(rr.GrpcSink(connect))
+        self._telemetry, self._bursts = list(telemetry), list(bursts)
+        self._stream = rr.RecordingStream("servo-tool scope", batcher_config=rr.ChunkBatcherConfig(flush_tick=0.2))
+        self._stream.set_log_tick_enabled(False)
+        self._stream.set_log_time_enabled(False)
+        layout = _blueprint(telemetry, bursts)
+        self._stream.set_sinks(*sinks, default_blueprint=layout)
+        self._writer = ThreadPoolExecutor(1, "rerun")
+        self._waiting: deque[Future[None]] = deque()
+        self._submit(self._titles)
+
+    def __enter__(self) -> ScopeView:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._writer.shutdown()
+        try:
+            self._stream.flush(timeout_sec=_FLUSH)
+        except (RuntimeError, ValueError) as trouble:
+            if error is None:
+                raise ViewLostError(f"the last data did not get through: {str(trouble).splitlines()[0]}") from None
+        finally:
+            self._stream.disconnect()
+        for work in self._waiting if error is None else ():
+            work.result()
+
+    def telemetry(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+        """Append rows: times [s] of shape (n,) and values of shape (n, curves)."""
+        self._submit(lambda: self._send(self._telemetry, times, values))
+
+    def burst(self, times: NDArray[np.float64], values: NDArray[np.float64], text: str) -> None:
+        """Append a burst in the same form, apart from the one before, and a line of the log at its first point."""
+        gap = np.full((1, values.shape[1]), np.nan)
+        end = times[-1:] + (times[-1] - times[-2] if len(times) > 1 else 0.0)
+
+        def send() -> None:
+            self._send(self._bursts, np.append(times, end), np.vstack([values, gap]))
+            self._stream.set_time(TIMELINE, duration=float(times[0]))
+            self._stream.log("log/scope", self._rr.TextLog(text, level="INFO"))
+
+        self._submit(send)
+
+    # ---- thread of its own
+    def _titles(self) -> None:
+        for curve in (*self._telemetry, *self._bursts):
+            self._stream.log(entity_of(curve.parts), self._rr.SeriesLines(names=curve.title), static=True)
+
+    def _send(self, curves: Sequence[Curve], times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+        index = self._rr.TimeColumn(TIMELINE, duration=times)
+        for curve, column in zip(curves, values.T, strict=True):
+            send_curve(self._stream, entity_of(curve.parts), index, column)
+
+    def _submit(self, work: Callable[[], None]) -> None:
+        """Have the thread do it; raises what went wrong before."""
+        self._waiting.append(self._writer.submit(work))
+        while self._waiting and (len(self._waiting) > _WAITING or self._waiting[0].done()):
+            self._waiting.popleft().result()
+
+
+def _check_file(path: Path) -> None:
+    """Find out before rerun does, which only logs it."""
+    if path.suffix.lower() != ".rrd":
+        raise UsageError(f"{path}: the name of a rerun recording has to end in .rrd")
+    try:
+        with path.open("wb"):
+            pass
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror or error}") from None
+
+
+def _check_viewer(url: str) -> None:
+    """Find out whether a viewer listens; rerun would wait for one at the end."""
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if host is None or port is None or parts.scheme not in ("rerun", "rerun+http", "rerun+https"):
+        raise UsageError(f"{url!r} is no address of a rerun viewer; give one such as rerun+http://127.0.0.1:9876/proxy")
+    try:
+        socket.create_connection((host, port), _REACH).close()
+    except OSError as error:
+        raise UsageError(f"no rerun viewer answers at {url} ({error.strerror or error}); start it first") from None
+
+
+def _viewer_started() -> str:
+    """Start a viewer that listens on the loopback interface only and outlives this program; returns its address."""
+    spec = importlib.util.find_spec("rerun_cli")  # the program itself, wherever the package is installed
+    folders = [Path(place) for place in (spec.submodule_search_locations or ())] if spec else []
+    program = next((str(path) for folder in folders if (path := folder / "rerun").is_file()), None)
+    program = program or shutil.which("rerun")
+    if program is None:
+        raise UsageError("there is no rerun program; install it with pip install 'rerun-sdk==0.41.*'")
+    with socket.socket() as probe:
+        probe.bind((_LOOPBACK, 0))
+        port = probe.getsockname()[1]
+    command = [program, "--bind", _LOOPBACK, "--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
+    quiet = subprocess.DEVNULL
+    viewer = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
+    end = time.monotonic() + _START
+    while True:
+        with socket.socket() as probe:
+            answers = probe.connect_ex((_LOOPBACK, port)) == 0
+        time.sleep(_POLL)
+        if viewer.poll() is not None:
+            raise UsageError(
+                f"the rerun viewer ends with status {viewer.returncode}, as it does without a display; say "
+                "--save FILE.rrd or --connect URL instead"
+            )
+        if answers:
+            return f"rerun+http://{_LOOPBACK}:{port}/proxy"
+        if time.monotonic() > end:
+            viewer.terminate()
+            raise UsageError(f"the rerun viewer did not open within {_START:g} s")
+
+
+def _blueprint(telemetry: Sequence[Curve], bursts: Sequence[Curve]) -> Any:
+    """Telemetry, a plot per unit, beside the bursts in the same form and the log."""
+    import rerun.blueprint as rrb
+
+    relative = rrb.TimeRangeBoundary.cursor_relative
+    start, end = relative(seconds=-_WINDOW), relative(seconds=0.0)
+    live = {
+        "axis_x": rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end)),
+        "time_ranges": [rrb.VisibleTimeRange(TIMELINE, start=start, end=end)],
+    }
+
+    def plots(name: str, origin: str, curves: Sequence[Curve], **options: Any) -> Any:
+        units = dict.fromkeys(curve.unit for curve in curves)
+        return rrb.Vertical(
+            *(
+                rrb.TimeSeriesView(
+                    name=f"{name} [{unit}]" if unit else name,
+                    origin=origin,
+                    contents=[f"+ /{entity_of(curve.parts).strip('/')}" for curve in curves if curve.unit == unit],
+                    plot_legend=rrb.Corner2D.LeftTop,
+                    **options,
+                )
+                for unit in units
+            ),
+            name=name,
+        )
+
+    log = rrb.TextLogView(name="log", origin="/log")
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            plots("telemetry", "/plot", telemetry, **live),
+            rrb.Vertical(plots("bursts", "/burst", bursts), log, row_shares=[5, 1]),
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )

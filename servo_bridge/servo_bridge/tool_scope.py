@@ -1,0 +1,225 @@
+"""``servo-tool scope``: telemetry and one burst after the other, live in the rerun viewer or in a file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, axis_name, numbers
+
+from servo_bridge.bursts import request as burst_request
+from servo_bridge.bursts.burst import Burst, Channel, channels_of
+from servo_bridge.bursts.placing import BoardTime, HostTime, Placing
+from servo_bridge.bursts.recording import Phase, Recording
+from servo_bridge.bursts.request import TICK, BurstRequest
+from servo_bridge.sampler import Sampler
+from servo_bridge.scope_view import Curve, ScopeView, ViewLostError, burst_parts, telemetry_parts
+from servo_bridge.tool_commands import warn
+from servo_bridge.tool_progress import ProgressLine
+from servo_bridge.tool_record import interrupts
+from servo_bridge.tool_values import UsageError, lookup, opened
+from servo_bridge.wire.session import Session
+
+if TYPE_CHECKING:
+    from servo_bridge.tool_commands import Context
+
+__all__ = ["add_options", "scope"]
+
+_TELEMETRY: Final = (*(f"{axis_name(k)}.{name}" for k in range(AXES) for name in ("position", "speed", "i_q")), "u_dc")
+_SHOW: Final = 0.2
+"""Between two pieces of telemetry that are handed to the viewer [s]."""
+
+
+def add_options(command: argparse.ArgumentParser) -> None:
+    """Add the options to those of a burst."""
+    burst_request.add_options(command)
+    command.add_argument("--rate", type=float, metavar="HZ", help="points of a burst per second (default: all)")
+    command.add_argument(
+        "--telemetry",
+        nargs="+",
+        metavar="NAME",
+        help="variables that are read all the time (default: position, speed and i_q of both axes and u_dc; of other "
+        "boards those of the burst)",
+    )
+    command.add_argument("--count", type=_count, metavar="N", help="end after so many bursts (default: at Ctrl-C)")
+    command.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a recording instead of opening a viewer")
+    command.add_argument(
+        "--connect", metavar="URL", help="show it in a viewer that runs, such as rerun+http://127.0.0.1:9876/proxy"
+    )
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
+    return int(text)
+
+
+def scope(context: Context) -> int:
+    """Record again and again beside the telemetry, until Ctrl-C or the last burst."""
+    args, session = context.args, context.session
+    request = BurstRequest.of(args)
+    ours = session.mismatch is None
+    names = opened(session.variables, args.telemetry or (_TELEMETRY if ours else args.names))
+    telemetry = _Telemetry(session, names, ticks=ours)
+    run = _Run(context, request.with_tick() if ours else request, telemetry)
+    warn(context)
+    run.begin()  # what does not fit the board is refused before there is a viewer
+    curves = [_curve(telemetry_parts(channel.name), channel) for channel in telemetry.channels]
+    bursts = [_curve(burst_parts(channel.name), channel) for channel in run.shown]
+    try:
+        with ScopeView(curves, bursts, save=args.save, connect=args.connect) as view:
+            run.until_ended(view, args.count)
+    except ViewLostError as error:
+        print(f"servo-tool: {error}", file=sys.stderr)
+        return 1
+    note = f" in {args.save}" if args.save else ""
+    print(f"{run.bursts} burst{'' if run.bursts == 1 else 's'} and {telemetry.rows} rows of telemetry{note}")
+    return 0
+
+
+def _curve(parts: tuple[str, ...], channel: Channel) -> Curve:
+    return Curve(parts, channel.head, channel.variable.unit)
+
+
+class _Telemetry:
+    """Reads rows of variables and gathers them.
+
+    Attributes
+    ----------
+    channels : list of Channel
+        Numbers of a row.
+    placing : Placing
+        Time line of rows and bursts.
+    rows : int
+        How many there were.
+    """
+
+    def __init__(self, session: Session, names: Sequence[str], *, ticks: bool) -> None:
+        self._selection = [lookup(session.variables, name) for name in names]
+        self.channels = channels_of([(name, *found) for name, found in zip(names, self._selection, strict=True)])
+        variables = [variable for variable, _ in self._selection]
+        self._ticks = ticks
+        self._sampler = Sampler(session, [session.variables[TICK], *variables] if ticks else variables)
+        self.placing: Placing = BoardTime() if ticks else HostTime()
+        self.rows = 0
+        self._times: list[float] = []
+        self._values: list[list[float]] = []
+        self._shown = time.monotonic()
+
+    def read(self) -> None:
+        """Read a row."""
+        reading = self._sampler.read()
+        values = list(reading.values)
+        tick = int(numbers(values.pop(0))[0]) if self._ticks else None
+        moment = self.placing.row(reading.time_ns, tick)
+        if moment is None:
+            return  # read faster than the board takes samples
+        cells: list[float] = []
+        for (_, element), value in zip(self._selection, values, strict=True):
+            found = numbers(value)
+            cells += found if element is None else [found[element]]
+        self._times.append(moment)
+        self._values.append(cells)
+        self.rows += 1
+
+    def show(self, view: ScopeView, *, all_of_it: bool = False) -> None:
+        """Hand over what was gathered, if it is time."""
+        now = time.monotonic()
+        if self._times and (all_of_it or now >= self._shown + _SHOW):
+            view.telemetry(np.array(self._times), np.array(self._values, np.float64))
+            self._times, self._values, self._shown = [], [], now
+
+
+class _Run:
+    """One burst after the other.
+
+    Attributes
+    ----------
+    bursts : int
+        How many there were.
+    """
+
+    def __init__(self, context: Context, request: BurstRequest, telemetry: _Telemetry) -> None:
+        self._session, self._catalogue = context.session, context.catalogue
+        self._request = request
+        self._telemetry = telemetry
+        self._recording = Recording(request, self._catalogue)
+        self._stopped_ns: int | None = None
+        self._ended = False
+        self.bursts = 0
+
+    def begin(self) -> None:
+        """Set the recorder up; the errors of `Recording.step`."""
+        self._recording.step(self._session)
+        if not self._recording.timed:
+            self._recording.abandon()
+            raise UsageError(
+                "the board does not say how fast its recorder samples, so its bursts have no place on a time line; use "
+                "`servo-tool record`"
+            )
+
+    @property
+    def shown(self) -> list[Channel]:
+        """Numbers of a burst that are shown."""
+        return [channel for channel in self._recording.channels if channel.name != TICK]
+
+    def until_ended(self, view: ScopeView, count: int | None) -> None:
+        """Go on until Ctrl-C, or for so many bursts."""
+        with ProgressLine() as progress, interrupts(self._end):
+            try:
+                self._telemetry.read()  # time begins here
+                self._again()  # a viewer takes its time to open
+                due = time.monotonic()
+                while not self._ended:
+                    self._telemetry.read()
+                    self._telemetry.show(view)
+                    if time.monotonic() >= due:
+                        self._step(view, progress)
+                        if self.bursts == count:
+                            break
+                        due = time.monotonic() + self._recording.pause
+            finally:
+                self._telemetry.show(view, all_of_it=True)
+            self._recording.abandon()
+
+    def _end(self) -> None:
+        self._ended = True
+
+    def _again(self) -> None:
+        """Begin the next burst."""
+        self._recording.abandon()
+        self._recording, self._stopped_ns = Recording(self._request, self._catalogue), None
+        self.begin()
+
+    def _step(self, view: ScopeView, progress: ProgressLine) -> None:
+        recording = self._recording
+        burst = recording.step(self._session)
+        if recording.phase is Phase.READING and self._stopped_ns is None:
+            self._stopped_ns = time.monotonic_ns()
+        if burst is not None:
+            with progress:
+                self._show(view, burst)
+            self._again()
+        elif recording.phase is Phase.READING:
+            progress.bar(f"burst {self.bursts + 1}: reading", recording.read, recording.size)
+        else:
+            progress.text(f"burst {self.bursts + 1}: {recording.phase.value}, {self._telemetry.rows} rows of telemetry")
+
+    def _show(self, view: ScopeView, burst: Burst) -> None:
+        assert self._stopped_ns is not None
+        self.bursts += 1
+        times = self._telemetry.placing.burst(burst, self._stopped_ns)
+        at = times[0] - burst.times[0]
+        text = f"burst {self.bursts} at {at:.6f} s: {self._recording.text}"
+        columns = [
+            values.astype(np.float64)
+            for channel, values in zip(burst.channels, burst.values, strict=True)
+            if channel.name != TICK
+        ]
+        view.burst(times, np.column_stack(columns), text)
+        print(text, flush=True)

@@ -1,0 +1,78 @@
+"""``servo-tool scope`` with a virtual board on a pty: bursts at their ticks beside the telemetry, read back."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chain import TOOL, Chain, wait_for
+from servo_bridge.scope_view import TIMELINE, burst_parts, telemetry_parts
+from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
+from servo_twin.view import scene
+from servo_twin.view.recording import read_scalars, read_texts
+
+pytest.importorskip("rerun")
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+
+POINTS, BEFORE = 800, 240
+LEVEL = 24.0  # V: the noise of the bus crosses it again and again
+PERIOD = PERIOD_NS * 1e-9
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> Iterator[Chain]:
+    chain = Chain(tmp_path)
+    try:
+        chain.board(level="ideal")
+        yield chain
+    finally:
+        chain.end()
+        print(chain.logs())
+
+
+def test_the_names_are_those_of_the_viewer_of_the_twin() -> None:
+    assert TIMELINE == scene.TIMELINE
+    assert "/" + "/".join(burst_parts("axis1.i_q")) == scene.burst_entity("axis1.i_q", scene.BOARD)
+    for quantity in scene.QUANTITIES:
+        for source in (scene.BOARD, scene.SET_POINT):
+            parts = telemetry_parts(quantity.column(source, 1))
+            assert "/" + "/".join(parts) == scene.series_entity(1, quantity.name, source)
+
+
+def test_bursts_lie_at_their_ticks_beside_the_telemetry(chain: Chain, tmp_path: Path) -> None:
+    file = tmp_path / "scope.rrd"
+    trigger = ("--trigger", f"u_dc > {LEVEL}", "--before", "30%", "--points", str(POINTS))
+    said = chain.tool("scope", "--fast", "u_dc", "axis1.i_a", *trigger, "--count", "2", "--save", str(file))
+    assert "2 bursts and" in said.splitlines()[-1]
+    times, values = read_scalars(file, scene.burst_entity("u_dc", scene.BOARD))
+    assert len(times) == 2 * (POINTS + 1), "a gap ends each burst"
+    assert np.isnan(values[[POINTS, -1]]).all()
+    first, second = ((times[k : k + POINTS], values[k : k + POINTS]) for k in (0, POINTS + 1))
+    rows, u_dc = read_scalars(file, "/plot/u_dc/board")
+    for moments, volts in (first, second):
+        assert np.diff(moments) == pytest.approx(np.full(POINTS - 1, PERIOD), abs=1e-8)
+        assert volts[BEFORE - 1] <= LEVEL < volts[BEFORE]
+        # Telemetry that was taken in a tick of the burst has the value of that tick.
+        inside = np.flatnonzero((rows >= moments[0]) & (rows <= moments[-1]))
+        assert len(inside)
+        where = np.rint((rows[inside] - moments[0]) / PERIOD).astype(int)
+        assert volts[where] == pytest.approx(u_dc[inside], abs=1e-9)
+    between = rows[(rows > first[0][-1]) & (rows < second[0][0])]
+    assert len(between) > 5, "telemetry goes on while a burst is read"
+    assert np.rint(np.diff(rows) / PERIOD).astype(int).min() >= SLOW_PERIODS
+    assert [text.split()[1] for _, text in read_texts(file, "/log/scope")] == ["1", "2"]
+
+
+def test_ctrl_c_ends_it_in_order(chain: Chain, tmp_path: Path) -> None:
+    file = tmp_path / "scope.rrd"
+    options = ("--port", str(chain.port), "scope", "axis1.i_a", "--points", "50", "--save", str(file))
+    tool = chain._start(TOOL, *options, "--telemetry", "axis1.speed", "axis1.i_q_ref")
+    wait_for(lambda: "burst 2 at" in tool.text(), 30.0, tool.text)
+    assert tool.stop(signal.SIGINT) == 0, tool.text()
+    assert "rows of telemetry in" in tool.text().splitlines()[-1]
+    assert len(read_scalars(file, scene.burst_entity("axis1.i_a", scene.BOARD))[0]) >= 2 * 51
+    assert len(read_scalars(file, scene.series_entity(0, "i_q", scene.SET_POINT))[0]) > 10
+    assert chain.look("axis1.i_a"), "the board can be spoken to"
