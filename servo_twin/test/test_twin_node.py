@@ -43,6 +43,7 @@ pytestmark = pytest.mark.realtime
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() % 100
 CONFIG = Path(__file__).resolve().parents[1] / "config" / "servo_twin.yaml"
+SERVO_TOML = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
 BATCH = 5  # samples in a message, as the bridge sends them
 
 
@@ -392,6 +393,19 @@ def test_has_the_parameters_of_the_board(rig: Rig) -> None:
     assert max(max(map(abs, m.position)) for m in rig.messages["/twin/residual"][known:]) < 0.03
     rig.until(lambda: rig.status("comparison").values)
     assert {v.key: v.value for v in rig.status("comparison").values}["parameters"] == "those of the board"
+
+
+def test_has_the_configuration_that_the_bridge_reads_from_the_board(
+    rig: Rig, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rig.board.run(0.3)
+    rig.caught_up()
+    published = rig.user.create_publisher(String, topics.TUNING, topics.latched_qos())
+    published.publish(String(data="not TOML ["))
+    rig.until(lambda: "the twin cannot take the configuration of the board" in capfd.readouterr().err)
+    text = SERVO_TOML.read_text(encoding="utf-8")
+    published.publish(String(data=text.replace("position_gain     = 60.0", "position_gain = 50.0")))
+    rig.until(lambda: "the board has another configuration" in rig.last("/twin/state"))
 
 
 def test_names_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
