@@ -38,8 +38,8 @@ from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
 from servo_twin.board import Board
-from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.blocks import blocks_of_file
+from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.lockstep.worker import TwinWorker

@@ -32,8 +32,8 @@ from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.lockstep.axis_tie import POINTS, AxisTie
-from servo_twin.lockstep.bursts import BurstAnswer, BurstFollower, Frame
 from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, bring, checksums_of, repeat
+from servo_twin.lockstep.bursts import BurstAnswer, BurstFollower, Frame
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
 from servo_twin.lockstep.samples import OWN, Activity, RestWatch, Sample, SampleReader, activity
