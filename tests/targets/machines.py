@@ -250,16 +250,26 @@ class Avr:
 
     def build(self, sources: Sources, folder: Path) -> AvrProgram:
         port = sources.port("avr")
-        options = [*AVR_OPTIONS, self.optimisation, "-flto", "-ffunction-sections", "-fdata-sections"]
+        options = [
+            *AVR_OPTIONS,
+            self.optimisation,
+            "-flto",
+            "-fno-toplevel-reorder",
+            "-ffunction-sections",
+            "-fdata-sections",
+        ]
         include = [f"-I{path}" for path in (sources.firmware, sources.native, port)]
 
         files = [*sources.core(), *sources.replay(), port / "machine.c"]
         objects = compile_objects(["avr-gcc", *STRICT, SAMPLES, *options, *include], files, folder)
         replay, arithmetic = folder / "replay.o", folder / "arithmetic.o"
         for program, unwanted in ((replay, "native_arithmetic"), (arithmetic, "native_replay")):
-            # Optimised as a whole, which needs a tenth less flash, and once for all images. No -mrelax before the end.
+            # Optimised as a whole, which needs a tenth less flash, and once for all images. The linker relaxes calls at
+            # the end only: the assembler has to leave it the distances that this changes. gcc 5.4 makes wrong code where
+            # it may reorder functions and data.
             needed = [path for path in objects if path.stem != unwanted]
-            run(["avr-gcc", *(o for o in options if o != "-mrelax"), "-r", "-nostdlib", *needed, "-o", program])
+            whole = [option for option in options if option != "-mrelax"]
+            run(["avr-gcc", *whole, "-Wa,-mlink-relax", "-r", "-nostdlib", *needed, "-o", program])
         return AvrProgram(replay, arithmetic, port / "image.S")
 
 
