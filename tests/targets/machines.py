@@ -265,8 +265,8 @@ class Avr:
         replay, arithmetic = folder / "replay.o", folder / "arithmetic.o"
         for program, unwanted in ((replay, "native_arithmetic"), (arithmetic, "native_replay")):
             # Optimised as a whole, which needs a tenth less flash, and once for all images. The linker relaxes calls at
-            # the end only: the assembler has to leave it the distances that this changes. gcc 5.4 makes wrong code where
-            # it may reorder functions and data.
+            # the end only: the assembler has to leave it the distances that this changes. gcc 5.4 makes wrong code
+            # where it may reorder functions and data.
             needed = [path for path in objects if path.stem != unwanted]
             whole = [option for option in options if option != "-mrelax"]
             run(["avr-gcc", *whole, "-Wa,-mlink-relax", "-r", "-nostdlib", *needed, "-o", program])
