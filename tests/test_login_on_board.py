@@ -20,6 +20,8 @@ else:
 
 PASSWORDS = {"command": b"drive", "tune": b"gains"}
 NEEDED, OK = 0x91, 0x00
+QUICK_STOP, CLEAR_FAULTS, KEEP_ALIVE = 1, 2, 4  # application commands
+DONE, LEVEL = 0, 2
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +56,12 @@ def log_in(board: Board, level: int, password: bytes) -> bytes:
     return ask(board, 0x2D, bytes([level]) + hashlib.sha1(salt + hashlib.sha1(password).digest() + salt).digest())
 
 
+def command_result(board: Board, code: int) -> int:
+    """Result of an application command."""
+    assert ask(board, 0x30, bytes([code]))[0] == OK
+    return ask(board, 0x31, b"")[1]
+
+
 def test_commands_and_parameters_have_their_passwords(board: Board) -> None:
     command = ("cmd.speed", bytes(8))
     parameter = ("param.host_timeout", b"\x00\x08")
@@ -63,5 +71,8 @@ def test_commands_and_parameters_have_their_passwords(board: Board) -> None:
     assert log_in(board, 3, b"gains") == b"\x00\x03"
     assert (write(board, *command), write(board, *parameter)) == (OK, OK)
     assert board.read_raw("param.host_timeout") == [2048]
+    assert command_result(board, CLEAR_FAULTS) == DONE
     assert log_in(board, 3, b"guess") == b"\x92"
+    assert (command_result(board, CLEAR_FAULTS), command_result(board, KEEP_ALIVE)) == (LEVEL, LEVEL)
+    assert command_result(board, QUICK_STOP) == DONE, "a stop is open to everyone"
     assert (write(board, *command), write(board, *parameter)) == (NEEDED, NEEDED)

@@ -22,8 +22,24 @@ typedef enum {
 
 /* ---- events ----------------------------------------------------------------------------------------------------- */
 
+/* A stream of the same must not push a fault out: what only counts, or comes again, takes the place of the one before. */
+static bool repeats(const journal_event_t *event, event_kind_t kind, uint16_t value)
+{
+    const bool counts = kind == EVENT_LATE || kind == EVENT_OVERRUN;
+    return event->kind == (uint8_t)kind &&
+           (counts || ((kind == EVENT_POINTS || kind == EVENT_REFUSED) && event->value == value));
+}
+
 static void note(journal_t *journal, uint32_t tick, event_kind_t kind, uint16_t axis, uint16_t value)
 {
+    if (journal->count != 0U) {
+        journal_event_t *newest = &journal->event[(journal->first + journal->count - 1U) % JOURNAL_EVENTS];
+        if (repeats(newest, kind, value)) {
+            newest->tick = tick;
+            newest->value = value;
+            return;
+        }
+    }
     if (journal->count == JOURNAL_EVENTS) {
         journal->first = (uint16_t)((journal->first + 1U) % JOURNAL_EVENTS);
         journal->count--;
@@ -97,10 +113,7 @@ void journal_watch(journal_t *journal, const volatile snapshot_t *snapshot)
     compare_count(journal, tick, EVENT_OVERRUN, &journal->receiver_overruns, overruns, overruns);
 }
 
-void journal_refused(journal_t *journal, uint32_t tick, uint16_t offset)
-{
-    note(journal, tick, EVENT_REFUSED, 0, offset);
-}
+void journal_refused(journal_t *journal, uint16_t offset) { note(journal, journal->tick, EVENT_REFUSED, 0, offset); }
 
 /* ---- lines ------------------------------------------------------------------------------------------------------ */
 

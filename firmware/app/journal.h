@@ -47,7 +47,7 @@ void journal_init(journal_t *journal, bool by_watchdog);
 void journal_watch(journal_t *journal, const volatile snapshot_t *snapshot);
 
 /* The board has not taken what was to be written at this offset of servo_t. */
-void journal_refused(journal_t *journal, uint32_t tick, uint16_t offset);
+void journal_refused(journal_t *journal, uint16_t offset);
 
 /* Hand lines to the console of the client, as many as it has room for now. */
 void journal_print(journal_t *journal, freemaster_t *server);

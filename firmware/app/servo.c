@@ -1,6 +1,5 @@
 #include "app/servo.h"
 
-#include "app/servo_host.h"
 #include "drive/estimate.h"
 #include "drive/motion.h"
 

@@ -67,6 +67,9 @@ typedef struct servo {
 
 void servo_init(servo_t *servo, hal_t *hal);
 
+/* A part of it, for the host: server, its callbacks, passwords. */
+void servo_host_init(servo_t *servo);
+
 /* Interrupts: t1 and t3 of DRM F34, a latched encoder edge, the hardware over-current break. */
 void servo_m1_isr(servo_t *servo);
 void servo_m2_isr(servo_t *servo);

@@ -1,15 +1,17 @@
 /* servo_host.c - what the application does for the host, all of it in the background: what runs in the interrupts is in
  * servo.c. */
-#include "app/servo_host.h"
-
 #include <stddef.h>
 
 #include "app/login.h"
 #include "app/points.h"
 #include "app/ranges.h"
+#include "app/servo.h"
 #include "app/variables.h"
 
 #define PWM_PERIOD_NS UINT32_C(62500)
+
+#define RESULT_UNKNOWN 1u /* no command of this application */
+#define RESULT_LEVEL 2u /* the client has not logged in to the level *command* */
 
 static void hold(void *context, bool on)
 {
@@ -40,8 +42,12 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     }
     const uint16_t config = (uint16_t)offsetof(servo_t, config);
     if (offset >= config && (uint32_t)offset + size <= config + sizeof servo->config) {
-        return configure_accept(&servo->configure, &servo->config_status, (uint16_t)(offset - config), mask == NULL,
-                                data, size);
+        const bool accepted = configure_accept(&servo->configure, &servo->config_status, (uint16_t)(offset - config),
+                                               mask == NULL, data, size);
+        if (!accepted) {
+            journal_refused(&servo->journal, offset);
+        }
+        return accepted;
     }
     const ranges_memory_t memory = {
         .memory = (const uint8_t *)servo,
@@ -50,7 +56,7 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     };
     const bool accepted = ranges_accept(&memory, offset, data, mask, size);
     if (!accepted) {
-        journal_refused(&servo->journal, servo->tick, offset);
+        journal_refused(&servo->journal, offset);
     }
     return accepted;
 }
@@ -110,6 +116,11 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
     (void)args;
     (void)size;
     *result_size = 0;
+    /* A stop is open to everyone. What re-arms an axis or keeps it alive is not for a client that may only look. */
+    if ((code == COMMAND_CLEAR_FAULTS || code == COMMAND_KEEP_ALIVE) &&
+        freemaster_level(&servo->freemaster) < ACCESS_COMMAND) {
+        return RESULT_LEVEL;
+    }
     switch (code) {
     case COMMAND_QUICK_STOP:
         servo->host_commands++;
@@ -129,7 +140,7 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
         server_hold(servo, false);
         return 0;
     default:
-        return 1; /* unknown to the application */
+        return RESULT_UNKNOWN;
     }
 }
 

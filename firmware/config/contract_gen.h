@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xD7FD1F9D)
+#define CATALOGUE_HASH UINT32_C(0xC5242643)
 
 typedef enum {
     STATE_FAULT = 0,

@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             (CORPUS / name).write_bytes(data)
         return 0
     if shutil.which("clang") is None:
-        print("fuzzing needs clang with libFuzzer: apt-get install clang", file=sys.stderr)
+        print("fuzzing needs clang with libFuzzer: apt-get install clang libclang-rt-dev", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory() as name:
         try:

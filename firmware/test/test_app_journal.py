@@ -99,15 +99,23 @@ def test_watchdog(core: Core) -> None:
 def test_oldest_go_first_and_are_counted(quiet: Bench) -> None:
     console = Console(quiet)
     console.lines()
-    address = quiet.address("param.host_timeout")
+    names, sizes = ("param.host_timeout", "param.acceleration_limit"), (2, 4)
     events = 40
-    for _ in range(events):
-        quiet.core.lib.servo_write(quiet.servo, address, b"\x00\x00", 2)
+    for number in range(events):
+        quiet.core.lib.servo_write(quiet.servo, quiet.address(names[number % 2]), bytes(4), sizes[number % 2])
     lines = console.lines()
     lost = int(lines[0].removeprefix("lost before: "))
-    assert lines[1:] == ["refused param.host_timeout"] * (len(lines) - 1)
-    assert lost + len(lines) - 1 == events
+    assert lines[1:] == [f"refused {names[number % 2]}" for number in range(lost, events)]
     assert len(lines) > 5
+
+
+def test_what_comes_again_and_again_pushes_nothing_out(quiet: Bench) -> None:
+    console = Console(quiet)
+    console.lines()
+    quiet.core.lib.servo_write(quiet.servo, quiet.address("param.acceleration_limit"), b"\x00" * 4, 4)
+    for _ in range(40):
+        quiet.core.lib.servo_write(quiet.servo, quiet.address("param.host_timeout"), b"\x00\x00", 2)
+    assert console.lines() == ["refused param.acceleration_limit", "refused param.host_timeout"]
 
 
 def test_no_line_is_too_long(quiet: Bench) -> None:
@@ -117,6 +125,7 @@ def test_no_line_is_too_long(quiet: Bench) -> None:
     journal, last = quiet.core.ffi.addressof(quiet.servo, "journal"), 2**32 - 1
     for variable in quiet.catalogue.variables.values():
         if variable.writable:
-            quiet.core.lib.journal_refused(journal, last, quiet.address(variable.name) - VARIABLES)
+            journal.tick = last
+            quiet.core.lib.journal_refused(journal, quiet.address(variable.name) - VARIABLES)
             assert console.poll().decode("ascii") == f"{last} refused {variable.name}\n"
             assert console.poll() == b""

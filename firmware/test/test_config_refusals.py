@@ -441,5 +441,5 @@ def test_passwords_go_into_the_firmware_as_hashes(monkeypatch: pytest.MonkeyPatc
 def test_passwords_that_are_none(entries: dict[str, object], message: str) -> None:
     """The message never shows what may be the password itself."""
     with pytest.raises(ConfigError, match=message) as error:
-        configuration(board__passwords=entries)
+        password_constants(configuration(board__passwords=entries).board.passwords)
     assert "sesame" not in str(error.value)

@@ -14,6 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -38,6 +39,7 @@ _LOOPBACK: Final = "127.0.0.1"
 _START: Final = 20.0  # longest wait for a viewer that is started [s]
 _POLL: Final = 0.2
 _FLUSH: Final = 5.0  # longest wait for the last bytes [s]
+_STALLED: Final = 10.0  # longest wait for a viewer that does not take data [s]
 _SET_POINT: Final = "_ref"
 
 
@@ -129,7 +131,7 @@ class ScopeView:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._writer.shutdown()
+        self._writer.shutdown(wait=error is None, cancel_futures=error is not None)
         try:
             self._stream.flush(timeout_sec=_FLUSH)
         except (RuntimeError, ValueError) as trouble:
@@ -170,7 +172,10 @@ class ScopeView:
         """Have the thread do it; raises what went wrong before."""
         self._waiting.append(self._writer.submit(work))
         while self._waiting and (len(self._waiting) > _WAITING or self._waiting[0].done()):
-            self._waiting.popleft().result()
+            try:
+                self._waiting.popleft().result(_STALLED)
+            except FutureTimeoutError:
+                raise ViewLostError(f"the viewer has not taken data for {_STALLED:g} s") from None
 
 
 def _check_file(path: Path) -> None:

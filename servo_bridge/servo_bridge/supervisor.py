@@ -486,6 +486,8 @@ class Supervisor:
 
     def _read_beliefs(self) -> None:
         """Read what a configuration determines: motor data, and parameters whose default is another one."""
+        if self._status.state is not LinkState.CONNECTED:
+            return  # read when it is back
         self._read_motors()
         self._board_parameters.connected()
 

@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -17,6 +18,7 @@ from servo_bridge.bursts.burst import Burst, Channel, channels_of
 from servo_bridge.bursts.placing import BoardTime, HostTime, Placing
 from servo_bridge.bursts.recording import Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
+from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.sampler import Sampler
 from servo_bridge.scope_view import Curve, ScopeView, ViewLostError, burst_parts, telemetry_parts
 from servo_bridge.tool_commands import warn
@@ -105,6 +107,10 @@ class _Telemetry:
         variables = [variable for variable, _ in self._selection]
         self._ticks = ticks
         self._sampler = Sampler(session, [session.variables[TICK], *variables] if ticks else variables)
+        if ticks and not self._sampler.simultaneous:
+            raise UsageError(
+                f"the board cannot read {len(names)} variables in one moment; name fewer of them with --telemetry"
+            )
         self.placing: Placing = BoardTime() if ticks else HostTime()
         self.rows = 0
         self._times: list[float] = []
@@ -184,8 +190,9 @@ class _Run:
                             break
                         due = time.monotonic() + self._recording.pause
             finally:
+                with suppress(FreemasterError):
+                    self._recording.abandon()
                 self._telemetry.show(view, all_of_it=True)
-            self._recording.abandon()
 
     def _end(self) -> None:
         self._ended = True

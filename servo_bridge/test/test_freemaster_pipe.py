@@ -41,6 +41,25 @@ def test_both_streams_are_complete_on_a_bad_line(kind: type[FakeTarget], odd: bo
     assert target.pipe_received == sent
 
 
+def test_what_another_client_sent_is_not_taken_for_ours() -> None:
+    """Its last frame is remembered by the target; our first one is lost."""
+    target = FakeTarget(tables=[[]])
+    line = LossyLine(target.feed)
+    client = client_on(line)
+    client.identify()
+    other = client.pipe()
+    other.exchange()
+    other.exchange(b"1234")
+    other.exchange(b"5678")
+    pipe = client.pipe()
+    line.lose_request = 1.0
+    with pytest.raises(FreemasterError):
+        pipe.exchange(b"abcd")
+    line.lose_request = 0.0
+    assert pipe.exchange(b"abcd") == (b"", 4)
+    assert target.pipe_received == b"12345678abcd"
+
+
 def test_a_pipe_that_is_not_there() -> None:
     target = FakeTarget(tables=[[]])
     client = client_on(LossyLine(target.feed))

@@ -329,7 +329,7 @@ class Catalogue:
             )
             for name, members in table.get("structs", {}).items()
         }
-        return cls(variables, enums, flags, bits, scales, _hash(variables, enums, flags), structs)
+        return cls(variables, enums, flags, bits, scales, _hash(variables, enums, flags, structs), structs)
 
     def __getitem__(self, name: str) -> Variable:
         """Variable by name; a `KeyError` names the closest ones."""
@@ -426,6 +426,7 @@ def _hash(
     variables: Mapping[str, Variable],
     enums: Mapping[str, Mapping[str, int]],
     flags: Mapping[str, tuple[Flag, ...]],
+    structs: Mapping[str, tuple[Variable, ...]],
 ) -> int:
     """CRC-32 of everything that changes what a number on the wire means; texts for people do not count."""
     lines = [
@@ -433,4 +434,5 @@ def _hash(
     ]
     lines += [f"{name} {sorted(entries.items(), key=lambda e: e[1])}" for name, entries in sorted(enums.items())]
     lines += [f"{name} {[(f.name, f.bit) for f in entries]}" for name, entries in sorted(flags.items())]
+    lines += [f"{name} {[(m.name, m.type, m.count, m.lsb) for m in members]}" for name, members in structs.items()]
     return zlib.crc32("\n".join(lines).encode())

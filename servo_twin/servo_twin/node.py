@@ -217,6 +217,8 @@ class ServoTwin(Node):
         self._worker.burst(message.layout.dim[0].label, columns, table)
 
     def _on_tuning(self, message: String) -> None:
+        if not message.data:
+            return  # the bridge cannot read it
         try:
             blocks = blocks_of_file(message.data, self._catalogue)
         except ConfigError as error:

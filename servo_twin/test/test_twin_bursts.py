@@ -218,3 +218,14 @@ def test_the_setup_of_a_recorder_travels_as_a_message() -> None:
     broken.data[2] = 0.0
     with pytest.raises(ValueError, match=r"0 points of .* are no set-up"):
         setup_from_message(broken)
+
+
+def test_sampling_ends_where_the_ticks_begin_anew(rig: TwinRig) -> None:
+    """The recorder was idle before the reset: nothing of the next board is sampled."""
+    begin(rig, FAST)
+    rig.run(0.05)
+    assert rig.twin._bursts.sampling
+    rig.twin.recorder(None)
+    rig.twin.resync("the board was reset")
+    rig.run(0.2)
+    assert not rig.twin._bursts.sampling

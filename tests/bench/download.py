@@ -91,7 +91,7 @@ def main() -> int:
             f"{row['baud']:8} {row['bytes']:6} {row['seconds']:13.2f} {row['wire_seconds']:16.2f} {row['ratio']:6.2f}"
             f" {row['samples_per_s']:22.0f} {row['usual_samples_per_s']:8.0f}"
         )
-    print("aims: ratio 1.1, telemetry at half its rate")
+    print("aims: ratio 1.1 at 115200 baud, telemetry at half its rate")
     out = ROOT / "out" / "bench" / "download.json"
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")

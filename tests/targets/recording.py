@@ -215,4 +215,4 @@ def wrapped_functions(sources: Sources) -> list[str]:
     """
     names = _FUNCTION.findall((sources.firmware / "hal" / "hal.h").read_text(encoding="utf-8"))
     entries = _FUNCTION.findall((sources.firmware / "app" / "servo.h").read_text(encoding="utf-8"))
-    return names + [name for name in entries if name not in ("servo_read", "servo_write")]
+    return names + [name for name in entries if name not in ("servo_read", "servo_write", "servo_host_init")]

@@ -25,6 +25,7 @@ _CHUNK: Final = 240
 _READ_FROM_BASE: Final = 0x22
 _SETREC: Final = 0x24
 _GETREC: Final = 0x25
+_GETPIPE: Final = 0x2F
 _UNENDING: Final = b"\x80"
 """The beginning of a number that goes on behind the end of the request."""
 
@@ -36,6 +37,7 @@ def frames(rig: Rig) -> Iterator[bytes]:
     yield from _memory(rig)
     yield from _scope(rig)
     yield from _recorder(rig)
+    yield from _pipe()
     yield from _commands()
     yield from _line()
 
@@ -79,6 +81,24 @@ def _memory(rig: Rig) -> Iterator[bytes]:
     yield encode_request(Command.WRITEMEM, whole + bytes(7))
     yield encode_request(Command.WRITEMEM, b"\x01" + whole[1:] + bytes(15))
     yield encode_request(Command.WRITEMEM, whole[:2])
+
+
+def _pipe() -> Iterator[bytes]:
+    """The log, and pipes that are not there; without passwords there is no login."""
+    for number in range(6):
+        yield log_request(number)
+    yield log_request(5)  # again
+    for payload in (b"", b"\x01", b"\x02\x00", b"\x01\x00text"):
+        yield encode_request(Command.PIPE, payload)
+    for payload in (b"", b"\x01\x01\x81", b"\x00\x00\x82", b"\x01\x02\x81", b"\x00\x01\x81"):
+        yield encode_request(_GETPIPE, payload)
+    yield encode_request(Command.AUTH1, b"\x03")
+    yield encode_request(Command.AUTH2, b"\x03" + bytes(20))
+
+
+def log_request(number: int) -> bytes:
+    """Request of the log; those with even and odd numbers take turns. Acknowledges all that the pipe had."""
+    return encode_request(Command.PIPE, bytes((1 | (number & 1) << 7, 0xFF)))
 
 
 def _scope(rig: Rig) -> Iterator[bytes]:

@@ -60,8 +60,8 @@ class Pipe:
         """
         if not self._in_step:
             # The target may take the first frame for a repetition, and ignore its data and acknowledgement.
-            self._in_step = True
             first, _ = self._exchange(b"")
+            self._in_step = True
             if first:
                 return first, 0
         return self._exchange(data)

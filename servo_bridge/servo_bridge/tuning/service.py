@@ -110,7 +110,7 @@ class TuningService:
         self._say, self._warn = say, warn
         self._apart = Apart()
         self._busy = False
-        self._published = ""
+        self._published: str | None = None  # since the link is up
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._publisher = node.create_publisher(String, topics.TUNING, topics.latched_qos())
         self._service = DeferredService(node, SetBool, topics.TUNE, lambda request: self._asked(request.data))
@@ -119,7 +119,8 @@ class TuningService:
 
     # ---- thread of the node
     def connected(self) -> None:
-        """The link is up: read the board's configuration and publish it."""
+        """The link is up: read the board's configuration and publish it, for a twin may have forgotten it."""
+        self._published = None
         self._jobs.put(self._refresh)
 
     def close(self) -> None:
@@ -166,6 +167,8 @@ class TuningService:
                 plan.send(self._memory)
                 unsure = True
                 lines.append(f"{plan.names} taken at tick {self._bring_into_force(plan)}")
+            elif plan.axes:
+                lines.append(f"the board would take another configuration for {plan.names}")
             success = True
         except BlockRefusedError as error:
             unsure = False
@@ -208,7 +211,7 @@ class TuningService:
         self._post(lambda: begun.set_result(self._take(write)))
         try:
             return begun.result(_PATIENCE).result(_PATIENCE)
-        except ConnectionError:
+        except (ConnectionError, futures.TimeoutError):
             # A request that was repeated is refused though the first one has been obeyed.
             in_force = self._memory.read_words("config.checksum")
             if all(in_force[axis] == checksum for axis, checksum in plan.checksums().items()):
@@ -217,7 +220,7 @@ class TuningService:
             raise
 
     def _refresh(self) -> None:
-        """Read what the board has and publish it."""
+        """Read what the board has and publish it; an empty text when that cannot be read."""
         try:
             blocks = list(read_blocks(self._memory).values())
             host, command = (self._memory.read(name) for name in _TIMEOUTS)
@@ -225,8 +228,8 @@ class TuningService:
         except LinkDownError:
             return  # told elsewhere, and read again when it is back
         except Exception as error:  # also one of our own making: the thread goes on
-            self._post(partial(self._warn, f"the configuration of the board is not published: {_text(error)}"))
-            return
+            self._post(partial(self._warn, f"the configuration of the board is not known: {_text(error)}"))
+            text = ""
         self._post(partial(self._publish, text))
 
 

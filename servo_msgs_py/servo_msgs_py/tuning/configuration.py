@@ -10,7 +10,7 @@ from typing import Any, Final
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.errors import ConfigError, refused
-from servo_msgs_py.tuning.passwords import password_hashes
+from servo_msgs_py.tuning.passwords import password_entries
 from servo_msgs_py.tuning.schema import (
     AXIS_GROUPS,
     BOARD_GROUPS,
@@ -73,7 +73,7 @@ class Board:
     brake : bool
         Whether there is a brake resistor.
     passwords : mapping
-        SHA-1 of the password of each level that has one.
+        Entry of each level that has one: a hash, or the name of an environment variable.
     complete : bool
         Whether the groups are there that no configuration block of an axis depends on, [board.brake] and
         [board.regeneration]; both or neither.
@@ -82,7 +82,7 @@ class Board:
     values: Mapping[str, float]
     temperature: Temperature
     brake: bool
-    passwords: Mapping[str, bytes]
+    passwords: Mapping[str, str]
     complete: bool = True
 
     def __call__(self, key: str) -> float:
@@ -114,7 +114,7 @@ class Board:
         """
         plain = dict(check_table("board", table))
         temperature = Temperature.of(plain.pop("temperature", {}))
-        passwords = password_hashes(plain.pop("passwords", {}))
+        passwords = password_entries(plain.pop("passwords", {}))
         absent = all(group not in plain for group in BOARD_GROUPS)
         if absent:
             return cls(

@@ -11,7 +11,7 @@ from typing import Final
 from servo_msgs_py.tuning.errors import refused
 from servo_msgs_py.tuning.schema import check_table, unknown_name
 
-__all__ = ["LEVELS", "password_constants", "password_hashes"]
+__all__ = ["LEVELS", "password_constants", "password_entries"]
 
 LEVELS: Final = ("view", "command", "tune")
 """Names of the levels, from the lowest, in the order of ``ACCESS_VIEW``."""
@@ -21,36 +21,45 @@ _VARIABLE: Final = re.compile(r"env:(\w+)")
 _FORM: Final = 'write "sha1:" and the 40 digits of its SHA-1, or "env:" and the name of an environment variable'
 
 
-def password_hashes(value: object) -> Mapping[str, bytes]:
-    """SHA-1 of the password of each level that has one.
+def password_entries(value: object) -> Mapping[str, str]:
+    """Entry of each level that has a password; what an environment variable holds does not matter yet.
 
     Raises
     ------
     ConfigError
-        If a level is unknown, or its entry gives no password.
+        If a level is unknown, or its entry can give no password.
     """
-    hashes: dict[str, bytes] = {}
+    entries: dict[str, str] = {}
     for level, entry in check_table("board.passwords", value).items():
         where = f"board.passwords.{level}"
         if level not in LEVELS:
             raise unknown_name(where, level, LEVELS)
         if not isinstance(entry, str):
             raise refused(where, repr(entry), "no text", _FORM)
-        if found := _HASH.fullmatch(entry):
-            hashes[level] = bytes.fromhex(found[1])
-        elif found := _VARIABLE.fullmatch(entry):
-            hashes[level] = _hash_of(where, entry, os.environ.get(found[1], ""))
-        else:  # it may be the password itself: a message must not show it
+        if not _HASH.fullmatch(entry) and not _VARIABLE.fullmatch(entry):
+            # It may be the password itself: a message must not show it.
             raise refused(where, "...", "neither a hash nor an environment variable", _FORM)
-    return hashes
+        entries[level] = entry
+    return entries
 
 
-def _hash_of(where: str, entry: str, password: str) -> bytes:
+def password_constants(entries: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
+    """Fields of ``servo_config_t``; a level that is left out has no password of its own.
+
+    Raises
+    ------
+    ConfigError
+        If an environment variable is not set.
+    """
+    return {f"password[{LEVELS.index(level)}]": tuple(_digest(level, entry)) for level, entry in entries.items()}
+
+
+def _digest(level: str, entry: str) -> bytes:
+    """SHA-1 of the password."""
+    if found := _HASH.fullmatch(entry):
+        return bytes.fromhex(found[1])
+    password = os.environ.get(entry.removeprefix("env:"), "")
     if not password:
+        where = f"board.passwords.{level}"
         raise refused(where, entry, "the environment variable is not set, or empty", "put the password there")
     return hashlib.sha1(password.encode("utf-8"), usedforsecurity=False).digest()
-
-
-def password_constants(hashes: Mapping[str, bytes]) -> dict[str, tuple[int, ...]]:
-    """Fields of ``servo_config_t``; a level that is left out has no password of its own."""
-    return {f"password[{LEVELS.index(level)}]": tuple(digest) for level, digest in hashes.items()}

@@ -192,6 +192,8 @@ class BurstFollower:
         self._trouble, self._since = f"the twin does not follow the board: {reason}", reason
         if self._burst is not None:
             self._refuse(self._burst)
+        if self._end is not None:
+            self._setup = self._end = None  # it was over: ticks may count from zero now
 
     def note(self, frame: Frame) -> None:
         """Note how the boards lie to each other at a sample of the real one, up to which both have run."""

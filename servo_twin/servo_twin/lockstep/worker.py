@@ -39,7 +39,7 @@ class WorkerFigures:
     load : float
         Share of the time that the thread worked since `TwinWorker.figures` was called before.
     overruns : int
-        How often everything that waited was thrown away because there was too much of it.
+        How often the samples that waited were thrown away because there were too many.
     """
 
     samples: int
@@ -70,7 +70,8 @@ class TwinWorker:
         self._twin = twin
         self._publish = publish
         self._failed = failed
-        self._inbox: deque[Callable[[], None]] = deque()
+        self._inbox: deque[tuple[Callable[[], None], bool]] = deque()  # and whether it is for samples
+        self._waiting_samples = 0
         self._condition = threading.Condition()
         self._stopping = False
         self._overrun = False
@@ -99,7 +100,7 @@ class TwinWorker:
 
     def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Samples of the real board; a table that the twin cannot use is reported as its status."""
-        self._post(lambda: self._take(columns, table))
+        self._post(lambda: self._take(columns, table), sample=True)
 
     def parameters(self, values: RawParameters) -> None:
         """Parameters of the real board."""
@@ -129,12 +130,15 @@ class TwinWorker:
         load = min(busy / elapsed, 1.0) if elapsed > 0.0 else 0.0
         return WorkerFigures(self._samples, self._backlog, load, self._overruns)
 
-    def _post(self, job: Callable[[], None]) -> None:
+    def _post(self, job: Callable[[], None], *, sample: bool = False) -> None:
+        """Have the thread do it. When too much waits samples are thrown away: what is told once is told once."""
         with self._condition:
-            if len(self._inbox) >= _WAITING:
-                self._inbox.clear()
+            if sample and self._waiting_samples >= _WAITING:
+                self._inbox = deque(entry for entry in self._inbox if not entry[1])
+                self._waiting_samples = 0
                 self._overrun = True
-            self._inbox.append(job)
+            self._inbox.append((job, sample))
+            self._waiting_samples += sample
             self._condition.notify()
 
     # ---- in the thread
@@ -173,8 +177,9 @@ class TwinWorker:
 
     def _fetch(self) -> tuple[list[Callable[[], None]], bool]:
         with self._condition:
-            jobs, overrun = list(self._inbox), self._overrun
+            jobs, overrun = [job for job, _ in self._inbox], self._overrun
             self._inbox.clear()
+            self._waiting_samples = 0
             self._overrun = False
         return jobs, overrun
 

@@ -1,5 +1,10 @@
 #include "arithmetic.h"
 
+#include <string.h>
+
+#include "app/journal.h"
+#include "comm/access.h"
+#include "comm/sha1.h"
 #include "config/axis_config.h"
 #include "control/current_loop.h"
 #include "control/friction.h"
@@ -15,6 +20,9 @@
 
 /* Steps that a function with a memory is taken through in one round. */
 #define STEPS 16
+
+/* Each takes up to six hashes. */
+#define LOGINS 4
 
 typedef struct {
     uint32_t random;
@@ -475,6 +483,89 @@ static void currents(run_t *run)
     }
 }
 
+static void take_bytes(run_t *run, const uint8_t *data, uint16_t size)
+{
+    for (uint16_t i = 0; i < size; i++) {
+        take(run, data[i]);
+    }
+}
+
+static void draw_bytes(run_t *run, uint8_t *data, uint16_t size)
+{
+    for (uint16_t i = 0; i < size; i++) {
+        data[i] = (uint8_t)(draw(run) & 0xFFU);
+    }
+}
+
+/* What a client sends that knows the password. */
+static void prove(const access_t *access, const uint8_t *password, uint8_t *key)
+{
+    uint8_t message[2U * ACCESS_SALT_SIZE + SHA1_SIZE];
+    memcpy(message, access->salt, ACCESS_SALT_SIZE);
+    memcpy(message + ACCESS_SALT_SIZE, password, SHA1_SIZE);
+    memcpy(message + ACCESS_SALT_SIZE + SHA1_SIZE, access->salt, ACCESS_SALT_SIZE);
+    sha1(message, sizeof message, key);
+}
+
+/* Log-ins with right and wrong passwords, to boards with and without them. */
+static void passwords(run_t *run)
+{
+    uint8_t digest[ACCESS_LEVELS][SHA1_SIZE];
+    access_passwords_t known = {{NULL, NULL, NULL}};
+    access_t access;
+    for (uint16_t level = 0; level < ACCESS_LEVELS; level++) {
+        draw_bytes(run, digest[level], SHA1_SIZE);
+        known.password[level] = (draw(run) & 3U) != 0U ? digest[level] : NULL;
+    }
+    take(run, access_guarded(&known));
+    access_init(&access, &known);
+    for (uint16_t i = 0; i < LOGINS; i++) {
+        uint8_t bytes[1U + SHA1_SIZE];
+        uint8_t answer[2U + ACCESS_SALT_SIZE];
+        payload_writer_t reply = {answer, sizeof answer, 0, false};
+        bytes[0] = (uint8_t)(draw(run) % 5U);
+        payload_reader_t challenge = {bytes, (uint16_t)((draw(run) & 15U) != 0U), false};
+        take(run, access_challenge(&access, draw(run), &challenge, &reply));
+        draw_bytes(run, bytes + 1, SHA1_SIZE);
+        if ((draw(run) & 1U) != 0U) {
+            prove(&access, digest[draw(run) % ACCESS_LEVELS], bytes + 1);
+        }
+        payload_reader_t proof = {bytes, (uint16_t)(sizeof bytes - ((draw(run) & 15U) == 0U ? 1U : 0U)), false};
+        take(run, access_prove(&access, &proof, &reply));
+        take_bytes(run, answer, reply.size);
+        take(run, access.level);
+    }
+}
+
+/* Lines of the log, also of what no recorded run has: late loops, lost bytes, a watchdog. */
+static void log_lines(run_t *run)
+{
+    static freemaster_t server;
+    static snapshot_t snapshot;
+    static journal_t journal;
+    journal_init(&journal, (draw(run) & 1U) != 0U);
+    pipe_init(&server.pipe, "log");
+    for (uint16_t i = 0; i < STEPS; i++) {
+        snapshot.tick = draw(run);
+        for (uint16_t k = 0; k < HAL_AXES; k++) {
+            snapshot.axis[k].faults = (draw(run) & 1U) != 0U ? (fault_set_t)(draw(run) & draw(run)) : 0U;
+            snapshot.axis[k].state = (uint16_t)(draw(run) % 5U);
+            snapshot.axis[k].substate = (uint16_t)(draw(run) % 7U);
+        }
+        snapshot.points_refused = (uint16_t)(draw(run) & 1U);
+        snapshot.point_refusal = (uint16_t)(draw(run) & 15U);
+        snapshot.late_loops = (uint16_t)(draw(run) & 1U);
+        snapshot.receiver_overruns = (uint16_t)(draw(run) & 3U);
+        journal_watch(&journal, &snapshot);
+        journal_watch(&journal, &snapshot);
+        journal_refused(&journal, (uint16_t)(draw(run) & 0x3FFU));
+        journal_refused(&journal, 0);
+        journal_print(&journal, &server);
+        take_bytes(run, server.pipe.queue, server.pipe.size);
+        server.pipe.size = 0;
+    }
+}
+
 /* ---- the table -------------------------------------------------------------------------------------------------- */
 
 typedef struct {
@@ -499,6 +590,8 @@ static const group_t groups[] = {
     {"speed observer", observer},
     {"rotor search", search},
     {"current sensing", currents},
+    {"passwords", passwords},
+    {"log", log_lines},
 };
 
 uint16_t arithmetic_groups(void) { return (uint16_t)(sizeof groups / sizeof groups[0]); }
