@@ -32,11 +32,9 @@ NOT_ON_A_TARGET = {
     "servo_write",
     "freemaster_read",
     "freemaster_write",
-    # No command of this application takes longer than its first look, and its configuration has no passwords.
+    # No command of this application takes longer than its first look.
     "freemaster_finish_command",
     "app_command_finish",
-    "nonce",
-    "login_nonce",
     # DRM 4.5 lists the transition, but no flag leads there.
     "stop_init",
     # 25 s of waiting are too long for a recording.
