@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chain import TOOL, Chain, wait_for
-from servo_bridge.scope_view import TIMELINE, burst_parts, telemetry_parts
+from servo_msgs_py.recording_names import telemetry_parts
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.view import scene
 from servo_twin.view.recording import read_scalars, read_texts
@@ -34,8 +34,6 @@ def chain(tmp_path: Path) -> Iterator[Chain]:
 
 
 def test_the_names_are_those_of_the_viewer_of_the_twin() -> None:
-    assert TIMELINE == scene.TIMELINE
-    assert "/" + "/".join(burst_parts("axis1.i_q")) == scene.burst_entity("axis1.i_q", scene.BOARD)
     for quantity in scene.QUANTITIES:
         for source in (scene.BOARD, scene.SET_POINT):
             parts = telemetry_parts(quantity.column(source, 1))

@@ -8,7 +8,7 @@ Addresses are names: the tool looks them up in the board's table of variables.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
@@ -167,8 +167,7 @@ def _element_names(variable: Variable) -> list[str]:
     return [variable.name] if variable.count == 1 else [f"{variable.name}[{k}]" for k in range(variable.count)]
 
 
-def _enum(archive: _Archive, name: str, values: object) -> str:
-    assert isinstance(values, dict)
+def _enum(archive: _Archive, name: str, values: Mapping[str, int]) -> str:
     items = [
         archive.add(
             "CEnumItem",

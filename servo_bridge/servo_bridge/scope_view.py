@@ -23,14 +23,12 @@ from urllib.parse import urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.recording_names import BURST, PLOT, TIMELINE
 
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 from servo_bridge.tool_values import UsageError
 
-__all__ = ["TIMELINE", "Curve", "ScopeView", "ViewLostError", "burst_parts", "telemetry_parts"]
-
-TIMELINE: Final = "board_time"
-"""Seconds since the first row of telemetry."""
+__all__ = ["Curve", "ScopeView", "ViewLostError"]
 
 _WINDOW: Final = 15.0  # what the plots of the telemetry show of the past [s]
 _WAITING: Final = 20  # pieces that may wait for the thread before the caller waits
@@ -40,7 +38,6 @@ _START: Final = 20.0  # longest wait for a viewer that is started [s]
 _POLL: Final = 0.2
 _FLUSH: Final = 5.0  # longest wait for the last bytes [s]
 _STALLED: Final = 10.0  # longest wait for a viewer that does not take data [s]
-_SET_POINT: Final = "_ref"
 
 
 class ViewLostError(RuntimeError):
@@ -64,18 +61,6 @@ class Curve:
     parts: tuple[str, ...]
     title: str
     unit: str
-
-
-def telemetry_parts(name: str) -> tuple[str, ...]:
-    """Where a variable of the telemetry lies: ``plot/axis1/i_q/board``; its reference ``plot/axis1/i_q/set_point``."""
-    if name.endswith(_SET_POINT):
-        return ("plot", *name.removesuffix(_SET_POINT).split("."), "set_point")
-    return ("plot", *name.split("."), "board")
-
-
-def burst_parts(name: str) -> tuple[str, ...]:
-    """Where a variable of the bursts lies: ``burst/axis1/i_q/board``."""
-    return ("burst", *name.split("."), "board")
 
 
 class ScopeView:
@@ -265,8 +250,8 @@ def _blueprint(telemetry: Sequence[Curve], bursts: Sequence[Curve]) -> Any:
     log = rrb.TextLogView(name="log", origin="/log")
     return rrb.Blueprint(
         rrb.Horizontal(
-            plots("telemetry", "/plot", telemetry, **live),
-            rrb.Vertical(plots("bursts", "/burst", bursts), log, row_shares=[5, 1]),
+            plots("telemetry", f"/{PLOT}", telemetry, **live),
+            rrb.Vertical(plots("bursts", f"/{BURST}", bursts), log, row_shares=[5, 1]),
         ),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
         rrb.BlueprintPanel(state="hidden"),

@@ -30,6 +30,7 @@ __all__ = ["main"]
 
 _NEGATIVE = re.compile(r"-\.?\d|-(inf|nan)", re.IGNORECASE)
 _STARTUP_RETRIES = 5
+_PROJECT = "project"
 
 
 def _number(text: str) -> float:
@@ -163,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
     command.add_argument("--plot", metavar="FILE", help="draw it, as .png, .svg or .pdf")
     command = commands.add_parser(
-        "project",
+        _PROJECT,
         help="write a project for NXP's desktop tool: all variables with units, SI scales and limits; needs no board",
         description="Write a project for NXP's desktop tool FreeMASTER 3. Needs no board.",
         parents=[common],
@@ -202,7 +203,7 @@ def _run(args: argparse.Namespace) -> int:
         baud = getattr(args, "baud", None) or _positive_whole(os.environ.get("SERVO_BAUD") or "115200")
     except argparse.ArgumentTypeError:
         raise UsageError(f"SERVO_BAUD is {os.environ['SERVO_BAUD']!r}, not a line speed") from None
-    if args.command == "project":
+    if args.command == _PROJECT:  # the one command that needs no board
         args.file.write_text(desktop_project(Catalogue.load(), baud), encoding="utf-8")
         return 0
     run: tool_commands.Runner = args.run

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name, numbers
+from servo_msgs_py.recording_names import burst_parts, telemetry_parts
 
 from servo_bridge.bursts import request as burst_request
 from servo_bridge.bursts.burst import Burst, Channel, channels_of
@@ -20,7 +21,7 @@ from servo_bridge.bursts.recording import Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.sampler import Sampler
-from servo_bridge.scope_view import Curve, ScopeView, ViewLostError, burst_parts, telemetry_parts
+from servo_bridge.scope_view import Curve, ScopeView, ViewLostError
 from servo_bridge.tool_commands import warn
 from servo_bridge.tool_progress import ProgressLine
 from servo_bridge.tool_record import interrupts

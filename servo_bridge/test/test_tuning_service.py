@@ -11,7 +11,7 @@ from fake_servo import FakeServo
 from fake_transport import FakeTransport, client_on
 from servo_bridge.arbiter import CommandWrite
 from servo_bridge.dispatcher import Dispatcher
-from servo_bridge.tuning.apart import Apart, ComputationError
+from servo_bridge.tuning.process import ComputationError, TuningProcess
 from servo_bridge.wire.session import connect
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue
@@ -54,16 +54,16 @@ def test_what_cannot_be_sent_is_answered(rig: Rig) -> None:
 
 
 def test_the_tuning_code_refuses_apart_as_it_does_here(tmp_path: Path) -> None:
-    apart = Apart()
+    process = TuningProcess()
     file = tmp_path / "bad.toml"
     with pytest.raises(ConfigError, match="No such file"):
-        apart.computed(file)
+        process.computed(file)
     file.write_text(CONFIG.read_text(encoding="utf-8").replace("psi_m      = 0.0154", "psi_m = -1.0"), encoding="utf-8")
     with pytest.raises(ConfigError, match="psi_m"):
-        apart.computed(file)
-    apart.close()
+        process.computed(file)
+    process.close()
     with pytest.raises(ComputationError, match="ending"):
-        apart.computed(file)
+        process.computed(file)
 
 
 def test_a_write_of_blocks_is_reported_with_its_members() -> None:

@@ -38,11 +38,16 @@ def wire_bytes(session: Session) -> int:
 
 def measure(baud: int) -> dict[str, Any]:
     """Figures of one line speed: the best of some downloads, for the machine may be busy."""
-    chain = Chain(Path(tempfile.mkdtemp(prefix="bench-")), baud)
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        return best_of(Chain(Path(folder), baud))
+
+
+def best_of(chain: Chain) -> dict[str, Any]:
+    """The best download of some from the board of a chain."""
     samples: list[float] = []
     catalogue = Catalogue.load()
     link = Link(
-        LinkConfig(str(chain.port), baud, telemetry=tuple(telemetry_variables(catalogue, ()))),
+        LinkConfig(str(chain.port), chain.baud, telemetry=tuple(telemetry_variables(catalogue, ()))),
         catalogue,
         on_sample=lambda _: samples.append(time.monotonic()),
         on_state=lambda _: None,
@@ -54,7 +59,9 @@ def measure(baud: int) -> dict[str, Any]:
         begin, first = time.monotonic(), len(samples)
         time.sleep(SECONDS)
         usual = (len(samples) - first) / (time.monotonic() - begin)
-        return min((download(link, catalogue, samples, baud, usual) for _ in range(RUNS)), key=lambda row: row["ratio"])
+        return min(
+            (download(link, catalogue, samples, chain.baud, usual) for _ in range(RUNS)), key=lambda row: row["ratio"]
+        )
     finally:
         link.close()
         chain.end()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -21,18 +21,10 @@ from servo_bridge.bursts.recording import POLL, Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
 from servo_bridge.outcome import error_of
 from servo_bridge.services import DeferredService, Outcome
-from servo_bridge.wire.session import Session
+from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
 __all__ = ["RecordService", "table_of"]
-
-T = TypeVar("T")
-
-
-class Call(Protocol):
-    """Has the thread of the link call a function with the session of the board."""
-
-    def __call__(self, function: Callable[[Session], T]) -> Future[T]: ...
 
 
 class RecordService:

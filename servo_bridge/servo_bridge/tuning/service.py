@@ -14,7 +14,7 @@ from concurrent import futures
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Final
 
 from rclpy.node import Node
 from servo_msgs_py.axis_config import AxisConfigTable
@@ -26,26 +26,18 @@ from std_srvs.srv import SetBool
 
 from servo_bridge.arbiter import CommandWrite
 from servo_bridge.services import DeferredService, Outcome
-from servo_bridge.tuning.apart import Apart
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import Plan, read_blocks
+from servo_bridge.tuning.process import TuningProcess
 from servo_bridge.wire.link_queue import LinkDownError
-from servo_bridge.wire.session import Session
+from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
 __all__ = ["TuningService"]
 
-T = TypeVar("T")
-
 _TIMEOUTS: Final = ("param.host_timeout", "param.command_timeout")
-_PATIENCE: Final = 10.0
+_TIMEOUT: Final = 10.0
 """Longest wait for one exchange [s]; the link itself answers sooner, or is lost."""
-
-
-class Call(Protocol):
-    """Has the thread of the link call a function with the session of the board."""
-
-    def __call__(self, function: Callable[[Session], T]) -> Future[T]: ...
 
 
 class _LinkMemory:
@@ -55,13 +47,13 @@ class _LinkMemory:
         self._call = call
 
     def read_words(self, name: str) -> list[int]:
-        return self._call(lambda session: BlockSession(session).read_words(name)).result(_PATIENCE)
+        return self._call(lambda session: BlockSession(session).read_words(name)).result(_TIMEOUT)
 
     def write_words(self, name: str, words: Sequence[int]) -> bool:
-        return self._call(lambda session: BlockSession(session).write_words(name, words)).result(_PATIENCE)
+        return self._call(lambda session: BlockSession(session).write_words(name, words)).result(_TIMEOUT)
 
     def read(self, name: str) -> float:
-        return numbers(self._call(lambda session: session.read(session.variables[name])).result(_PATIENCE))[0]
+        return numbers(self._call(lambda session: session.read(session.variables[name])).result(_TIMEOUT))[0]
 
 
 class TuningService:
@@ -108,7 +100,7 @@ class TuningService:
         self._post = post
         self._take, self._taken = take, taken
         self._say, self._warn = say, warn
-        self._apart = Apart()
+        self._process = TuningProcess()
         self._busy = False
         self._published: str | None = None  # since the link is up
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -125,7 +117,7 @@ class TuningService:
 
     def close(self) -> None:
         """Give up what is being done; the thread ends by itself."""
-        self._apart.close()
+        self._process.close()
         self._jobs.put(None)
 
     def _asked(self, send: bool) -> Future[Outcome]:
@@ -185,7 +177,7 @@ class TuningService:
     def _plan(self, path: Path, lines: list[str]) -> Plan:
         """What changes; with the warnings and a table of it at the end of `lines`."""
         old = read_blocks(self._memory)
-        blocks, warnings = self._apart.computed(path)
+        blocks, warnings = self._process.computed(path)
         lines += [f"{path}: warning: {warning}" for axis in range(AXES) for warning in warnings[axis]]
         plan = Plan(old, dict(enumerate(blocks)))
         if plan.axes:
@@ -210,7 +202,7 @@ class TuningService:
         begun: Future[Future[int]] = Future()
         self._post(lambda: begun.set_result(self._take(write)))
         try:
-            return begun.result(_PATIENCE).result(_PATIENCE)
+            return begun.result(_TIMEOUT).result(_TIMEOUT)
         except (ConnectionError, futures.TimeoutError):
             # A request that was repeated is refused though the first one has been obeyed.
             in_force = self._memory.read_words("config.checksum")
@@ -224,7 +216,7 @@ class TuningService:
         try:
             blocks = list(read_blocks(self._memory).values())
             host, command = (self._memory.read(name) for name in _TIMEOUTS)
-            text = self._apart.file_of(blocks, (host, command))
+            text = self._process.file_of(blocks, (host, command))
         except LinkDownError:
             return  # told elsewhere, and read again when it is back
         except Exception as error:  # also one of our own making: the thread goes on

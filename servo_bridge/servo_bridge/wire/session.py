@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol, TypeVar
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 
@@ -15,7 +16,9 @@ from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.freemaster.tsa import Number, TargetVariable, TypeKind, parse_type
 from servo_bridge.wire.refusal import explained
 
-__all__ = ["BoardMismatchError", "BoardVariable", "Session", "check_contract", "connect", "element_bytes"]
+__all__ = ["BoardMismatchError", "BoardVariable", "Call", "Session", "check_contract", "connect", "element_bytes"]
+
+T = TypeVar("T")
 
 _HASH: Final = "catalogue_hash"
 _SHOWN: Final = 4
@@ -235,6 +238,12 @@ def connect(client: Client, catalogue: Catalogue, progress: Progress | None = No
     contracts = catalogue.variables if mismatch is None else {}
     variables = {name: BoardVariable(target, contracts.get(name)) for name, target in targets.items()}
     return Session(client, catalogue, info, variables, mismatch)
+
+
+class Call(Protocol):
+    """Has the thread of the link call a function with the session of the board, as `Link.call` does."""
+
+    def __call__(self, function: Callable[[Session], T]) -> Future[T]: ...
 
 
 def check_contract(

@@ -61,7 +61,10 @@ def blueprint() -> Any:
     log = rrb.TextLogView(name="log", origin="/log", columns=rrb.TextLogColumns(text_log_columns=kinds))
     bursts = [
         rrb.TimeSeriesView(name=name, origin=origin, plot_legend=rrb.Corner2D.LeftTop)
-        for name, origin in (("bursts of the recorder", scene.BURST), ("bursts: board - twin", scene.BURST_RESIDUAL))
+        for name, origin in (
+            ("bursts of the recorder", f"/{scene.BURST}"),
+            ("bursts: board - twin", scene.BURST_RESIDUAL),
+        )
     ]
     views = rrb.Vertical(shafts, path, states, rrb.Tabs(log, *bursts, active_tab=0), row_shares=[3, 4, 3, 3])
     return rrb.Blueprint(

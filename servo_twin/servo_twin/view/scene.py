@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.joints import Joint
+from servo_msgs_py.recording_names import BOARD, BURST, PLOT, SET_POINT, TIMELINE, burst_parts
 
 __all__ = [
     "BOARD",
@@ -37,11 +38,6 @@ __all__ = [
 
 Colour = tuple[int, int, int]
 
-TIMELINE: Final = "board_time"
-"""Seconds of board ticks since the recording began."""
-
-SET_POINT: Final = "set_point"
-BOARD: Final = "board"
 TWIN: Final = "twin"
 RESIDUAL: Final = "residual"
 
@@ -105,9 +101,8 @@ QUANTITIES: Final = (
 
 MONITOR: Final = Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point")
 
-BURST: Final = "/burst"
 BURST_RESIDUAL: Final = "/burst_residual"
-"""Roots of the bursts of board and twin, and of what they differ by."""
+"""Root of what the bursts of board and twin differ by."""
 
 RESIDUALS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 """Fields of the residual, board minus twin, and their units."""
@@ -120,12 +115,12 @@ def axes() -> Iterator[tuple[int, str]]:
 
 def series_entity(axis: int, quantity: str, source: str) -> str:
     """Where a curve lies: ``/plot/axis1/position/board``."""
-    return f"/plot/{axis_name(axis)}/{quantity}/{source}"
+    return f"/{PLOT}/{axis_name(axis)}/{quantity}/{source}"
 
 
 def residual_entity(axis: int, field: str) -> str:
     """Where a residual lies: ``/plot/axis1/residual/position``."""
-    return f"/plot/{axis_name(axis)}/residual/{field}"
+    return f"/{PLOT}/{axis_name(axis)}/residual/{field}"
 
 
 def state_entity(name: str) -> str:
@@ -135,8 +130,9 @@ def state_entity(name: str) -> str:
 
 def burst_entity(variable: str, source: str) -> str:
     """Where a variable of the bursts lies: ``/burst/axis1/i_q/board``; its residual: ``/burst_residual/axis1/i_q``."""
-    path = variable.replace(".", "/")
-    return f"{BURST_RESIDUAL}/{path}" if source == RESIDUAL else f"{BURST}/{path}/{source}"
+    if source == RESIDUAL:
+        return f"{BURST_RESIDUAL}/{variable.replace('.', '/')}"
+    return "/" + "/".join(burst_parts(variable, source))
 
 
 def path_entity(source: str) -> str:

@@ -19,16 +19,16 @@ from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_bridge.tuning.plan import Computed, computed, file_of
 
-__all__ = ["Apart", "ComputationError", "main"]
+__all__ = ["ComputationError", "TuningProcess", "main"]
 
-_LONGEST: Final = 60.0
+_TIMEOUT: Final = 60.0  # [s]
 
 
 class ComputationError(RuntimeError):
     """The process has ended without an answer."""
 
 
-class Apart:
+class TuningProcess:
     """Asks a process that is started for every question. Blocks; from one thread, but for `close`."""
 
     def __init__(self) -> None:
@@ -80,11 +80,11 @@ class Apart:
                 command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8", start_new_session=True
             )
         try:
-            output, errors = process.communicate(json.dumps(question), timeout=_LONGEST)
+            output, errors = process.communicate(json.dumps(question), timeout=_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
-            raise ComputationError(f"the tuning code took more than {_LONGEST:g} s") from None
+            raise ComputationError(f"the tuning code took more than {_TIMEOUT:g} s") from None
         finally:
             with self._lock:
                 self._process = None
