@@ -399,3 +399,20 @@ def user() -> Iterator[User]:
         yield result
     finally:
         result.close()
+
+
+@contextlib.contextmanager
+def followed_board(folder: Path) -> Iterator[User]:
+    """A user of a virtual board, its bridge and its twin, once the twin is healthy."""
+    chain = Chain(folder)
+    with user() as me:
+        try:
+            chain.board()
+            chain.bridge()
+            chain.twin()
+            me.until(me.connected, 30.0, "the bridge is not connected")
+            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+            yield me
+        finally:
+            chain.end()
+            print(chain.logs())

@@ -13,7 +13,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
-from chain import DOMAIN, Cable, Chain, Process, User, user, wait_for
+from chain import DOMAIN, Cable, Chain, Process, User, followed_board, user, wait_for
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp, snapshot_table
 from servo_msgs_py.units import PERIOD_NS
@@ -40,18 +40,8 @@ STOP = "axis1=STOP axis2=STOP"
 @pytest.fixture(scope="class")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[User]:
     """Board, bridge and twin that the tests of normal work share."""
-    chain = Chain(tmp_path_factory.mktemp("chain"))
-    with user() as me:
-        try:
-            chain.board()
-            chain.bridge()
-            chain.twin()
-            me.until(me.connected, 30.0, "the bridge is not connected")
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
-            yield me
-        finally:
-            chain.end()
-            print(chain.logs())
+    with followed_board(tmp_path_factory.mktemp("chain")) as me:
+        yield me
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chain import Chain, User, user
+from chain import User, followed_board
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -57,19 +57,8 @@ class Tuner:
 
 @pytest.fixture
 def tuner(tmp_path: Path) -> Iterator[Tuner]:
-    chain = Chain(tmp_path)
-    with user() as me:
-        try:
-            chain.board()
-            chain.bridge()
-            chain.twin()
-            me.until(me.connected, 30.0, "the bridge is not connected")
-            tuner = Tuner(me)
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
-            yield tuner
-        finally:
-            chain.end()
-            print(chain.logs())
+    with followed_board(tmp_path) as me:
+        yield Tuner(me)
 
 
 def test_gains_are_given_to_a_board_in_motion_and_read_back(tuner: Tuner, tmp_path: Path) -> None:

@@ -295,15 +295,7 @@ class BurstFollower:
             return _nothing(burst, f"the twin's board has no sample at {missing} of {len(rows)} ticks")
         raw = {name: points[field][rows].astype(np.int64) for name, field in fields.items()}
         apart = np.array([bool(frame.difference) for frame in frames])[where]
-        turned = []
-        for axis in range(AXES):
-            offsets = np.array([frame.offsets[axis] for frame in frames])[where]
-            for name in (f"{axis_name(axis)}.{quantity}" for quantity in COUNTED_FROM_ZERO):
-                if name in raw:
-                    raw[name] = _signed(raw[name] + offsets)
-            within = (offsets + COUNTS_PER_TURN // 2) % COUNTS_PER_TURN - COUNTS_PER_TURN // 2
-            if np.abs(within).max() > _SAME_ANGLE:
-                turned += [name for name in raw if name.removeprefix(f"{axis_name(axis)}.") in BY_ANGLE]
+        turned = _bring_to_real_frame(raw, np.array([frame.offsets for frame in frames])[where])
         notes = []
         if apart.any():
             reasons = dict.fromkeys(frames[k].difference for k in where.tolist() if frames[k].difference)
@@ -341,6 +333,33 @@ class BurstFollower:
             [f"without {', '.join(left_out)}, which the host writes or the twin does not have"] if left_out else []
         )
         return BurstAnswer(burst.label, columns, twin, residual, "; ".join([*missing, *notes]))
+
+
+def _bring_to_real_frame(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]) -> list[str]:
+    """Shift positions of the twin's board to where the real one counts from.
+
+    Parameters
+    ----------
+    raw : dict
+        Numbers by variable; those of positions are replaced.
+    offsets : array of int, shape (points, AXES)
+        Position of the real axis minus that of the twin's [counts].
+
+    Returns
+    -------
+    list of str
+        Variables that say nothing, because the twin's shaft is at another electrical angle.
+    """
+    turned: list[str] = []
+    for axis in range(AXES):
+        shift = offsets[:, axis]
+        for name in (f"{axis_name(axis)}.{quantity}" for quantity in COUNTED_FROM_ZERO):
+            if name in raw:
+                raw[name] = _signed(raw[name] + shift)
+        within = (shift + COUNTS_PER_TURN // 2) % COUNTS_PER_TURN - COUNTS_PER_TURN // 2
+        if np.abs(within).max() > _SAME_ANGLE:
+            turned += [name for name in raw if name.removeprefix(f"{axis_name(axis)}.") in BY_ANGLE]
+    return turned
 
 
 def _nothing(burst: _Burst, reason: str) -> BurstAnswer:
