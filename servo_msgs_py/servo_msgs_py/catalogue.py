@@ -7,6 +7,7 @@ import sys
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -291,15 +292,7 @@ class Catalogue:
         OSError
             If the file cannot be read.
         """
-        source = path or Path(__file__).with_name("variables.toml")
-        try:
-            table = tomllib.loads(source.read_text(encoding="utf-8"))
-        except tomllib.TOMLDecodeError as error:
-            raise CatalogueError(f"{source}: {error}") from error
-        try:
-            return cls.parse(table)
-        except CatalogueError as error:
-            raise CatalogueError(f"{source}: {error}") from None
+        return _packaged() if path is None else _read(path)
 
     @classmethod
     def parse(cls, table: Mapping[str, Any]) -> Catalogue:
@@ -353,6 +346,23 @@ class Catalogue:
     def snapshot_variables(self) -> list[Variable]:
         """Variables that lie in the telemetry block, in the order of the table."""
         return [v for v in self.variables.values() if v.path.startswith("snapshot.")]
+
+
+@lru_cache(maxsize=1)
+def _packaged() -> Catalogue:
+    """Catalogue of the packaged table; parsing takes milliseconds, and every virtual board needs it."""
+    return _read(Path(__file__).with_name("variables.toml"))
+
+
+def _read(source: Path) -> Catalogue:
+    try:
+        table = tomllib.loads(source.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise CatalogueError(f"{source}: {error}") from error
+    try:
+        return Catalogue.parse(table)
+    except CatalogueError as error:
+        raise CatalogueError(f"{source}: {error}") from None
 
 
 def _expand(table: Mapping[str, Any]) -> list[dict[str, Any]]:

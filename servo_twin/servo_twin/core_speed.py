@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,8 +54,7 @@ class CoreSpeed:
         ValueError
             If a value is missing, unknown or out of range.
         """
-        with open(path or DEFAULT_FILE, "rb") as file:
-            return cls.parse(tomllib.load(file))
+        return _packaged() if path is None else _read(Path(path))
 
     @classmethod
     def parse(cls, table: Mapping[str, Any]) -> CoreSpeed:
@@ -63,3 +63,13 @@ class CoreSpeed:
         if sorted(table) != sorted(names):
             raise ValueError(f"core: the values are {names}, not {sorted(table)}")
         return cls(float(table["cycles_per_instruction"]), int(table["entry_cycles"]))
+
+
+@lru_cache(maxsize=1)
+def _packaged() -> CoreSpeed:
+    return _read(DEFAULT_FILE)
+
+
+def _read(path: Path) -> CoreSpeed:
+    with path.open("rb") as file:
+        return CoreSpeed.parse(tomllib.load(file))

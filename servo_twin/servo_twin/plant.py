@@ -8,6 +8,7 @@ import random
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -260,11 +261,10 @@ class PlantConfig:
         OSError
             If it cannot be read.
         """
-        table = _read(DEFAULT_FILE)
         if path is None:
-            return _named(DEFAULT_FILE, table)
+            return _packaged()
         source = Path(path)
-        return _named(source, _merge(source, table, _read(source)))
+        return _named(source, _merge(source, _packaged_table(), _read(source)))
 
     @classmethod
     def parse(cls, table: Mapping[str, Any]) -> PlantConfig:
@@ -303,6 +303,17 @@ class PlantConfig:
     def with_bus(self, **changes: Any) -> PlantConfig:
         """Copy with some values of the bus replaced."""
         return dataclasses.replace(self, bus=dataclasses.replace(self.bus, **changes))
+
+
+@lru_cache(maxsize=1)
+def _packaged_table() -> Mapping[str, Any]:
+    return _read(DEFAULT_FILE)
+
+
+@lru_cache(maxsize=1)
+def _packaged() -> PlantConfig:
+    """Plant of the packaged file; parsing takes longer than everything else that a new board needs."""
+    return _named(DEFAULT_FILE, _packaged_table())
 
 
 def _read(path: Path) -> dict[str, Any]:
