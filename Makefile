@@ -86,6 +86,7 @@ bench: $(VENV)/.native $(VENV)/.dev ## telemetry, latency and download against t
 	@$(BIN)/python tests/bench/link.py
 	@ROS_DOMAIN_ID=$(TEST_DOMAIN_ID) ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/python tests/bench/download.py
 	@$(BIN)/python tests/bench/trajectories.py
+	@$(BIN)/python tests/bench/sweep.py
 	@$(BIN)/servo-sim bench
 
 bench-damage: $(VENV)/.dev ## a million damaged frames between client and server; DAMAGE_ARGS='--frames 1000'

@@ -30,10 +30,12 @@ setup(
     ],
     zip_safe=False,
     python_requires=">=3.10",
-    install_requires=["cffi", "numpy", "pycparser", "servo_msgs_py", 'tomli; python_version < "3.11"'],
+    install_requires=["cffi", "numpy", "pycparser", "servo_msgs_py", "tqdm", 'tomli; python_version < "3.11"'],
     extras_require={
         "ros": ["servo_msgs_py[ros]"],
         "test": ["pytest", "hypothesis"],
+        # servo-sim --scheduler: trials on a cluster.
+        "cluster": ["distributed"],
         # The nodes and experiments run without; there is no rerun for Python 3.10.
         "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
     },

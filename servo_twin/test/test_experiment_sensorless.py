@@ -18,6 +18,7 @@ from servo_twin.experiments.sensorless import Trace, degrees
 from servo_twin.experiments.stall import variance_tells
 from servo_twin.experiments.start_up import CRITERION_MOST, draws, examine, many
 from servo_twin.plant import PlantConfig
+from servo_twin.runner import HERE, Runner
 
 from servo_twin import cli
 
@@ -105,7 +106,7 @@ def test_start_up_notices_a_shaft_that_does_not_turn() -> None:
     stuck = PLANT
     for axis in range(2):
         stuck = stuck.with_axis(axis, friction=10.0)
-    starts = many(stuck, SEED, 2)
+    starts = many(stuck, SEED, 2, HERE)
     assert [start.end for start in starts] == ["START_UP", "START_UP"]
     assert not any(start.succeeded for start in starts)
 
@@ -135,7 +136,7 @@ def test_times_count_from_the_beginning_of_the_start_up() -> None:
 def test_number_of_starts_is_chosen(monkeypatch: pytest.MonkeyPatch, words: list[str], count: int) -> None:
     counts: list[int] = []
 
-    def counted(plant: PlantConfig, seed: int, count: int) -> list[start_up.Start]:
+    def counted(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[start_up.Start]:
         counts.append(count)
         return [start_up.Start(0.1, 0.1, "")]
 

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import random
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,8 +18,10 @@ from servo_twin.experiments.campaign_motors import MOTORS, Motor, deviating
 from servo_twin.experiments.campaign_states import MANOEUVRES, STATES, Bench, Script, State
 from servo_twin.experiments.named_faults import EVERYTHING, NAMED, NOTHING, PROVOKED, fault_time, gain_most
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import TICK, TICK_NS, positive
+from servo_twin.experiments.rig import TICK, TICK_NS, at_level, level, positive
+from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
+from servo_twin.runner import HERE, Runner, run_in_order
 from servo_twin.simulation import SimulationError
 
 NAME: Final = "fault-campaign"
@@ -251,14 +253,32 @@ def _others(bench: Bench, name: str) -> list[str]:
 
 
 # ---- all of them
-def trials(plant: PlantConfig, seed: int, numbers: Iterable[int], motors: Sequence[str] = MOTORS) -> list[Result]:
-    """Trials by their numbers."""
-    return [run_trial(draw(plant, seed, number, motors)) for number in numbers]
+@dataclass(frozen=True)
+class _Campaign:
+    """All trials of a seed."""
+
+    plant: PlantConfig
+    seed: int
+    motors: tuple[str, ...]
+    level: Level
+
+    def run(self, number: int) -> Result:
+        with at_level(self.level):
+            return run_trial(draw(self.plant, self.seed, number, self.motors))
 
 
-def run(plant: PlantConfig, seed: int, count: int = COUNT, motors: Sequence[str] = MOTORS) -> Outcome:
+def trials(
+    plant: PlantConfig, seed: int, numbers: Sequence[int], motors: Sequence[str] = MOTORS, runner: Runner = HERE
+) -> list[Result]:
+    """Trials by their numbers; the same seed gives the same ones, wherever they run."""
+    return run_in_order(runner, _Campaign(plant, seed, tuple(motors), level()), numbers, f"{NAME}, trials")
+
+
+def run(
+    plant: PlantConfig, seed: int, count: int = COUNT, motors: Sequence[str] = MOTORS, runner: Runner = HERE
+) -> Outcome:
     """A campaign."""
-    return judge(trials(plant, seed, range(count), motors))
+    return judge(trials(plant, seed, range(count), motors, runner))
 
 
 def judge(results: Sequence[Result]) -> Outcome:
@@ -309,15 +329,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--trial", type=int, nargs="+", metavar="K", help="only these trials, each with what came of it"
     )
     parser.add_argument("--motors", nargs="+", choices=MOTORS, default=MOTORS, help="only these (other trials, then)")
+    Runner.add_options(parser)
 
 
 def with_options(args: argparse.Namespace) -> Callable[[PlantConfig, int], Outcome]:
     """The experiment as it was asked for."""
     if args.trial is None:
-        return functools.partial(run, count=args.count, motors=args.motors)
+        return functools.partial(run, count=args.count, motors=args.motors, runner=Runner.of(args))
 
     def replay(plant: PlantConfig, seed: int) -> Outcome:
-        results = trials(plant, seed, args.trial, args.motors)
+        results = trials(plant, seed, args.trial, args.motors, Runner.of(args))
         outcome = judge(results)
         return dataclasses.replace(outcome, notes=(*outcome.notes, *map(str, results)))
 

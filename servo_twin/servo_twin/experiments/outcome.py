@@ -35,6 +35,8 @@ class Bound:
         return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
 
     def __str__(self) -> str:
+        if self.least is None and self.most is None:
+            return "none"
         if self.least is not None and self.most is not None:
             same = self.least == self.most
             return f"= {self.most:.6g}" if same else f"{self.least:.6g} .. {self.most:.6g}"

@@ -38,6 +38,7 @@ __all__ = [
     "level",
     "position_of",
     "positive",
+    "prepared",
     "set_axis",
     "spinning",
     "stays_from",
@@ -117,6 +118,7 @@ class Recording:
 
 
 _level: Final[ContextVar[Level | None]] = ContextVar("level", default=None)
+_prepare: Final[ContextVar[Callable[[Board], None] | None]] = ContextVar("prepare", default=None)
 
 
 @contextmanager
@@ -134,10 +136,22 @@ def level() -> Level:
     return chosen_level(_level.get(), default=FAST_LEVEL)
 
 
+@contextmanager
+def prepared(prepare: Callable[[Board], None]) -> Iterator[None]:
+    """Let something be done to all boards made on this bench meanwhile, before they run."""
+    token = _prepare.set(prepare)
+    try:
+        yield
+    finally:
+        _prepare.reset(token)
+
+
 def fresh_board(plant: PlantConfig, seed: int, firmware: Firmware | None = None) -> Board:
     """A board of the level of this bench, just switched on; its set-points do not expire."""
     board = Board(plant, seed=seed, level=level(), firmware=firmware)
     keep_set_points(board)
+    if (prepare := _prepare.get()) is not None:
+        prepare(board)
     return board
 
 

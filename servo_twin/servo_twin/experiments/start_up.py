@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import argparse
 import functools
+import itertools
 import math
-import os
 import random
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Final
 
 import numpy as np
@@ -24,6 +21,7 @@ from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, fresh
 from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, observing, substate
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
+from servo_twin.runner import HERE, Runner, run_in_order
 
 NAME: Final = "start-up"
 HELP: Final = """\
@@ -66,7 +64,6 @@ NOMINAL: Final = 0.6  # length of the nominal start [s]
 LONGEST: Final = 2.5  # of a random one until its speed is judged [s]
 SETTLED: Final = 0.4  # the axis turns in closed loop for so long before its speed is judged [s]
 SPEED_MOST: Final = 0.1  # deviation of the true speed from the set-point then, over it
-SHOWN_EVERY: Final = 50  # boards
 
 
 @dataclass(frozen=True)
@@ -122,13 +119,17 @@ class Draw:
 
 
 @dataclass(frozen=True)
-class _Job:
-    """One board, for a process of its own."""
+class _Starts:
+    """The boards of all random starts."""
 
     plant: PlantConfig
     seed: int
-    drawn: tuple[Draw, ...]
+    drawn: Sequence[tuple[Draw, ...]]
     level: Level
+
+    def run(self, number: int) -> tuple[Start, ...]:
+        with at_level(self.level):
+            return start(self.plant, self.seed + 1 + number, self.drawn[number])
 
 
 def draws(seed: int, boards: int) -> list[tuple[Draw, ...]]:
@@ -231,33 +232,15 @@ def _judged(board: Board, trace: Trace, start_: Start, speed: float, what: str) 
     return Start(start_.criterion, start_.converged, end, what)
 
 
-def many(plant: PlantConfig, seed: int, count: int) -> list[Start]:
-    """Random starts on all cores; the same seed gives the same ones, however many cores there are."""
-    boards = (count + AXES - 1) // AXES
-    jobs = [_Job(plant, seed + 1 + k, drawn, level()) for k, drawn in enumerate(draws(seed, boards))]
-    workers = min(os.cpu_count() or 1, boards)
-    results: list[Start] = []
-    for done, starts in enumerate(_run_all(jobs, workers), 1):
-        results.extend(starts)
-        if done % SHOWN_EVERY == 0 and done < boards:
-            print(f"{NAME}: {len(results)} of {count} starts", file=sys.stderr, flush=True)
-    return results[:count]
+def many(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[Start]:
+    """Random starts; the same seed gives the same ones, wherever they run."""
+    boards = range((count + AXES - 1) // AXES)
+    work = _Starts(plant, seed, draws(seed, len(boards)), level())
+    results = run_in_order(runner, work, boards, f"{NAME}, boards")
+    return list(itertools.chain.from_iterable(results))[:count]
 
 
-def _run_all(jobs: Sequence[_Job], workers: int) -> Iterator[tuple[Start, ...]]:
-    if workers <= 1 or len(jobs) < SHOWN_EVERY:
-        yield from map(_run_one, jobs)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_run_one, jobs, chunksize=4)
-
-
-def _run_one(job: _Job) -> tuple[Start, ...]:
-    with at_level(job.level):
-        return start(job.plant, job.seed, job.drawn)
-
-
-def run(plant: PlantConfig, seed: int, count: int | None = None) -> Outcome:
+def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner = HERE) -> Outcome:
     """The nominal starts, then the random ones."""
     rows: list[Row] = []
     notes: list[str] = []
@@ -270,7 +253,7 @@ def run(plant: PlantConfig, seed: int, count: int | None = None) -> Outcome:
         rows.append(Row(f"{name}, angle converges within", "150 ms on the waveforms", angle, "ms", within[0]))
         rows.append(Row(f"{name}, criterion met within", "500 ms on the waveforms", criterion, "ms", within[1]))
         panels.append(_panel(name, trace))
-    starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_SLOWLY))
+    starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_SLOWLY), runner)
     rows.extend(_rates(starts))
     notes.append(f"random starts: {len(starts)}")
     notes.extend(_ends(starts))
@@ -282,11 +265,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """What this experiment can be told beyond plant and seed."""
     text = f"random starts (default: {STARTS}, at register level {STARTS_SLOWLY})"
     parser.add_argument("--count", type=positive, metavar="N", help=text)
+    Runner.add_options(parser)
 
 
 def with_options(args: argparse.Namespace) -> Callable[[PlantConfig, int], Outcome]:
     """The experiment as it was asked for."""
-    return functools.partial(run, count=args.count)
+    return functools.partial(run, count=args.count, runner=Runner.of(args))
 
 
 def _substates(plant: PlantConfig, seed: int) -> tuple[int, int]:

@@ -1,0 +1,107 @@
+"""How many trials are run: here or on a cluster, with a bar that shows how far they are."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+from tqdm import tqdm
+
+from servo_twin.runner.cluster import run_on_cluster
+from servo_twin.runner.pool import run_on_processes
+from servo_twin.runner.work import TrialError, Work
+
+__all__ = ["HERE", "Runner", "run_in_order"]
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Runner:
+    """Where trials run.
+
+    Attributes
+    ----------
+    workers : int or None
+        Processes of this machine; None: one per core that we may use. With one the trials run in this process.
+    scheduler : str or None
+        Address of a Dask scheduler, instead.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+
+    @staticmethod
+    def add_options(parser: argparse.ArgumentParser) -> None:
+        """Options of every command that runs many boards."""
+        place = parser.add_mutually_exclusive_group()
+        place.add_argument("--workers", type=_count, metavar="N", help="processes (default: one per core)")
+        place.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="run on the Dask cluster of this scheduler")
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> Runner:
+        """The runner that parsed options ask for."""
+        return cls(args.workers, args.scheduler)
+
+    def run(self, work: Work[Result], numbers: Sequence[int], what: str) -> Generator[tuple[int, Result], None, None]:
+        """Results as they come, each with its number; closing the generator ends the run.
+
+        Parameters
+        ----------
+        work : Work
+            What to run.
+        numbers : sequence of int
+            Which trials.
+        what : str
+            In front of the bar on standard error, which is shown on a terminal only.
+
+        Raises
+        ------
+        RunError
+            If the run cannot go on.
+        """
+        with (
+            contextlib.closing(self._results(work, numbers)) as results,
+            tqdm(total=len(numbers), desc=what, unit="", disable=None, smoothing=0.1) as bar,
+        ):
+            for result in results:
+                yield result
+                bar.update()
+
+    def _results(self, work: Work[Result], numbers: Sequence[int]) -> Generator[tuple[int, Result], None, None]:
+        if self.scheduler is not None:
+            yield from run_on_cluster(work, numbers, self.scheduler)
+            return
+        workers = min(self.workers or len(os.sched_getaffinity(0)), len(numbers))
+        yield from run_here(work, numbers) if workers <= 1 else run_on_processes(work, numbers, workers)
+
+
+HERE: Final = Runner()
+"""On every core of this machine."""
+
+
+def run_here(work: Work[Result], numbers: Iterable[int]) -> Iterator[tuple[int, Result]]:
+    """Trials one after the other, in this process."""
+    for number in numbers:
+        try:
+            result = work.run(number)
+        except Exception as error:
+            raise TrialError(f"trial {number}: {error}") from error
+        yield number, result
+
+
+def run_in_order(runner: Runner, work: Work[Result], numbers: Sequence[int], what: str) -> list[Result]:
+    """All results, in the order of the numbers."""
+    results = dict(runner.run(work, numbers, what))
+    return [results[number] for number in numbers]
+
+
+def _count(text: str) -> int:
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 1")
+    return count

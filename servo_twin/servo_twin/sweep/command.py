@@ -1,0 +1,207 @@
+"""``servo-sim sweep``: what if? Any value of plant, configuration or parameters varied over many boards."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import hashlib
+import json
+import shlex
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatch
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from servo_twin.experiments.report import table
+from servo_twin.experiments.rig import positive
+from servo_twin.firmware_build import SERVO_TOML
+from servo_twin.level import FAST_LEVEL, chosen_level
+from servo_twin.plant import PlantConfig
+from servo_twin.runner import Runner
+from servo_twin.sweep.files import draw, write_csv, write_parquet
+from servo_twin.sweep.space import METHODS, SYNTAX, Space, SpaceError, Varied
+from servo_twin.sweep.store import RESULTS, Store
+from servo_twin.sweep.summary import Summary
+from servo_twin.sweep.trial import MEASURES, Sweep
+from servo_twin.sweep.variant import Base
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["add_parser"]
+
+_HELP: Final = f"""\
+Run an experiment on many boards, each with other values of the plant file (plant.axis1.inertia, plant.bus.u_source), of
+servo.toml (servo.axis1.speed.bandwidth), or of the board's parameters (param.i_q_limit[0]), and collect its figures.
+
+  servo-sim sweep move --vary "plant.axis1.inertia=*0.3..3 log" --vary "plant.bus.u_source=20..28" --count 1000
+
+{SYNTAX}
+
+Results go to a folder while they come: {RESULTS} (a line each), and at the end, or after Ctrl-C, sweep.csv, sweep.png
+and the worst trials, each with the command that repeats it. The same seed gives the same results, wherever they run."""
+
+_OUT: Final = Path("out/sweep")
+ROWS_MAX: Final = 16  # figures of a picture
+DRAWN_MAX: Final = 4000  # trials of a picture
+
+
+def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
+    """Add ``sweep`` to the commands of ``servo-sim``.
+
+    Parameters
+    ----------
+    verbs : argparse subparsers
+        Where to add it.
+    common : ArgumentParser
+        Parent with ``--seed``, ``--plant`` and ``--json``.
+    levelled : ArgumentParser
+        Parent with ``--level``.
+    """
+    parser = verbs.add_parser(
+        "sweep",
+        parents=[common, levelled],
+        help="what if? An experiment on many boards with other values",
+        description=_HELP.replace("%", "%%"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
+    parser.add_argument("--vary", action="append", required=True, metavar="NAME=VALUES", help="what is varied (above)")
+    parser.add_argument("--method", choices=METHODS, help="default: grid if every value has levels, else latin")
+    parser.add_argument("--count", type=positive, metavar="N", help="trials, for latin and random")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="servo.toml that is varied (default: the firmware's)"
+    )
+    parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
+    parser.add_argument("--resume", action="store_true", help="go on with the results that are in the folder")
+    parser.add_argument("--parquet", action="store_true", help="sweep.parquet, too (needs pyarrow)")
+    parser.add_argument(
+        "--draw",
+        nargs="+",
+        default=["*"],
+        metavar="PATTERN",
+        help=f"figures in the picture (default: the first {ROWS_MAX})",
+    )
+    parser.add_argument("--trial", type=int, metavar="K", help="run only this trial and show what the experiment says")
+    Runner.add_options(parser)
+    parser.set_defaults(run=_run)
+
+
+def sweep_of(args: argparse.Namespace) -> Sweep:
+    """The sweep that parsed options ask for.
+
+    Raises
+    ------
+    SpaceError, PlantError, OSError
+        If there is no such thing to vary, or a file cannot be used.
+    """
+    varied = [Varied.parse(text) for text in args.vary]
+    base = Base(PlantConfig.load(args.plant), _servo(args.config, varied))
+    space = Space.of([base.resolved(one) for one in varied], args.method, args.count, args.seed)
+    return Sweep(args.measure, base, space, chosen_level(args.level, default=FAST_LEVEL))
+
+
+def _servo(path: Path | None, varied: list[Varied]) -> Mapping[str, Any]:
+    if path is None and not any(one.name.startswith("servo.") for one in varied):
+        return {}
+    source = path or SERVO_TOML
+    if not source.is_file():
+        raise SpaceError(f"{source} is not there: name the servo.toml with --config")
+    table: Mapping[str, Any] = tomllib.loads(source.read_text(encoding="utf-8"))
+    return table
+
+
+def _head(sweep: Sweep) -> dict[str, Any]:
+    """What results are results of."""
+    plant = json.dumps(dataclasses.asdict(sweep.base.plant), sort_keys=True)
+    servo = json.dumps(sweep.base.servo, sort_keys=True)
+    return {
+        "experiment": sweep.measure,
+        "level": sweep.level,
+        "space": dataclasses.asdict(sweep.space),
+        "plant": hashlib.sha256(plant.encode()).hexdigest(),
+        "servo": hashlib.sha256(servo.encode()).hexdigest(),
+    }
+
+
+def _replay(args: argparse.Namespace, sweep: Sweep) -> str:
+    """Command that repeats a trial, up to its number."""
+    words = ["servo-sim", "sweep", args.measure, *(word for text in args.vary for word in ("--vary", text))]
+    words += ["--method", sweep.space.method, "--seed", str(args.seed), "--level", sweep.level]
+    words += [] if sweep.space.method == "grid" else ["--count", str(sweep.space.count)]
+    words += [
+        word for name in ("plant", "config") if getattr(args, name) for word in (f"--{name}", str(getattr(args, name)))
+    ]
+    return shlex.join([*words, "--trial"])
+
+
+def _run(args: argparse.Namespace) -> int:
+    sweep = sweep_of(args)
+    if args.trial is not None:
+        return _show(sweep, args.trial)
+    space = sweep.space
+    status = 0
+    with Store(args.out, _head(sweep), space.count, args.resume) as store:
+        begin, before = time.monotonic(), len(store)
+        try:
+            with contextlib.closing(Runner.of(args).run(sweep, store.missing, "sweep, trials")) as results:
+                for _, trial in results:
+                    store.add(trial)
+        except KeyboardInterrupt:
+            status = 130
+        finally:
+            seconds = time.monotonic() - begin
+            summary = Summary(store)
+            _write(args, store, summary, space.varied)
+        if args.json:
+            print(json.dumps(_as_json(summary), indent=2))
+            return status
+        print("\n".join(summary.lines(_replay(args, sweep))))
+        print(
+            f"\n{len(store)} of {space.count} trials, {len(store) - before} of them now in {seconds:.1f} s: {args.out}"
+        )
+        if status:
+            print("interrupted: the same command with --resume goes on")
+    return status
+
+
+def _show(sweep: Sweep, number: int) -> int:
+    if not 0 <= number < sweep.space.count:
+        raise SpaceError(f"there is no trial {number}: they are 0 .. {sweep.space.count - 1}")
+    point = ", ".join(f"{name} = {value:g}" for name, value in sweep.space.point(number).items())
+    print(f"trial {number}: {point}\n")
+    outcome = sweep.outcome(number)
+    print(table(outcome), end="")
+    return 0 if outcome.agrees else 1
+
+
+def _write(args: argparse.Namespace, store: Store, summary: Summary, varied: Sequence[Varied]) -> None:
+    figures, names = list(summary.figures), [one.name for one in varied]
+    write_csv(args.out / "sweep.csv", store, names, figures)
+    if args.parquet:
+        write_parquet(args.out / "sweep.parquet", store, names, figures)
+    if wanted := [name for name in figures if any(fnmatch(name, pattern) for pattern in args.draw)][:ROWS_MAX]:
+        shown = islice(store, 0, None, max(len(store) // DRAWN_MAX, 1))
+        draw(args.out / "sweep.png", shown, varied, wanted, f"{args.measure}: {len(store)} trials")
+
+
+def _as_json(summary: Summary) -> dict[str, Any]:
+    figures = {
+        name: {
+            "unit": f.unit,
+            "mean": f.mean if f.count > f.absent else None,
+            "min": f.minimum if f.count > f.absent else None,
+            "max": f.maximum if f.count > f.absent else None,
+            "absent": f.absent,
+            "outside": f.outside,
+            "worst": f.worst_trials(),
+        }
+        for name, f in summary.figures.items()
+    }
+    return {"trials": summary.trials, "figures": figures, "problems": {k: v[0] for k, v in summary.problems.items()}}

@@ -1,0 +1,107 @@
+"""What a sweep amounts to: spread of every figure, and the trials that come worst off."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from servo_twin.sweep.trial import Figure, Trial
+
+__all__ = ["WORST", "FigureSummary", "Summary"]
+
+WORST: Final = 3
+"""Trials that are named for each figure."""
+
+
+@dataclass
+class FigureSummary:
+    """One figure over all trials; what it holds does not grow with them.
+
+    Attributes
+    ----------
+    unit : str
+    count, absent, outside : int
+        Trials that have it; in which it did not happen; in which it is outside its bound.
+    mean, minimum, maximum : float
+    worst : list of (float, int)
+        Slack, negated, and number of the trials with the least.
+    """
+
+    unit: str
+    count: int = 0
+    absent: int = 0
+    outside: int = 0
+    mean: float = 0.0
+    minimum: float = math.inf
+    maximum: float = -math.inf
+    worst: list[tuple[float, int]] = field(default_factory=list)
+
+    def add(self, number: int, figure: Figure) -> None:
+        self.count += 1
+        if figure.value is None:
+            self.absent += 1
+        else:
+            self.mean += (figure.value - self.mean) / (self.count - self.absent)
+            self.minimum, self.maximum = min(self.minimum, figure.value), max(self.maximum, figure.value)
+        if figure.slack is not None:
+            self.outside += not figure.inside
+            entry = (-figure.slack, -number)
+            (heapq.heappush if len(self.worst) < WORST else heapq.heappushpop)(self.worst, entry)
+
+    def worst_trials(self) -> list[int]:
+        """Numbers of the trials that come worst off, the worst first."""
+        return [-number for _, number in sorted(self.worst, reverse=True)]
+
+
+class Summary:
+    """Everything that is said about a sweep.
+
+    Attributes
+    ----------
+    trials : int
+    figures : dict
+        By name.
+    problems : dict
+        Number of trials that could not be run by reason, and the first of them.
+    """
+
+    def __init__(self, trials: Iterable[Trial]) -> None:
+        self.trials = 0
+        self.figures: dict[str, FigureSummary] = {}
+        self.problems: dict[str, tuple[int, int]] = {}
+        for trial in trials:
+            self.trials += 1
+            for name, figure in trial.figures.items():
+                self.figures.setdefault(name, FigureSummary(figure.unit)).add(trial.number, figure)
+            if trial.problem:
+                count, first = self.problems.get(trial.problem, (0, trial.number))
+                self.problems[trial.problem] = (count + 1, first)
+
+    def lines(self, replay: str) -> list[str]:
+        """Text for people.
+
+        Parameters
+        ----------
+        replay : str
+            Command that repeats a trial, up to its number.
+        """
+        width = max(map(len, self.figures), default=6)
+        lines = [f"{'figure':{width}}  {'mean':>10} {'min':>10} {'max':>10}  {'outside':>7}  unit"]
+        for name, f in self.figures.items():
+            numbers = [f.mean, f.minimum, f.maximum] if f.count > f.absent else [math.nan] * 3
+            cells = " ".join(f"{number:10.4g}" for number in numbers)
+            lines.append(f"{name:{width}}  {cells}  {f.outside:>7}  {f.unit}".rstrip())
+        outside = [(name, f) for name, f in self.figures.items() if f.outside]
+        if outside:
+            lines += ["", "worst trials outside a bound:"]
+            lines += [
+                f"  {replay} {number}  # {name}" for name, f in outside for number in f.worst_trials()[: f.outside]
+            ]
+        if self.problems:
+            lines += ["", "could not be run:"]
+            ranked = sorted(self.problems.items(), key=lambda item: -item[1][0])[: 2 * WORST]
+            lines += [f"  {count} trials: {problem}\n    {replay} {first}" for problem, (count, first) in ranked]
+        return lines

@@ -1,0 +1,159 @@
+"""One trial of a sweep: an experiment on a variant of the plant and the configuration."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from servo_msgs_py.catalogue import AXES
+
+from servo_twin.experiments import EXPERIMENTS
+from servo_twin.experiments.outcome import BEYOND, Bound, Outcome, Row
+from servo_twin.experiments.rig import at_level, fresh_board, prepared
+from servo_twin.level import Level
+from servo_twin.plant import PlantConfig, PlantError
+from servo_twin.simulation import SimulationError, enable, move, turns
+from servo_twin.sweep.space import Space
+from servo_twin.sweep.variant import Base
+
+__all__ = ["MEASURES", "Figure", "Sweep", "Trial"]
+
+MOVE: Final = "move"
+MOVE_TURNS: Final = 1.0
+MOVE_TIME: Final = 0.5  # [s]
+OPEN: Final = Bound()
+
+
+def _move(plant: PlantConfig, seed: int) -> Outcome:
+    """One turn of both axes: what a move is like, without a judgement but that it arrives."""
+    with fresh_board(plant, seed) as board:
+        search = enable(board)
+        results, _ = move(board, {axis: turns(MOVE_TURNS) for axis in range(AXES)}, MOVE_TIME)
+    rows = [Row("both rotors found", BEYOND, float(len(search)) * 0.5, "ms", OPEN)]
+    for r in results:
+        settling = None if r.settling_time is None else 1e3 * r.settling_time
+        rows += [
+            Row(f"{r.axis} settling time", BEYOND, settling, "ms", OPEN),
+            Row(f"{r.axis} overshoot", BEYOND, float(r.overshoot), "counts", OPEN),
+            Row(f"{r.axis} steady state", BEYOND, float(r.steady_state), "counts", OPEN),
+            Row(f"{r.axis} largest speed", BEYOND, r.speed_most, "rad/s", OPEN),
+            Row(f"{r.axis} largest i_q", BEYOND, r.i_q_most, "A", OPEN),
+        ]
+    return Outcome(MOVE, tuple(rows), ())
+
+
+MEASURES: Final[Mapping[str, Callable[[PlantConfig, int], Outcome]]] = {
+    MOVE: _move,
+    **{name: entry.run for name, entry in EXPERIMENTS.items()},
+}
+"""What a trial may run, by name: a short move, or an experiment."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A measured figure.
+
+    Attributes
+    ----------
+    value : float or None
+        None: it did not happen.
+    unit : str
+    slack : float or None
+        Distance to the nearer end of its bound, over the size of that end; below 0 outside. None: there is no bound.
+    """
+
+    value: float | None
+    unit: str
+    slack: float | None
+
+    @property
+    def inside(self) -> bool:
+        """Whether it lies within its bound."""
+        return self.slack is None or self.slack >= 0.0
+
+    @classmethod
+    def of(cls, row: Row) -> Figure:
+        """Figure of a row; one that did not happen lies infinitely far outside its bound."""
+        value = row.measured if row.measured is not None and math.isfinite(row.measured) else None
+        if value is None:
+            return cls(None, row.unit, -math.inf)
+        ends = ((row.bound.least, 1.0), (row.bound.most, -1.0))
+        slacks = [sign * (value - end) / (abs(end) or 1.0) for end, sign in ends if end is not None]
+        return cls(float(value), row.unit, float(min(slacks)) if slacks else None)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of a trial.
+
+    Attributes
+    ----------
+    number : int
+    point : mapping
+        What was varied, by name.
+    figures : mapping
+        By name; empty if it could not be run.
+    problem : str
+        Why it could not.
+    """
+
+    number: int
+    point: Mapping[str, float]
+    figures: Mapping[str, Figure]
+    problem: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a file of results."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def of_dict(cls, entry: Mapping[str, Any]) -> Trial:
+        """From a file of results."""
+        figures = {name: Figure(**figure) for name, figure in entry["figures"].items()}
+        return cls(entry["number"], entry["point"], figures, entry["problem"])
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """All trials of a sweep, to be run anywhere.
+
+    Attributes
+    ----------
+    measure : str
+        Name of `MEASURES`.
+    base : Base
+        What is varied.
+    space : Space
+        How.
+    level : {"registers", "ideal"}
+        Of the boards.
+    """
+
+    measure: str
+    base: Base
+    space: Space
+    level: Level
+
+    def outcome(self, number: int) -> Outcome:
+        """Everything that the experiment says in a trial.
+
+        Raises
+        ------
+        SimulationError, PlantError
+            If it cannot be run.
+        """
+        variant = self.base.variant(self.space.point(number))
+        with at_level(self.level), prepared(variant.prepare):
+            return MEASURES[self.measure](variant.plant, self.space.seed)
+
+    def run(self, number: int) -> Trial:
+        """Figures of a trial; one that cannot be run is a result, too."""
+        point = self.space.point(number)
+        try:
+            rows = self.outcome(number).rows
+        except (SimulationError, PlantError) as error:
+            return Trial(number, point, {}, str(error))
+        return Trial(number, point, {row.name: Figure.of(row) for row in rows})
