@@ -36,6 +36,8 @@ setup(
         "test": ["pytest", "hypothesis"],
         # servo-sim --scheduler: trials on a cluster.
         "cluster": ["distributed"],
+        # servo-sim tune-robust.
+        "tune": ["optuna>=5"],
         # The nodes and experiments run without; there is no rerun for Python 3.10.
         "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
     },

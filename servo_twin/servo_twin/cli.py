@@ -19,6 +19,7 @@ from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
 from servo_twin.sweep import command as sweep
+from servo_twin.sweep import robust_command
 from servo_twin.timing import command as timing
 from servo_twin.timing import core_measured
 
@@ -51,6 +52,7 @@ def parser() -> argparse.ArgumentParser:
 
     experiment.add_parser(verbs, common, _levelled(FAST_LEVEL))
     sweep.add_parser(verbs, common, _levelled(FAST_LEVEL))
+    robust_command.add_parser(verbs, common, _levelled(FAST_LEVEL))
     timing.add_parser(verbs, common)
     core_measured.add_parser(verbs, common)
     return result

@@ -34,7 +34,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["add_parser"]
+__all__ = ["add_parser", "servo_table", "sweep_of"]
 
 _HELP: Final = f"""\
 Run an experiment on many boards, each with other values of the plant file (plant.axis1.inertia, plant.bus.u_source), of
@@ -102,14 +102,22 @@ def sweep_of(args: argparse.Namespace) -> Sweep:
         If there is no such thing to vary, or a file cannot be used.
     """
     varied = [Varied.parse(text) for text in args.vary]
-    base = Base(PlantConfig.load(args.plant), _servo(args.config, varied))
+    needs_servo = args.config is not None or any(one.name.startswith("servo.") for one in varied)
+    base = Base(PlantConfig.load(args.plant), servo_table(args.config) if needs_servo else {})
     space = Space.of([base.resolved(one) for one in varied], args.method, args.count, args.seed)
     return Sweep(args.measure, base, space, chosen_level(args.level, default=FAST_LEVEL))
 
 
-def _servo(path: Path | None, varied: list[Varied]) -> Mapping[str, Any]:
-    if path is None and not any(one.name.startswith("servo.") for one in varied):
-        return {}
+def servo_table(path: Path | None) -> Mapping[str, Any]:
+    """A parsed ``servo.toml``; without a path the firmware's.
+
+    Raises
+    ------
+    SpaceError
+        If it is not there.
+    OSError
+        If it cannot be read.
+    """
     source = path or SERVO_TOML
     if not source.is_file():
         raise SpaceError(f"{source} is not there: name the servo.toml with --config")

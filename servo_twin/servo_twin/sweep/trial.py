@@ -19,7 +19,7 @@ from servo_twin.simulation import SimulationError, enable, move, turns
 from servo_twin.sweep.space import Space
 from servo_twin.sweep.variant import Base
 
-__all__ = ["MEASURES", "Figure", "Sweep", "Trial"]
+__all__ = ["MEASURES", "Figure", "Sweep", "Trial", "outcome_at", "trial_at"]
 
 MOVE: Final = "move"
 MOVE_TURNS: Final = 1.0
@@ -116,6 +116,28 @@ class Trial:
         return cls(entry["number"], entry["point"], figures, entry["problem"])
 
 
+def outcome_at(measure: str, base: Base, point: Mapping[str, float], seed: int, level: Level) -> Outcome:
+    """What an experiment says with other values.
+
+    Raises
+    ------
+    SimulationError, PlantError
+        If it cannot be run.
+    """
+    variant = base.variant(point)
+    with at_level(level), prepared(variant.prepare):
+        return MEASURES[measure](variant.plant, seed)
+
+
+def trial_at(number: int, measure: str, base: Base, point: Mapping[str, float], seed: int, level: Level) -> Trial:
+    """Figures of the same; that it cannot be run is a result, too."""
+    try:
+        rows = outcome_at(measure, base, point, seed, level).rows
+    except (SimulationError, PlantError) as error:
+        return Trial(number, point, {}, str(error))
+    return Trial(number, point, {row.name: Figure.of(row) for row in rows})
+
+
 @dataclass(frozen=True)
 class Sweep:
     """All trials of a sweep, to be run anywhere.
@@ -138,22 +160,8 @@ class Sweep:
     level: Level
 
     def outcome(self, number: int) -> Outcome:
-        """Everything that the experiment says in a trial.
-
-        Raises
-        ------
-        SimulationError, PlantError
-            If it cannot be run.
-        """
-        variant = self.base.variant(self.space.point(number))
-        with at_level(self.level), prepared(variant.prepare):
-            return MEASURES[self.measure](variant.plant, self.space.seed)
+        """Everything that the experiment says in a trial; see `outcome_at`."""
+        return outcome_at(self.measure, self.base, self.space.point(number), self.space.seed, self.level)
 
     def run(self, number: int) -> Trial:
-        """Figures of a trial; one that cannot be run is a result, too."""
-        point = self.space.point(number)
-        try:
-            rows = self.outcome(number).rows
-        except (SimulationError, PlantError) as error:
-            return Trial(number, point, {}, str(error))
-        return Trial(number, point, {row.name: Figure.of(row) for row in rows})
+        return trial_at(number, self.measure, self.base, self.space.point(number), self.space.seed, self.level)

@@ -1,0 +1,164 @@
+"""``servo-sim tune-robust``: gains for the worst of a set of plants, and what they cost on the nominal one."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from tqdm import tqdm
+
+from servo_twin.experiments.rig import positive
+from servo_twin.firmware_build import as_toml
+from servo_twin.level import FAST_LEVEL, chosen_level
+from servo_twin.plant import PlantConfig
+from servo_twin.runner import Runner
+from servo_twin.simulation import SimulationError
+from servo_twin.sweep.command import servo_table
+from servo_twin.sweep.robust import Candidates, Objective, Score, front, search
+from servo_twin.sweep.space import SYNTAX, Space, SpaceError, Varied
+from servo_twin.sweep.trial import MEASURES
+from servo_twin.sweep.variant import Base, put
+
+__all__ = ["add_parser"]
+
+_HELP: Final = f"""\
+Find values of servo.toml that do well on the worst of a set of plants.
+
+  servo-sim tune-robust move --tune "servo.axis1.control.speed_bandwidth=20..120 log" \\
+      --over "plant.axis1.inertia=*0.5..3 log" --minimize "axis1 settling time"
+
+Each candidate runs the experiment on the nominal plant and on all others. Shown is the front of candidates of which
+none is better both on the nominal plant and on the worst, beside today's gains, and the first of them again on plants
+that were not used. The folder gets a picture, and servo.toml with that first one (`servo-tool tune` sends it).
+
+{SYNTAX}"""
+
+_OUT: Final = Path("out/tune-robust")
+PLANTS: Final = 12
+CANDIDATES: Final = 64
+
+
+def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
+    """Add ``tune-robust`` to the commands of ``servo-sim``; parameters as in `servo_twin.sweep.command.add_parser`."""
+    parser = verbs.add_parser(
+        "tune-robust",
+        parents=[common, levelled],
+        help="gains for the worst of a set of plants",
+        description=_HELP.replace("%", "%%"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
+    parser.add_argument(
+        "--tune", action="append", required=True, metavar="NAME=RANGE", help="value of servo.toml or param"
+    )
+    parser.add_argument(
+        "--over", action="append", required=True, metavar="NAME=RANGE", help="what the plants differ in"
+    )
+    goal = parser.add_mutually_exclusive_group(required=True)
+    goal.add_argument("--minimize", metavar="FIGURE", help="row of the experiment")
+    goal.add_argument("--maximize", metavar="FIGURE", help="row of the experiment")
+    parser.add_argument(
+        "--plants", type=positive, default=PLANTS, metavar="N", help="beside the nominal one (default: %(default)s)"
+    )
+    parser.add_argument("--candidates", type=positive, default=CANDIDATES, metavar="N", help="default: %(default)s")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="today's servo.toml (default: the firmware's)")
+    parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
+    Runner.add_options(parser)
+    parser.set_defaults(run=_run)
+
+
+def _tuned(base: Base, texts: Sequence[str]) -> list[Varied]:
+    found = [base.resolved(Varied.parse(text)) for text in texts]
+    for one in found:
+        if one.name.startswith("plant."):
+            raise SpaceError(f"{one.name}: a plant cannot be tuned; --over varies it")
+        if one.kind == "normal":
+            raise SpaceError(f"{one.name}: what is tuned needs a range or levels")
+    return found
+
+
+def _run(args: argparse.Namespace) -> int:
+    base = Base(PlantConfig.load(args.plant), servo_table(args.config))
+    tuned = _tuned(base, args.tune)
+    objective = Objective(args.minimize or args.maximize, "minimize" if args.minimize else "maximize")
+    over = [base.resolved(Varied.parse(text)) for text in args.over]
+    plants = Space.of(over, "latin", args.plants, args.seed)
+    others = Space.of(over, "latin", args.plants, args.seed + 1)
+    level, runner = chosen_level(args.level, default=FAST_LEVEL), Runner.of(args)
+
+    def scores(candidates: Sequence[Any], over: Space = plants) -> list[Score]:
+        work = Candidates(args.measure, base, over, level, tuple(candidates))
+        return work.scores(objective, runner, "trials")
+
+    _check_figure(Candidates(args.measure, base, plants, level, ({},)), objective)
+    (today,) = scores([{}])
+    found = list(
+        tqdm(
+            search(scores, tuned, objective, today, args.candidates, args.seed),
+            desc="candidates",
+            total=args.candidates,
+            disable=None,
+        )
+    )
+    best = front(found, objective, today)
+    if not best:
+        print(f"none of {len(found)} candidates does without more violations than today's gains ({today.violations})")
+        return 1
+    args.out.mkdir(parents=True, exist_ok=True)
+    servo = copy.deepcopy(dict(base.servo))
+    for name, value in best[0].candidate.items():
+        if name.startswith("servo."):
+            put(servo, name, value)
+    (args.out / "servo.toml").write_text(as_toml(servo), encoding="utf-8")
+    _draw(args.out / "tune-robust.png", found, best, today, objective)
+    print(f"{objective.direction} {objective.figure}")
+    print("\n".join(_table(best, today)))
+    again = scores([{}, best[0].candidate], others)
+    worst = " and ".join(f"{score.worst:.4g}" for score in again)
+    print(f"\non {args.plants} other plants the worst is {worst} with today's gains and with the first")
+    print(f"{args.out}/servo.toml has the first; give it to a board with `servo-tool tune`")
+    return 0 if objective.better(best[0].worst, today.worst) else 1
+
+
+def _check_figure(work: Candidates, objective: Objective) -> None:
+    """Refuse a figure that the experiment does not have."""
+    nominal = work.run(0)
+    if nominal.problem:
+        raise SimulationError(f"the experiment cannot be run on the nominal plant: {nominal.problem}")
+    if objective.figure not in nominal.figures:
+        raise SpaceError(f"the experiment has no figure {objective.figure!r}; it has {', '.join(nominal.figures)}")
+
+
+def _table(best: Sequence[Score], today: Score) -> list[str]:
+    lines = [f"{'':>6}  {'nominal':>9} {'mean':>9} {'worst':>9} {'violations':>10}"]
+    for label, score in (("today", today), *((f"{k + 1}", score) for k, score in enumerate(best))):
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in score.candidate.items())
+        cells = f"{score.nominal:9.4g} {score.mean:9.4g} {score.worst:9.4g} {score.violations:10}"
+        lines.append(f"{label:>6}  {cells}  {values}".rstrip())
+    return lines
+
+
+def _draw(path: Path, found: Sequence[Score], best: Sequence[Score], today: Score, objective: Objective) -> None:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise SimulationError("pictures need matplotlib: pip install 'servo_twin[viewer]'") from None
+    drawing = Figure(figsize=(7, 5), dpi=120, layout="constrained")
+    plot = drawing.subplots()
+    allowed = [score for score in found if score.violations <= today.violations]
+    refused = [score for score in found if score.violations > today.violations]
+    for scores, style, label in (
+        (refused, "x", "more violations than today"),
+        (allowed, ".", "candidates"),
+        (best, "o-", "front"),
+        ([today], "D", "today"),
+    ):
+        plot.plot([s.nominal for s in scores], [s.worst for s in scores], style, label=label, markersize=5)
+    plot.set_xlabel(f"{objective.figure}, nominal plant")
+    plot.set_ylabel("the same, worst plant")
+    plot.grid(alpha=0.3)
+    plot.legend()
+    drawing.savefig(path)
