@@ -136,7 +136,7 @@ CHECK(116, SIZE(axis[0].active_limits) >= 2);
 CHECK(117, SIZE(axis[0].trajectory.taken) >= 2);
 CHECK(118, SIZE(axis[0].trajectory.late) >= 2);
 CHECK(119, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(120, SIZE(axis[0].current_max.vector) >= 2);
+CHECK(120, SIZE(axis[0].current_max.winding) >= 2);
 CHECK(121, SIZE(axis[0].estimate.speed) >= 4);
 CHECK(122, SIZE(axis[0].estimate.size) >= 2);
 CHECK(123, SIZE(axis[0].latch.pending) >= 4);
@@ -175,7 +175,7 @@ CHECK(155, SIZE(axis[1].active_limits) >= 2);
 CHECK(156, SIZE(axis[1].trajectory.taken) >= 2);
 CHECK(157, SIZE(axis[1].trajectory.late) >= 2);
 CHECK(158, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(159, SIZE(axis[1].current_max.vector) >= 2);
+CHECK(159, SIZE(axis[1].current_max.winding) >= 2);
 CHECK(160, SIZE(axis[1].estimate.speed) >= 4);
 CHECK(161, SIZE(axis[1].estimate.size) >= 2);
 CHECK(162, SIZE(axis[1].latch.pending) >= 4);
@@ -366,7 +366,7 @@ static const char strings[] TABLE_MEMORY =
     "axis1.points_taken\0"
     "axis1.points_late\0"
     "axis1.winding_temperature\0"
-    "axis1.current_max\0"
+    "axis1.winding_current\0"
     "axis1.monitor\0"
     "axis1.estimate_speed\0"
     "axis1.estimate_theta_e\0"
@@ -415,7 +415,7 @@ static const char strings[] TABLE_MEMORY =
     "axis2.points_taken\0"
     "axis2.points_late\0"
     "axis2.winding_temperature\0"
-    "axis2.current_max\0"
+    "axis2.winding_current\0"
     "axis2.monitor\0"
     "axis2.estimate_speed\0"
     "axis2.estimate_theta_e\0"
@@ -630,85 +630,85 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {1625, 517, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
     {1644, 517, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
     {1662, 524, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {1688, 524, LIVE(1), 2, TSA_KIND_RO}, /* axis1.current_max */
-    {1706, 524, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1720, 643, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1741, 524, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1764, 524, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1783, 517, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1807, 488, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1821, 788, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1840, 524, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1862, 622, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {1889, 524, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {1899, 524, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {1909, 524, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {1919, 524, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {1933, 524, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {1946, 524, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {1959, 524, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {1972, 622, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {1983, 622, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {1994, 622, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2009, 643, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2025, 643, LIVE(13), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2044, 643, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2060, 622, LIVE(15), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2076, 622, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2092, 622, LIVE(17), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2107, 95, LIVE(18), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2118, 517, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2138, 517, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2155, 517, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2173, 622, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2188, 622, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {2207, 643, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {2219, 643, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {2235, 524, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {2245, 524, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {2255, 524, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {2269, 524, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {2279, 524, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {2289, 524, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {2303, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {2315, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2330, 488, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2343, 517, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2361, 517, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {2374, 517, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {2395, 517, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {2414, 517, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {2432, 524, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {2458, 524, LIVE(22), 2, TSA_KIND_RO}, /* axis2.current_max */
-    {2476, 524, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {2490, 643, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {2511, 524, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {2534, 524, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {2553, 517, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {2577, 488, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {2591, 788, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {2610, 524, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {2632, 622, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {2659, 524, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {2669, 524, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {2679, 524, LIVE(25), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {2689, 524, LIVE(26), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {2703, 524, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {2716, 524, LIVE(28), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {2729, 524, LIVE(29), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {2742, 622, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {2753, 622, LIVE(31), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {2764, 622, LIVE(32), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {2779, 643, LIVE(33), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {2795, 643, LIVE(34), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {2814, 643, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {2830, 622, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {2846, 622, LIVE(37), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {2862, 622, LIVE(38), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {2877, 95, LIVE(39), 2, TSA_KIND_RO}, /* axis2.mode */
-    {2888, 517, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {2908, 517, LIVE(41), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {2925, 517, LIVE(42), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {1688, 524, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {1710, 524, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1724, 643, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1745, 524, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1768, 524, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1787, 517, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1811, 488, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1825, 788, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1844, 524, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1866, 622, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {1893, 524, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {1903, 524, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {1913, 524, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {1923, 524, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {1937, 524, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {1950, 524, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {1963, 524, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {1976, 622, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {1987, 622, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {1998, 622, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2013, 643, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2029, 643, LIVE(13), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2048, 643, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2064, 622, LIVE(15), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2080, 622, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2096, 622, LIVE(17), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2111, 95, LIVE(18), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2122, 517, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2142, 517, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2159, 517, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2177, 622, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2192, 622, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {2211, 643, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {2223, 643, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {2239, 524, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {2249, 524, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {2259, 524, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {2273, 524, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {2283, 524, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {2293, 524, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {2307, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {2319, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2334, 488, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2347, 517, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2365, 517, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {2378, 517, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {2399, 517, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {2418, 517, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {2436, 524, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {2462, 524, LIVE(22), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {2484, 524, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {2498, 643, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {2519, 524, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {2542, 524, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {2561, 517, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {2585, 488, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {2599, 788, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {2618, 524, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {2640, 622, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {2667, 524, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {2677, 524, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {2687, 524, LIVE(25), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {2697, 524, LIVE(26), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {2711, 524, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {2724, 524, LIVE(28), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {2737, 524, LIVE(29), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {2750, 622, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {2761, 622, LIVE(31), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {2772, 622, LIVE(32), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {2787, 643, LIVE(33), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {2803, 643, LIVE(34), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {2822, 643, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {2838, 622, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {2854, 622, LIVE(37), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {2870, 622, LIVE(38), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {2885, 95, LIVE(39), 2, TSA_KIND_RO}, /* axis2.mode */
+    {2896, 517, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {2916, 517, LIVE(41), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {2933, 517, LIVE(42), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -735,7 +735,7 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[0].points_taken), OFFSET(axis[0].trajectory.taken), 2}, /* axis1.points_taken */
     {AT(snapshot.axis[0].points_late), OFFSET(axis[0].trajectory.late), 2}, /* axis1.points_late */
     {AT(snapshot.axis[0].winding_temperature), OFFSET(axis[0].diagnosis.winding.temperature) + 2, 2}, /* axis1.winding_temperature */
-    {LIVE(1), OFFSET(axis[0].current_max.vector), 2}, /* axis1.current_max */
+    {LIVE(1), OFFSET(axis[0].current_max.winding), 2}, /* axis1.winding_current */
     {AT(estimate.axis[0].speed), OFFSET(axis[0].estimate.speed), 4}, /* axis1.estimate_speed */
     {AT(estimate.axis[0].emf), OFFSET(axis[0].estimate.size), 2}, /* axis1.estimate_emf */
     {AT(record[0].pending), OFFSET(axis[0].latch.pending), 4}, /* axis1.pending */
@@ -774,7 +774,7 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[1].points_taken), OFFSET(axis[1].trajectory.taken), 2}, /* axis2.points_taken */
     {AT(snapshot.axis[1].points_late), OFFSET(axis[1].trajectory.late), 2}, /* axis2.points_late */
     {AT(snapshot.axis[1].winding_temperature), OFFSET(axis[1].diagnosis.winding.temperature) + 2, 2}, /* axis2.winding_temperature */
-    {LIVE(22), OFFSET(axis[1].current_max.vector), 2}, /* axis2.current_max */
+    {LIVE(22), OFFSET(axis[1].current_max.winding), 2}, /* axis2.winding_current */
     {AT(estimate.axis[1].speed), OFFSET(axis[1].estimate.speed), 4}, /* axis2.estimate_speed */
     {AT(estimate.axis[1].emf), OFFSET(axis[1].estimate.size), 2}, /* axis2.estimate_emf */
     {AT(record[1].pending), OFFSET(axis[1].latch.pending), 4}, /* axis2.pending */
@@ -811,7 +811,7 @@ static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87};
 const name_list_t servo_substate_names = {substate_offsets, 6};
 static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 119, 265, 278, 283};
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
-static const uint16_t fault_offsets[] = {2943, 2956, 2970, 2983, 2998, 159, 3011, 3023, 3031, 3039, 3052, 3068, 3079, 3096, 3113, 3122, 3137, 3152, 3163, 3177, 3187, 3196};
+static const uint16_t fault_offsets[] = {2951, 2964, 2978, 2991, 3006, 159, 3019, 3031, 3039, 3047, 3060, 3076, 3087, 3104, 3121, 3130, 3145, 3160, 3171, 3185, 3195, 3204};
 const name_list_t servo_fault_names = {fault_offsets, 22};
 
 const variable_range_t servo_ranges[] = {

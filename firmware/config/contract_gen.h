@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x0E93E4FA)
+#define CATALOGUE_HASH UINT32_C(0xBACF1F53)
 
 typedef enum {
     STATE_FAULT = 0,

@@ -33,7 +33,7 @@ frac16_t winding_model_limit(const winding_model_t *model, const winding_model_c
 {
     const frac16_t now = winding_model_shown(model);
     if (now <= config->derating || max <= config->rated_current) {
-        return max;
+        return FRAC16_MAX;
     }
     if (now >= config->maximum) {
         return config->rated_current;

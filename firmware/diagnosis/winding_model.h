@@ -47,7 +47,7 @@ static inline bool winding_model_add(winding_model_t *model, dq_t current)
 /* The heat balance of the ticks that were added; sees to `hot`, which without `supervised` never is. */
 void winding_model_step(winding_model_t *model, const winding_model_config_t *config, bool supervised);
 
-/* Length of the current vector that the winding bears at its temperature; `max` while it is cool. */
+/* Length of the current vector that the winding bears at its temperature: from `max` down; FRAC16_MAX while it is cool. */
 frac16_t winding_model_limit(const winding_model_t *model, const winding_model_config_t *config, frac16_t max);
 
 /* The temperature as it is published. */

