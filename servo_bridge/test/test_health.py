@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.arbiter import AxisStatus
+from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health, Winding
 from servo_bridge.telemetry import Frame
 from servo_msgs_py.catalogue import Catalogue

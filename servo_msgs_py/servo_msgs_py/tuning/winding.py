@@ -96,7 +96,7 @@ class Winding:
         return math.inf if growth <= 0.0 else self.ambient + cold * (1.0 + COPPER * (self.ambient - COLD)) / growth
 
     def time_to(self, temperature: float, current: float, start: float | None = None) -> float:
-        """How long a current takes to a temperature, from that of the surroundings by default; infinite: for ever [s]."""
+        """How long a current takes to a temperature, from that of the surroundings by default [s]; may be infinite."""
         begin = self.ambient if start is None else start
         loss = self.loss(current, COLD)
         rate = (1.0 / self.resistance - COPPER * loss) / self.capacity  # [1/s], below 0 where it runs away

@@ -1,4 +1,4 @@
-"""A motor that is asked for more than it bears for ever: estimate and truth of its winding, derating, where both end."""
+"""A motor that is asked for more than it bears for ever: estimate and truth of its winding, derating, the end."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ STEP: Final = 0.02  # [s]
 SPEED: Final = 300.0  # that is asked for [rad/s]
 REACHED: Final = 100.0  # against the brake with 4 A [rad/s]
 AGREES: Final = 0.5
-"""Estimate off the truth where the configuration is right, beyond what a step of the model heats [K]: losses of ripple and
-offsets."""
+"""Estimate off the truth where the configuration is right, beyond what a step of the model heats [K]: losses of ripple
+and offsets."""
 
 NEAR: Final = 2.5
 """Temperature in the end off that of the heat balance [K]."""
