@@ -199,7 +199,11 @@ def _watched(board: Board, seconds: float) -> list[Course]:
             table[axis, k] = estimate, board.truth(axis).t_winding, current, bears
             words[axis] |= [board.read_raw(f"{name}.{word}")[0] for word in ("faults", "limits")]
     time = STEP * np.arange(1, ticks + 1, dtype=np.float64)
-    return [Course(time, *table[axis].T, int(words[axis, 0]), int(words[axis, 1])) for axis in range(AXES)]
+    found: list[Course] = []
+    for part, (faults, limits) in zip(table, words.tolist(), strict=True):
+        estimate_of, truth_of, current_of, bears_of = part.T
+        found.append(Course(time, estimate_of, truth_of, current_of, bears_of, faults, limits))
+    return found
 
 
 def run(plant: PlantConfig, seed: int) -> Outcome:
