@@ -66,6 +66,11 @@ class Model:
             assert due == [False] * (STEP_TICKS - 1) + [True]
             self._lib.winding_model_step(self.state, self.config, supervised)
 
+    def step_steadily(self, i_q: float) -> None:
+        """A step with the sum that its ticks would come to [A]: quicker."""
+        self.state.squares = round(i_q * AMPERE) ** 2 // STEP_TICKS * STEP_TICKS
+        self._lib.winding_model_step(self.state, self.config, True)
+
     def limit(self, most: float = 4.0) -> float:
         """What is left of a limit [A]."""
         winding = self._lib.winding_model_limit(self.state, self.config, round(most * AMPERE))
@@ -179,6 +184,34 @@ def test_all_the_current_there_is_ends_at_the_maximum_without_a_fault(rig: Diagn
         assert not model.state.hot
     assert model.limit() == pytest.approx(2.0, abs=0.02)
     assert 129.0 < model.celsius <= highest < 130.1
+
+
+@settings(max_examples=25)
+@given(
+    r_s=st.floats(0.1, 3.0),
+    rated=st.floats(0.7, 3.9),
+    capacity=st.floats(0.5, 40.0),
+    ambient=st.integers(-20, 80),
+    begin=st.floats(20.0, 130.0),
+)
+def test_any_motor_ends_between_derating_and_maximum(
+    rig: Diagnosis, r_s: float, rated: float, capacity: float, ambient: int, begin: float
+) -> None:
+    """From anywhere, with a demand for all the current there is, and never with a fault."""
+    it = axis(motor__r_s=r_s, motor__rated_current=rated, heat_capacity=capacity, ambient=ambient)
+    believed = Winding.of(it)
+    heats = believed.loss(4.0, 130.0) * STEP / capacity
+    if heats > 5.0 or believed.resistance * capacity > 60.0:
+        return  # from the derating to the fault in a few steps; and what takes too long here
+    model = Model.of(rig, it)
+    model.celsius = begin
+    for _ in range(round(8.0 * believed.resistance * capacity / STEP)):
+        model.step_steadily(model.limit())
+        assert not model.state.hot
+        assert model.celsius < 130.0 + heats + 0.1
+    current, end = believed.settled()
+    assert model.celsius == pytest.approx(end, abs=1.0)
+    assert model.limit() == pytest.approx(current, abs=0.05 * (4.0 - rated) + 0.03)
 
 
 # ---- the fault
