@@ -25,7 +25,7 @@ typedef struct {
     uint16_t points_waiting;
     uint16_t points_taken;
     uint16_t points_late;
-    uint16_t unused; /* the size is the same on every machine */
+    frac16_t winding_temperature;
 } axis_snapshot_t;
 
 /* All of it from one slow tick. */

@@ -16,6 +16,7 @@
 #include "diagnosis/heat_monitor.h"
 #include "diagnosis/observation.h"
 #include "diagnosis/shaft_monitor.h"
+#include "diagnosis/winding_model.h"
 #include "drive/brake.h"
 #include "drive/startup_data.h"
 #include "drive/stop_data.h"
@@ -67,6 +68,7 @@ typedef struct {
 
     winding_config_t winding;
     heat_monitor_config_t heat;
+    winding_model_config_t winding_model;
     shaft_monitor_config_t shaft;
 
     uint16_t settle_ticks; /* slow ticks in INIT until the bus filter has settled */

@@ -129,27 +129,35 @@ CHECK(113, SIZE(winding.turn_per_voltage) == 4);
 CHECK(114, SIZE(winding.emf_floor) == 2);
 CHECK(115, SIZE(heat.hot) == 2);
 CHECK(116, SIZE(heat.cool) == 2);
-CHECK(117, SIZE(shaft.runaway_margin) == 4);
-CHECK(118, SIZE(shaft.runaway_ticks_max) == 2);
-CHECK(119, SIZE(shaft.stall_ticks_max) == 2);
-CHECK(120, SIZE(shaft.following_ticks_max) == 2);
-CHECK(121, SIZE(shaft.over_speed_ticks_max) == 2);
-CHECK(122, SIZE(settle_ticks) == 2);
-CHECK(123, SIZE(rest_ticks_max) == 2);
-CHECK(124, SIZE(search_ticks_max) == 2);
-CHECK(125, SIZE(stop_speed) == 4);
-CHECK(126, SIZE(stop_ticks_max) == 2);
-CHECK(127, SIZE(stop.disable) == 2);
-CHECK(128, SIZE(stop.quick_stop) == 2);
-CHECK(129, SIZE(stop.shorted) == 4);
-CHECK(130, SIZE(stop.ramp) == 4);
-CHECK(131, SIZE(stop.hold) == 4);
-CHECK(132, SIZE(stop.short_speed) == 4);
-CHECK(133, SIZE(stop.short_current) == 2);
-CHECK(134, SIZE(stop.ticks_max) == 2);
-CHECK(135, SIZE(stop.hold_ticks) == 2);
-CHECK(136, SIZE(regeneration_speed) == 4);
-CHECK(137, SIZE(copper_current) == 2);
+CHECK(117, SIZE(winding_model.heating) == 4);
+CHECK(118, SIZE(winding_model.cooling) == 4);
+CHECK(119, SIZE(winding_model.ambient) == 2);
+CHECK(120, SIZE(winding_model.initial) == 2);
+CHECK(121, SIZE(winding_model.derating) == 2);
+CHECK(122, SIZE(winding_model.maximum) == 2);
+CHECK(123, SIZE(winding_model.fault) == 2);
+CHECK(124, SIZE(winding_model.rated_current) == 2);
+CHECK(125, SIZE(shaft.runaway_margin) == 4);
+CHECK(126, SIZE(shaft.runaway_ticks_max) == 2);
+CHECK(127, SIZE(shaft.stall_ticks_max) == 2);
+CHECK(128, SIZE(shaft.following_ticks_max) == 2);
+CHECK(129, SIZE(shaft.over_speed_ticks_max) == 2);
+CHECK(130, SIZE(settle_ticks) == 2);
+CHECK(131, SIZE(rest_ticks_max) == 2);
+CHECK(132, SIZE(search_ticks_max) == 2);
+CHECK(133, SIZE(stop_speed) == 4);
+CHECK(134, SIZE(stop_ticks_max) == 2);
+CHECK(135, SIZE(stop.disable) == 2);
+CHECK(136, SIZE(stop.quick_stop) == 2);
+CHECK(137, SIZE(stop.shorted) == 4);
+CHECK(138, SIZE(stop.ramp) == 4);
+CHECK(139, SIZE(stop.hold) == 4);
+CHECK(140, SIZE(stop.short_speed) == 4);
+CHECK(141, SIZE(stop.short_current) == 2);
+CHECK(142, SIZE(stop.ticks_max) == 2);
+CHECK(143, SIZE(stop.hold_ticks) == 2);
+CHECK(144, SIZE(regeneration_speed) == 4);
+CHECK(145, SIZE(copper_current) == 2);
 
 const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
@@ -192,15 +200,19 @@ const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_SIGNED, INT32_C(1), INT32_C(15888)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(1718483103)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(102534791)},
-    {0U, INT32_C(0), INT32_C(8191)},
+    {0U, INT32_C(0), INT32_C(16383)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(954929659)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(6), INT32_C(636620)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2050695827)},
     {0U, INT32_C(0), INT32_C(2047)},
     {0U, INT32_C(0), INT32_C(4095)},
+    {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(1073741823)},
+    {MEMBER_SIGNED | MEMBER_LIVE, INT32_C(-12800), INT32_C(32767)},
+    {MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(32767)},
+    {MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(32767)},
     {0U, INT32_C(0), INT32_C(3)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(77121)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(11328)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(2174273)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(2108480)},
     {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(3136)},
 };
 
@@ -322,6 +334,14 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(winding.emf_floor), 4U},
     {OFFSET(heat.hot), 45U},
     {OFFSET(heat.cool), 45U},
+    {OFFSET(winding_model.heating), 46U},
+    {OFFSET(winding_model.cooling), 46U},
+    {OFFSET(winding_model.ambient), 47U},
+    {OFFSET(winding_model.initial), 47U},
+    {OFFSET(winding_model.derating), 48U},
+    {OFFSET(winding_model.maximum), 48U},
+    {OFFSET(winding_model.fault), 48U},
+    {OFFSET(winding_model.rated_current), 49U},
     {OFFSET(shaft.runaway_margin), 14U},
     {OFFSET(shaft.runaway_ticks_max), 17U},
     {OFFSET(shaft.stall_ticks_max), 17U},
@@ -332,11 +352,11 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(search_ticks_max), 17U},
     {OFFSET(stop_speed), 14U},
     {OFFSET(stop_ticks_max), 17U},
-    {OFFSET(stop.disable), 46U},
-    {OFFSET(stop.quick_stop), 46U},
-    {OFFSET(stop.shorted), 47U},
-    {OFFSET(stop.ramp), 48U},
-    {OFFSET(stop.hold), 49U},
+    {OFFSET(stop.disable), 50U},
+    {OFFSET(stop.quick_stop), 50U},
+    {OFFSET(stop.shorted), 51U},
+    {OFFSET(stop.ramp), 52U},
+    {OFFSET(stop.hold), 53U},
     {OFFSET(stop.short_speed), 25U},
     {OFFSET(stop.short_current), 4U},
     {OFFSET(stop.ticks_max), 17U},

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xC5242643)
+#define CATALOGUE_HASH UINT32_C(0xBACF1F53)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -96,6 +96,7 @@ typedef enum {
 #define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the code of a current converter is stuck or off scale */
 #define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop came late or has left out a period */
 #define FAULT_WATCHDOG UINT32_C(0x00100000) /* the watchdog has reset the board: the control loops had stopped */
+#define FAULT_MOTOR_TEMPERATURE UINT32_C(0x00200000) /* the winding is hotter than its limit, by the estimate from its currents */
 
 #define FAULTS_ALWAYS UINT32_C(0x0018701F) /* nobody can switch them off */
 
@@ -108,6 +109,7 @@ typedef enum {
 #define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
 #define LIMIT_SENSORLESS UINT16_C(0x0080) /* without an encoder there is no position, no standstill and no torque from rest */
 #define LIMIT_STARVED UINT16_C(0x0100) /* no point followed one with a speed: the axis has stopped */
+#define LIMIT_TEMPERATURE UINT16_C(0x0200) /* less than the current limit, because the winding is hot */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
@@ -122,6 +124,7 @@ typedef enum {
 #define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
 #define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* a fault when encoder and observer disagree about the rotor's angle */
 #define FEATURE_STARVED UINT16_C(0x1000) /* a fault (HOST_SILENT) when no point of a trajectory follows one with a speed */
+#define FEATURE_WINDING_MODEL UINT16_C(0x2000) /* the current limit falls with the estimated temperature of the winding, and a fault beyond its maximum */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
@@ -142,7 +145,7 @@ typedef enum {
 #define CONFIG_REFUSAL_MOTION 9
 #define CONFIG_REFUSAL_BUSY 10
 
-#define PARAM_FEATURES_MAX INT32_C(8191)
-#define PARAM_FAULTS_ENABLED_MAX INT32_C(2097151)
+#define PARAM_FEATURES_MAX INT32_C(16383)
+#define PARAM_FAULTS_ENABLED_MAX INT32_C(4194303)
 
 #endif

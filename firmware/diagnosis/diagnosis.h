@@ -10,6 +10,7 @@
 #include "diagnosis/sensor_monitor.h"
 #include "diagnosis/shaft_monitor.h"
 #include "diagnosis/stall_test.h"
+#include "diagnosis/winding_model.h"
 
 typedef struct {
     bus_monitor_t bus;
@@ -18,6 +19,7 @@ typedef struct {
     encoder_monitor_t encoder;
     angle_monitor_t angle;
     heat_monitor_t heat;
+    winding_model_t winding;
     shaft_monitor_t shaft;
     stall_test_t stall;
     evidence_t evidence; /* of this slow tick, as far as it is there */

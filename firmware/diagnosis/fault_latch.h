@@ -32,10 +32,10 @@ typedef struct {
 } fault_record_t;
 
 typedef struct {
+    finding_set_t findings; /* that have been captured under whatever name */
     fault_set_t captured;
     fault_set_t pending;
     fault_set_t enabled;
-    finding_set_t findings; /* that have been captured under whatever name */
     uint16_t first;         /* code of the fault that came first, 0 without one */
     fault_record_t *record; /* of the first fault; the owner's */
     const uint32_t *clock;  /* PWM periods since reset; the owner's */

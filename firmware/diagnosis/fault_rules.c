@@ -35,6 +35,7 @@ const fault_rule_t fault_rules[FINDINGS] = {
     [FINDING_TOO_FAST] = {FAULT_OVER_SPEED, 0, 0}, /* faster than param.over_speed (feature OVER_SPEED) */
     [FINDING_SEARCH_REVERSED] = {FAULT_ENCODER_REVERSED, SENSOR | PHASE, 0}, /* rotor search: the shaft runs away from the vector */
     [FINDING_HOT] = {FAULT_OVER_TEMPERATURE, 0, 0}, /* temperature of the heat sink, with hysteresis */
+    [FINDING_WINDING_HOT] = {FAULT_MOTOR_TEMPERATURE, 0, 0}, /* estimated temperature of the winding, with hysteresis (feature WINDING_MODEL) */
     [FINDING_START_UP_SLOW] = {FAULT_START_UP, 0, 0}, /* sensorless start-up: no reliable speed in time */
     [FINDING_OBSERVER_LOST] = {FAULT_SPEED_FEEDBACK, SENSOR | PHASE, 0}, /* variance of the observed speed, back-EMF that fits neither angle nor speed, or standstill */
     [FINDING_EMF_ELSEWHERE] = {FAULT_ANGLE_MISMATCH, SENSOR, 0}, /* in motion: voltage that resistance, inductance and back-EMF do not explain */

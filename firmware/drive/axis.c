@@ -12,6 +12,7 @@
 #include "drive/soft_limits.h"
 #include "drive/stop.h"
 #include "drive/watch.h"
+#include "drive/winding.h"
 
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
@@ -35,6 +36,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->written_limits = axis->limits;
     axis->limits_fresh = false;
     axis->path_limits = soft_limits_path(config, &axis->limits, config->path_omega_n_ts);
+    winding_init(axis);
     axis->following_error = config->following_error;
     axis->over_speed = config->over_speed;
     axis->regen_derating = FRAC16_MAX;
@@ -77,7 +79,8 @@ static void filter_bus(axis_t *axis)
 /* Findings whose cause is there now. */
 static finding_set_t present(const axis_t *axis)
 {
-    return watch_bus_now(axis) | (axis->diagnosis.heat.hot ? FOUND(FINDING_HOT) : 0U);
+    return watch_bus_now(axis) | (axis->diagnosis.heat.hot ? FOUND(FINDING_HOT) : 0U) |
+           winding_model_findings(&axis->diagnosis.winding);
 }
 
 /* What is there now stops the axis, or, while others are captured, waits until it has been brought to rest. */
@@ -177,6 +180,8 @@ void axis_estimate(axis_t *axis)
     axis->loop = LOOP_ESTIMATE;
     sm_step(&axis->sm, axis);
 }
+
+void axis_protect(axis_t *axis) { winding_protect(axis); }
 
 void axis_plan(axis_t *axis, uint32_t tick) { motion_plan(axis, tick); }
 

@@ -69,6 +69,13 @@ typedef struct {
     int32_t position_max;
 } axis_limits_t;
 
+/* What the limit of the current comes to, with what the winding bears now: worked out when either changes. */
+typedef struct {
+    frac16_t vector;  /* no current vector is longer */
+    frac16_t q;       /* limits.i_q, or less */
+    frac16_t winding; /* length that the winding bears now; FRAC16_MAX: any */
+} current_max_t;
+
 /* The same as the path and the soft limits need them: worked out when they change. */
 typedef struct {
     path_position_t step;         /* speed */
@@ -106,7 +113,7 @@ typedef struct {
     pi_state_t speed_pi;
     frac32_t speed_ref;
     bool saturated;       /* the speed controller pushes with all it has */
-    bool held_back;       /* the bus bears less braking current than the controller wants */
+    bool held_back;       /* bus or winding bear less current than the controller wants and the limits allow */
     frac32_t resistance;  /* torque mode: what holds a load that drives the shaft past a limit */
     frac32_t entry_speed; /* at which this motion has begun */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
@@ -128,6 +135,7 @@ typedef struct axis {
     axis_limits_t written_limits; /* in force with the next command */
     bool limits_fresh;            /* .. where they are tighter, with the next slow tick */
     path_limits_t path_limits;    /* of those in force */
+    current_max_t current_max;    /* the same */
     int32_t following_error;      /* that is a fault, counts */
     frac32_t over_speed;          /* that is a fault */
     uint16_t command_timeout;     /* age at which a speed or torque set-point expires, slow ticks; 0: never */

@@ -22,6 +22,20 @@ static bool same(const axis_limits_t *a, const axis_limits_t *b)
            a->position_min == b->position_min && a->position_max == b->position_max;
 }
 
+static frac16_t lesser(frac16_t a, frac16_t b) { return (a < b) ? a : b; }
+
+frac16_t limits_vector(const axis_t *axis)
+{
+    const frac16_t own = axis->config->i_q_limit;
+    return (axis->limits.i_q > own) ? axis->limits.i_q : own;
+}
+
+void limits_current(axis_t *axis)
+{
+    axis->current_max.vector = lesser(limits_vector(axis), axis->current_max.winding);
+    axis->current_max.q = lesser(axis->limits.i_q, axis->current_max.winding);
+}
+
 /* Limits from now on. */
 static void apply(axis_t *axis, const axis_limits_t *limits)
 {
@@ -32,6 +46,7 @@ static void apply(axis_t *axis, const axis_limits_t *limits)
     axis->path_limits.step = path_step_of(axis->config, limits->speed);
     axis->path_limits.acceleration = path_step_of(axis->config, limits->acceleration);
     axis->path_limits.stale = true;
+    limits_current(axis);
 }
 
 static int32_t lower(int32_t a, int32_t b) { return (a < b) ? a : b; }

@@ -12,6 +12,12 @@ void limits_tighten(axis_t *axis);
 /* A fresh command takes the limits as they are written. */
 void limits_renew(axis_t *axis);
 
+/* Length of a current vector that the motor is made for, or that a host has allowed beyond that. */
+frac16_t limits_vector(const axis_t *axis);
+
+/* What limits and winding leave of it. */
+void limits_current(axis_t *axis);
+
 /* The path filter and the soft limits follow the limits: for a path that is yet to begin .. */
 void limits_settle(axis_t *axis);
 

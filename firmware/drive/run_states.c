@@ -315,12 +315,10 @@ static void bring_to_rest(axis_t *axis)
     }
 }
 
-/* No current vector is larger than what the motor is made for, or than what a host has allowed beyond that; i_q gives way
- * to an i_d that is asked for besides. */
+/* i_q gives way to an i_d that is asked for besides. */
 static void bound_current(axis_t *axis)
 {
-    const frac16_t own = axis->config->i_q_limit;
-    const frac16_t limit = (axis->limits.i_q > own) ? axis->limits.i_q : own;
+    const frac16_t limit = axis->current_max.vector;
     frac16_t room = limit;
     if (axis->current_ref.d != 0) {
         const frac16_t d = f16_limit(axis->current_ref.d, limit);
@@ -332,14 +330,14 @@ static void bound_current(axis_t *axis)
 
 static finding_set_t watch_shaft(axis_t *axis)
 {
-    const bool saturated = axis->motion.saturated;
+    const bool full = axis->motion.saturated && !axis->motion.held_back; /* less is no test of a shaft */
     const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
     shaft_observation_t seen = {
         .features = axis->features,
         .speed = axis->feedback.speed,
         .speed_limit = axis->limits.speed,
-        .braked = saturated && !axis->motion.held_back && opposed,
-        .stands = saturated && axis->feedback.still,
+        .braked = full && opposed,
+        .stands = full && axis->feedback.still,
         .following_error = motion_following_error(axis),
     };
     if ((seen.features & (FEATURE_FOLLOWING_ERROR | FEATURE_OVER_SPEED)) != 0U) {

@@ -33,7 +33,7 @@ static bool returns_energy(const axis_t *axis, bool negative)
 /* Current limit in a direction: less against the motion while the bus cannot take what braking returns. */
 static frac16_t current_limit(const axis_t *axis, bool negative)
 {
-    const frac16_t limit = axis->limits.i_q;
+    const frac16_t limit = axis->current_max.q;
     if (axis->regen_derating == FRAC16_MAX) {
         return limit; /* almost always */
     }
@@ -48,6 +48,14 @@ static void hold_back(axis_t *axis, bool held)
         axis_report(axis, LIMIT_REGENERATION);
         axis->current_ref.d = f16_neg(f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->regen_derating)));
     }
+}
+
+/* Says why the current is at its limit; returns whether it is less than that of the host because the winding is hot. */
+static bool report_current(axis_t *axis)
+{
+    const bool derated = axis->current_max.q < axis->limits.i_q;
+    axis_report(axis, derated ? LIMIT_CURRENT | LIMIT_TEMPERATURE : LIMIT_CURRENT);
+    return derated;
 }
 
 static const pi_gains_t *gains_of(const axis_t *axis, const axis_config_t *config)
@@ -82,9 +90,9 @@ frac16_t speed_control(axis_t *axis)
     const frac16_t limit = current_limit(axis, sum < 0);
     const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));
     m->saturated = m->speed_pi.excess != 0;
-    hold_back(axis, m->saturated && limit < axis->limits.i_q);
+    hold_back(axis, m->saturated && limit < axis->current_max.q);
     if (m->saturated) {
-        axis_report(axis, LIMIT_CURRENT);
+        m->held_back = report_current(axis) || m->held_back;
     }
     return f16_from_f32(i_q);
 }
@@ -113,9 +121,9 @@ frac16_t torque_control(axis_t *axis)
         room(axis, f32_sub(feedback->speed, range.min), f32_sub(feedback->mean_speed, range.min), &below);
     const frac32_t min = f32_sub(0, back);
     m->resistance = above - below;
-    const frac16_t wanted = f16_limit(m->i_q_target, axis->limits.i_q);
+    const frac16_t wanted = f16_limit(m->i_q_target, axis->current_max.q);
     if (wanted != m->i_q_target) {
-        axis_report(axis, LIMIT_CURRENT);
+        (void)report_current(axis);
     }
     frac32_t i_q = f32_from_f16(wanted);
     if (i_q > max || i_q < min) {
@@ -125,7 +133,7 @@ frac16_t torque_control(axis_t *axis)
     }
     const frac16_t limit = current_limit(axis, i_q < 0);
     const frac16_t result = f16_limit(f16_from_f32(i_q), limit);
-    hold_back(axis, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->limits.i_q);
+    hold_back(axis, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->current_max.q);
     m->speed_ref = axis->feedback.speed;
     m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */

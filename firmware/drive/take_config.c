@@ -1,5 +1,6 @@
 #include "drive/take_config.h"
 
+#include "drive/limits.h"
 #include "drive/speed_control.h"
 
 bool axis_takes_any_config(const axis_t *axis)
@@ -33,4 +34,5 @@ void axis_take_config(axis_t *axis, const axis_config_t *config)
     axis->diagnosis.bus.u_dc_max = config->u_dc_max;
     axis->diagnosis.bus.u_dc_min = config->u_dc_min;
     axis->path_limits.stale = true; /* the path filter */
+    limits_current(axis);
 }

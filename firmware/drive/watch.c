@@ -54,7 +54,7 @@ static void observe_currents(axis_t *axis, dq_t before)
         o->steady_d = loop->d.integral;
         o->steady_q = loop->q.integral;
     }
-    o->current_limit = axis->limits.i_q;
+    o->current_limit = axis->current_max.q;
     o->omega_e = f16_from_f32(loop->omega_e);
     o->current_size = length_about(o->current.d, o->current.q);
     o->drop = i32_gain(o->current_size, axis->config->winding.resistance);
@@ -103,6 +103,7 @@ void watch_currents(axis_t *axis)
     fault_latch_sample(&axis->latch, o);
     o->temperature = hal_adc_temperature(axis->hal, axis->index);
     heat_monitor_step(&d->heat, &axis->config->heat, o, &d->evidence);
+    d->evidence.confirmed |= winding_model_findings(&d->winding);
     const bool possible = bus_monitor_fault_possible(&d->bus, axis->u_dc) || hal_break_active(axis->hal, axis->index);
     const finding_set_t now = d->evidence.confirmed | (possible ? watch_bus_now(axis) : 0U);
     axis->latch.pending = (now != 0U) ? fault_names(now) : 0U;

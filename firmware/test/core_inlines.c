@@ -9,6 +9,7 @@
 #include "control/pll.h"
 #include "diagnosis/heat_monitor.h"
 #include "diagnosis/shaft_monitor.h"
+#include "diagnosis/winding_model.h"
 #include "drive/current_sense.h"
 #include "sensing/emf_check.h"
 #include "sensing/encoder.h"

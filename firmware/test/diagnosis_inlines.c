@@ -10,3 +10,4 @@
 #define inline
 #include "diagnosis/heat_monitor.h"
 #include "diagnosis/shaft_monitor.h"
+#include "diagnosis/winding_model.h"

@@ -167,6 +167,9 @@ class Commander(Node):
             for key, heading in (("faults", "fault"), ("first fault", "first fault"), ("limits", "at limit")):
                 if values.get(key, "none") != "none":
                     lines.append(f"    {heading} {values[key]}")
+            left = values.get("current limit left [%]", "100")
+            if left != "100":
+                lines.append(f"    winding at {values['winding [deg C]']} deg C: {left} % of the current limit left")
         board = statuses.get(self._part("parameters"))
         if board is not None and board.level != DiagnosticStatus.OK:
             lines.append(f"  parameters: {board.message}")

@@ -19,7 +19,7 @@ from servo_bridge.trajectory.stream import StreamReport
 from servo_bridge.wire.link_state import LinkState, LinkStatus
 from servo_bridge.wire.link_statistics import LinkStatistics
 
-__all__ = ["BOARD_COUNTERS", "CommandFigures", "Health"]
+__all__ = ["BOARD_COUNTERS", "WINDING", "CommandFigures", "Health", "Winding"]
 
 _OK: Final[bytes] = DiagnosticStatus.OK
 _WARN: Final[bytes] = DiagnosticStatus.WARN
@@ -27,6 +27,25 @@ _ERROR: Final[bytes] = DiagnosticStatus.ERROR
 _TROUBLE: Final = ("timeouts", "crc_errors", "damaged", "refused")
 BOARD_COUNTERS: Final = ("late_loops", "receiver_overruns")
 """Variables of the board that count what should never happen, modulo 65536."""
+
+WINDING: Final = ("winding_temperature", "winding_current")
+"""Variables of an axis that `Winding` is made of."""
+
+
+@dataclass(frozen=True)
+class Winding:
+    """What the board thinks of a motor's winding.
+
+    Attributes
+    ----------
+    temperature : float
+        Estimated from the currents [deg C].
+    current : float
+        That it bears now; the full scale while nothing is held back [A].
+    """
+
+    temperature: float
+    current: float
 
 
 @dataclass
@@ -140,8 +159,29 @@ class Health:
             },
         )
 
-    def axis(self, axis: int, frame: Frame | None, record: FaultRecord | None = None) -> DiagnosticStatus:
-        """Status of one axis, faults with cause and remedy."""
+    def axis(
+        self,
+        axis: int,
+        frame: Frame | None,
+        record: FaultRecord | None = None,
+        winding: Winding | None = None,
+        current_limit: float | None = None,
+    ) -> DiagnosticStatus:
+        """Status of one axis, faults with cause and remedy; a warning while its winding holds it back.
+
+        Parameters
+        ----------
+        axis : int
+            Index.
+        frame : Frame, optional
+            The newest sample; None without a board.
+        record : FaultRecord, optional
+            Of the first fault.
+        winding : Winding, optional
+            As last read; None as long as it has not been.
+        current_limit : float, optional
+            The parameter of the axis [A].
+        """
         name, prefix = self._joints[axis], axis_name(axis)
         if frame is None:
             return self._status(name, _ERROR, "not connected", {})
@@ -149,7 +189,8 @@ class Health:
         faults = flag_texts(self._catalogue, "faults", frame.faults[axis])
         word = frame.values.get(f"{prefix}.limits")
         limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
-        level = _ERROR if faults or status.faulted else _OK
+        left = 1.0 if winding is None or not current_limit else min(winding.current / current_limit, 1.0)
+        level = _ERROR if faults or status.faulted else _WARN if left < 1.0 else _OK
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
@@ -158,7 +199,11 @@ class Health:
             values["first fault tick"] = record.tick
         for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
             values[f"{column} [{unit}]"] = _number(frame.values[f"{prefix}.{column}"])
-        return self._status(name, level, "; ".join(faults) or status.label + at_limit, values)
+        if winding is not None:
+            values["winding [deg C]"] = _number(winding.temperature)
+            values["current limit left [%]"] = _number(100.0 * left)
+        derated = f"; hot winding: {100.0 * left:.0f} % of the current limit left" if left < 1.0 else ""
+        return self._status(name, level, "; ".join(faults) or status.label + at_limit + derated, values)
 
     def commands(
         self, figures: CommandFigures, *, armed: bool, conflict: str = "", inactive: str = ""

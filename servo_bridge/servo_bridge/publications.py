@@ -68,6 +68,7 @@ class Publications:
         self._snapshot = node.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self._applied = node.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
         self._parameters = node.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
+        self._windings = node.create_publisher(Float64MultiArray, topics.WINDING_TEMPERATURES, latched)
         self._fault_records = [
             node.create_publisher(Float64MultiArray, topics.fault_record_topic(joint.name), latched) for joint in joints
         ]
@@ -120,6 +121,10 @@ class Publications:
     def parameters(self, values: RawParameters, catalogue: Catalogue) -> None:
         """Publish the parameters of the board."""
         self._parameters.publish(parameters_message(values, catalogue))
+
+    def windings(self, temperatures: Sequence[float]) -> None:
+        """Publish the temperatures of the windings, in the order of the axes [deg C]."""
+        self._windings.publish(Float64MultiArray(data=list(temperatures)))
 
     def description(self, text: str) -> None:
         """Publish the robot description where it has changed."""

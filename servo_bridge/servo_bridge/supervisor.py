@@ -36,7 +36,7 @@ from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
 from servo_bridge.freemaster.client import BoardInfo, password_of_environment
-from servo_bridge.health import BOARD_COUNTERS, Health
+from servo_bridge.health import BOARD_COUNTERS, WINDING, Health, Winding
 from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
 from servo_bridge.keep_alive import KeepAlive
@@ -204,6 +204,7 @@ class Supervisor:
         self._ended = False
         self._motors: list[Motor] = []  # empty until the board has told them
         self._counts: dict[str, int] | None = None
+        self._windings: list[Winding | None] = [None] * AXES
         self._counting = False
         self._expired = next(flag.mask for flag in self._catalogue.flags["limits"] if flag.name == "EXPIRED")
         self._board_parameters = BoardParameters(
@@ -400,6 +401,7 @@ class Supervisor:
             self._frame = None
             self._motors = []
             self._counts = None
+            self._windings = [None] * AXES
             self._board_parameters.link_lost()
             self._variables.link_lost()
             self._arbiter.link_lost(status.reason)
@@ -508,18 +510,30 @@ class Supervisor:
         # The link works in order: when the last one is done, all are.
         futures[-1].add_done_callback(lambda _: self._inbox.post(take))
 
+    def _current_limits(self) -> list[float | None]:
+        """Parameters of the axes [A]; None until they have been read."""
+        values, name = self._board_parameters.values, "param.i_q_limit"
+        if values is None:
+            return [None] * AXES
+        return [raw * self._catalogue[name].lsb for raw in values[name]]
+
     def _read_counters(self) -> None:
         """Once a second; they would take room in every sample."""
         if self._counting or self._status.state is not LinkState.CONNECTED:
             return
-        futures = [self._link.read(name) for name in BOARD_COUNTERS]
+        windings = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in WINDING]
+        futures = [self._link.read(name) for name in (*BOARD_COUNTERS, *windings)]
         self._counting = True
 
         def take() -> None:
             self._counting = False
             if self._status.state is LinkState.CONNECTED and all(error_of(future) is None for future in futures):
-                values = (int(_scalar(future.result())) for future in futures)
-                self._counts = dict(zip(BOARD_COUNTERS, values, strict=True))
+                values = [_scalar(future.result()) for future in futures]
+                self._counts = {name: int(value) for name, value in zip(BOARD_COUNTERS, values, strict=False)}
+                about = [float(value) for value in values[len(BOARD_COUNTERS) :]]
+                found = [Winding(*pair) for pair in zip(about[::2], about[1::2], strict=True)]
+                self._windings = list(found)
+                self._publications.windings([winding.temperature for winding in found])
 
         futures[-1].add_done_callback(lambda _: self._inbox.post(take))
 
@@ -558,7 +572,10 @@ class Supervisor:
         statuses = [
             health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
             health.board(self._link.board, frame, self._counts),
-            *(health.axis(axis, frame, self._fault_records.records[axis]) for axis in range(AXES)),
+            *(
+                health.axis(axis, frame, self._fault_records.records[axis], self._windings[axis], limit)
+                for axis, limit in enumerate(self._current_limits())
+            ),
             health.commands(
                 self._set_points.figures,
                 armed=self._arbiter.armed,

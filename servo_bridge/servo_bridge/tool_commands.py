@@ -88,7 +88,8 @@ def info(context: Context) -> int:
     rows += [
         (name, value_text(session.variables[name], session.read(session.variables[name]), context.catalogue))
         for name in session.variables
-        if session.mismatch is None and name.rpartition(".")[2] in ("state", "substate", "faults")
+        if session.mismatch is None
+        and name.rpartition(".")[2] in ("state", "substate", "faults", "winding_temperature")
     ]
     _print_columns([row for row in rows if row[1]])
     return 0

@@ -90,6 +90,18 @@ def test_state_names_faults_and_limits(rig: Rig) -> None:
     assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
 
 
+def test_state_tells_what_a_hot_winding_leaves(rig: Rig) -> None:
+    rig.up(SPIN, SPIN)
+    rig.link.parameters["param.i_q_limit"] = [rig.link.catalogue["param.i_q_limit"].to_raw(4.0)] * 2
+    rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3}
+    rig.until(lambda: rig.diagnosis("axis2").level == b"\x01")
+    status, out, _ = command(rig, "state")
+    rig.link.values |= {"axis2.winding_current": 9}
+    rig.until(lambda: rig.diagnosis("axis2").level == b"\x00")
+    assert status == 0
+    assert "    winding at 118 deg C: 75 % of the current limit left" in out.splitlines()
+
+
 def test_state_names_parameters_that_the_board_does_not_take(rig: Rig) -> None:
     rig.up(STOP, STOP)
     rig.link.stubborn = "param.over_speed"

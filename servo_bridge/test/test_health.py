@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from servo_bridge.arbiter import AxisStatus
 from servo_bridge.freemaster.client import BoardInfo
-from servo_bridge.health import Health
+from servo_bridge.health import Health, Winding
 from servo_bridge.telemetry import Frame
 from servo_msgs_py.catalogue import Catalogue
 
@@ -36,3 +37,28 @@ def test_counters_wrap() -> None:
     health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
     status(health, 0xFFFF, 0)
     assert status(health, 1, 0).message == "in the last second: 2 late loops"
+
+
+def axis_status(winding: Winding | None, limit: float | None, faults: int = 0) -> DiagnosticStatus:
+    values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 2.0}
+    state = AxisStatus("RUN/SPIN", spinning=True)
+    frame = Frame(8, 0, 0, values, 0, 0, (state, state), (faults, 0))
+    return Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).axis(0, frame, None, winding, limit)
+
+
+def test_a_hot_winding_is_a_warning_with_what_it_leaves() -> None:
+    cool = axis_status(Winding(80.0, 8.25), 4.0)
+    assert (cool.level, cool.message) == (DiagnosticStatus.OK, "RUN/SPIN")
+    about = {value.key: value.value for value in cool.values}
+    assert (about["winding [deg C]"], about["current limit left [%]"]) == ("80", "100")
+    hot = axis_status(Winding(115.0, 3.0), 4.0)
+    assert (hot.level, hot.message) == (DiagnosticStatus.WARN, "RUN/SPIN; hot winding: 75 % of the current limit left")
+    assert axis_status(Winding(115.0, 3.0), 2.5).level == DiagnosticStatus.OK, "the host allows less"
+    mask = next(flag.mask for flag in Catalogue.load().flags["faults"] if flag.name == "MOTOR_TEMPERATURE")
+    assert axis_status(Winding(145.0, 2.0), 4.0, mask).level == DiagnosticStatus.ERROR
+
+
+def test_a_winding_that_has_not_been_read_is_not_shown() -> None:
+    status = axis_status(None, None)
+    assert status.level == DiagnosticStatus.OK
+    assert "winding [deg C]" not in {value.key for value in status.values}

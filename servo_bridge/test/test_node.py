@@ -400,6 +400,26 @@ def test_late_loops_of_the_board_are_a_warning_without_being_in_the_telemetry(ri
     assert rig.diagnosis("board").level == b"\x00"
 
 
+def test_a_hot_winding_is_a_warning_and_its_temperature_a_topic(rig: Rig) -> None:
+    """Neither is in the telemetry."""
+    found: list[list[float]] = []
+    rig.user.create_subscription(
+        Float64MultiArray,
+        topics.WINDING_TEMPERATURES,
+        lambda message: found.append(list(message.data)),
+        topics.latched_qos(),
+    )
+    rig.link.parameters["param.i_q_limit"] = [CATALOGUE["param.i_q_limit"].to_raw(4.0)] * 2
+    for axis, celsius, current in (("axis1", 115.0, 3.0), ("axis2", 80.0, 8.25)):
+        rig.link.values |= {f"{axis}.winding_temperature": celsius, f"{axis}.winding_current": current}  # type: ignore[dict-item]
+    rig.up()
+    rig.until(lambda: rig.diagnosis("axis1").level == b"\x01")
+    assert "hot winding: 75 % of the current limit left" in rig.diagnosis("axis1").message
+    assert rig.diagnosis("axis2").level == b"\x00"
+    rig.until(lambda: bool(found))
+    assert found[-1] == [115.0, 80.0]
+
+
 def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
     rig.up()
     rig.link.axes(FAULT, STOP)

@@ -420,6 +420,8 @@ def _variable(
     low, high = raw.low * lsb, raw.high * lsb
     if type_ == "enum":
         low, high = min(enums[entry["enum"]].values()), max(enums[entry["enum"]].values())
+    if "flags" in entry and access == "rw":
+        high = sum(flag.mask for flag in flags[entry["flags"]])
     if access == "rw" and "path" not in entry:
         raise CatalogueError(f"{name}: only what has a path can be written")
     minimum, maximum = float(entry.get("minimum", low)), float(entry.get("maximum", high))

@@ -1,4 +1,4 @@
-/* What is the same on both levels: the host's view of the variables. */
+/* What is the same on both levels: the host's view of the variables, and the estimate of a winding's temperature. */
 #include "board_parts.h"
 
 #include "app/variables.h"
@@ -16,6 +16,12 @@ uint8_t board_read(board_t *board, uint32_t address, uint8_t *data, uint16_t siz
 uint8_t board_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size)
 {
     return servo_write(board_servo(board), address, data, size);
+}
+
+void board_set_winding(board_t *board, int axis, double celsius)
+{
+    board_warm_winding(board, axis, celsius);
+    board_servo(board)->axis[axis].diagnosis.winding.temperature = (frac32_t)(celsius / 256.0 * 2147483648.0);
 }
 
 void board_table(uint32_t *address, uint32_t *size)

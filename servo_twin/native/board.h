@@ -78,6 +78,7 @@ typedef struct {
     double i_d, i_q;       /* [A]; with the ripple at register level */
     double torque_e;       /* air-gap torque of these currents [N m] */
     double t_sink;         /* temperature of the axis' power stage [deg C] */
+    double t_winding;      /* temperature of the motor's winding [deg C] */
     double u_dc;           /* [V] */
     double e_brake;        /* burnt in the brake resistor since power-on [J] */
     double t_brake;        /* temperature of the brake resistor [deg C] */
@@ -128,6 +129,8 @@ void board_obstruct_shaft(board_t *board, int axis, double below, double above);
 void board_set_encoder(board_t *board, int axis, int connected); /* 0: encoder lines dead */
 void board_cut_encoder(board_t *board, int axis, int line); /* one line dead, 0: A, 1: B; board_set_encoder repairs */
 void board_reverse_encoder(board_t *board, int axis); /* swap the lines A and B */
+/* Temperature of a winding from now on, and with it the firmware's estimate: as if it had been in use [deg C]. */
+void board_set_winding(board_t *board, int axis, double celsius);
 void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
 
 /* What can go wrong with the hardware. `part` is a phase (0, 1, 2) or an encoder line (0: A, 1: B). */

@@ -81,6 +81,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .u_b = voltage[1],
         .u_c = voltage[2],
         .t_sink = drive->sink.t,
+        .t_winding = drive->winding.t,
         .u_dc = board->chip.plant.bus.u,
         .e_brake = board->chip.plant.bus.e_brake,
         .t_brake = board->chip.plant.bus.brake.t,
@@ -127,6 +128,8 @@ void board_cut_encoder(board_t *board, int axis, int line)
 {
     plant_encoder_stick(&drive_of(board, axis)->encoder, (line == 0) ? PLANT_LINE_A : PLANT_LINE_B, true, false);
 }
+
+void board_warm_winding(board_t *board, int axis, double celsius) { drive_of(board, axis)->winding.t = celsius; }
 
 void board_set_motor(board_t *board, int axis, int connected)
 {

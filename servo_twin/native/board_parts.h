@@ -7,4 +7,7 @@
 
 servo_t *board_servo(board_t *board);
 
+/* Temperature of a winding of the plant from now on [deg C]. */
+void board_warm_winding(board_t *board, int axis, double celsius);
+
 #endif

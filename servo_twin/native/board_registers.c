@@ -343,6 +343,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .u_b = now.voltage[1] - middle,
         .u_c = now.voltage[2] - middle,
         .t_sink = now.t_sink,
+        .t_winding = now.t_winding,
         .u_dc = bus.u_dc,
         .e_brake = bus.e_brake,
         .t_brake = bus.t_brake,
@@ -385,6 +386,11 @@ void board_reverse_encoder(board_t *board, int axis)
 void board_obstruct_shaft(board_t *board, int axis, double below, double above)
 {
     switching_obstruct(&board->plant, axis, below, above);
+}
+
+void board_warm_winding(board_t *board, int axis, double celsius)
+{
+    switching_warm_winding(&board->plant, axis, celsius);
 }
 
 void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }

@@ -17,7 +17,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board_memory import BoardError, BoardMemory
@@ -98,6 +98,8 @@ class Truth:
         cycle.
     t_sink : float
         Temperature of the axis' power stage [deg C].
+    t_winding : float
+        Temperature of the motor's winding [deg C].
     u_dc : float
         Bus voltage [V].
     e_brake : float
@@ -115,6 +117,7 @@ class Truth:
     u_b: float
     u_c: float
     t_sink: float
+    t_winding: float
     u_dc: float
     e_brake: float
     t_brake: float
@@ -515,6 +518,19 @@ class Board:
     def reverse_encoder(self, axis: int) -> None:
         """Swap the lines A and B of the encoder of an axis."""
         self._lib.board_reverse_encoder(self._board, _axis_index(axis))
+
+    def set_winding(self, axis: int, celsius: float) -> None:
+        """Temperature of a winding from now on, and with it the firmware's estimate: as if it had been in use [deg C].
+
+        Raises
+        ------
+        ValueError
+            If the firmware has no number for it.
+        """
+        span = self.catalogue[f"{axis_name(axis)}.winding_temperature"]
+        if not span.minimum <= celsius <= span.maximum:
+            raise ValueError(f"{celsius:g} deg C is not within {span.minimum:g} .. {span.maximum:g}")
+        self._lib.board_set_winding(self._board, _axis_index(axis), celsius)
 
     def connect_motor(self, axis: int, connected: bool = True) -> None:
         """Plug in the motor cable of an axis, or pull it."""

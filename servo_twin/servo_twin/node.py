@@ -17,7 +17,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import (
     applied_from_message,
     diagnostic_array,
@@ -160,6 +160,8 @@ class ServoTwin(Node):
         self.create_subscription(Float64MultiArray, applied, self._on_applied, deep)
         parameters = f"{board}/{topics.PARAMETERS}"
         self.create_subscription(Float64MultiArray, parameters, self._on_parameters, topics.latched_qos())
+        windings = f"{board}/{topics.WINDING_TEMPERATURES}"
+        self.create_subscription(Float64MultiArray, windings, self._on_windings, topics.latched_qos())
         self.create_subscription(String, f"{board}/{topics.TUNING}", self._on_tuning, topics.latched_qos())
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, topics.latched_qos())
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
@@ -197,6 +199,16 @@ class ServoTwin(Node):
         with self._lock:
             self._parameter_trouble = ""
         self._worker.parameters(values)
+
+    def _on_windings(self, message: Float64MultiArray) -> None:
+        span = self._catalogue[f"{axis_name(0)}.winding_temperature"]
+        values = [float(value) for value in message.data]
+        if len(values) != AXES or not all(span.minimum <= value <= span.maximum for value in values):
+            self._log.warning(
+                f"{self._board_namespace}/{topics.WINDING_TEMPERATURES}: {values} are no {AXES} temperatures"
+            )
+            return
+        self._worker.windings(values)
 
     def _on_recorder(self, message: Float64MultiArray) -> None:
         try:

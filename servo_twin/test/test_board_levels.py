@@ -91,6 +91,42 @@ def test_both_levels_heat_the_power_stages_alike() -> None:
     assert ideal == pytest.approx(registers, rel=0.035)
 
 
+def test_both_levels_heat_the_windings_alike() -> None:
+    """By 2 A, with the resistance of warm copper."""
+    ends = []
+    for level in LEVELS:
+        plant = PlantConfig.load()
+        for axis in range(AXES):
+            plant = plant.with_axis(axis, winding_capacity=0.5, winding_resistance=20.0)
+        with Board(plant, level=level, seed=1) as board:
+            enable(board)
+            for axis in range(AXES):
+                board.lock_shaft(axis)
+                board.set_winding(axis, 60.0)
+            board.write("cmd.mode", [2] * AXES)
+            board.write("cmd.i_q", [2.0, -2.0])
+            board.run(0.4)
+            ends.append([board.truth(axis).t_winding for axis in range(AXES)])
+    registers, ideal = ends
+    for axis, motor in enumerate(PlantConfig.load().axes):
+        loss = 1.5 * motor.r_s * (1.0 + 3.93e-3 * 35.0) * 4.0
+        assert ideal[axis] == pytest.approx(60.0 + 0.4 * (loss - 35.0 / 20.0) / 0.5, abs=0.15)
+    assert ideal == pytest.approx(registers, abs=0.1)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_board_that_has_been_in_use_is_warm_and_knows(level: Level) -> None:
+    with Board(level=level, seed=1) as board:
+        board.run(0.02)
+        board.set_winding(1, 87.5)
+        assert board.truth(1).t_winding == 87.5
+        board.run(0.01)
+        assert board.read("axis2.winding_temperature") == pytest.approx(87.5, abs=0.02)
+        assert board.truth(0).t_winding == pytest.approx(25.0, abs=0.1)
+        with pytest.raises(ValueError, match="300 deg C is not within -256"):
+            board.set_winding(0, 300.0)
+
+
 def test_same_calls_same_bits() -> None:
     def run() -> tuple[bytes, bytes]:
         with Board(level="registers", seed=11) as board:

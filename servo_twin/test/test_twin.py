@@ -15,6 +15,7 @@ from servo_msgs_py.timed_points import TimedPoint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.harm import HotPowerStage, SlippedEncoder
+from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig
 from twin_rig import CATALOGUE, COLUMNS, EPOCH_NS, TwinRig, apart, worst, worst_counts
@@ -852,3 +853,45 @@ def test_a_gap_does_not_count_as_rest(rig: TwinRig) -> None:
     rig.listening = True
     rig.run(0.03)
     assert rig.twin.status == "waiting: axis1 is not at rest"
+
+
+# ---- temperature of the windings
+
+
+def celsius(replica: Replica, axis: int) -> float:
+    return replica.raw[f"axis{axis + 1}.winding_temperature"] * CATALOGUE["axis1.winding_temperature"].lsb
+
+
+def test_a_twin_that_begins_in_the_middle_is_as_hot_as_the_board(rig: TwinRig) -> None:
+    """A cold one would not hold its current back where the board does."""
+    rig.listening = False
+    rig.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+DEAD_TIME+WINDING_MODEL", tell=False)
+    rig.up()
+    rig.board.set_winding(0, 126.0)
+    rig.board.set_winding(1, 70.0)
+    rig.run(0.1)
+    rig.listening = True
+    rig.twin.windings([celsius(rig.real, axis) for axis in range(AXES)])
+    rig.set_parameters()
+    rig.run(1.5)
+    assert rig.twin.status == ""
+    replica = rig.twin._replica
+    assert replica is not None
+    for axis in range(AXES):
+        assert celsius(replica, axis) == pytest.approx(celsius(rig.real, axis), abs=1.5), "a rotor search warms it"
+    rig.write("cmd.mode", [2, 2])
+    rig.write("cmd.i_q", [4.0, 1.0])
+    pairs = rig.run(0.05)
+    real, twin = (max(getattr(pair, side)["axis1.i_q_ref"] for pair in pairs) for side in ("real", "twin"))
+    assert real == pytest.approx(2.3, abs=0.1)
+    assert twin == pytest.approx(real, abs=0.1)
+
+
+def test_what_the_board_forgets_in_a_reset_its_twin_forgets_too(rig: TwinRig) -> None:
+    rig.run(0.2)
+    rig.twin.windings([30.0, 30.0])
+    rig.reset_board()
+    rig.up()
+    replica = rig.twin._replica
+    assert replica is not None
+    assert celsius(replica, 0) == pytest.approx(celsius(rig.real, 0), abs=1.0)

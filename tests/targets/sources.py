@@ -16,7 +16,7 @@ ROOMS: Final = ("math", "control", "sensing", "diagnosis", "drive", "app", "comm
 STRICT: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 """Options of every compiler: nowhere in the core does a number change its type unseen."""
 
-SAMPLES: Final = "-DSERVO_SAMPLES=640"
+SAMPLES: Final = "-DSERVO_SAMPLES=384"
 """Bytes that recorders have on every target: no more than the smallest one has room for."""
 
 _FOLDERS: Final = ("firmware", "servo_twin/native", "tests/targets/native", "tests/bench/native")

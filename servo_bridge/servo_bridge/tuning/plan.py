@@ -19,7 +19,7 @@ Block = Mapping[str, int]
 
 _HEADING: Final = """\
 Read back from a board by `servo-tool tune --from-board`: `servo-tool tune` makes the same numbers of it.
-rotor_inertia, rated_speed and rated_current are not on a board; they only serve a report. [board.brake] and
+rotor_inertia and rated_speed are not on a board; they only serve a report. [board.brake] and
 [board.regeneration] are compiled into the firmware; `make generate` needs both."""
 
 

@@ -8,6 +8,7 @@ import math
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.sensorless_checks import check_sensorless
+from servo_msgs_py.tuning.winding import check_winding
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
 __all__ = ["check"]
@@ -32,6 +33,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
         _order(axis, board)
         _search(axis)
         _stops(axis, configuration.scales)
+        check_winding(axis)
         check_sensorless(axis, board)
 
 

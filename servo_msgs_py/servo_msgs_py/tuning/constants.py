@@ -10,6 +10,7 @@ from servo_msgs_py.tuning.configuration import Axis, Board, Configuration
 from servo_msgs_py.tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
 from servo_msgs_py.tuning.gains import Gains
+from servo_msgs_py.tuning.winding import winding_constants
 
 __all__ = ["OBSERVER", "PATH_OMEGA", "axis_constants", "time_outs"]
 
@@ -51,6 +52,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **_limits(to),
         **_supervision(to),
         **_watches(to),
+        **winding_constants(to),
         **stop_constants(to),
     }
 

@@ -13,6 +13,7 @@ from servo_msgs_py.tuning.findings import K_V_T_MAX, findings
 from servo_msgs_py.tuning.layout import factor, hertz, notes, phase, table
 from servo_msgs_py.tuning.sensorless_report import sensorless_text
 from servo_msgs_py.tuning.tuned import Tuned, tuned
+from servo_msgs_py.tuning.winding import Winding
 
 __all__ = ["AxisReport", "as_dict", "axis_reports", "text"]
 
@@ -100,6 +101,8 @@ def _axis(report: AxisReport) -> Iterator[str]:
     yield from _rule(figures)
     yield "  moves and loads"
     yield from _moves(it, figures)
+    yield "  winding"
+    yield from _winding(it)
     for observed, how in ((False, "M/T"), (True, "speed observer")):
         yield f"  the same gains on another shaft, {how}"
         yield from _inertias(figures, observed)
@@ -176,6 +179,29 @@ def _moves(it: Tuned, figures: Assessment) -> Iterator[str]:
         ("on after reset", "", feature or "nothing"),
     ]
     return notes(rows)
+
+
+def _winding(it: Tuned) -> Iterator[str]:
+    axis, model = it.axis, Winding.of(it.axis)
+    current, celsius = model.settled()
+    given = "" if axis.given("winding.thermal_resistance") else "from motor.rated_current and winding.maximum"
+    full = f"{model.current:g} A from {model.ambient:g} deg C"
+    rows = [
+        ("thermal resistance", f"{model.resistance:.4g} K/W", given),
+        ("time constant", _time(model.resistance * model.capacity), f"of {model.capacity:g} J/K"),
+        ("full current until derating", _time(model.time_to(model.derating, model.current)), full),
+        ("rated current for ever", _celsius(model.equilibrium(model.rated)), f"{model.rated:g} A"),
+        ("all the current there is", _celsius(celsius), f"ends at {current:.3g} A, with the feature winding_model"),
+    ]
+    return notes(rows)
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.3g} s" if math.isfinite(seconds) else "for ever"
+
+
+def _celsius(celsius: float) -> str:
+    return f"{celsius:.4g} deg C" if math.isfinite(celsius) else "no end"
 
 
 def _inertias(figures: Assessment, observed: bool) -> Iterator[str]:

@@ -72,6 +72,8 @@ _FOUND: Final = (
     _Found("start_up.current_time", "startup.current_step", 0.1, -1),
     _Found("start_up.swing_damping", "startup.damping", 0.7),
     _Found("start_up.fade_time", "startup.fade_step", 0.02, -1),
+    _Found("winding.heat_capacity", "winding_model.heating", 25.0, -1),
+    _Found("winding.thermal_resistance", "winding_model.cooling", 20.0, -1),
 )
 """In an order in which none depends on a later one."""
 
@@ -79,7 +81,6 @@ _FOUND: Final = (
 _NOT_ON_A_BOARD: Final = {
     "motor.rotor_inertia": "motor.inertia",
     "motor.rated_speed": "limits.speed",
-    "motor.rated_current": "limits.current",
 }
 """Entries that only serve a report, and what stands for them."""
 
@@ -241,7 +242,7 @@ class _Restorer:
                 "inertia": inertia,
                 "rotor_inertia": inertia,
                 "rated_speed": speed,
-                "rated_current": current,
+                "rated_current": at("winding_model.rated_current"),
             },
             "encoder": {"lines": COUNTS_PER_TURN / 4},
             "friction": {
@@ -318,6 +319,9 @@ class _Restorer:
                 "hold_time": at("stop.hold_ticks"),
                 "short_current": at("stop.short_current", 1.0 / (1.0 - 2.0**-15)),
                 "copper_use": min(at("copper_current") / current, 1.0),
+            },
+            "winding": {
+                key: at(f"winding_model.{key}") for key in ("ambient", "initial", "derating", "maximum", "fault")
             },
             "sensing": {
                 "sign_current": s.i / _value("current_loop.dead_time.slope", b),

@@ -240,6 +240,17 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
             "", "part of the current limit for i_d while braking current is folded back", zero=True, most=1.0
         ),
     },
+    "winding": {
+        "thermal_resistance": Entry(
+            "K/W", "to the surroundings; without it the rated current leads to maximum", optional=True
+        ),
+        "heat_capacity": Entry("J/K", "of the copper and what it heats up along with"),
+        "ambient": Entry("deg C", "hottest surroundings", zero=True, signed=True),
+        "initial": Entry("deg C", "assumed after a reset, which forgets the temperature", zero=True, signed=True),
+        "derating": Entry("deg C", "from where on the current limit falls"),
+        "maximum": Entry("deg C", "where the current limit has come down to the rated current"),
+        "fault": Entry("deg C", "that is a fault, until it is below maximum again"),
+    },
     "sensing": {
         "sign_current": Entry("A", "above it the direction of a phase current is certain"),
         "offset_tolerance": Entry("", "ADC codes that an offset may lie off mid-scale", whole=True),

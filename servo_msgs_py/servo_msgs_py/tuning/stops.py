@@ -48,6 +48,7 @@ REFUSED: Final[Mapping[str, Mapping[str, str]]] = {
     "encoder_lost": _because(_ANGLE, _CONTROLLED) | _because(_SPEED, ["short"]),
     "encoder_reversed": _because(_IDLE, _BRAKING),
     "over_temperature": _because(_HEAT, ["hold"]),
+    "motor_temperature": _because(_HEAT, ["hold"]),
     "start_up": _because(_IDLE, _BRAKING),
     "speed_feedback": _because(_ANGLE, _CONTROLLED) | _because(_SPEED, ["short"]),
     "angle_mismatch": _because(_ANGLE, _CONTROLLED),

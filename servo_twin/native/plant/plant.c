@@ -22,6 +22,8 @@ void plant_init(plant_t *plant, const board_config_t *config)
         axis->codes_per_ampere = 2048.0 / config->axis[i].i_full_scale;
         plant_harm_init(&axis->harm, &config->axis[i], config->seed, (uint64_t)i + 5u);
         thermal_init(&axis->sink, config->axis[i].sink_capacity, config->axis[i].sink_resistance, config->ambient);
+        thermal_init(&axis->winding, config->axis[i].winding_capacity, config->axis[i].winding_resistance,
+                     config->ambient);
     }
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
     const plant_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
@@ -71,6 +73,10 @@ static void warm_up(plant_t *plant)
             thermal_advance(&axis->sink, h, axis->inverter.heat);
         }
         axis->inverter.heat = 0.0;
+        const plant_motor_t *m = &axis->motor;
+        const double loss =
+            1.5 * axis->config.r_s * thermal_copper(&axis->winding) * (m->i_d * m->i_d + m->i_q * m->i_q);
+        thermal_advance(&axis->winding, h, loss * h);
     }
     supply_warm(&plant->bus, h);
 }

@@ -26,6 +26,7 @@ typedef struct {
     double codes_per_ampere;
     plant_harm_t harm;
     thermal_t sink;        /* heatsink of the inverter */
+    thermal_t winding; /* its resistance grows in its losses only: the averaged motor keeps that of the ambient air */
 } plant_drive_t;
 
 typedef struct {
@@ -38,7 +39,7 @@ typedef struct {
     double codes_per_volt;
     uint64_t step_ns;
     double step, steps_per_second;
-    double u_step;  /* of the bus, at the beginning of the last step [V] */
+    double u_step; /* of the bus, at the beginning of the last step [V] */
     unsigned steps; /* since the temperatures were worked out */
 } plant_t;
 

@@ -14,7 +14,6 @@
 #define THERMAL_WINDOWS 16u /* from one step of the temperatures to the next */
 #define GLITCH 100u /* a disturbance of an encoder line lasts so long [clocks] */
 #define SLIP 100u /* from edge to edge of a disc that slips [clocks] */
-#define COPPER 3.93e-3 /* rise of its resistance [1/K] */
 
 static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to - from) * CLOCK; }
 
@@ -306,7 +305,7 @@ static void warm_up(switching_t *plant)
         }
         axis->e_copper = b->e_copper;
         axis->e_switch = b->e_switch;
-        bridge_set_winding(b, axis->r_s * (1.0 + COPPER * (axis->winding.t - axis->winding.ambient)));
+        bridge_set_winding(b, axis->r_s * thermal_copper(&axis->winding));
     }
     supply_warm(&plant->supply, h);
 }
@@ -696,6 +695,9 @@ void switching_obstruct(switching_t *plant, int axis, double below, double above
     bridge->low = bridge->theta - below;
     bridge->high = bridge->theta + above;
 }
+
+/* The resistance follows with the next step of the temperatures. */
+void switching_warm_winding(switching_t *plant, int axis, double celsius) { plant->axis[axis].winding.t = celsius; }
 
 void switching_plug(switching_t *plant, int axis, bool plugged) { bridge_plug(touch(plant, axis), plugged); }
 

@@ -213,6 +213,7 @@ void switching_set_supply(switching_t *plant, double volts);
 void switching_lock(switching_t *plant, int axis, bool locked);
 /* End stops so far from here [rad]. */
 void switching_obstruct(switching_t *plant, int axis, double below, double above);
+void switching_warm_winding(switching_t *plant, int axis, double celsius); /* its temperature from now on [deg C] */
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level); /* encoder line stuck at a level */
 void switching_brake(switching_t *plant, bool on); /* brake resistor across the bus */

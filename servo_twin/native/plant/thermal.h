@@ -12,6 +12,11 @@ typedef struct {
     double t;          /* [deg C] */
 } thermal_t;
 
+/* Resistance of copper over that at the ambient temperature. */
+#define THERMAL_COPPER 3.93e-3 /* [1/K] */
+
+static inline double thermal_copper(const thermal_t *body) { return 1.0 + THERMAL_COPPER * (body->t - body->ambient); }
+
 void thermal_init(thermal_t *body, double capacity, double resistance, double ambient);
 
 /* `energy` has been burnt in the last `h` seconds, evenly [J]. */

@@ -35,6 +35,7 @@ from servo_twin.experiments import (
     stiffness,
     supervision,
     two_axes,
+    winding,
 )
 from servo_twin.experiments.outcome import Outcome
 from servo_twin.plant import PlantConfig
@@ -91,6 +92,7 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         minimum_speed,
         load_step,
         stall,
+        winding,
         fault_matrix,
         fault_campaign,
     )

@@ -158,6 +158,7 @@ class Twin:
         self._bursts = BurstFollower(self._catalogue)
         self._apart = ""  # `Pair.difference` of the last sample
         self._blocks: dict[int, tuple[int, ...]] = {}  # configuration of the real board, as far as it is known
+        self._windings: Sequence[float] = ()  # temperatures of the real motors [deg C]; empty: not known
 
     # ---- in
     @property
@@ -187,6 +188,14 @@ class Twin:
         if any(known[axis] != checksum for axis, checksum in checksums_of(blocks).items()):
             self._cause = "the board has another configuration"
             self.resync(self._cause)
+
+    def windings(self, temperatures: Sequence[float]) -> None:
+        """Take the temperatures of the windings that the real board estimates, in the order of the axes [deg C].
+
+        The twin's board has its own estimates. It takes these over where it begins in the middle, and again with every
+        axis that comes under control: a cold twin of a hot motor would not hold its current back.
+        """
+        self._windings = tuple(temperatures)
 
     def command(self, command: AppliedCommand) -> None:
         """Take a write that took effect on the real board; the order of arrival does not matter."""
@@ -300,6 +309,7 @@ class Twin:
             for axis in self._axes:
                 axis.memory.clear()
             self._blocks.clear()
+            self._windings = ()
         elif step > _ticks(self.settings.gap) and self._replica is not None:
             self.resync(f"no telemetry for {step * PERIOD_NS * 1e-9:.1f} s of board time")
 
@@ -379,6 +389,8 @@ class Twin:
         replica.run_until(lambda: set(self.labels()) == {"STOP"}, _ticks(_SETTLE))
         bring(replica, self._blocks)
         self._note_torque(replica)
+        for number in range(AXES):
+            self._warm(replica, number)
         active = sum(axis.begin(sample, replica) << number for number, axis in enumerate(self._axes))
         self._set_parameters(replica)
         replica.write("cmd.enable", [1] * AXES, active)
@@ -458,8 +470,13 @@ class Twin:
                 axis.catch_up(replica, _ticks(self.settings.search))
                 self._shift = replica.tick - sample.tick
             if axis.align(replica):
+                self._warm(replica, number)
                 self._set_parameters(replica)
                 axis.restore(replica)
+
+    def _warm(self, replica: Replica, number: int) -> None:
+        if self._windings:
+            replica.set_winding(number, self._windings[number])
 
     def _take_over_rest(self, replica: Replica, sample: Sample) -> None:
         """After a stop, let the twin's axes be where the real ones came to rest."""

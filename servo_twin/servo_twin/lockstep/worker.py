@@ -106,6 +106,10 @@ class TwinWorker:
         """Parameters of the real board."""
         self._post(lambda: self._twin.parameters(values))
 
+    def windings(self, temperatures: Sequence[float]) -> None:
+        """Temperatures of the windings of the real motors [deg C]."""
+        self._post(lambda: self._twin.windings(temperatures))
+
     def recorder(self, setup: RecorderSetup | None) -> None:
         """What the recorder of the real board is about to record; None when it is idle."""
         self._post(lambda: self._twin.recorder(setup))

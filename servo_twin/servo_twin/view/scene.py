@@ -17,6 +17,7 @@ __all__ = [
     "BURST",
     "BURST_RESIDUAL",
     "COLOURS",
+    "EXTRA",
     "PATH_STATES",
     "QUANTITIES",
     "RESIDUAL",
@@ -99,7 +100,11 @@ QUANTITIES: Final = (
     Quantity("i_q", "current i_q", "A", "i_q", "i_q_ref"),
 )
 
-MONITOR: Final = Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point")
+EXTRA: Final = (
+    Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point"),
+    Quantity("winding_temperature", "winding", "deg C", "winding_temperature", "no set-point"),
+)
+"""Plots of what is not in the telemetry unless somebody puts it there; beside the residuals."""
 
 BURST_RESIDUAL: Final = "/burst_residual"
 """Root of what the bursts of board and twin differ by."""

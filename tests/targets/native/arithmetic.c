@@ -9,6 +9,7 @@
 #include "control/current_loop.h"
 #include "control/friction.h"
 #include "control/path.h"
+#include "diagnosis/winding_model.h"
 #include "digest.h"
 #include "drive/current_sense.h"
 #include "math/root.h"
@@ -483,6 +484,31 @@ static void currents(run_t *run)
     }
 }
 
+/* Within the ranges that a board takes (servo_msgs_py/axis_config.toml). */
+static void winding(run_t *run)
+{
+    winding_model_config_t config;
+    config.heating = (draw32(run) & INT32_C(0x3FFFFFFF)) | 1;
+    config.cooling = (draw32(run) & INT32_C(0x3FFFFFFF)) | 1;
+    config.ambient = (frac16_t)(draw_limit16(run) / 2);
+    config.initial = (frac16_t)(draw_limit16(run) - 12800);
+    config.derating = draw_limit16(run);
+    config.maximum = draw_limit16(run);
+    config.fault = draw_limit16(run);
+    config.rated_current = (frac16_t)(draw_limit16(run) | 1);
+    winding_model_t model;
+    winding_model_init(&model, &config);
+    for (uint16_t i = 0; i < STEPS; i++) {
+        const dq_t current = draw_dq(run);
+        while (!winding_model_add(&model, current)) {
+        }
+        winding_model_step(&model, &config, (draw(run) & 1U) != 0U);
+        take(run, model.temperature);
+        take(run, model.hot ? 1 : 0);
+        take(run, winding_model_limit(&model, &config, draw_limit16(run)));
+    }
+}
+
 static void take_bytes(run_t *run, const uint8_t *data, uint16_t size)
 {
     for (uint16_t i = 0; i < size; i++) {
@@ -590,6 +616,7 @@ static const group_t groups[] = {
     {"speed observer", observer},
     {"rotor search", search},
     {"current sensing", currents},
+    {"winding", winding},
     {"passwords", passwords},
     {"log", log_lines},
 };

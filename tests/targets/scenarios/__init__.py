@@ -58,5 +58,6 @@ SCENARIOS: Final = (
     Scenario("broken-phases", plant(), faults.broken_phases),
     Scenario("broken-encoders", plant(), faults.broken_encoders),
     Scenario("tuning", plant(), tuning.tuning),
+    Scenario("hot-winding", plant(), tuning.hot_winding),
     Scenario("server", plant(), server),
 )

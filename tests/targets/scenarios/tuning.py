@@ -11,7 +11,7 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, send_block, take_blocks
 
 from targets.rig import Rig
-from targets.scenarios.parts import POSITION, SPEED, features, ready, spin, stop
+from targets.scenarios.parts import POSITION, SPEED, TORQUE, features, ready, spin, stop
 
 _TABLE: Final = AxisConfigTable.load()
 
@@ -83,6 +83,35 @@ def tuning(rig: Rig) -> None:
         _take(blocks, {0: {"u_dc_max": 0.98}})
     rig.run(0.03)
     stop(rig)
+
+
+def hot_winding(rig: Rig) -> None:
+    """A winding that is believed to bear less and less: derating, the rated current alone, a fault, and out of it."""
+    blocks, step = _Blocks(rig), 0.034  # of the thermal model [s]
+    rig.set("param.features", features("WINDING_MODEL"), features())
+    spin(rig)
+    _take(blocks, {0: {"winding_model.derating": 0.9}})
+    rig.run(step)
+    rig.set("cmd.mode", TORQUE, POSITION)
+    rig.set("cmd.i_q", 4.0, 0.0)
+    rig.run(0.002)
+    rig.set("cmd.mode", SPEED, POSITION)
+    rig.set("cmd.speed", 200.0, 0.0)
+    rig.run(0.005)
+    rig.set("cmd.mode", TORQUE, POSITION)
+    rig.set("param.features", features(), features())  # waits for a set-point
+    rig.run(0.002)
+    rig.set("cmd.i_q", 0.1, 0.0)
+    rig.run(0.002)
+    rig.set("param.features", features("WINDING_MODEL"), features())
+    _take(blocks, {0: {"winding_model.maximum": 0.7}})
+    rig.run(step)
+    _take(blocks, {0: {"winding_model.fault": 0.7}})
+    rig.until("a hot winding", lambda: "MOTOR_TEMPERATURE" in rig.faults(0))
+    _take(blocks, {0: {"winding_model.maximum": 1.4, "winding_model.fault": 1.4}})
+    rig.run(step)
+    rig.set("cmd.clear_faults", 1, 0)
+    rig.until("cleared", lambda: rig.places()[0] == "STOP")
 
 
 def _refusals(blocks: _Blocks, block: dict[str, int]) -> None:

@@ -1,0 +1,34 @@
+#include "drive/winding.h"
+
+#include "drive/limits.h"
+
+static void set_limit(axis_t *axis, frac16_t winding)
+{
+    axis->current_max.winding = winding;
+    limits_current(axis);
+}
+
+void winding_init(axis_t *axis)
+{
+    winding_model_init(&axis->diagnosis.winding, &axis->config->winding_model);
+    set_limit(axis, FRAC16_MAX);
+}
+
+/* A limit that ends is one that widens: like those that a host writes, it waits for the next set-point. */
+static bool may_release(const axis_t *axis) { return axis->sm.state != STATE_RUN || axis->command.age == 0U; }
+
+void winding_protect(axis_t *axis)
+{
+    winding_model_t *model = &axis->diagnosis.winding;
+    const winding_model_config_t *config = &axis->config->winding_model;
+    const bool on = (axis->features & FEATURE_WINDING_MODEL) != 0U;
+    const bool step = winding_model_add(model, axis->current_loop.current);
+    if (step) {
+        winding_model_step(model, config, on);
+    }
+    if (on && step) {
+        set_limit(axis, winding_model_limit(model, config, limits_vector(axis)));
+    } else if (!on && axis->current_max.winding != FRAC16_MAX && may_release(axis)) {
+        set_limit(axis, FRAC16_MAX);
+    }
+}

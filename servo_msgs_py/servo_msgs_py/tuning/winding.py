@@ -1,0 +1,167 @@
+"""The thermal model of a winding: its integers, what goes together, and what it leads to.
+
+One heat capacity C and one thermal resistance R_th to the surroundings (``firmware/diagnosis/winding_model.h``)::
+
+    C dT/dt = P(T) - (T - T_ambient) / R_th,    P = 3/2 R_s (1 + 0.00393/K (T - 25 deg C)) I^2
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from servo_msgs_py.tuning.configuration import Axis
+from servo_msgs_py.tuning.conversion import Converter, Field
+from servo_msgs_py.tuning.formats import FRAC16, Format
+
+__all__ = ["COLD", "COPPER", "FULL", "STEP_TICKS", "Winding", "check_winding", "winding_constants"]
+
+COPPER: Final = 3.93e-3
+"""Rise of copper's resistance, over that at `COLD` [1/K]."""
+
+COLD: Final = 25.0
+"""Temperature that `motor.r_s` is given for [deg C]."""
+
+FULL: Final = 256.0
+"""Full scale of the firmware's temperatures [K]."""
+
+STEP_TICKS: Final = 64
+"""Slow ticks per step of the model."""
+
+_FIT: Final = 1.01  # a rated current may lead that much further than to the maximum: a data sheet rounds
+_HEAT: Final = Format("q32", 32, 1, 2**30 - 1)
+
+
+@dataclass(frozen=True)
+class Winding:
+    """A winding as the configuration believes in it.
+
+    Attributes
+    ----------
+    r_s : float
+        Of a phase at `COLD` [ohm].
+    resistance : float
+        To the surroundings [K/W].
+    capacity : float
+        [J/K].
+    ambient : float
+        Temperature of the surroundings [deg C].
+    derating, maximum : float
+        Temperatures between which the current limit falls [deg C] ..
+    current, rated : float
+        .. from this one to that [A].
+    """
+
+    r_s: float
+    resistance: float
+    capacity: float
+    ambient: float
+    derating: float
+    maximum: float
+    current: float
+    rated: float
+
+    @classmethod
+    def of(cls, axis: Axis) -> Winding:
+        """That of an axis. Without a thermal resistance the rated current leads to the maximum, as in a data sheet."""
+        low, high = axis("winding.ambient"), axis("winding.maximum")
+        given = axis.given("winding.thermal_resistance")
+        rated_loss = _loss(axis("motor.r_s"), axis("motor.rated_current"), high)
+        return cls(
+            r_s=axis("motor.r_s"),
+            resistance=axis("winding.thermal_resistance") if given else (high - low) / rated_loss,
+            capacity=axis("winding.heat_capacity"),
+            ambient=low,
+            derating=axis("winding.derating"),
+            maximum=high,
+            current=axis("limits.current"),
+            rated=axis("motor.rated_current"),
+        )
+
+    def loss(self, current: float, temperature: float) -> float:
+        """Copper losses of a current vector [W]."""
+        return _loss(self.r_s, current, temperature)
+
+    def limit(self, temperature: float) -> float:
+        """Current that is left [A]."""
+        part = (self.maximum - temperature) / (self.maximum - self.derating)
+        return min(self.current, self.rated + (self.current - self.rated) * min(max(part, 0.0), 1.0))
+
+    def equilibrium(self, current: float) -> float:
+        """Temperature that a current leads to, infinite where its own heating never ends [deg C]."""
+        cold = self.resistance * self.loss(current, COLD)
+        growth = 1.0 - COPPER * cold
+        return math.inf if growth <= 0.0 else self.ambient + cold * (1.0 + COPPER * (self.ambient - COLD)) / growth
+
+    def time_to(self, temperature: float, current: float, start: float | None = None) -> float:
+        """How long a current takes to a temperature, from that of the surroundings by default [s]; may be infinite."""
+        begin = self.ambient if start is None else start
+        loss = self.loss(current, COLD)
+        rate = (1.0 / self.resistance - COPPER * loss) / self.capacity  # [1/s], below 0 where it runs away
+        slope = (loss * (1.0 + COPPER * (begin - COLD)) - (begin - self.ambient) / self.resistance) / self.capacity
+        way = temperature - begin
+        if way <= 0.0:
+            return 0.0
+        if slope <= 0.0 or (rate > 0.0 and rate * way >= slope):
+            return math.inf
+        return way / slope if rate == 0.0 else -math.log1p(-rate * way / slope) / rate
+
+    def settled(self) -> tuple[float, float]:
+        """Current and temperature where a demand for all the current there is ends [A], [deg C]."""
+        low, high = self.ambient, max(self.maximum, self.equilibrium(self.rated))
+        if self.equilibrium(self.current) <= self.derating:
+            return self.current, self.equilibrium(self.current)
+        if math.isinf(high):
+            return self.rated, high
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            warms = self.loss(self.limit(middle), middle) > (middle - self.ambient) / self.resistance
+            low, high = (middle, high) if warms else (low, middle)
+        return self.limit(low), low
+
+
+def _loss(r_s: float, current: float, temperature: float) -> float:
+    return 1.5 * r_s * (1.0 + COPPER * (temperature - COLD)) * current**2
+
+
+def check_winding(axis: Axis) -> None:
+    """Whether the temperatures come in their order, and the rated current leads no further than the last of them.
+
+    Raises
+    ------
+    ConfigError
+        If not.
+    """
+    for lower, higher in itertools.pairwise(("ambient", "derating", "maximum", "fault")):
+        if axis(f"winding.{lower}") >= axis(f"winding.{higher}"):
+            reason = f"not below winding.{higher} = {axis(f'winding.{higher}'):g} deg C"
+            raise axis.refused(f"winding.{lower}", reason, "write ambient, derating, maximum, fault in ascending order")
+    if axis("winding.initial") > axis("winding.maximum"):
+        reason = f"above winding.maximum = {axis('winding.maximum'):g} deg C"
+        raise axis.refused("winding.initial", reason, "write that, or what the motor has at most after a reset")
+    if not axis.given("winding.thermal_resistance"):
+        return
+    it = Winding.of(axis)
+    end = it.equilibrium(it.rated)
+    if end - it.ambient > _FIT * (it.maximum - it.ambient):
+        reason = f"for ever it heats the winding to {end:.4g} deg C, beyond winding.maximum = {it.maximum:g}"
+        remedy = "write less, or leave winding.thermal_resistance out if that is not known"
+        raise axis.refused("motor.rated_current", reason, remedy)
+
+
+def winding_constants(to: Converter) -> dict[str, Field]:
+    """Fields of ``winding_model_config_t``."""
+    s, it = to.s, Winding.of(to.axis)
+    step = STEP_TICKS * to.board.tick
+    name, slower = "winding_model", "correct winding.heat_capacity or winding.thermal_resistance"
+    degrees = ("ambient", "initial", "derating", "maximum", "fault")
+    return {
+        f"{name}.heating": to.of(
+            _HEAT, "heating of the winding", it.loss(s.i, COLD) * step / it.capacity / FULL, slower
+        ),
+        f"{name}.cooling": to.of(_HEAT, "cooling of the winding", step / (it.resistance * it.capacity), slower),
+        **{f"{name}.{key}": to.at(FRAC16, f"winding.{key}", 1.0 / FULL) for key in degrees},
+        f"{name}.rated_current": to.at(FRAC16, "motor.rated_current", 1.0 / s.i),
+    }

@@ -1,0 +1,41 @@
+"""The experiment winding: it agrees with the drive as it is, and its figures notice when it is not."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.experiments import winding
+from servo_twin.experiments.winding import CASES, Motor, configured, courses
+from servo_twin.plant import PlantConfig
+
+PLANT = PlantConfig.load()
+SEED = 4
+QUICK = (Motor(2.0, 0.2), Motor(2.4, 0.3, r_s=0.35))
+
+
+def test_other_motors_than_those_of_the_experiment_agree_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(winding, "SECONDS", 15.0)
+    monkeypatch.setattr(winding, "CASES", (winding.Case("quick", QUICK),))
+    outcome = winding.run(PLANT, SEED)
+    assert [row.name for row in outcome.rows if not row.agrees] == []
+    assert len(outcome.rows) == 12
+    assert len(outcome.panels) == 2
+
+
+def test_a_drive_that_does_not_derate_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the feature nothing holds the current back."""
+    monkeypatch.setattr(winding, "features", lambda *_, **__: None)
+    world, text, believed, true = configured(PLANT, QUICK)
+    found = courses(world, SEED, text, 2.5)
+    for it, model, real in zip(found, believed, true, strict=True):
+        wrong = {row.name.split(": ")[1] for row in winding._rows("x", it, model, real) if not row.agrees}
+        assert {"time until derating", "current in the end", "winding in the end"} <= wrong
+        assert it.current[-1] == pytest.approx(4.0, abs=0.01)
+
+
+def test_a_belief_that_is_wrong_is_the_controllers_alone() -> None:
+    world, _, believed, true = configured(PLANT, CASES[2].motors)
+    for axis, (model, real, motor) in enumerate(zip(believed, true, CASES[2].motors, strict=True)):
+        assert model.resistance == pytest.approx(motor.resistance_error * real.resistance)
+        assert model.capacity == pytest.approx(motor.capacity_error * real.capacity)
+        assert world.axes[axis].winding_resistance == real.resistance
+        assert model.equilibrium(model.rated) == pytest.approx(model.maximum)
