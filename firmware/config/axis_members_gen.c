@@ -150,6 +150,11 @@ CHECK(134, SIZE(stop.ticks_max) == 2);
 CHECK(135, SIZE(stop.hold_ticks) == 2);
 CHECK(136, SIZE(regeneration_speed) == 4);
 CHECK(137, SIZE(copper_current) == 2);
+CHECK(138, SIZE(field_weakening.margin) == 2);
+CHECK(139, SIZE(field_weakening.gain) == 2);
+CHECK(140, SIZE(field_weakening.slew) == 2);
+CHECK(141, SIZE(field_weakening.i_d_max) == 2);
+CHECK(142, SIZE(field_weakening.q_share) == 2);
 
 const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
@@ -192,7 +197,7 @@ const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_SIGNED, INT32_C(1), INT32_C(15888)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(1718483103)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(102534791)},
-    {0U, INT32_C(0), INT32_C(8191)},
+    {0U, INT32_C(0), INT32_C(32767)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(954929659)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(6), INT32_C(636620)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2050695827)},
@@ -202,6 +207,8 @@ const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(77121)},
     {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(11328)},
     {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(3136)},
+    {MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(32767)},
+    {MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(32767)},
 };
 
 const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
@@ -343,4 +350,9 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(stop.hold_ticks), 17U},
     {OFFSET(regeneration_speed), 25U},
     {OFFSET(copper_current), 4U},
+    {OFFSET(field_weakening.margin), 50U},
+    {OFFSET(field_weakening.gain), 50U},
+    {OFFSET(field_weakening.slew), 51U},
+    {OFFSET(field_weakening.i_d_max), 50U},
+    {OFFSET(field_weakening.q_share), 51U},
 };

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xC5242643)
+#define CATALOGUE_HASH UINT32_C(0x48C084B9)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -108,6 +108,7 @@ typedef enum {
 #define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
 #define LIMIT_SENSORLESS UINT16_C(0x0080) /* without an encoder there is no position, no standstill and no torque from rest */
 #define LIMIT_STARVED UINT16_C(0x0100) /* no point followed one with a speed: the axis has stopped */
+#define LIMIT_FIELD_WEAKENING UINT16_C(0x0400) /* current against the flux of the magnets, because the voltage of the bus does not suffice for this speed otherwise */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
@@ -122,6 +123,7 @@ typedef enum {
 #define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
 #define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* a fault when encoder and observer disagree about the rotor's angle */
 #define FEATURE_STARVED UINT16_C(0x1000) /* a fault (HOST_SILENT) when no point of a trajectory follows one with a speed */
+#define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* current against the flux of the magnets at speeds that the voltage does not reach otherwise; no effect without an encoder */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
@@ -142,7 +144,7 @@ typedef enum {
 #define CONFIG_REFUSAL_MOTION 9
 #define CONFIG_REFUSAL_BUSY 10
 
-#define PARAM_FEATURES_MAX INT32_C(8191)
+#define PARAM_FEATURES_MAX INT32_C(32767)
 #define PARAM_FAULTS_ENABLED_MAX INT32_C(2097151)
 
 #endif

@@ -12,6 +12,7 @@
 #include "drive/soft_limits.h"
 #include "drive/stop.h"
 #include "drive/watch.h"
+#include "drive/weakening.h"
 
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
@@ -188,6 +189,8 @@ void axis_check(axis_t *axis)
         limits_retune(axis);
     }
 }
+
+void axis_protect(axis_t *axis) { weakening_step(axis); }
 
 void axis_edge(axis_t *axis) { axis->source->edge(axis); }
 

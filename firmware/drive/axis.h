@@ -27,6 +27,9 @@ void axis_check(axis_t *axis);
 void axis_watch_currents(axis_t *axis);
 void axis_watch_encoder(axis_t *axis);
 
+/* Once per slow tick, in a period of its own: what limits the axis slowly, for the next axis_slow. */
+void axis_protect(axis_t *axis);
+
 /* Once per slow tick, before the next one, which is `tick`: where is a trajectory then? */
 void axis_plan(axis_t *axis, uint32_t tick);
 

@@ -315,12 +315,10 @@ static void bring_to_rest(axis_t *axis)
     }
 }
 
-/* No current vector is larger than what the motor is made for, or than what a host has allowed beyond that; i_q gives way
- * to an i_d that is asked for besides. */
+/* No current vector is longer than axis_current_max; i_q gives way to an i_d that is asked for besides. */
 static void bound_current(axis_t *axis)
 {
-    const frac16_t own = axis->config->i_q_limit;
-    const frac16_t limit = (axis->limits.i_q > own) ? axis->limits.i_q : own;
+    const frac16_t limit = axis_current_max(axis);
     frac16_t room = limit;
     if (axis->current_ref.d != 0) {
         const frac16_t d = f16_limit(axis->current_ref.d, limit);

@@ -30,23 +30,33 @@ static bool returns_energy(const axis_t *axis, bool negative)
     return f32_abs(speed) > axis->config->regeneration_speed && (speed < 0) != negative;
 }
 
-/* Current limit in a direction: less against the motion while the bus cannot take what braking returns. */
+/* Current limit in a direction: less against the motion while the bus cannot take what braking returns, and less beside the
+ * current that weakens the field. */
 static frac16_t current_limit(const axis_t *axis, bool negative)
 {
-    const frac16_t limit = axis->limits.i_q;
-    if (axis->regen_derating == FRAC16_MAX) {
+    const field_weakening_t *weakening = &axis->weakening;
+    frac16_t limit = axis->limits.i_q;
+    if (axis->regen_derating == FRAC16_MAX && !field_weakening_active(weakening)) {
         return limit; /* almost always */
     }
-    return returns_energy(axis, negative) ? f16_mul(limit, axis->regen_derating) : limit;
+    const bool returns = returns_energy(axis, negative);
+    if (field_weakening_active(weakening)) {
+        limit = f16_limit(limit, returns ? weakening->i_q_max : weakening->i_q_motoring);
+    }
+    return returns ? f16_mul(limit, axis->regen_derating) : limit;
 }
 
-static void hold_back(axis_t *axis, bool held)
+/* `held`: the bus takes or gives less current than what is wanted, which is negative or not. */
+static void hold_back(axis_t *axis, bool held, bool negative)
 {
     axis->motion.held_back = held;
-    axis->current_ref.d = 0; /* E23 */
-    if (held) {
+    axis->current_ref.d = axis->weakening.i_d; /* E23, where the voltage suffices */
+    if (held && axis->regen_derating != FRAC16_MAX && returns_energy(axis, negative)) {
         axis_report(axis, LIMIT_REGENERATION);
-        axis->current_ref.d = f16_neg(f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->regen_derating)));
+        const frac16_t copper = f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->regen_derating));
+        if (copper > -axis->current_ref.d) {
+            axis->current_ref.d = f16_neg(copper);
+        }
     }
 }
 
@@ -82,7 +92,7 @@ frac16_t speed_control(axis_t *axis)
     const frac16_t limit = current_limit(axis, sum < 0);
     const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));
     m->saturated = m->speed_pi.excess != 0;
-    hold_back(axis, m->saturated && limit < axis->limits.i_q);
+    hold_back(axis, m->saturated && limit < axis->limits.i_q, sum < 0);
     if (m->saturated) {
         axis_report(axis, LIMIT_CURRENT);
     }
@@ -125,7 +135,7 @@ frac16_t torque_control(axis_t *axis)
     }
     const frac16_t limit = current_limit(axis, i_q < 0);
     const frac16_t result = f16_limit(f16_from_f32(i_q), limit);
-    hold_back(axis, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->limits.i_q);
+    hold_back(axis, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->limits.i_q, i_q < 0);
     m->speed_ref = axis->feedback.speed;
     m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */

@@ -71,6 +71,7 @@ _FOUND: Final = (
     _Found("start_up.swings", "startup.speed_step", 6.0, -1),
     _Found("start_up.current_time", "startup.current_step", 0.1, -1),
     _Found("start_up.swing_damping", "startup.damping", 0.7),
+    _Found("field_weakening.bandwidth", "field_weakening.gain", 80.0),
     _Found("start_up.fade_time", "startup.fade_step", 0.02, -1),
 )
 """In an order in which none depends on a later one."""
@@ -318,6 +319,12 @@ class _Restorer:
                 "hold_time": at("stop.hold_ticks"),
                 "short_current": at("stop.short_current", 1.0 / (1.0 - 2.0**-15)),
                 "copper_use": min(at("copper_current") / current, 1.0),
+            },
+            "field_weakening": {
+                "margin": at("field_weakening.margin"),
+                "slew": at("field_weakening.slew", 1.0 / _TICK),
+                "current_use": min(at("field_weakening.i_d_max") / current, 1.0) or 0.5,
+                "magnet_current": at("field_weakening.i_d_max") or current,
             },
             "sensing": {
                 "sign_current": s.i / _value("current_loop.dead_time.slope", b),

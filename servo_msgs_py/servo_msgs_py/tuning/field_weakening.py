@@ -1,0 +1,196 @@
+"""Field weakening: the integers of its controller, the stability of its loop, and the torque that voltage and current leave."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.tuning.configuration import Axis, Board, Scales
+from servo_msgs_py.tuning.conversion import Converter, Field
+from servo_msgs_py.tuning.formats import FRAC16, INT16_Q8
+from servo_msgs_py.tuning.layout import notes, table
+
+__all__ = ["Reserve", "field_weakening_constants", "field_weakening_text", "i_d_max", "reserve_at", "top_speed"]
+
+_STEPS: Final = 201  # values of i_d that are tried
+_MOST: Final = 1.0 - 2.0**-15
+_SPEEDS: Final = (0.6, 0.7, 0.8, 0.9, 1.0)  # of the rated speed, in the report
+
+
+def i_d_max(axis: Axis) -> float:
+    """Largest current against the flux [A]: what current limit and magnets allow."""
+    share = axis("field_weakening.current_use") * axis("limits.current")
+    return min(share, axis("field_weakening.magnet_current"))
+
+
+def _voltage_per_current(axis: Axis, board: Board) -> tuple[float, float]:
+    """Change of the stator voltage by i_d and by i_q, at most [V/A], at the speed whose back-EMF is the whole voltage."""
+    omega = board.voltage_max / axis("motor.psi_m")
+    across = omega * axis("motor.l_q")
+    leaning = min(across * axis("limits.current") / board.voltage_max, 1.0)  # part of the voltage in the d axis
+    return omega * axis("motor.l_d"), axis("motor.r_s") + across * leaning
+
+
+def field_weakening_constants(to: Converter) -> dict[str, Field]:
+    """Fields of the ``field_weakening_config_t``.
+
+    The integral gain makes the bandwidth at the speed whose back-EMF is the whole voltage; below, the loop is slower in
+    proportion to the speed. An extreme motor gets the end of the format, which the report shows.
+    """
+    axis, board, s = to.axis, to.board, to.s
+    by_d, by_q = _voltage_per_current(axis, board)
+    integral = 2.0 * math.pi * axis("field_weakening.bandwidth") * board.tick / by_d
+    gain = integral / (2.0 * board.voltage_max) * s.u_s**2 / s.i
+    group = "field_weakening"
+    return {
+        f"{group}.margin": to.at(FRAC16, "field_weakening.margin", 1.0 / s.u_s),
+        f"{group}.gain": to.of(INT16_Q8, "gain of field weakening", min(max(gain, 2.0**-8), 127.0), "correct motor.l_d"),
+        f"{group}.slew": to.at(FRAC16, "field_weakening.slew", board.tick / s.i, "write some 1000 A/s"),
+        f"{group}.i_d_max": to.of(FRAC16, "largest i_d against the flux", i_d_max(axis) / s.i, "lower it"),
+        f"{group}.q_share": to.of(FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _MOST), "none"),
+    }
+
+
+# ---- what voltage and current leave -----------------------------------------------------------------------------------
+
+
+class Reserve(NamedTuple):
+    """The most motoring torque at one speed.
+
+    Attributes
+    ----------
+    i_d, i_q : float
+        The current [A].
+    torque : float
+        Of the air gap [N m]; 0 where the voltage does not suffice at any current.
+    """
+
+    i_d: float
+    i_q: float
+    torque: float
+
+
+def reserve_at(axis: Axis, speed: float, voltage: float, i_d_least: float) -> Reserve:
+    """The most torque at a speed: ``|u| <= voltage``, ``|i| <= limits.current`` and ``i_d_least <= i_d <= 0``.
+
+    Parameters
+    ----------
+    axis : Axis
+        With its motor.
+    speed : float
+        Mechanical [rad/s].
+    voltage : float
+        Stator voltage [V].
+    i_d_least : float
+        At most 0 [A]; 0: without field weakening.
+    """
+    p, psi, r_s = axis("motor.pole_pairs"), axis("motor.psi_m"), axis("motor.r_s")
+    l_d, l_q, limit = axis("motor.l_d"), axis("motor.l_q"), axis("limits.current")
+    omega = p * speed
+    d = np.linspace(min(i_d_least, 0.0), 0.0, _STEPS)
+    # (R i_d - w L_q i_q)^2 + (R i_q + w (psi + L_d i_d))^2 = u^2, for i_q
+    a = r_s**2 + (omega * l_q) ** 2
+    b = r_s * omega * (psi + (l_d - l_q) * d)
+    c = (r_s * d) ** 2 + (omega * (psi + l_d * d)) ** 2 - voltage**2
+    square = b**2 - a * c
+    by_voltage = (np.sqrt(np.maximum(square, 0.0)) - b) / a
+    q = np.minimum(by_voltage, np.sqrt(np.maximum(limit**2 - d**2, 0.0)))
+    q[(square < 0.0) | (q < 0.0)] = 0.0
+    torque = 1.5 * p * q * (psi + (l_d - l_q) * d)
+    best = int(torque.argmax())
+    return Reserve(float(d[best]), float(q[best]), float(torque[best]))
+
+
+def top_speed(axis: Axis, voltage: float, i_d_least: float, torque: float) -> float:
+    """Highest speed at which a torque is left [rad/s], to 0.1 %."""
+    low, high = 0.0, 2.0 * voltage / (axis("motor.pole_pairs") * axis("motor.psi_m"))
+    while high - low > 1e-3 * high:
+        middle = 0.5 * (low + high)
+        if reserve_at(axis, middle, voltage, i_d_least).torque > torque:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+# ---- the loop -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """``K z^-1 / (z - 1)``: an integrator, and a tick until a change shows in the voltage.
+
+    Attributes
+    ----------
+    gain : float
+        Of the whole loop per tick, K.
+    tick : float
+        [s].
+    """
+
+    gain: float
+    tick: float
+
+    @property
+    def stable(self) -> bool:
+        return self.gain < 1.0
+
+    @property
+    def turn(self) -> float:
+        """Crossover frequency times tick."""
+        return 2.0 * math.asin(min(0.5 * self.gain, 1.0))
+
+    @property
+    def crossover(self) -> float:
+        """[Hz]."""
+        return self.turn / self.tick / (2.0 * math.pi)
+
+    @property
+    def phase(self) -> float:
+        """Margin [deg]."""
+        return 90.0 - math.degrees(1.5 * self.turn)
+
+
+def _loops(axis: Axis, board: Board, block: Mapping[str, int]) -> tuple[_Loop, _Loop]:
+    """The loop by i_d, and the one by i_q, as the integers give them."""
+    by_d, by_q = _voltage_per_current(axis, board)
+    s = Scales.of(Catalogue.load())
+    per_volt = INT16_Q8.value(block["field_weakening.gain"]) * s.i / s.u_s**2 * 2.0 * board.voltage_max
+    q_share = FRAC16.value(block["field_weakening.q_share"])
+    return _Loop(per_volt * by_d, board.tick), _Loop(per_volt * q_share * by_q, board.tick)
+
+
+def field_weakening_text(axis: Axis, board: Board, block: Mapping[str, int]) -> Iterator[str]:
+    """The part of the report: loop, and torque over speed. `block` are the integers of the axis."""
+    yield "  field weakening"
+    by_d, by_q = _loops(axis, board, block)
+    most, margin = i_d_max(axis), axis("field_weakening.margin")
+    rows = [
+        ("i_d at most", f"{most:.2f} A", f"lowers the back-EMF by {_lowered(axis, most):.2f} V at the rated speed"),
+        ("voltage kept free", f"{margin:g} V", f"of {board.voltage_max:.2f} V at {board('nominal_voltage'):g} V"),
+    ]
+    for name, loop in (("loop by i_d", by_d), ("loop by i_q, at most", by_q)):
+        state = f"phase margin {loop.phase:.1f} deg, gain margin {1.0 / loop.gain:.1f}" if loop.stable else "UNSTABLE"
+        rows.append((name, f"{loop.crossover:.4g} Hz", state))
+    yield from notes(rows)
+    yield from table(_reserves(axis, board))
+
+
+def _lowered(axis: Axis, current: float) -> float:
+    return axis("motor.pole_pairs") * axis("motor.rated_speed") * axis("motor.l_d") * current
+
+
+def _reserves(axis: Axis, board: Board) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [("speed", "torque without", "torque with", "i_d", "i_q")]
+    for part in _SPEEDS:
+        speed = part * axis("motor.rated_speed")
+        without = reserve_at(axis, speed, board.voltage_max, 0.0)
+        best = reserve_at(axis, speed, board.voltage_max - axis("field_weakening.margin"), -i_d_max(axis))
+        cells = (f"{1e3 * without.torque:.1f} mN m", f"{1e3 * best.torque:.1f} mN m")
+        rows.append((f"{speed:.4g} rad/s", *cells, f"{best.i_d:.2f} A", f"{best.i_q:.2f} A"))
+    return rows
