@@ -1,4 +1,4 @@
-"""Field weakening: the integers of its controller, the stability of its loop, the torque that voltage and current leave."""
+"""Field weakening: the integers of its controller, the stability of its loops, and the torque that is left."""
 
 from __future__ import annotations
 

@@ -24,7 +24,6 @@ from servo_twin.experiments.rig import (
     choose_mode,
     command_speed,
     features,
-    flag_mask,
     set_axis,
     spinning,
     watch,
@@ -36,7 +35,7 @@ NAME: Final = "field-weakening"
 HELP: Final = """\
 The drive at its rated 4000 rpm, where the back-EMF is all the voltage of 24 V, with the feature FIELD_WEAKENING and
 without: torque over speed, the voltage margin, load steps, a supply that sags and returns, a fault, motors that differ
-by 10 % from what the drive believes, and both axes at once. The reference design ends at 3000 rpm and has none of it."""
+by 10 % from what the drive believes, and both axes at once. The reference design ends at 3000 rpm without it."""
 
 AXIS: Final = 0
 RATED: Final = 4000.0 * RPM
@@ -50,6 +49,8 @@ SAGS: Final = (22.0, 20.0, 17.5)  # [V]
 SAG_LOAD: Final = 0.03  # [N m]
 BOTH_SAG: Final = 20.0  # [V]
 OVER_VOLTAGE: Final = 33.0  # of the drive [V]
+NOISE: Final = 0.5  # of the bus [V]
+FAULT_SEEN: Final = 0.1  # [s]
 HOT: Final = 110.0  # of the power stage: a fault that lets the shaft coast [deg C]
 
 RUN_UP: Final = 0.25  # [s]
@@ -58,15 +59,16 @@ MEASURED: Final = 0.1  # [s]
 DIP: Final = 0.05  # in which a load step shows at its largest [s]
 REACHED: Final = 0.005  # of the rated speed
 FORMULA: Final = 0.02
-"""Part of the speed by which a shaft may be off from what voltage and current leave on paper: drops and dead time that are
-not quite compensated, and the margin, which is kept in the mean of the squares."""
+"""Part of the speed by which a shaft may be off from what voltage and current leave on paper: drops and dead time that
+are not quite compensated, losses of the bus, and currents that are not quite those of the best torque."""
 FREE: Final = 0.12  # by which the mean of the free voltage may be off MARGIN [V]
-RESTLESS: Final = 12.0 * RPM  # standard deviation of a steady speed
+RESTLESS: Final = 30.0 * RPM
+"""Standard deviation of a steady speed. It is largest at 3333 rpm, where the voltage is sampled 18 times per electrical
+turn: the ripple of dead time and drops then looks like a slow change."""
 I_D_RESTLESS: Final = 0.15  # and of its i_d: noise of currents and speed [A]
 RETURN: Final = 0.25  # from the return of the supply until the speed is back [s]
 BEYOND_RATED: Final = 0.04  # of the speed, after a load has gone
 WORSE: Final = 1.25  # speed that a load step takes at the rated speed, over that at half of it
-OFF: Final = 3.0 * TICK  # temperature is looked at once per slow tick; then the fast loop
 DEVIATION: Final = 0.1  # of the motors, up and down
 
 Event = tuple[float, Callable[[Board], None]]
@@ -162,7 +164,7 @@ def _supply(volts: float) -> Callable[[Board], None]:
     return lambda board: board.set_supply(volts)
 
 
-# ---- torque over speed --------------------------------------------------------------------------------------------------
+# ---- torque over speed -----------------------------------------------------------------------------------------------
 
 
 def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> Steady:
@@ -213,7 +215,7 @@ def _torque_panel(axis: AxisPlant, volts: float, speeds: Mapping[bool, Sequence[
     return Panel(f"torque at the shaft, {volts:g} V", "speed [rpm]", "torque [mN m]", tuple(curves))
 
 
-# ---- run-up, load step ------------------------------------------------------------------------------------------------------
+# ---- run-up, load step -----------------------------------------------------------------------------------------------
 
 
 def _step_rows(plant: PlantConfig, seed: int) -> tuple[list[Row], Panel]:
@@ -249,7 +251,7 @@ def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
         return speed - float(watch(board, [AXIS], DIP)[AXIS].omega.min())
 
 
-# ---- a supply that sags --------------------------------------------------------------------------------------------------
+# ---- a supply that sags ----------------------------------------------------------------------------------------------
 
 
 def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, Recording]:
@@ -303,11 +305,11 @@ def _sags(plant: PlantConfig, seed: int) -> tuple[list[Row], list[Panel]]:
     return rows, panels[1:2]
 
 
-# ---- a fault ----------------------------------------------------------------------------------------------------------------
+# ---- a fault ---------------------------------------------------------------------------------------------------------
 
 
 def _fault_rows(plant: PlantConfig, seed: int) -> list[Row]:
-    """The power stage is hot: the outputs go off at the rated speed under load, at a whole bus and at one that sags."""
+    """The outputs go off in field weakening under load, for a fault that coasts: at a whole bus and at one that sags."""
     rows: list[Row] = []
     for volts in (plant.bus.u_source, BOTH_SAG):
         hot = RUN_UP + MEASURED
@@ -316,35 +318,26 @@ def _fault_rows(plant: PlantConfig, seed: int) -> list[Row]:
             (RUN_UP + 0.5 * MEASURED, _supply(volts)),
             (hot, lambda board: board.inject(HotPowerStage(AXIS, HOT))),
         ]
-        with at_rated(plant, seed, [AXIS], weak=True) as board:
-            at = {round(time / TICK): act for time, act in events}
-            recording = watch(board, [AXIS], hot + 0.05, lambda k: at.get(k, lambda _: None)(board), may_fail=True)[
-                AXIS
-            ]
-            run, bit = board.catalogue.enums["state_t"]["RUN"], flag_mask(board, "limits", "FIELD_WEAKENING")
-        off = recording.time[recording.state != run]
-        name = f"fault at {volts:g} V"
-        after = recording.part(float(off[0]) + 2.0 * TICK) if off.size else recording
-        # The capacitor may still be at more than a supply that has just sagged.
-        source = float(recording.part(hot - TICK, hot).u_dc.max())
+        recording = run_with(plant, seed, events, hot + FAULT_SEEN, may_fail=True)[AXIS]
+        name, found = f"fault at {volts:g} V", np.nonzero(recording.faults)[0]
+        after = recording.part(float(recording.time[found[0]])) if found.size else recording
+        # The capacitor may still be above a supply that has just sagged.
+        charged = float(recording.part(hot - TICK, hot).u_dc.max())
         emf = math.sqrt(3.0) * plant.axes[AXIS].pole_pairs * plant.axes[AXIS].psi_m * RATED
-        most = max(source, emf, volts) + 0.5
+        most = min(max(charged, emf) + NOISE, OVER_VOLTAGE)
+        current = float(np.hypot(after.i_d, after.i_q)[1:].max())
         rows += [
-            Row(f"{name}: outputs off after", BEYOND, float(off[0]) - hot if off.size else None, "s", Bound(0.0, OFF)),
-            Row(f"{name}: current then", BEYOND, float(np.hypot(after.i_d, after.i_q).mean()), "A", Bound(0.0, 0.1)),
-            Row(f"{name}: limit FIELD_WEAKENING then", BEYOND, float(np.any(after.limits & bit)), "", Bound(0.0, 0.0)),
+            Row(f"{name}: noticed", BEYOND, float(found.size > 0), "", Bound(1.0, 1.0)),
             Row(
-                f"{name}: highest bus voltage",
-                BEYOND,
-                float(after.u_dc.max()),
-                "V",
-                Bound(0.0, min(most, OVER_VOLTAGE)),
+                f"{name}: in RUN in that tick", BEYOND, float(after.state[0] == recording.state[0]), "", Bound(0.0, 0.0)
             ),
+            Row(f"{name}: current from the next tick on", BEYOND, current, "A", Bound(0.0, 0.1)),
+            Row(f"{name}: highest bus voltage", BEYOND, float(after.u_dc.max()), "V", Bound(0.0, most)),
         ]
     return rows
 
 
-# ---- other motors ----------------------------------------------------------------------------------------------------------
+# ---- other motors ----------------------------------------------------------------------------------------------------
 
 
 def _motor_rows(plant: PlantConfig, seed: int) -> list[Row]:
