@@ -309,7 +309,7 @@ def _sags(plant: PlantConfig, seed: int) -> tuple[list[Row], list[Panel]]:
 
 
 def _fault_rows(plant: PlantConfig, seed: int) -> list[Row]:
-    """The outputs go off in field weakening under load, for a fault that coasts: at a whole bus and at one that sags."""
+    """The outputs go off in field weakening under load, for a fault that coasts: at a whole bus and a sagging one."""
     rows: list[Row] = []
     for volts in (plant.bus.u_source, BOTH_SAG):
         hot = RUN_UP + MEASURED
