@@ -1,7 +1,9 @@
-"""When field weakening may act, and what ends it. On this board no current flows, so a shaft that is turned from outside
-at a high speed asks for all the voltage at once."""
+"""When field weakening may act, and what ends it. On this board no current flows: a shaft that is turned from outside at a
+high speed asks for all the voltage at once."""
 
 from __future__ import annotations
+
+import itertools
 
 import pytest
 from core_library import Core
@@ -88,7 +90,7 @@ def test_is_given_back_when_the_feature_is_switched_off(bench: Bench) -> None:
     for _ in range(30):
         bench.slow()
         way.append(i_d_ref(bench))
-    steps = [after - before for before, after in zip(way, way[1:], strict=False)]
+    steps = [after - before for before, after in itertools.pairwise(way)]
     assert way[-1] == 0
     assert 0 <= min(steps) <= max(steps) <= amps(0.5) + 1  # at the slew rate, not at once
     assert not bench.view(0).limits & LIMIT_FIELD_WEAKENING

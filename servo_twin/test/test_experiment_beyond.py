@@ -15,7 +15,9 @@ def run(module: ModuleType) -> list[str]:
     return [row.name for row in module.run(PlantConfig.load(), 3).rows if not row.agrees]
 
 
-@pytest.mark.parametrize("module", [feed_forward, field_weakening, friction, soft_limits, supervision], ids=lambda m: m.NAME)
+@pytest.mark.parametrize(
+    "module", [feed_forward, field_weakening, friction, soft_limits, supervision], ids=lambda m: m.NAME
+)
 def test_agrees(module: ModuleType) -> None:
     assert run(module) == []
 
