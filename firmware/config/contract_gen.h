@@ -123,7 +123,7 @@ typedef enum {
 #define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
 #define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* a fault when encoder and observer disagree about the rotor's angle */
 #define FEATURE_STARVED UINT16_C(0x1000) /* a fault (HOST_SILENT) when no point of a trajectory follows one with a speed */
-#define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* current against the flux of the magnets at speeds that the voltage does not reach otherwise; no effect without an encoder */
+#define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* current against the flux of the magnets at speeds that the voltage does not reach otherwise */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2

@@ -17,7 +17,7 @@ void weakening_step(axis_t *axis)
 {
     const axis_config_t *config = axis->config;
     const current_loop_t *loop = &axis->current_loop;
-    const bool spins = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !axis->sensorless;
+    const bool spins = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN;
     const bool wanted = spins && (axis->features & FEATURE_FIELD_WEAKENING) != 0U;
     if (!wanted && (!spins || axis->weakening.d == 0)) {
         axis->weakening = (field_weakening_t){0};

@@ -1,5 +1,7 @@
-"""When field weakening may act, and what ends it. On this board no current flows: a shaft that is turned from outside at a
-high speed asks for all the voltage at once."""
+"""When field weakening may act, and what ends it.
+
+No current flows on this board: a shaft that is turned fast from outside asks for all the voltage at once.
+"""
 
 from __future__ import annotations
 

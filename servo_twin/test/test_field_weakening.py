@@ -1,7 +1,8 @@
-"""Field weakening on the virtual board: positions, torque and the other direction at the rated speed, and what ends it."""
+"""Field weakening on the virtual board: moves, torque and the other direction at the rated speed, and what ends it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -82,23 +83,29 @@ def test_a_stop_ends_it(rated: Board) -> None:
     assert float(np.abs(run.i_d[-100:]).max()) < 0.1
 
 
-def test_no_effect_without_an_encoder() -> None:
-    """The observer turns the motor up to what the voltage gives; i_d stays what it is."""
-    plant = PlantConfig.load()
-    with field_weakening.spinning(plant, 5) as board:
+def test_works_without_an_encoder() -> None:
+    """The observer keeps the rotor at the rated speed, under a load step and at a supply that sags and returns."""
+    with spinning(PlantConfig.load(), 5) as board:
         board.write("cmd.enable", [0, 0])
-        board.run(0.2)
+        board.run(0.3)
         set_axis(board, "param.feedback", AXIS, 1.0)
         features(board, AXIS, FIELD_WEAKENING=True)
         set_axis(board, "param.speed_limit", AXIS, RATED)
         choose_mode(board, AXIS, "SPEED")
         command_speed(board, AXIS, RATED)
         board.write("cmd.enable", [1, 0])
-        board.run(2.5)
-        board.set_supply(22.0)
-        run = watch(board, [AXIS], 0.3)[AXIS]
-    assert float(run.omega[-1]) > 0.8 * RATED
-    assert abs(float(run.i_d.mean())) < 0.1
+        board.run(2.0)
+        for load, supply in ((0.0, 24.0), (field_weakening.STEP, 24.0), (0.02, 20.0), (0.02, 24.0)):
+            board.set_load(AXIS, load)
+            board.set_supply(supply)
+            run = watch(board, [AXIS], 0.4)[AXIS].part(0.2)
+            aim = field_weakening.formula(board.plant.axes[AXIS], supply, load, weak=True)
+            assert float(run.omega.mean()) == pytest.approx(aim, rel=field_weakening.FORMULA)
+            assert float(run.omega.std()) < field_weakening.RESTLESS
+            assert float(run.i_d.mean()) < -0.4
+            used, true = board.read("axis1.theta_e"), board.plant.axes[AXIS].pole_pairs * board.truth(AXIS).theta_m
+            assert isinstance(used, float)
+            assert abs(math.remainder(used - true, 2.0 * math.pi)) < math.radians(25.0)
 
 
 @pytest.mark.parametrize("supply", [24.0, 20.0])
