@@ -152,9 +152,8 @@ CHECK(136, SIZE(regeneration_speed) == 4);
 CHECK(137, SIZE(copper_current) == 2);
 CHECK(138, SIZE(field_weakening.margin) == 2);
 CHECK(139, SIZE(field_weakening.gain) == 2);
-CHECK(140, SIZE(field_weakening.slew) == 2);
-CHECK(141, SIZE(field_weakening.i_d_max) == 2);
-CHECK(142, SIZE(field_weakening.q_share) == 2);
+CHECK(140, SIZE(field_weakening.i_d_max) == 2);
+CHECK(141, SIZE(field_weakening.q_share) == 2);
 
 const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
@@ -352,7 +351,6 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(copper_current), 4U},
     {OFFSET(field_weakening.margin), 50U},
     {OFFSET(field_weakening.gain), 50U},
-    {OFFSET(field_weakening.slew), 51U},
     {OFFSET(field_weakening.i_d_max), 50U},
     {OFFSET(field_weakening.q_share), 51U},
 };

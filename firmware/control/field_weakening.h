@@ -18,7 +18,6 @@
 typedef struct {
     frac16_t margin;  /* voltage that stays free below the limit, for what the current controllers need in motion */
     frac16_t gain;    /* squared voltage -> change of the current per step, FIELD_WEAKENING_GAIN_BITS fraction bits */
-    frac16_t slew;    /* change of i_d per step at most */
     frac16_t i_d_max; /* what current limit and magnets allow */
     frac16_t q_share; /* change of i_q over that of i_d for the same change of the voltage */
 } field_weakening_config_t;
@@ -27,9 +26,7 @@ typedef struct {
 typedef struct {
     frac32_t d; /* -i_d* */
     frac32_t q; /* taken from the motoring i_q, only while d is at its end */
-    frac16_t i_d; /* set-point, <= 0 */
-    frac16_t i_q_max; /* what i_d leaves of the current circle; braking */
-    frac16_t i_q_motoring; /* the same less q */
+    frac16_t i_q_max; /* what i_d leaves of the current circle */
 } field_weakening_t;
 
 typedef struct {
@@ -37,14 +34,23 @@ typedef struct {
     frac16_t u_max;   /* their limit */
     frac16_t emf;     /* back-EMF at i_d = 0 */
     frac16_t current; /* longest current vector */
-    bool wanted;      /* else what there is is taken back at the slew rate */
+    bool wanted;      /* else what there is is given back */
 } field_weakening_input_t;
 
-/* Once per slow tick. */
+/* Once per slow tick. i_d changes by an eighth of its range at most. */
 void field_weakening_step(field_weakening_t *state, const field_weakening_config_t *config,
                           const field_weakening_input_t *input);
 
-/* i_d is asked for: the current has to stay within i_q_max and i_q_motoring. */
-static inline bool field_weakening_active(const field_weakening_t *state) { return state->i_d != 0; }
+/* The current has to stay within i_q_max and field_weakening_motoring. */
+static inline bool field_weakening_active(const field_weakening_t *state) { return state->d != 0; }
+
+/* i_d*, not above 0. */
+static inline frac16_t field_weakening_i_d(const field_weakening_t *state) { return (frac16_t)-asr32(state->d, 16); }
+
+/* Largest i_q that drives the shaft. */
+static inline frac16_t field_weakening_motoring(const field_weakening_t *state)
+{
+    return f16_sub(state->i_q_max, (frac16_t)asr32(state->q, 16));
+}
 
 #endif

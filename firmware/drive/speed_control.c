@@ -41,7 +41,7 @@ static frac16_t current_limit(const axis_t *axis, bool negative)
     }
     const bool returns = returns_energy(axis, negative);
     if (field_weakening_active(weakening)) {
-        limit = f16_limit(limit, returns ? weakening->i_q_max : weakening->i_q_motoring);
+        limit = f16_limit(limit, returns ? weakening->i_q_max : field_weakening_motoring(weakening));
     }
     return returns ? f16_mul(limit, axis->regen_derating) : limit;
 }
@@ -50,7 +50,7 @@ static frac16_t current_limit(const axis_t *axis, bool negative)
 static void hold_back(axis_t *axis, bool held, bool negative)
 {
     axis->motion.held_back = held;
-    axis->current_ref.d = axis->weakening.i_d; /* E23, where the voltage suffices */
+    axis->current_ref.d = field_weakening_i_d(&axis->weakening); /* E23, where the voltage suffices */
     if (held && axis->regen_derating != FRAC16_MAX && returns_energy(axis, negative)) {
         axis_report(axis, LIMIT_REGENERATION);
         const frac16_t copper = f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->regen_derating));

@@ -23,9 +23,13 @@ class Config:
 
     margin: int = round(0.3 * VOLT)
     gain: int = 257
-    slew: int = round(0.5 * AMP)
     i_d_max: int = round(3.0 * AMP)
     q_share: int = 18382
+
+
+def slew_of(config: Config) -> int:
+    """Largest change of i_d in a step."""
+    return config.i_d_max * Q16 >> 3
 
 
 @dataclass
@@ -52,7 +56,7 @@ class Weakening:
     def __post_init__(self) -> None:
         c = self.config
         self._config = self.core.ffi.new("field_weakening_config_t *")
-        for name in ("margin", "gain", "slew", "i_d_max", "q_share"):
+        for name in ("margin", "gain", "i_d_max", "q_share"):
             setattr(self._config, name, getattr(c, name))
         self.state = self.core.ffi.new("field_weakening_t *")
 
@@ -62,14 +66,15 @@ class Weakening:
         it.demand.d, it.demand.q = given.d, given.q
         it.u_max, it.emf, it.current, it.wanted = given.u_max, given.emf, given.current, given.wanted
         self.core.lib.field_weakening_step(self.state, self._config, it)
-        return int(self.state.i_d), int(self.state.i_q_max), int(self.state.i_q_motoring)
+        lib = self.core.lib
+        return lib.field_weakening_i_d(self.state), int(self.state.i_q_max), lib.field_weakening_motoring(self.state)
 
     def expect(self, given: Input) -> tuple[int, int, int]:
         """The same in integers that do not end."""
         c = self.config
         target = max(given.u_max - c.margin, 0)
         end = min(c.i_d_max, given.current) * Q16
-        slew = c.slew * Q16
+        slew = slew_of(c)
         change = -slew
         if given.wanted and 2 * min(abs(given.emf), ONE) > target:
             squares = sum(min(2 * u * u, 2**31 - 1) for u in (given.d, given.q))
@@ -82,7 +87,8 @@ class Weakening:
         i_d = -(self.d >> 16)
         root = math.isqrt((2 * given.current**2 - 2 * i_d**2) // 2)
         if q_moves:
-            self.q = clip(self.q + (change * c.q_share >> 15), 0, root * Q16)
+            self.q += change * c.q_share >> 15
+        self.q = clip(self.q, 0, root * Q16)
         return i_d, root, clip16(root - (self.q >> 16))
 
 
@@ -90,7 +96,6 @@ CONFIGS = st.builds(
     Config,
     margin=FRACTION16,
     gain=FRACTION16,
-    slew=edges(1, ONE - 1),
     i_d_max=FRACTION16,
     q_share=edges(1, ONE - 1),
 )
@@ -126,7 +131,7 @@ def test_stays_within_its_bounds(core: Core, config: Config, inputs: list[Input]
         assert -config.i_d_max <= i_d <= 0
         assert i_d**2 + i_q_max**2 <= given_.current**2
         assert 0 <= motoring <= i_q_max
-        assert abs(now[0] - before[0]) <= config.slew * Q16
+        assert abs(now[0] - before[0]) <= slew_of(config)
         assert now[1] == 0 or now[0] >= config.i_d_max * Q16
         before = now
 
@@ -169,7 +174,7 @@ def test_is_given_back_at_the_slew_rate(core: Core, given_: Input) -> None:
         i_d, _, motoring = weakening.step(given_)
         depths.append(int(weakening.state.d))
     steps = [before - after for before, after in itertools.pairwise(depths)]
-    assert set(steps[:-1]) == {config.slew * Q16}
+    assert set(steps[:-1]) == {slew_of(config)}
     assert (i_d, motoring) == (0, Input().current)
 
 
@@ -193,7 +198,7 @@ def test_settles_at_the_margin(core: Core, psi: float, inductance: float, i_q: f
     free = volts - math.hypot(u_d, u_q)
     if i_d == 0.0:
         assert free >= 0.3 - 0.01
-    elif -int(weakening.state.i_d) == config.i_d_max:
+    elif round(i_d * AMP) == -config.i_d_max:
         assert free <= 0.3 + 0.01
     else:
         assert free == pytest.approx(0.3, abs=0.01)

@@ -94,7 +94,7 @@ def test_is_given_back_when_the_feature_is_switched_off(bench: Bench) -> None:
         way.append(i_d_ref(bench))
     steps = [after - before for before, after in itertools.pairwise(way)]
     assert way[-1] == 0
-    assert 0 <= min(steps) <= max(steps) <= amps(0.5) + 1  # at the slew rate, not at once
+    assert 0 <= min(steps) <= max(steps) <= MOST // 8 + 1  # at the slew rate, not at once
     assert not bench.view(0).limits & LIMIT_FIELD_WEAKENING
 
 

@@ -76,6 +76,16 @@ def test_switched_off_in_motion_the_speed_falls_to_what_the_voltage_allows(rated
     assert float(run.omega[-100:].mean()) == pytest.approx(aim, rel=field_weakening.FORMULA)
 
 
+def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
+    """Observer and encoder agree about the rotor, also while the voltage is short."""
+    features(rated, AXIS, ANGLE_CHECK=True)
+    for load, supply in ((field_weakening.STEP, 24.0), (0.02, 19.0), (0.0, 24.0)):
+        rated.set_load(AXIS, load)
+        rated.set_supply(supply)
+        run = watch(rated, [AXIS], 0.3)[AXIS]  # refuses faults
+        assert float(run.i_d[-100:].mean()) < -0.3
+
+
 def test_a_stop_ends_it(rated: Board) -> None:
     rated.write("cmd.enable", [0, 0])
     run = watch(rated, [AXIS], 0.4)[AXIS]

@@ -63,7 +63,6 @@ def field_weakening_constants(to: Converter) -> dict[str, Field]:
         f"{group}.gain": to.of(
             INT16_Q8, "gain of field weakening", min(max(gain, 2.0**-8), 127.0), "correct motor.l_d"
         ),
-        f"{group}.slew": to.at(FRAC16, "field_weakening.slew", board.tick / s.i, "write some 1000 A/s"),
         f"{group}.i_d_max": to.of(FRAC16, "largest i_d against the flux", i_d_max(axis) / s.i, "lower it"),
         f"{group}.q_share": to.of(FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _MOST), "none"),
     }

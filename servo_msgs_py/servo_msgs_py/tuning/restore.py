@@ -322,7 +322,6 @@ class _Restorer:
             },
             "field_weakening": {
                 "margin": at("field_weakening.margin"),
-                "slew": at("field_weakening.slew", 1.0 / _TICK),
                 "current_use": min(at("field_weakening.i_d_max") / current, 1.0) or 0.5,
                 "magnet_current": at("field_weakening.i_d_max") or current,
             },

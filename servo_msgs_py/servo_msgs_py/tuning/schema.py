@@ -243,7 +243,6 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
     "field_weakening": {
         "margin": Entry("V", "stator voltage that stays free below its limit", zero=True),
         "bandwidth": Entry("Hz", "of the voltage's controller, where the back-EMF takes the whole voltage", most=250.0),
-        "slew": Entry("A/s", "change of the current against the flux at most"),
         "current_use": Entry("", "part of limits.current for the current against the flux", most=1.0),
         "magnet_current": Entry("A", "current against the flux that the hot magnets bear, peak"),
     },
