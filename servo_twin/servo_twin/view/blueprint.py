@@ -39,9 +39,10 @@ def blueprint() -> Any:
             plot(f"{name}: residual {field} [{unit}]", origin, [f"+ {scene.residual_entity(axis, field)}"])
             for field, unit in scene.RESIDUALS.items()
         ]
-        monitor = scene.MONITOR
-        title = f"{name}: {monitor.title} [{monitor.unit}]"
-        residuals.append(plot(title, origin, [f"+ {origin}/{monitor.name}/**"]))
+        residuals += [
+            plot(f"{name}: {extra.title} [{extra.unit}]", origin, [f"+ {origin}/{extra.name}/**"])
+            for extra in scene.EXTRAS
+        ]
         columns.append(rrb.Vertical(*plots, rrb.Tabs(*residuals, active_tab=0), name=name))
     shafts = rrb.Spatial3DView(
         name="shafts",

@@ -17,6 +17,7 @@ __all__ = [
     "BURST",
     "BURST_RESIDUAL",
     "COLOURS",
+    "EXTRAS",
     "PATH_STATES",
     "QUANTITIES",
     "RESIDUAL",
@@ -99,7 +100,11 @@ QUANTITIES: Final = (
     Quantity("i_q", "current i_q", "A", "i_q", "i_q_ref"),
 )
 
-MONITOR: Final = Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point")
+EXTRAS: Final = (
+    Quantity("i_d", "current i_d", "A", "i_d", "no set-point"),
+    Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point"),
+)
+"""Shown where the telemetry has them."""
 
 BURST_RESIDUAL: Final = "/burst_residual"
 """Root of what the bursts of board and twin differ by."""
