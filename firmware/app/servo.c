@@ -156,7 +156,8 @@ static void watch_bus(servo_t *servo)
         axis_t *axis = &servo->axis[i];
         axis->diagnosis.bus.u_dc_max = brake->able ? servo_config.brake.u_dc_max_able : axis->config->u_dc_max;
         axis->regen_derating = brake->regen_derating;
-        axis->bus_limits = (brake->on || brake->spent) ? LIMIT_BRAKE : 0U;
+        axis->bus_limits = (uint16_t)(((brake->on || brake->spent) ? LIMIT_BRAKE : 0U) |
+                                      (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));
     }
 }
 

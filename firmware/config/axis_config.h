@@ -10,6 +10,7 @@
 #include "comm/sha1.h"
 #include "config/contract_gen.h"
 #include "control/current_loop.h"
+#include "control/field_weakening.h"
 #include "control/friction.h"
 #include "control/observer.h"
 #include "control/pll.h"
@@ -81,6 +82,7 @@ typedef struct {
     frac32_t regeneration_speed; /* up to it the full current burns in the winding all that braking returns */
     /* i_d at most against the flux while braking current is folded back: its losses brake too. */
     frac16_t copper_current;
+    field_weakening_config_t field_weakening;
 } axis_config_t;
 
 typedef struct {

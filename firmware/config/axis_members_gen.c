@@ -158,6 +158,10 @@ CHECK(142, SIZE(stop.ticks_max) == 2);
 CHECK(143, SIZE(stop.hold_ticks) == 2);
 CHECK(144, SIZE(regeneration_speed) == 4);
 CHECK(145, SIZE(copper_current) == 2);
+CHECK(146, SIZE(field_weakening.margin) == 2);
+CHECK(147, SIZE(field_weakening.gain) == 2);
+CHECK(148, SIZE(field_weakening.i_d_max) == 2);
+CHECK(149, SIZE(field_weakening.q_share) == 2);
 
 const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
@@ -200,7 +204,7 @@ const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_SIGNED, INT32_C(1), INT32_C(15888)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(1718483103)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(102534791)},
-    {0U, INT32_C(0), INT32_C(16383)},
+    {0U, INT32_C(0), INT32_C(32767)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(954929659)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(6), INT32_C(636620)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2050695827)},
@@ -363,4 +367,8 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(stop.hold_ticks), 17U},
     {OFFSET(regeneration_speed), 25U},
     {OFFSET(copper_current), 4U},
+    {OFFSET(field_weakening.margin), 48U},
+    {OFFSET(field_weakening.gain), 48U},
+    {OFFSET(field_weakening.i_d_max), 48U},
+    {OFFSET(field_weakening.q_share), 49U},
 };

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xBACF1F53)
+#define CATALOGUE_HASH UINT32_C(0x4B7E7349)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -110,6 +110,7 @@ typedef enum {
 #define LIMIT_SENSORLESS UINT16_C(0x0080) /* without an encoder there is no position, no standstill and no torque from rest */
 #define LIMIT_STARVED UINT16_C(0x0100) /* no point followed one with a speed: the axis has stopped */
 #define LIMIT_TEMPERATURE UINT16_C(0x0200) /* less than the current limit, because the winding is hot */
+#define LIMIT_FIELD_WEAKENING UINT16_C(0x0400) /* current against the flux of the magnets, because the voltage of the bus does not suffice for this speed otherwise */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
@@ -125,6 +126,7 @@ typedef enum {
 #define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* a fault when encoder and observer disagree about the rotor's angle */
 #define FEATURE_STARVED UINT16_C(0x1000) /* a fault (HOST_SILENT) when no point of a trajectory follows one with a speed */
 #define FEATURE_WINDING_MODEL UINT16_C(0x2000) /* the current limit falls with the estimated temperature of the winding, and a fault beyond its maximum */
+#define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* current against the flux of the magnets at speeds that the voltage does not reach otherwise */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
@@ -145,7 +147,7 @@ typedef enum {
 #define CONFIG_REFUSAL_MOTION 9
 #define CONFIG_REFUSAL_BUSY 10
 
-#define PARAM_FEATURES_MAX INT32_C(16383)
+#define PARAM_FEATURES_MAX INT32_C(32767)
 #define PARAM_FAULTS_ENABLED_MAX INT32_C(4194303)
 
 #endif

@@ -13,6 +13,7 @@
 #include "drive/stop.h"
 #include "drive/watch.h"
 #include "drive/winding.h"
+#include "drive/weakening.h"
 
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
@@ -181,8 +182,6 @@ void axis_estimate(axis_t *axis)
     sm_step(&axis->sm, axis);
 }
 
-void axis_protect(axis_t *axis) { winding_protect(axis); }
-
 void axis_plan(axis_t *axis, uint32_t tick) { motion_plan(axis, tick); }
 
 void axis_check(axis_t *axis)
@@ -192,6 +191,12 @@ void axis_check(axis_t *axis)
     if (axis->path_limits.stale) {
         limits_retune(axis);
     }
+}
+
+void axis_protect(axis_t *axis)
+{
+    winding_protect(axis);
+    weakening_step(axis); /* within what the winding bears */
 }
 
 void axis_edge(axis_t *axis) { axis->source->edge(axis); }

@@ -3,6 +3,7 @@
 #define SERVO_DRIVE_AXIS_DATA_H
 
 #include "config/axis_config.h"
+#include "control/field_weakening.h"
 #include "control/path.h"
 #include "diagnosis/diagnosis.h"
 #include "diagnosis/fault_latch.h"
@@ -165,11 +166,12 @@ typedef struct axis {
     frac32_t u_dc_filter;
     frac16_t u_dc; /* filtered bus voltage */
     frac16_t regen_derating; /* part of the braking current that the bus takes */
-    uint16_t bus_limits; /* LIMIT_ bits that the bus sets on every axis */
+    uint16_t bus_limits; /* LIMIT_ bits that the bus sets */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;
     dq_t current_ref;
+    field_weakening_t weakening; /* of the field; all zero: no effect */
     motion_state_t motion;
     trajectory_t trajectory;
     observation_t observation;

@@ -10,6 +10,7 @@ static void equal_duties(axis_t *axis, bool outputs_on, frac16_t duty)
     hal_pwm_enable(axis->hal, axis->index, outputs_on);
     current_loop_reset(&axis->current_loop);
     axis->current_ref = (dq_t){0, 0};
+    axis->weakening = (field_weakening_t){0};
     axis->motion.motion = MOTION_STOP;
     axis->motion.speed_ref = 0;
 }

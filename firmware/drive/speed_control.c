@@ -30,23 +30,46 @@ static bool returns_energy(const axis_t *axis, bool negative)
     return f32_abs(speed) > axis->config->regeneration_speed && (speed < 0) != negative;
 }
 
-/* Current limit in a direction: less against the motion while the bus cannot take what braking returns. */
-static frac16_t current_limit(const axis_t *axis, bool negative)
+/* The bus, or the current that weakens the field, leaves less than the limit of the host in some direction. */
+static bool restricted(const axis_t *axis)
 {
-    const frac16_t limit = axis->current_max.q;
-    if (axis->regen_derating == FRAC16_MAX) {
-        return limit; /* almost always */
-    }
-    return returns_energy(axis, negative) ? f16_mul(limit, axis->regen_derating) : limit;
+    return axis->regen_derating != FRAC16_MAX || field_weakening_active(&axis->weakening);
 }
 
-static void hold_back(axis_t *axis, bool held)
+/* What is left then in a direction: less against the motion while the bus cannot take what braking returns, and less
+ * beside the current that weakens the field. */
+static frac16_t restricted_limit(const axis_t *axis, bool negative)
+{
+    const field_weakening_t *weakening = &axis->weakening;
+    const bool returns = returns_energy(axis, negative);
+    frac16_t limit = axis->current_max.q;
+    if (field_weakening_active(weakening)) {
+        limit = f16_limit(limit, returns ? weakening->i_q_max : field_weakening_motoring(weakening));
+    }
+    return returns ? f16_mul(limit, axis->regen_derating) : limit;
+}
+
+/* `held`: there is less current than what is wanted, which is negative or not. */
+static void hold_back(axis_t *axis, bool held, bool negative)
 {
     axis->motion.held_back = held;
-    axis->current_ref.d = 0; /* E23 */
-    if (held) {
+    axis->current_ref.d = field_weakening_i_d(&axis->weakening);
+    if (held && axis->regen_derating != FRAC16_MAX && returns_energy(axis, negative)) {
         axis_report(axis, LIMIT_REGENERATION);
-        axis->current_ref.d = f16_neg(f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->regen_derating)));
+        const frac16_t copper = f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->regen_derating));
+        if (copper > -axis->current_ref.d) {
+            axis->current_ref.d = f16_neg(copper);
+        }
+    }
+}
+
+/* i_d*; `less` is what restricted() says, `held` that it has cost a part of i_q. */
+static void set_i_d(axis_t *axis, bool less, bool held, bool negative)
+{
+    axis->motion.held_back = false;
+    axis->current_ref.d = 0; /* E23; almost always */
+    if (less) {
+        hold_back(axis, held, negative);
     }
 }
 
@@ -87,10 +110,11 @@ frac16_t speed_control(axis_t *axis)
     pi_integrate(&m->speed_pi, gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
     const pi_sum_t sum =
         pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis, axis->config));
-    const frac16_t limit = current_limit(axis, sum < 0);
+    const bool less = restricted(axis);
+    const frac16_t limit = less ? restricted_limit(axis, sum < 0) : axis->current_max.q;
     const frac32_t i_q = pi_limit(&m->speed_pi, sum, f32_from_f16(limit));
     m->saturated = m->speed_pi.excess != 0;
-    hold_back(axis, m->saturated && limit < axis->current_max.q);
+    set_i_d(axis, less, m->saturated && limit < axis->current_max.q, sum < 0);
     if (m->saturated) {
         m->held_back = report_current(axis) || m->held_back;
     }
@@ -131,9 +155,10 @@ frac16_t torque_control(axis_t *axis)
         axis_report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
         i_q = (i_q > max) ? max : min;
     }
-    const frac16_t limit = current_limit(axis, i_q < 0);
+    const bool less = restricted(axis);
+    const frac16_t limit = less ? restricted_limit(axis, i_q < 0) : axis->current_max.q;
     const frac16_t result = f16_limit(f16_from_f32(i_q), limit);
-    hold_back(axis, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->current_max.q);
+    set_i_d(axis, less, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->current_max.q, i_q < 0);
     m->speed_ref = axis->feedback.speed;
     m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */

@@ -5,6 +5,7 @@
 #define static
 #define inline
 #include "control/current_loop.h"
+#include "control/field_weakening.h"
 #include "control/path.h"
 #include "control/pll.h"
 #include "diagnosis/heat_monitor.h"

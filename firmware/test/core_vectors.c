@@ -3,6 +3,7 @@
 
 #include "config/axis_config.h"
 #include "control/current_loop.h"
+#include "control/field_weakening.h"
 #include "control/friction.h"
 #include "control/path.h"
 #include "drive/current_sense.h"
@@ -319,6 +320,28 @@ static void sense(void)
     report("sense");
 }
 
+static void weakening(void)
+{
+    field_weakening_t s = {0};
+    for (uint16_t i = 0; i < 300; i++) {
+        const field_weakening_config_t config = {f16_abs(random16()), f16_abs(random16()), f16_abs(random16()),
+                                                 f16_abs(random16())};
+        const field_weakening_input_t input = {
+            .demand = {random16(), random16()},
+            .u_max = f16_abs(random16()),
+            .emf = random16(),
+            .current = f16_abs(random16()),
+            .wanted = i % 8U != 0U,
+        };
+        field_weakening_step(&s, &config, &input);
+        add(s.d);
+        add(s.q);
+        add(field_weakening_i_d(&s));
+        add(field_weakening_motoring(&s));
+    }
+    report("weakening");
+}
+
 int main(void)
 {
     begin();
@@ -330,6 +353,7 @@ int main(void)
     speed();
     search();
     sense();
+    weakening();
     finish();
     return 0;
 }

@@ -227,7 +227,7 @@ def test_set_refuses(
         (["--raw", "cmd.mode", "1,9"], "cmd.mode[1]: 9 is outside 0 .. 3"),
         (["--raw", "cmd.enable[1]", "2"], "cmd.enable[1]: 2 is outside 0 .. 1"),
         (["--raw", "param.monitor[0]", "99"], "param.monitor[0]: 99 is outside 0 .. 15"),
-        (["--raw", "param.brake", "2"], "param.brake: 2 is outside 0 .. 1"),
+        (["--raw", "param.feedback[0]", "2"], "param.feedback[0]: 2 is outside 0 .. 1"),
         (["--raw", "param.host_timeout", "0"], "param.host_timeout: 0 is outside 0.05 .. 30 s"),
         (["--raw", "param.i_q_limit[0]", "-0.5"], "param.i_q_limit[0]: -4.125 is outside 0.1 .. 4 A"),
         (

@@ -152,6 +152,7 @@ def test_true_shaft_beyond_an_uneven_edge_does_not_cost_a_count(beyond: float) -
     silent, words = np.zeros(ticks.size), np.zeros(ticks.size, dtype=np.int64)
     recording = Recording(
         time=silent, position=position, position_ref=silent, speed_ref=silent, speed=silent, i_q_ref=silent, i_q=silent,
+        i_d=silent, u_d=silent, u_q=silent,
         limits=words, faults=words, state=words, substate=words,
         theta=theta, omega=silent, i_q_true=silent, torque=silent, u_dc=silent,
     )  # fmt: skip

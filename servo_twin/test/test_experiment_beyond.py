@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from servo_twin.experiments import feed_forward, friction, soft_limits, supervision
+from servo_twin.experiments import feed_forward, field_weakening, friction, soft_limits, supervision
 from servo_twin.plant import PlantConfig
 
 
@@ -15,7 +15,9 @@ def run(module: ModuleType) -> list[str]:
     return [row.name for row in module.run(PlantConfig.load(), 3).rows if not row.agrees]
 
 
-@pytest.mark.parametrize("module", [feed_forward, friction, soft_limits, supervision], ids=lambda m: m.NAME)
+@pytest.mark.parametrize(
+    "module", [feed_forward, field_weakening, friction, soft_limits, supervision], ids=lambda m: m.NAME
+)
 def test_agrees(module: ModuleType) -> None:
     assert run(module) == []
 
@@ -24,6 +26,7 @@ def test_agrees(module: ModuleType) -> None:
     ("module", "figure"),
     [
         (feed_forward, "following error"),
+        (field_weakening, "speed gained"),
         (friction, "start from rest"),
         (soft_limits, "beyond with"),
         (supervision, "outputs off after"),

@@ -88,6 +88,14 @@ def test_board_and_twin_come_back_to_the_tick(record: Record, file: Path) -> Non
                 assert np.array_equal(values, table[:, COLUMNS.index(quantity.column(source, axis))])
 
 
+@pytest.mark.parametrize("extra", scene.EXTRAS, ids=lambda extra: extra.name)
+def test_more_curves_are_shown_where_the_telemetry_has_them(record: Record, file: Path, extra: scene.Quantity) -> None:
+    column = extra.column(scene.BOARD, 0)
+    values = np.linspace(-1.0, 0.0, 1000)
+    record(lambda viewer: viewer.board([column, *COLUMNS], np.column_stack([values, move()])))
+    assert np.array_equal(read_scalars(file, scene.series_entity(0, extra.name, scene.BOARD))[1], values)
+
+
 def test_a_missing_twin_is_no_trouble(record: Record, file: Path) -> None:
     record(lambda viewer: viewer.board(COLUMNS, move()))
     assert verify(file).returncode == 0

@@ -7,6 +7,7 @@ import math
 
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.field_weakening import idle_speed
 from servo_msgs_py.tuning.sensorless_checks import check_sensorless
 from servo_msgs_py.tuning.winding import check_winding
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
@@ -94,10 +95,12 @@ def _axis(axis: Axis) -> None:
 
 
 def _voltage(axis: Axis, board: Board) -> None:
-    most = board.voltage_max / (axis("motor.pole_pairs") * axis("motor.psi_m"))
+    most = idle_speed(axis, board)
     if axis("limits.speed") > most:
         reason = f"{board('nominal_voltage'):g} V reach {most:.4g} rad/s without load"
-        remedy = "lower it, or correct motor.psi_m, motor.pole_pairs or board.nominal_voltage"
+        remedy = (
+            "lower it, switch field_weakening on, or correct motor.psi_m, motor.pole_pairs or board.nominal_voltage"
+        )
         raise axis.refused("limits.speed", reason, remedy)
 
 

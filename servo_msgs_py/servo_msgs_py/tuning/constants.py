@@ -8,6 +8,7 @@ from typing import Final
 from servo_msgs_py.tuning.braking import stop_constants
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration
 from servo_msgs_py.tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
+from servo_msgs_py.tuning.field_weakening import field_weakening_constants
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
 from servo_msgs_py.tuning.gains import Gains
 from servo_msgs_py.tuning.winding import winding_constants
@@ -54,6 +55,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **_watches(to),
         **winding_constants(to),
         **stop_constants(to),
+        **field_weakening_constants(to),
     }
 
 

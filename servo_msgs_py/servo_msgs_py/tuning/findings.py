@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from servo_msgs_py.tuning.assessment import Assessment
+from servo_msgs_py.tuning.field_weakening import field_weakening_loops
 from servo_msgs_py.tuning.sensorless_constants import needs_observer
 from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
 from servo_msgs_py.tuning.tuned import Tuned
@@ -77,6 +78,7 @@ def findings(it: Tuned, figures: Assessment) -> list[str]:
         *_inertias(it, figures),
         *_position(it, figures),
         *_reach(it, figures),
+        *_field_weakening(it),
         *_rounding(it),
         *_sign(it),
         *_follows(it),
@@ -127,6 +129,17 @@ def _reach(it: Tuned, figures: Assessment) -> Iterator[str]:
         if current + reach.friction_current > limit:
             sums = f"asks for {current:.2f} A besides {reach.friction_current:.2f} A of friction"
             yield f"{_entry(it, path)}: {sums}, and the limit is {limit:g} A; lower it"
+
+
+def _field_weakening(it: Tuned) -> Iterator[str]:
+    if not it.axis.features["field_weakening"]:
+        return
+    for name, loop in field_weakening_loops(it.axis, it.board, it.block).items():
+        if loop.gain * GAIN_MIN > 1.0:
+            what = (
+                f"{_entry(it, 'field_weakening.bandwidth')}: the loop {name} has a gain margin of {1 / loop.gain:.2f}"
+            )
+            yield f"{what}, less than {GAIN_MIN:g}; lower it or field_weakening.current_use"
 
 
 def _rounding(it: Tuned) -> Iterator[str]:

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from servo_msgs_py.tuning.assessment import Assessment, assess
 from servo_msgs_py.tuning.configuration import Configuration
+from servo_msgs_py.tuning.field_weakening import field_weakening_text
 from servo_msgs_py.tuning.findings import K_V_T_MAX, findings
 from servo_msgs_py.tuning.layout import factor, hertz, notes, phase, table
 from servo_msgs_py.tuning.sensorless_report import sensorless_text
@@ -108,6 +109,7 @@ def _axis(report: AxisReport) -> Iterator[str]:
         yield from _inertias(figures, observed)
     yield "  speed loop while encoder edges are rare, M/T"
     yield from _edges(figures)
+    yield from field_weakening_text(it.axis, it.board, it.block)
     yield from sensorless_text(it, figures.sensorless)
 
 

@@ -71,6 +71,7 @@ _FOUND: Final = (
     _Found("start_up.swings", "startup.speed_step", 6.0, -1),
     _Found("start_up.current_time", "startup.current_step", 0.1, -1),
     _Found("start_up.swing_damping", "startup.damping", 0.7),
+    _Found("field_weakening.bandwidth", "field_weakening.gain", 80.0),
     _Found("start_up.fade_time", "startup.fade_step", 0.02, -1),
     _Found("winding.heat_capacity", "winding_model.heating", 25.0, -1),
     _Found("winding.thermal_resistance", "winding_model.cooling", 20.0, -1),
@@ -322,6 +323,11 @@ class _Restorer:
             },
             "winding": {
                 key: at(f"winding_model.{key}") for key in ("ambient", "initial", "derating", "maximum", "fault")
+            },
+            "field_weakening": {
+                "margin": at("field_weakening.margin"),
+                "current_use": min(at("field_weakening.i_d_max") / current, 1.0) or 0.5,
+                "magnet_current": at("field_weakening.i_d_max") or current,
             },
             "sensing": {
                 "sign_current": s.i / _value("current_loop.dead_time.slope", b),

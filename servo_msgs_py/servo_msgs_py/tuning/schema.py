@@ -251,6 +251,12 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "maximum": Entry("deg C", "where the current limit has come down to the rated current"),
         "fault": Entry("deg C", "that is a fault, until it is below maximum again"),
     },
+    "field_weakening": {
+        "margin": Entry("V", "stator voltage that stays free below its limit", zero=True),
+        "bandwidth": Entry("Hz", "of the voltage's controller, where the back-EMF takes the whole voltage", most=250.0),
+        "current_use": Entry("", "part of limits.current for the current against the flux", most=1.0),
+        "magnet_current": Entry("A", "current against the flux that the hot magnets bear, peak"),
+    },
     "sensing": {
         "sign_current": Entry("A", "above it the direction of a phase current is certain"),
         "offset_tolerance": Entry("", "ADC codes that an offset may lie off mid-scale", whole=True),

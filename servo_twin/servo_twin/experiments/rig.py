@@ -74,8 +74,8 @@ class Recording:
         Since the beginning of the recording [s].
     position : ndarray
         What the firmware reports [counts].
-    position_ref, speed_ref, speed, i_q_ref, i_q : ndarray
-        What the firmware reports [counts], [rad/s], [A].
+    position_ref, speed_ref, speed, i_q_ref, i_q, i_d, u_d, u_q : ndarray
+        What the firmware reports [counts], [rad/s], [A], [V].
     limits, faults, state, substate : ndarray
         Words of the firmware.
     theta, omega, i_q_true, torque, u_dc : ndarray
@@ -89,6 +89,9 @@ class Recording:
     speed: NDArray[np.float64]
     i_q_ref: NDArray[np.float64]
     i_q: NDArray[np.float64]
+    i_d: NDArray[np.float64]
+    u_d: NDArray[np.float64]
+    u_q: NDArray[np.float64]
     limits: NDArray[np.int64]
     faults: NDArray[np.int64]
     state: NDArray[np.int64]
@@ -251,6 +254,9 @@ def _recording(
         speed=si[f"{name}.speed"],
         i_q_ref=si[f"{name}.i_q_ref"],
         i_q=si[f"{name}.i_q"],
+        i_d=si[f"{name}.i_d"],
+        u_d=si[f"{name}.u_d"],
+        u_q=si[f"{name}.u_q"],
         limits=log[f"{name}.limits"].astype(np.int64),
         faults=log[f"{name}.faults"].astype(np.int64),
         state=log[f"{name}.state"].astype(np.int64),

@@ -39,7 +39,10 @@ def blueprint() -> Any:
             plot(f"{name}: residual {field} [{unit}]", origin, [f"+ {scene.residual_entity(axis, field)}"])
             for field, unit in scene.RESIDUALS.items()
         ]
-        residuals += [plot(f"{name}: {q.title} [{q.unit}]", origin, [f"+ {origin}/{q.name}/**"]) for q in scene.EXTRA]
+        residuals += [
+            plot(f"{name}: {extra.title} [{extra.unit}]", origin, [f"+ {origin}/{extra.name}/**"])
+            for extra in scene.EXTRAS
+        ]
         columns.append(rrb.Vertical(*plots, rrb.Tabs(*residuals, active_tab=0), name=name))
     shafts = rrb.Spatial3DView(
         name="shafts",

@@ -17,7 +17,7 @@ __all__ = [
     "BURST",
     "BURST_RESIDUAL",
     "COLOURS",
-    "EXTRA",
+    "EXTRAS",
     "PATH_STATES",
     "QUANTITIES",
     "RESIDUAL",
@@ -100,9 +100,10 @@ QUANTITIES: Final = (
     Quantity("i_q", "current i_q", "A", "i_q", "i_q_ref"),
 )
 
-EXTRA: Final = (
-    Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point"),
+EXTRAS: Final = (
+    Quantity("i_d", "current i_d", "A", "i_d", "no set-point"),
     Quantity("winding_temperature", "winding", "deg C", "winding_temperature", "no set-point"),
+    Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point"),
 )
 """Plots of what is not in the telemetry unless somebody puts it there; beside the residuals."""
 

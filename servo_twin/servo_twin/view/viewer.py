@@ -254,7 +254,7 @@ class Viewer:
         where = {name: k for k, name in enumerate(columns)}
         points: dict[str, NDArray[np.float64]] = {}
         for axis, _ in scene.axes():
-            for quantity in (*scene.QUANTITIES, *scene.EXTRA):
+            for quantity in (*scene.QUANTITIES, *scene.EXTRAS):
                 for curve in (scene.SET_POINT, source) if source == scene.BOARD else (source,):
                     if (column := where.get(quantity.column(curve, axis))) is not None:
                         values = quantity.of_joint(self._joints[axis], table[:, column])

@@ -7,6 +7,7 @@
 #include "comm/sha1.h"
 #include "config/axis_config.h"
 #include "control/current_loop.h"
+#include "control/field_weakening.h"
 #include "control/friction.h"
 #include "control/path.h"
 #include "diagnosis/winding_model.h"
@@ -336,6 +337,30 @@ static void friction(run_t *run)
     }
 }
 
+/* With a configuration and a current limit that stay. */
+static void weakening(run_t *run)
+{
+    field_weakening_config_t config;
+    config.margin = draw_limit16(run);
+    config.gain = draw_limit16(run);
+    config.i_d_max = draw_limit16(run);
+    config.q_share = draw_limit16(run);
+    field_weakening_input_t input;
+    input.current = draw_limit16(run);
+    field_weakening_t state = {0};
+    for (uint16_t i = 0; i < STEPS; i++) {
+        input.demand = draw_dq(run);
+        input.u_max = draw_limit16(run);
+        input.emf = draw16(run);
+        input.wanted = draw(run) % 8U != 0U;
+        field_weakening_step(&state, &config, &input);
+        take(run, state.d);
+        take(run, state.q);
+        take(run, field_weakening_i_d(&state));
+        take(run, field_weakening_motoring(&state));
+    }
+}
+
 /* The one that is configured, or any up to 32000 counts. */
 static encoder_config_t draw_encoder(run_t *run)
 {
@@ -611,6 +636,7 @@ static const group_t groups[] = {
     {"root", root},
     {"path filter", path_filter},
     {"friction", friction},
+    {"field weakening", weakening},
     {"encoder", encoder},
     {"speed", speed},
     {"speed observer", observer},

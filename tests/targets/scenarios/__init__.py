@@ -46,6 +46,7 @@ SCENARIOS: Final = (
     Scenario("soft-limits", plant(), moves.soft_limits),
     Scenario("expired", plant(), moves.expired),
     Scenario("trajectory", plant(), moves.trajectory),
+    Scenario("weakened", plant(capacitance=2e-4), moves.weakened),
     Scenario("sensorless", plant(capacitance=0.05), observers.sensorless),
     Scenario("sensorless-lost", plant(i_noise=0.0).with_bus(u_noise=0.0), observers.sensorless_lost),
     Scenario("slipped-encoder", plant(capacitance=0.05), observers.slipped),

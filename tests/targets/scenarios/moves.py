@@ -214,3 +214,23 @@ def trajectory(rig: Rig) -> None:
     rig.set("cmd.mode", POSITION, TRAJECTORY)
     rig.set("cmd.clear_faults", 1)
     stop(rig)
+
+
+def weakened(rig: Rig) -> None:
+    """Speeds that the bus has no voltage for, with field weakening: load, a sag until nothing is left, switched off."""
+    spin(rig)
+    rig.set("param.features", features("FIELD_WEAKENING"))
+    rig.set("param.acceleration_limit", 30_000.0)
+    rig.set("param.speed_limit", 400.0)
+    rig.supply(17.0)
+    rig.set("cmd.mode", SPEED)
+    rig.set("cmd.speed", 300.0, -380.0)
+    rig.run(0.03)
+    rig.load(0, 0.05)
+    rig.supply(16.3)
+    rig.set("cmd.mode", TORQUE, SPEED)
+    rig.set("cmd.i_q", 3.0, 0.0)
+    rig.run(0.02)
+    rig.set("param.features", features(), features("FIELD_WEAKENING"))
+    rig.set("cmd.speed", 0.0, 100.0)
+    rig.run(0.02)

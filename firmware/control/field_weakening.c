@@ -1,0 +1,53 @@
+#include "control/field_weakening.h"
+
+#include "math/trig.h"
+
+#define SLEW_SHIFT 3
+
+/* u_target^2 - |u|^2. */
+static frac32_t room_of(frac16_t target, dq_t demand)
+{
+    const int64_t square = (int64_t)f32_mul16(demand.d, demand.d) + f32_mul16(demand.q, demand.q);
+    return sat32(f32_mul16(target, target) - square);
+}
+
+/* Below half of the target the back-EMF is not what makes the voltage long. */
+static bool emf_matters(frac16_t emf, frac16_t target) { return 2 * i32_abs(emf) > target; }
+
+/* How much more current is to be taken; less than 0: given back. */
+static frac32_t change_of(const field_weakening_config_t *config, const field_weakening_input_t *input)
+{
+    const frac32_t slew = asr32(f32_from_f16(config->i_d_max), SLEW_SHIFT);
+    const frac16_t target = (input->u_max > config->margin) ? f16_sub(input->u_max, config->margin) : 0;
+    if (!input->wanted || !emf_matters(input->emf, target)) {
+        return -slew;
+    }
+    const int64_t wanted = -(int64_t)room_of(target, input->demand) * config->gain;
+    return f32_limit(asr64(wanted, FIELD_WEAKENING_GAIN_BITS), slew);
+}
+
+static frac32_t within(frac32_t x, frac32_t max)
+{
+    if (x < 0) {
+        return 0;
+    }
+    return (x > max) ? max : x;
+}
+
+/* i_q that a circle of the radius `current` leaves beside `d`. */
+static frac16_t circle(frac16_t current, frac16_t d) { return f16_sqrt(f32_mul16(current, current) - f32_mul16(d, d)); }
+
+void field_weakening_step(field_weakening_t *state, const field_weakening_config_t *config,
+                          const field_weakening_input_t *input)
+{
+    const frac32_t end = f32_from_f16((config->i_d_max < input->current) ? config->i_d_max : input->current);
+    const frac32_t change = change_of(config, input);
+    const bool q_moves = (change > 0) ? state->d >= end : state->q > 0;
+    state->d = within(q_moves ? state->d : f32_add(state->d, change), end);
+    state->i_q_max = circle(input->current, field_weakening_i_d(state));
+    if (q_moves) {
+        const frac32_t share = sat32(asr64((int64_t)change * config->q_share, 15));
+        state->q = f32_add(state->q, share);
+    }
+    state->q = within(state->q, f32_from_f16(state->i_q_max));
+}

@@ -1,0 +1,139 @@
+"""Field weakening on the virtual board: moves, torque and the other direction at the rated speed, and what ends it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments import field_weakening
+from servo_twin.experiments.field_weakening import RATED, at_rated
+from servo_twin.experiments.rig import (
+    RPM,
+    choose_mode,
+    command_position,
+    command_speed,
+    features,
+    position_of,
+    set_axis,
+    spinning,
+    watch,
+)
+from servo_twin.plant import PlantConfig
+
+AXIS = field_weakening.AXIS
+
+
+@pytest.fixture
+def rated() -> Iterator[Board]:
+    """Axis 1 at its rated speed with field weakening."""
+    with at_rated(PlantConfig.load(), 5, [AXIS], weak=True) as board:
+        board.run(0.25)
+        assert board.truth(AXIS).i_d < -0.3
+        yield board
+
+
+def test_a_position_move_at_the_rated_speed_arrives() -> None:
+    """No faults with the following error watched, and no more overshoot than at lower speeds."""
+    with spinning(PlantConfig.load(), 5) as board:
+        features(board, AXIS, FIELD_WEAKENING=True, FOLLOWING_ERROR=True, OVER_SPEED=True)
+        set_axis(board, "param.speed_limit", AXIS, RATED)
+        set_axis(board, "param.over_speed", AXIS, 480.0)
+        target = position_of(board, AXIS) + 30 * 4000
+        command_position(board, AXIS, target)
+        move = watch(board, [AXIS], 1.2)[AXIS]
+    assert float(move.omega.max()) > 0.98 * RATED
+    assert float(move.i_d.min()) < -0.3
+    assert float(move.position.max()) <= target + 2
+    assert abs(float(move.position[-1]) - target) <= 2
+    assert float(np.abs(move.i_d[-100:]).max()) < 0.1
+
+
+def test_turns_backwards_as_well(rated: Board) -> None:
+    command_speed(rated, AXIS, -RATED)
+    rated.run(0.5)
+    assert rated.truth(AXIS).omega_m == pytest.approx(-RATED, rel=0.005)
+    assert rated.truth(AXIS).i_d < -0.3
+
+
+def test_torque_mode_reaches_the_speed_limit(rated: Board) -> None:
+    choose_mode(rated, AXIS, "TORQUE")
+    set_axis(rated, "cmd.i_q", AXIS, 0.5)
+    run = watch(rated, [AXIS], 0.3)[AXIS]
+    assert float(run.omega[-100:].mean()) == pytest.approx(RATED, rel=0.01)
+    assert float(run.omega.std()) < 60.0 * RPM
+
+
+def test_switched_off_in_motion_the_speed_falls_to_what_the_voltage_allows(rated: Board) -> None:
+    rated.set_load(AXIS, field_weakening.STEP)
+    rated.run(0.1)
+    features(rated, AXIS, FIELD_WEAKENING=False)
+    run = watch(rated, [AXIS], 0.3)[AXIS]
+    assert float(np.abs(run.i_d[40:]).mean()) < 0.1
+    aim = field_weakening.formula(PlantConfig.load().axes[AXIS], 24.0, field_weakening.STEP, weak=False)
+    assert float(run.omega[-100:].mean()) == pytest.approx(aim, rel=field_weakening.FORMULA)
+
+
+def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
+    """Observer and encoder agree about the rotor, also while the voltage is short."""
+    features(rated, AXIS, ANGLE_CHECK=True)
+    for load, supply in ((field_weakening.STEP, 24.0), (0.02, 19.0), (0.0, 24.0)):
+        rated.set_load(AXIS, load)
+        rated.set_supply(supply)
+        run = watch(rated, [AXIS], 0.3)[AXIS]  # refuses faults
+        assert float(run.i_d[-100:].mean()) < -0.3
+
+
+def test_a_stop_ends_it(rated: Board) -> None:
+    rated.write("cmd.enable", [0, 0])
+    run = watch(rated, [AXIS], 0.4)[AXIS]
+    assert float(np.abs(run.omega[-1])) < 1.0
+    assert float(np.abs(run.i_d[-100:]).max()) < 0.1
+
+
+def test_works_without_an_encoder() -> None:
+    """The observer keeps the rotor at the rated speed, under a load step and at a supply that sags and returns."""
+    with spinning(PlantConfig.load(), 5) as board:
+        board.write("cmd.enable", [0, 0])
+        board.run(0.3)
+        set_axis(board, "param.feedback", AXIS, 1.0)
+        features(board, AXIS, FIELD_WEAKENING=True)
+        set_axis(board, "param.speed_limit", AXIS, RATED)
+        choose_mode(board, AXIS, "SPEED")
+        command_speed(board, AXIS, RATED)
+        board.write("cmd.enable", [1, 0])
+        board.run(2.0)
+        for load, supply in ((0.0, 24.0), (field_weakening.STEP, 24.0), (0.02, 20.0), (0.02, 24.0)):
+            board.set_load(AXIS, load)
+            board.set_supply(supply)
+            run = watch(board, [AXIS], 0.4)[AXIS].part(0.2)
+            aim = field_weakening.formula(board.plant.axes[AXIS], supply, load, weak=True)
+            assert float(run.omega.mean()) == pytest.approx(aim, rel=field_weakening.FORMULA)
+            assert float(run.omega.std()) < field_weakening.RESTLESS
+            assert float(run.i_d.mean()) < -0.4
+            used, true = board.read("axis1.theta_e"), board.plant.axes[AXIS].pole_pairs * board.truth(AXIS).theta_m
+            assert isinstance(used, float)
+            assert abs(math.remainder(used - true, 2.0 * math.pi)) < math.radians(25.0)
+
+
+@pytest.mark.parametrize("supply", [24.0, 20.0])
+def test_outputs_off_at_the_rated_speed_spare_the_bus(rated: Board, supply: float) -> None:
+    """The rectified back-EMF, 22.3 V between two phases, charges the bus to no more than that."""
+    rated.set_supply(supply)
+    rated.write_raw("param.on_disable", [0, 0])  # COAST
+    rated.write("cmd.enable", [0, 0])
+    run = watch(rated, [AXIS], 0.1)[AXIS]
+    assert float(run.u_dc.max()) < max(24.0, 22.4) + 0.2
+    assert not run.faults.any()
+    assert float(np.abs(run.i_d[2:]).max()) < 0.1
+
+
+def test_a_fault_at_the_rated_speed_coasts(rated: Board) -> None:
+    board = rated
+    board.connect_encoder(AXIS, False)
+    run = watch(board, [AXIS], 0.3, may_fail=True)[AXIS]
+    (first, *_) = np.nonzero(run.faults)[0]
+    assert run.state[first] != run.state[0]
+    assert float(np.hypot(run.i_d, run.i_q)[first + 1 :].max()) < 0.1
