@@ -150,6 +150,12 @@ CHECK(134, SIZE(stop.ticks_max) == 2);
 CHECK(135, SIZE(stop.hold_ticks) == 2);
 CHECK(136, SIZE(regeneration_speed) == 4);
 CHECK(137, SIZE(copper_current) == 2);
+CHECK(138, SIZE(home.speed) == 2);
+CHECK(139, SIZE(home.current) == 2);
+CHECK(140, SIZE(home.back_off) == 2);
+CHECK(141, SIZE(home.spread_max) == 2);
+CHECK(142, SIZE(home.turns_max) == 2);
+CHECK(143, SIZE(home.reach) == 2);
 
 const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
@@ -192,16 +198,19 @@ const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_SIGNED, INT32_C(1), INT32_C(15888)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(1718483103)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(102534791)},
-    {0U, INT32_C(0), INT32_C(8191)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(0), INT32_C(954929659)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(6), INT32_C(636620)},
     {MEMBER_WIDE | MEMBER_SIGNED, INT32_C(1), INT32_C(2050695827)},
     {0U, INT32_C(0), INT32_C(2047)},
     {0U, INT32_C(0), INT32_C(4095)},
     {0U, INT32_C(0), INT32_C(3)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(77121)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(11328)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(3136)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(4271425)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(4205632)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(4197440)},
+    {MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(32767)},
+    {MEMBER_LIVE, INT32_C(2), INT32_C(65535)},
+    {MEMBER_LIVE, INT32_C(0), INT32_C(65535)},
+    {MEMBER_LIVE, INT32_C(1), INT32_C(65535)},
 };
 
 const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
@@ -305,14 +314,14 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(i_q_limit), 37U},
     {OFFSET(speed_limit), 38U},
     {OFFSET(acceleration_limit), 39U},
-    {OFFSET(features), 40U},
-    {OFFSET(position_limit), 41U},
-    {OFFSET(following_error), 42U},
-    {OFFSET(over_speed), 43U},
+    {OFFSET(features), 31U},
+    {OFFSET(position_limit), 40U},
+    {OFFSET(following_error), 41U},
+    {OFFSET(over_speed), 42U},
     {OFFSET(u_dc_nominal), 16U},
     {OFFSET(u_dc_max), 4U},
     {OFFSET(u_dc_min), 4U},
-    {OFFSET(offset_tolerance), 44U},
+    {OFFSET(offset_tolerance), 43U},
     {OFFSET(offset_duty_min), 4U},
     {OFFSET(winding.silent), 4U},
     {OFFSET(winding.direction_min), 4U},
@@ -320,8 +329,8 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(winding.inductance), 25U},
     {OFFSET(winding.turn_per_voltage), 25U},
     {OFFSET(winding.emf_floor), 4U},
-    {OFFSET(heat.hot), 45U},
-    {OFFSET(heat.cool), 45U},
+    {OFFSET(heat.hot), 44U},
+    {OFFSET(heat.cool), 44U},
     {OFFSET(shaft.runaway_margin), 14U},
     {OFFSET(shaft.runaway_ticks_max), 17U},
     {OFFSET(shaft.stall_ticks_max), 17U},
@@ -332,15 +341,21 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(search_ticks_max), 17U},
     {OFFSET(stop_speed), 14U},
     {OFFSET(stop_ticks_max), 17U},
-    {OFFSET(stop.disable), 46U},
-    {OFFSET(stop.quick_stop), 46U},
-    {OFFSET(stop.shorted), 47U},
-    {OFFSET(stop.ramp), 48U},
-    {OFFSET(stop.hold), 49U},
+    {OFFSET(stop.disable), 45U},
+    {OFFSET(stop.quick_stop), 45U},
+    {OFFSET(stop.shorted), 46U},
+    {OFFSET(stop.ramp), 47U},
+    {OFFSET(stop.hold), 48U},
     {OFFSET(stop.short_speed), 25U},
     {OFFSET(stop.short_current), 4U},
     {OFFSET(stop.ticks_max), 17U},
     {OFFSET(stop.hold_ticks), 17U},
     {OFFSET(regeneration_speed), 25U},
     {OFFSET(copper_current), 4U},
+    {OFFSET(home.speed), 49U},
+    {OFFSET(home.current), 49U},
+    {OFFSET(home.back_off), 50U},
+    {OFFSET(home.spread_max), 51U},
+    {OFFSET(home.turns_max), 52U},
+    {OFFSET(home.reach), 51U},
 };

@@ -6,6 +6,7 @@
 #include "diagnosis/fault_isolate.h"
 #include "drive/axis_states.h"
 #include "drive/feedback.h"
+#include "drive/homing.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/run_step.h"
@@ -46,6 +47,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->motion.position_gain = config->position_gain;
     axis->fast = LOOP_FAST;
     axis->feedback_wanted = config->feedback;
+    homing_init(axis);
     axis->source->reset(axis);
     axis_states_init(axis);
 }
@@ -58,6 +60,7 @@ static void choose_source(axis_t *axis)
         axis->sensorless = sensorless;
         axis->source = sensorless ? &observer_feedback : &encoder_feedback;
         axis->source->reset(axis);
+        homing_forget(axis);
     }
 }
 
@@ -171,6 +174,8 @@ void axis_slow(axis_t *axis)
     sm_step(&axis->sm, axis);
     axis->command.fresh = 0; /* here: the latch may be left out */
 }
+
+void axis_protect(axis_t *axis) { homing_step(axis); }
 
 void axis_estimate(axis_t *axis)
 {

@@ -19,6 +19,9 @@ void axis_fast(axis_t *axis);
  * estimate of the observer. */
 void axis_estimate(axis_t *axis);
 
+/* Once per slow tick, in the period after axis_slow: what watches over limits of the motion. */
+void axis_protect(axis_t *axis);
+
 /* In a later period than axis_estimate, before the next slow tick: can the estimate be believed, does the motion obey? New
  * limits of the path are taken in here. */
 void axis_check(axis_t *axis);

@@ -188,7 +188,7 @@ static frac32_t confined_speed(axis_t *axis, frac32_t speed)
     }
     const frac32_t confined = soft_limits_confined(axis, speed);
     if (f32_abs(confined) < axis->limits.speed && confined != speed) {
-        axis_report(axis, LIMIT_POSITION);
+        axis_report(axis, axis->home.limit);
         return confined;
     }
     return speed;
@@ -204,7 +204,7 @@ static void confine_target(axis_t *axis)
     m->target_clipped = m->target_clipped || target != m->target;
     m->target = target;
     if (m->target_clipped) {
-        axis_report(axis, LIMIT_POSITION);
+        axis_report(axis, axis->home.limit);
     }
 }
 
@@ -397,6 +397,20 @@ static void end_stop(axis_t *axis)
     /* With little current the shaft is behind the ramp: a point latched now would have to be run back to. */
     if (stop_holds(axis) && at_rest(axis) && !axis->sensorless) {
         hold(axis);
+    }
+}
+
+void motion_home(axis_t *axis, frac32_t speed)
+{
+    begin(axis, MOTION_HOME);
+    axis->motion.speed_target = speed;
+}
+
+void motion_rest(axis_t *axis)
+{
+    if (axis->motion.motion == MOTION_HOME) {
+        begin(axis, MOTION_STOP);
+        axis->motion.speed_target = 0;
     }
 }
 

@@ -22,6 +22,12 @@ bool motion_too_slow(const axis_t *axis);
 /* One slow tick: take fresh commands, shape, run the controllers, set `axis->current_ref`. */
 void motion_step(axis_t *axis);
 
+/* Turn at a speed until another motion is asked for; within the limits, which are renewed when that begins. */
+void motion_home(axis_t *axis, frac32_t speed);
+
+/* End what motion_home has begun: to rest, then hold. */
+void motion_rest(axis_t *axis);
+
 /* May points be queued? The axis is in mode TRAJECTORY, and holds or follows a trajectory. */
 bool motion_takes_points(const axis_t *axis);
 

@@ -7,6 +7,7 @@
 #include "drive/axis_faults.h"
 #include "drive/current_drive.h"
 #include "drive/estimate.h"
+#include "drive/homing.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/outputs.h"
@@ -77,6 +78,7 @@ static void align_spin(axis_t *axis)
     encoder_monitor_start(&axis->diagnosis.encoder, axis->feedback.position);
     angle_monitor_start(&axis->diagnosis.angle);
     axis->test_current = (dq_t){0, 0};
+    homing_spin(axis);
     motion_start(axis);
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);
@@ -332,7 +334,7 @@ static void bound_current(axis_t *axis)
 
 static finding_set_t watch_shaft(axis_t *axis)
 {
-    const bool saturated = axis->motion.saturated;
+    const bool saturated = axis->motion.saturated && axis->motion.motion != MOTION_HOME; /* which is to be stopped */
     const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
     shaft_observation_t seen = {
         .features = axis->features,

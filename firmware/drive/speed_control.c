@@ -120,7 +120,7 @@ frac16_t torque_control(axis_t *axis)
     frac32_t i_q = f32_from_f16(wanted);
     if (i_q > max || i_q < min) {
         const bool soft = (i_q > max) ? range.max < axis->limits.speed : range.min > -axis->limits.speed;
-        axis_report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
+        axis_report(axis, soft ? axis->home.limit : LIMIT_SPEED);
         i_q = (i_q > max) ? max : min;
     }
     const frac16_t limit = current_limit(axis, i_q < 0);

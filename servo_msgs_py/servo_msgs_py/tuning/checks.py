@@ -32,6 +32,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
         _order(axis, board)
         _search(axis)
         _stops(axis, configuration.scales)
+        _home(axis)
         check_sensorless(axis, board)
 
 
@@ -178,6 +179,19 @@ def _returned(axis: Axis, board: Board) -> float:
     emf, r_s = axis("motor.pole_pairs") * axis("motor.psi_m") * axis("limits.speed"), axis("motor.r_s")
     current = min(axis("limits.current"), 0.5 * emf / r_s)  # more current burns more than it returns
     return 1.5 * current * (emf - r_s * current)
+
+
+def _home(axis: Axis) -> None:
+    """A homing has to turn the shaft, gently."""
+    for key, limit in (("current", "limits.current"), ("speed", "limits.speed")):
+        if axis(f"home.{key}") > axis(limit):
+            raise axis.refused(f"home.{key}", f"more than {limit} = {axis(limit):g}", "write less")
+    if axis.torque_constant * axis("home.current") <= axis("friction.coulomb"):
+        reason = f"it gives no more torque than friction.coulomb = {axis('friction.coulomb'):g} N m takes"
+        raise axis.refused("home.current", reason, "write more")
+    if axis("home.spread") >= axis("home.back_off"):
+        reason = f"not below home.back_off = {axis('home.back_off'):g} rad"
+        raise axis.refused("home.spread", reason, "write some counts of the encoder")
 
 
 def _stops(axis: Axis, scales: Scales) -> None:

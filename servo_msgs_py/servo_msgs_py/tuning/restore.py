@@ -319,6 +319,14 @@ class _Restorer:
                 "short_current": at("stop.short_current", 1.0 / (1.0 - 2.0**-15)),
                 "copper_use": min(at("copper_current") / current, 1.0),
             },
+            "home": {
+                "speed": at("home.speed"),
+                "current": at("home.current"),
+                "back_off": at("home.back_off"),
+                "spread": at("home.spread_max"),
+                "turns_max": b["home.turns_max"],
+                "reach": at("home.reach"),
+            },
             "sensing": {
                 "sign_current": s.i / _value("current_loop.dead_time.slope", b),
                 "offset_tolerance": b["offset_tolerance"],
