@@ -41,6 +41,10 @@ _AXIS_RULES: Final[Mapping[str, _Rule]] = {
     "inertia": _POSITIVE,
     "friction": _NOT_NEGATIVE,
     "viscous": _NOT_NEGATIVE,
+    "stop_min": _ANY,
+    "stop_max": _ANY,
+    "stop_stiffness": _NOT_NEGATIVE,
+    "stop_damping": _NOT_NEGATIVE,
     "encoder_lines": _WHOLE,
     "i_full_scale": _POSITIVE,
     "i_noise": _NOT_NEGATIVE,
@@ -98,6 +102,10 @@ class AxisPlant:
         Total inertia [kg m^2].
     friction, viscous : float
         Coulomb [N m] and viscous [N m s] friction.
+    stop_min, stop_max : float
+        Mechanical rotor angles of the end stops [rad].
+    stop_stiffness, stop_damping : float
+        What pushes the shaft back beyond them [N m/rad], [N m s]; without stiffness there are none.
     encoder_lines : float
         Lines per turn; counts are four times as many.
     theta_start : float or "random"
@@ -139,6 +147,10 @@ class AxisPlant:
     inertia: float
     friction: float
     viscous: float
+    stop_min: float
+    stop_max: float
+    stop_stiffness: float
+    stop_damping: float
     encoder_lines: float
     theta_start: float | Literal["random"]
     i_full_scale: float
@@ -161,6 +173,8 @@ class AxisPlant:
     def __post_init__(self) -> None:
         for name, rule in _AXIS_RULES.items():
             _check(name, getattr(self, name), rule)
+        if self.stop_min > self.stop_max:
+            raise PlantError(f"stop_min: {self.stop_min!r} is not below stop_max = {self.stop_max!r}")
         if self.theta_start != "random":
             _check("theta_start", self.theta_start, _ANY)
         offsets: object = self.i_offset
@@ -243,6 +257,13 @@ class PlantConfig:
             raise PlantError(
                 f"pwm_frequency: {self.pwm_frequency!r} Hz does not divide into quarter periods of whole nanoseconds"
             )
+        for name, axis in zip(("axis1", "axis2"), self.axes, strict=True):
+            most = 0.25 * axis.inertia * self.pwm_frequency**2
+            if axis.stop_stiffness > most:
+                raise PlantError(
+                    f"{name}.stop_stiffness: {axis.stop_stiffness!r} N m/rad swings faster than a PWM period shows;"
+                    f" with this inertia the most is {most:.3g}"
+                )
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> PlantConfig:

@@ -24,6 +24,7 @@
 
 #include "board.h"
 #include "plant/bridge.h"
+#include "plant/end_stop.h"
 #include "plant/harm.h"
 #include "plant/quadrature.h"
 #include "plant/sensors.h"
@@ -61,6 +62,7 @@ typedef struct {
 /* One axis. The bridge is advanced only when its own gates change or something asks for it; `clock` is where it stands. */
 typedef struct {
     bridge_t bridge;
+    end_stop_t stop;
     quadrature_t encoder;
     thermal_t winding, sink;
     plant_random_t noise;
