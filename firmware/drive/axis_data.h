@@ -88,6 +88,7 @@ typedef enum {
     MOTION_TRAJECTORY = CONTROL_MODE_TRAJECTORY, /* follow the curve through timed points */
     MOTION_STOP,                             /* ramp down at the limit; then hold */
     MOTION_HOME,                             /* follow the ramped speed that homing.c asks for */
+    MOTION_PRESS,                            /* push with the current that homing.c asks for */
 } motion_t;
 
 typedef struct {

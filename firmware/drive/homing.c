@@ -18,7 +18,8 @@
 
 #define SLOWER_SHIFT 2    /* of the approaches after the first: a quarter of the speed */
 #define STAND_COUNTS 1    /* a standing shaft dithers by that */
-#define STAND_TICKS 100U  /* slow ticks at the limit of the current that are a contact */
+#define TOUCH_TICKS 8U    /* slow ticks at half of the current after which all of it presses .. */
+#define STAND_TICKS 100U  /* .. and that are a contact */
 #define LEFT_TICKS 64U    /* slow ticks of home_t.left */
 #define LEFT_MIN 64U      /* 2 s: to speed up, to press, to turn round */
 
@@ -170,30 +171,45 @@ static uint16_t time_for(const axis_t *axis, frac32_t speed)
     return (units < UINT16_MAX) ? (uint16_t)units : UINT16_MAX;
 }
 
+/* Of the present leg, with its sign. */
+static frac32_t leg_speed(const axis_t *axis)
+{
+    const home_t *home = &axis->home;
+    const bool approach = approaches(home->leg);
+    const frac32_t fast = f32_from_f16(axis->config->home.speed);
+    const frac32_t speed = (approach && home->leg != LEG_FIRST) ? asr32(fast, SLOWER_SHIFT) : fast;
+    return (approach == (direction(home) > 0)) ? speed : -speed;
+}
+
 static void begin_leg(axis_t *axis, uint16_t leg)
 {
     home_t *home = &axis->home;
-    const frac32_t fast = f32_from_f16(axis->config->home.speed);
-    const frac32_t speed = (approaches(leg) && leg != LEG_FIRST) ? asr32(fast, SLOWER_SHIFT) : fast;
     home->leg = leg;
     home->ticks = 0;
     home->anchor = axis->feedback.position;
-    home->left = time_for(axis, speed);
     home->origin = axis->feedback.position;
-    motion_home(axis, (approaches(leg) == (direction(home) > 0)) ? speed : -speed);
+    const frac32_t speed = leg_speed(axis);
+    home->left = time_for(axis, f32_abs(speed));
+    motion_home(axis, speed);
 }
 
 /* The shaft has come to rest against something that takes all of the current. */
 static bool stands(axis_t *axis)
 {
     home_t *home = &axis->home;
+    const frac32_t speed = leg_speed(axis);
+    const frac16_t push = (speed < 0) ? f16_neg(axis->current_ref.q) : axis->current_ref.q;
     const int32_t off = i32_sub_wrap(axis->feedback.position, home->anchor);
-    if (!axis->motion.saturated || off > STAND_COUNTS || off < -STAND_COUNTS) {
+    if (push < axis->limits.i_q / 2 || off > STAND_COUNTS || off < -STAND_COUNTS) {
         home->anchor = axis->feedback.position;
         home->ticks = 0;
+        motion_home(axis, speed);
         return false;
     }
     home->ticks++;
+    if (home->ticks == TOUCH_TICKS) {
+        motion_press(axis, (speed < 0) ? f16_neg(axis->limits.i_q) : axis->limits.i_q);
+    }
     return home->ticks >= STAND_TICKS;
 }
 

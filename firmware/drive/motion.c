@@ -406,9 +406,15 @@ void motion_home(axis_t *axis, frac32_t speed)
     axis->motion.speed_target = speed;
 }
 
+void motion_press(axis_t *axis, frac16_t i_q)
+{
+    begin(axis, MOTION_PRESS);
+    axis->motion.i_q_target = i_q;
+}
+
 void motion_rest(axis_t *axis)
 {
-    if (axis->motion.motion == MOTION_HOME) {
+    if (axis->motion.motion == MOTION_HOME || axis->motion.motion == MOTION_PRESS) {
         begin(axis, MOTION_STOP);
         axis->motion.speed_target = 0;
     }
@@ -498,6 +504,9 @@ void motion_step(axis_t *axis)
         m->speed_ref = trajectory_controller(axis);
     } else if (m->motion == MOTION_POSITION) {
         m->speed_ref = position_controller(axis);
+    } else if (m->motion == MOTION_PRESS) {
+        axis->current_ref.q = press_control(axis);
+        return;
     } else {
         m->speed_ref = ramped_speed(axis);
         if (m->motion == MOTION_STOP) {

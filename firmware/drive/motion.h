@@ -25,7 +25,10 @@ void motion_step(axis_t *axis);
 /* Turn at a speed until another motion is asked for; within the limits, which are renewed when that begins. */
 void motion_home(axis_t *axis, frac32_t speed);
 
-/* End what motion_home has begun: to rest, then hold. */
+/* Push with a current. A speed controller would chatter there: the M/T method shows every count of dither as a speed. */
+void motion_press(axis_t *axis, frac16_t i_q);
+
+/* End what these two have begun: to rest, then hold. */
 void motion_rest(axis_t *axis);
 
 /* May points be queued? The axis is in mode TRAJECTORY, and holds or follows a trajectory. */

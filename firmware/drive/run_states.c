@@ -334,7 +334,7 @@ static void bound_current(axis_t *axis)
 
 static finding_set_t watch_shaft(axis_t *axis)
 {
-    const bool saturated = axis->motion.saturated && axis->motion.motion != MOTION_HOME; /* which is to be stopped */
+    const bool saturated = axis->motion.saturated;
     const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
     shaft_observation_t seen = {
         .features = axis->features,

@@ -131,3 +131,15 @@ frac16_t torque_control(axis_t *axis)
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
     return result;
 }
+
+frac16_t press_control(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const frac16_t i_q = f16_limit(m->i_q_target, axis->limits.i_q);
+    m->speed_ref = 0;
+    m->saturated = false;
+    pi_reset(&m->speed_pi, f32_from_f16(i_q));
+    axis->current_ref.d = 0;
+    axis_report(axis, LIMIT_CURRENT);
+    return i_q;
+}
