@@ -18,8 +18,9 @@
 
 #define SLOWER_SHIFT 2    /* of the approaches after the first: a quarter of the speed */
 #define STAND_COUNTS 1    /* a standing shaft dithers by that */
-#define TOUCH_TICKS 8U    /* slow ticks at half of the current after which all of it presses .. */
-#define STAND_TICKS 100U  /* .. and that are a contact */
+#define TOUCH_COUNTS 4    /* a shaft that stands has not gone where its speed would have taken it .. */
+#define TOUCH_TICKS 8U    /* .. in so many slow ticks at least: then all of the current presses */
+#define STAND_TICKS 100U  /* slow ticks that are a contact */
 #define LEFT_TICKS 64U    /* slow ticks of home_t.left */
 #define LEFT_MIN 64U      /* 2 s: to speed up, to press, to turn round */
 
@@ -198,19 +199,19 @@ static bool stands(axis_t *axis)
 {
     home_t *home = &axis->home;
     const frac32_t speed = leg_speed(axis);
-    const frac16_t push = (speed < 0) ? f16_neg(axis->current_ref.q) : axis->current_ref.q;
     const int32_t off = i32_sub_wrap(axis->feedback.position, home->anchor);
-    if (push < axis->limits.i_q / 2 || off > STAND_COUNTS || off < -STAND_COUNTS) {
+    if (off > STAND_COUNTS || off < -STAND_COUNTS) {
         home->anchor = axis->feedback.position;
         home->ticks = 0;
         motion_home(axis, speed);
         return false;
     }
     home->ticks++;
-    if (home->ticks == TOUCH_TICKS) {
+    const path_position_t missed = path_step_of(axis->config, f32_abs(speed)) * home->ticks;
+    if (home->ticks >= TOUCH_TICKS && missed >= path_counts(TOUCH_COUNTS)) {
         motion_press(axis, (speed < 0) ? f16_neg(axis->limits.i_q) : axis->limits.i_q);
     }
-    return home->ticks >= STAND_TICKS;
+    return home->ticks >= STAND_TICKS && axis->motion.motion == MOTION_PRESS;
 }
 
 /* The first place does not count: it was found at another speed. */

@@ -186,6 +186,8 @@ def _home(axis: Axis) -> None:
     for key, limit in (("current", "limits.current"), ("speed", "limits.speed")):
         if axis(f"home.{key}") > axis(limit):
             raise axis.refused(f"home.{key}", f"more than {limit} = {axis(limit):g}", "write less")
+    if axis("home.speed") < 1.0:
+        raise axis.refused("home.speed", "a quarter of it shows too few counts to tell a contact", "write 1 or more")
     if axis.torque_constant * axis("home.current") <= axis("friction.coulomb"):
         reason = f"it gives no more torque than friction.coulomb = {axis('friction.coulomb'):g} N m takes"
         raise axis.refused("home.current", reason, "write more")
