@@ -22,7 +22,7 @@ _PASSING = 2 * SLOW_PERIODS
 """An axis that stays in RUN/READY for more than so many PWM periods waits there."""
 
 _COMMON = ("tick", "applied_tick", "applied_count")
-_PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults")
+_PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults", "home_state")
 
 
 def required_variables() -> list[str]:
@@ -91,6 +91,7 @@ class _AxisColumns:
     state: int
     substate: int
     faults: int
+    home_state: int
 
 
 class Telemetry:
@@ -116,6 +117,7 @@ class Telemetry:
                 where[f"{prefix}.state"],
                 where[f"{prefix}.substate"],
                 where[f"{prefix}.faults"],
+                where[f"{prefix}.home_state"],
             )
             for prefix in map(axis_name, range(AXES))
         ]
@@ -123,6 +125,7 @@ class Telemetry:
         self._lsb = catalogue[f"{axis_name(0)}.position"].lsb
         self._counts: list[int | None] = [None] * AXES
         self._ready_since: list[int | None] = [None] * AXES
+        self._home_states = [0] * AXES
         self._epoch = 0
 
     def frame(self, sample: Sample) -> Frame:
@@ -136,6 +139,9 @@ class Telemetry:
         row[self._tick] = sample.tick
         axes: list[AxisStatus] = []
         for axis, at in enumerate(self._axes):
+            if raw[at.home_state] != self._home_states[axis]:
+                self._home_states[axis] = raw[at.home_state]
+                self._counts[axis] = None  # it may count from elsewhere
             before = self._counts[axis]
             counts = raw[at.position] if before is None else unwrap_u32(raw[at.position] & 0xFFFF_FFFF, before)
             self._counts[axis] = counts
