@@ -24,6 +24,7 @@ static const field_t fields[] = {
     FIELD(quick_stop, FRESH_QUICK_STOP),
     FIELD(clear_faults, FRESH_CLEAR_FAULTS),
     FIELD(home, FRESH_HOME),
+    FIELD(home_position, 0), /* counts as a command, and waits for the one before */
 };
 #define FIELDS (sizeof fields / sizeof fields[0])
 

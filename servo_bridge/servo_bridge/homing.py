@@ -176,12 +176,8 @@ class Homing:
         value = round(joint.motor_position(self.positions[axis]) / self._lsb)
         low, high = self._catalogue["cmd.home_position"].raw_range
         if not low <= value <= high:
-            answer.set_result(
-                (
-                    False,
-                    f"home_positions of {joint.name} is {self.positions[axis]:g} rad, which the board does not take",
-                )
-            )
+            position = self.positions[axis]
+            answer.set_result((False, f"home_positions of {joint.name} is {position:g} rad: too far for the board"))
             return answer
         self._write(axis, value, self._methods[self._of_motor(joint, method)], answer)
         return answer

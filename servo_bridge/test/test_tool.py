@@ -227,7 +227,6 @@ def test_set_refuses(
         (["--raw", "cmd.mode", "1,9"], "cmd.mode[1]: 9 is outside 0 .. 3"),
         (["--raw", "cmd.enable[1]", "2"], "cmd.enable[1]: 2 is outside 0 .. 1"),
         (["--raw", "param.monitor[0]", "99"], "param.monitor[0]: 99 is outside 0 .. 15"),
-        (["--raw", "param.features[0]", "0x2000"], "param.features[0]: 8192 is outside 0 .. 8191"),
         (["--raw", "param.host_timeout", "0"], "param.host_timeout: 0 is outside 0.05 .. 30 s"),
         (["--raw", "param.i_q_limit[0]", "-0.5"], "param.i_q_limit[0]: -4.125 is outside 0.1 .. 4 A"),
         (

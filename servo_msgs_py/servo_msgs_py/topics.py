@@ -61,7 +61,7 @@ TUNE: Final = "tune"
 """std_srvs/SetBool: give the board the configuration of the file that the parameter ``tuning`` names; with data: false
 only say what would change."""
 HOME: Final = "home"
-"""std_srvs/Trigger, ``<joint>/home/<method>``: make the position of a joint known, see doc/homing.md of servo_bridge."""
+"""std_srvs/Trigger, ``<joint>/home/<method>``: make the position of a joint known."""
 POSITION_KNOWN: Final = "position_known"
 """std_msgs/Bool, latched, ``<joint>/position_known``: whether the position was set or found since the board's reset."""
 RESYNC: Final = "resync"

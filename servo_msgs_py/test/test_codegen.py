@@ -99,7 +99,7 @@ def test_header_has_hash_enums_and_flags() -> None:
     assert "    STATE_RUN = 3,\n} state_t;" in header
     assert "#define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002)" in header
     assert "#define LIMIT_VOLTAGE UINT16_C(0x0002)" in header
-    assert "#define PARAM_FEATURES_MAX INT32_C(8191)" in header
+    assert "#define PARAM_FEATURES_MAX INT32_C(65535)" in header
 
 
 def _with(name: str, **changes: Any) -> Catalogue:

@@ -32,8 +32,8 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
         _order(axis, board)
         _search(axis)
         _stops(axis, configuration.scales)
-        _home(axis)
         check_sensorless(axis, board)
+        _home(axis)
 
 
 def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
@@ -182,15 +182,9 @@ def _returned(axis: Axis, board: Board) -> float:
 
 
 def _home(axis: Axis) -> None:
-    """A homing has to turn the shaft, gently."""
-    for key, limit in (("current", "limits.current"), ("speed", "limits.speed")):
-        if axis(f"home.{key}") > axis(limit):
-            raise axis.refused(f"home.{key}", f"more than {limit} = {axis(limit):g}", "write less")
+    """A homing has to see that the shaft stands, and to leave the places apart that it compares."""
     if axis("home.speed") < 1.0:
         raise axis.refused("home.speed", "a quarter of it shows too few counts to tell a contact", "write 1 or more")
-    if axis.torque_constant * axis("home.current") <= axis("friction.coulomb"):
-        reason = f"it gives no more torque than friction.coulomb = {axis('friction.coulomb'):g} N m takes"
-        raise axis.refused("home.current", reason, "write more")
     if axis("home.spread") >= axis("home.back_off"):
         reason = f"not below home.back_off = {axis('home.back_off'):g} rad"
         raise axis.refused("home.spread", reason, "write some counts of the encoder")
