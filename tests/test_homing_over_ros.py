@@ -1,4 +1,4 @@
-"""Positions over the whole chain: set, kept through a restart of the board as an assumption, and not trusted without."""
+"""Positions over the whole chain: set, kept through a restart of the board as an assumption, else not trusted."""
 
 from __future__ import annotations
 

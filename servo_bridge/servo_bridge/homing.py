@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name, numbers
@@ -18,7 +18,7 @@ from servo_bridge.services import Outcome
 from servo_bridge.setpoints import NotReady
 from servo_bridge.telemetry import Frame
 
-__all__ = ["METHODS", "Homing"]
+__all__ = ["METHODS", "Homing", "with_home_states"]
 
 METHODS: Final = ("here", "stop_positive", "stop_negative", "switch_positive", "switch_negative")
 """How the position of a joint becomes known; the directions are those of the joint."""
@@ -32,6 +32,14 @@ _PATIENCE: Final = 32_000
 _RETRY: Final = 3_200
 """PWM periods (0.2 s) between two attempts."""
 
+_LOOK: Final = 4_000
+"""PWM periods (0.25 s) between two looks at the states, which would take room in every sample."""
+
+_LOOK_CLOSELY: Final = 800
+"""The same (0.05 s) while something is waited for."""
+
+_COLUMNS: Final = tuple(f"{axis_name(axis)}.home_state" for axis in range(AXES))
+
 _REASONS: Final = {
     "ABORTED": "another command, a stop or a fault has ended it",
     "MOTION": "the axis has to hold its position, without a trajectory; wait for its rest, or enable it first",
@@ -43,6 +51,11 @@ _REASONS: Final = {
     "STUCK": "the shaft does not come off the stop or the switch",
     "SPREAD": "the places that were found lie farther apart than home.spread of the configuration",
 }
+
+
+def with_home_states(columns: Sequence[str]) -> list[str]:
+    """Columns of a sample that has been completed by `Homing.completed`."""
+    return list(dict.fromkeys([*columns, *_COLUMNS]))
 
 
 @dataclass
@@ -86,6 +99,8 @@ class Homing:
         Reads a variable of the board.
     post : callable
         Runs a function in the executor's thread.
+    moved : callable
+        Called with the axis whose position may count from elsewhere.
     say, warn : callable
         Get a sentence for the log.
 
@@ -110,6 +125,7 @@ class Homing:
         read: Callable[[str], Future[Value]],
         post: Callable[[Callable[[], None]], None],
         *,
+        moved: Callable[[int], None],
         say: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
@@ -121,6 +137,10 @@ class Homing:
         self._lsb = catalogue["cmd.home_position"].lsb
         self._arbiter, self._dispatcher = arbiter, dispatcher
         self._read, self._post, self._say, self._warn = read, post, say, warn
+        self._moved = moved
+        self._looking = False
+        self._next_look = 0
+        self._seen = -1  # tick at which the states were asked for
         self._axes = [_Axis() for _ in range(AXES)]
         self._epoch: int | None = None
         self._connected = False
@@ -137,22 +157,54 @@ class Homing:
         """Whether positions count from elsewhere for the moment."""
         return any(axis.memory.until is not None for axis in self._axes)
 
+    def completed(self, frame: Frame) -> Frame:
+        """The sample with the states of all axes, as they were last seen."""
+        if self._epoch is not None and frame.epoch != self._epoch:
+            for axis in self._axes:
+                axis.state = self._states["UNKNOWN"]
+        states = {name: float(axis.state) for name, axis in zip(_COLUMNS, self._axes, strict=True)}
+        return replace(frame, values={**frame.values, **states})
+
     def on_frame(self, frame: Frame, features: Sequence[int] | None) -> None:
-        """Take the newest sample, and the features of the axes, as far as they are known."""
+        """Take the newest completed sample, and the features of the axes, as far as they are known."""
         restarted = self._epoch is not None and frame.epoch != self._epoch
+        if restarted:
+            self._seen, self._next_look = -1, 0
         self._epoch, self._connected = frame.epoch, True
         for number, axis in enumerate(self._axes):
-            axis.state = int(frame.values[f"{axis_name(number)}.home_state"])
-            self._remember(number, frame, restarted, features)
+            self._remember(number, axis, frame, restarted, features)
+        self._look(frame)
         for job in self._jobs:
             at_work = self._axes[job.axis].state == self._states["HOMING"]
-            if not job.reading and not at_work and frame.tick >= job.since:
+            if not job.reading and not at_work and self._seen >= job.since:
                 job.reading = True
                 self._ask_result(job)
+
+    def _look(self, frame: Frame) -> None:
+        """Read the states now and then."""
+        if self._looking or frame.tick < self._next_look:
+            return
+        self._looking = True
+        self._next_look = frame.tick + (_LOOK_CLOSELY if self._jobs or self.restoring else _LOOK)
+        futures = [self._read(name) for name in _COLUMNS]
+
+        def take() -> None:
+            self._looking = False
+            if frame.epoch != self._epoch or any(error_of(future) is not None for future in futures):
+                return
+            self._seen = frame.tick
+            for number, future in enumerate(futures):
+                state = round(numbers(future.result())[0])
+                if state != self._axes[number].state:
+                    self._axes[number].state = state
+                    self._moved(number)
+
+        futures[-1].add_done_callback(lambda _: self._post(take))
 
     def link_lost(self, reason: str) -> None:
         """Answer every call that waits."""
         self._connected = False
+        self._looking, self._next_look = False, 0
         jobs, self._jobs = self._jobs, []
         for job in jobs:
             job.answer.set_result((False, f"the link was lost: {reason}"))
@@ -199,6 +251,8 @@ class Homing:
                 answer.set_result((False, error))
             else:
                 self._jobs.append(_Job(axis, result.result() + _TAKEN, answer))
+                self._next_look = 0
+                self._moved(axis)
 
         def placed(result: Future[int]) -> None:
             error = error_of(result)
@@ -235,8 +289,9 @@ class Homing:
         return False, f"{joint.name} is not homed: {_REASONS.get(label, label)}"
 
     # ---- after a restart
-    def _remember(self, number: int, frame: Frame, restarted: bool, features: Sequence[int] | None) -> None:
-        axis = self._axes[number]
+    def _remember(
+        self, number: int, axis: _Axis, frame: Frame, restarted: bool, features: Sequence[int] | None
+    ) -> None:
         memory = axis.memory
         if axis.state in (self._states["KNOWN"], self._states["ASSUMED"]):
             if memory.until is not None:

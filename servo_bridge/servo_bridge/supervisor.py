@@ -37,7 +37,7 @@ from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
 from servo_bridge.freemaster.client import BoardInfo, password_of_environment
 from servo_bridge.health import BOARD_COUNTERS, Health
-from servo_bridge.homing import METHODS, Homing
+from servo_bridge.homing import METHODS, Homing, with_home_states
 from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
 from servo_bridge.keep_alive import KeepAlive
@@ -157,7 +157,7 @@ class Supervisor:
         self._publications = Publications(
             node,
             settings.joints,
-            self._telemetry.columns,
+            with_home_states(self._telemetry.columns),
             joint_states_rate=settings.joint_states_rate,
             snapshot_period=settings.snapshot_period,
         )
@@ -229,6 +229,7 @@ class Supervisor:
             self._dispatcher,
             self._link.read,
             self._inbox.post,
+            moved=self._telemetry.recount,
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
@@ -436,7 +437,7 @@ class Supervisor:
     def _on_sample(self, sample: Sample) -> None:
         if self._status.state is not LinkState.CONNECTED:
             return  # was on its way when the link broke
-        frame = self._telemetry.frame(sample)
+        frame = self._homing.completed(self._telemetry.frame(sample))
         if frame.epoch != self._epoch:
             self._epoch = frame.epoch
             self._board_clock.reset()

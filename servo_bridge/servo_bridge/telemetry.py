@@ -22,7 +22,7 @@ _PASSING = 2 * SLOW_PERIODS
 """An axis that stays in RUN/READY for more than so many PWM periods waits there."""
 
 _COMMON = ("tick", "applied_tick", "applied_count")
-_PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults", "home_state")
+_PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults")
 
 
 def required_variables() -> list[str]:
@@ -91,7 +91,6 @@ class _AxisColumns:
     state: int
     substate: int
     faults: int
-    home_state: int
 
 
 class Telemetry:
@@ -117,7 +116,6 @@ class Telemetry:
                 where[f"{prefix}.state"],
                 where[f"{prefix}.substate"],
                 where[f"{prefix}.faults"],
-                where[f"{prefix}.home_state"],
             )
             for prefix in map(axis_name, range(AXES))
         ]
@@ -125,7 +123,6 @@ class Telemetry:
         self._lsb = catalogue[f"{axis_name(0)}.position"].lsb
         self._counts: list[int | None] = [None] * AXES
         self._ready_since: list[int | None] = [None] * AXES
-        self._home_states = [0] * AXES
         self._epoch = 0
 
     def frame(self, sample: Sample) -> Frame:
@@ -139,9 +136,6 @@ class Telemetry:
         row[self._tick] = sample.tick
         axes: list[AxisStatus] = []
         for axis, at in enumerate(self._axes):
-            if raw[at.home_state] != self._home_states[axis]:
-                self._home_states[axis] = raw[at.home_state]
-                self._counts[axis] = None  # it may count from elsewhere
             before = self._counts[axis]
             counts = raw[at.position] if before is None else unwrap_u32(raw[at.position] & 0xFFFF_FFFF, before)
             self._counts[axis] = counts
@@ -163,6 +157,10 @@ class Telemetry:
             tuple(axes),
             tuple(raw[at.faults] for at in self._axes),
         )
+
+    def recount(self, axis: int) -> None:
+        """The position of an axis counts from elsewhere from now on."""
+        self._counts[axis] = None
 
     def _waits(self, axis: int, label: str, tick: int) -> bool:
         """Whether an axis without an encoder waits for the speed set-point that starts it.

@@ -24,6 +24,7 @@ class Rig:
     def __init__(self, *, restores: bool = True, features: int = FEATURE) -> None:
         self.sent: list[CommandWrite] = []
         self.said: list[str] = []
+        self.moved: list[int] = []
         self.values = {f"axis{k}.home_{what}": 0.0 for k in (1, 2) for what in ("result", "spread")}
         joints = (Joint("arm", gear_ratio=10.0, direction=-1, offset=0.5), Joint("hand"))
         self.arbiter = Arbiter(CATALOGUE, joints)
@@ -37,6 +38,7 @@ class Rig:
             self.dispatcher,
             self._read,
             lambda function: function(),
+            moved=self.moved.append,
             say=self.said.append,
             warn=self.said.append,
         )
@@ -53,7 +55,8 @@ class Rig:
 
     def _read(self, name: str) -> Future[Value]:
         done: Future[Value] = Future()
-        done.set_result(self.values[name])
+        states = {f"axis{k}.home_state": float(state) for k, state in enumerate(self.states, 1)}
+        done.set_result((states | self.values)[name])
         return done
 
     def sample(self, ticks: int = 16) -> None:
@@ -63,13 +66,18 @@ class Rig:
             write = self.sent[-1]
             self.dispatcher.acknowledged(write, None)
             self.applied += 1
-        values = {f"axis{k}.home_state": float(state) for k, state in enumerate(self.states, 1)}
         spins = self.label == "RUN/SPIN"
         axes = tuple(AxisStatus(self.label, spins, position=counts) for counts in self.counts)
-        frame = Frame(self.tick, self.epoch, 0, values, self.tick, self.applied, axes, (0, 0))
+        frame = Frame(self.tick, self.epoch, 0, {}, self.tick, self.applied, axes, (0, 0))
+        frame = self.homing.completed(frame)
         self.arbiter.board_seen(axes)
         self.dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
         self.homing.on_frame(frame, self.features)
+
+    def look(self) -> None:
+        """Long enough for the bridge to see the states."""
+        self.sample(4000)
+        self.sample()
 
     def written(self) -> list[tuple[str, int, tuple[int, ...]]]:
         return [(write.variable, write.first, write.raw) for write in self.sent]
@@ -100,7 +108,7 @@ def test_answer_comes_at_the_end(result: str, success: bool, text: str) -> None:
     assert rig.written() == [("cmd.home_position", 1, (0,)), ("cmd.home", 1, (METHOD["STOP_NEGATIVE"],))]
     rig.values |= {"axis2.home_result": RESULT[result], "axis2.home_spread": 3}
     rig.states[1] = STATE["KNOWN"]
-    rig.sample()
+    rig.look()
     assert answer.result(0)[0] is success
     assert text in answer.result(0)[1]
     assert rig.homing.known == [False, True]
@@ -138,7 +146,7 @@ def test_a_lost_link_is_an_answer() -> None:
 
 def known(rig: Rig) -> None:
     rig.states, rig.counts = [STATE["KNOWN"]] * 2, [12_345, -77]
-    rig.sample()
+    rig.look()
 
 
 def test_a_restarted_board_gets_its_positions_back() -> None:
@@ -155,7 +163,7 @@ def test_a_restarted_board_gets_its_positions_back() -> None:
         ("cmd.home", 1, (METHOD["ASSUME"],)),
     ]
     rig.states, rig.counts = [STATE["ASSUMED"]] * 2, [12_345, -77]
-    rig.sample()
+    rig.look()
     assert not rig.homing.restoring
     assert rig.homing.known == [False, False], "the shaft may have turned meanwhile"
     rig.restart()
@@ -170,7 +178,7 @@ def test_nothing_is_restored(how: str) -> None:
         known(rig)
     if how == "lost before":
         rig.states = [0, 0]
-        rig.sample()
+        rig.look()
     rig.restart()
     for _ in range(10):
         rig.sample()
