@@ -16,7 +16,11 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["AxisPlant", "BusPlant", "PlantConfig", "PlantError"]
+__all__ = ["STIFFEST", "AxisPlant", "BusPlant", "PlantConfig", "PlantError"]
+
+STIFFEST: Final = 0.06
+"""Of an end stop, over inertia and the square of the PWM frequency: it swings in 25 periods, and its torque is worked
+out once in each."""
 
 DEFAULT_FILE: Final = Path(__file__).with_name("plant.toml")
 
@@ -258,7 +262,7 @@ class PlantConfig:
                 f"pwm_frequency: {self.pwm_frequency!r} Hz does not divide into quarter periods of whole nanoseconds"
             )
         for name, axis in zip(("axis1", "axis2"), self.axes, strict=True):
-            most = 0.25 * axis.inertia * self.pwm_frequency**2
+            most = STIFFEST * axis.inertia * self.pwm_frequency**2
             if axis.stop_stiffness > most:
                 raise PlantError(
                     f"{name}.stop_stiffness: {axis.stop_stiffness!r} N m/rad swings faster than a PWM period shows;"

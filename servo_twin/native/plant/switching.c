@@ -316,14 +316,11 @@ static void warm_up(switching_t *plant)
 static void push_back(switching_t *plant, switching_axis_t *axis)
 {
     bridge_t *b = &axis->bridge;
-    const double load = end_stop_load(&axis->stop, b->theta, b->omega);
-    if (load != b->load) {
-        bridge_settle(b);
-        b->load = load;
-        b->begun = false;
-        b->moved = true;
-        plant->stale = true;
-    }
+    bridge_settle(b);
+    b->load = end_stop_load(&axis->stop, b->theta, b->omega);
+    b->begun = false;
+    b->moved = true;
+    plant->stale = true;
 }
 
 /* Whoever looks at the means must not change what comes after: the plant itself stops for them, always at these clocks. */

@@ -15,6 +15,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
+from servo_twin.experiments.ability import ripple
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import (
     COUNT,
@@ -30,7 +31,7 @@ from servo_twin.experiments.rig import (
     watch,
 )
 from servo_twin.lockstep.replica import Replica
-from servo_twin.plant import PlantConfig
+from servo_twin.plant import STIFFEST, PlantConfig
 
 NAME: Final = "homing"
 HELP: Final = """\
@@ -40,7 +41,7 @@ spread, repeatability and place against the true angle of the stop, current and 
 missing is a named fault within the configured way. With the feature HOMING an axis that is not homed refuses far
 set-points and stays near where it was enabled."""
 
-KINDS: Final[Mapping[str, tuple[float, float]]] = {"rubber": (0.3, 3.0), "plastic": (3.0, 30.0), "steel": (30.0, 300.0)}
+KINDS: Final[Mapping[str, tuple[float, float]]] = {"rubber": (0.3, 3.0), "plastic": (3.0, 30.0), "steel": (30.0, 150.0)}
 """Stiffness of a stop [N m/rad]."""
 
 TRIALS: Final = 4
@@ -59,8 +60,8 @@ SPREAD_MOST: Final = 3.0
 PLACE_MOST: Final = 2.0
 """Beyond what friction may hold back: a count at each end [counts]."""
 
-CURRENT_MOST: Final = 1.15
-"""Of the limit, the true current; ripple of dead time and noise."""
+CURRENT_MOST: Final = 1.25
+"""Of the limit, the true current, the largest of some ten thousand instants: dead time and noise."""
 
 OVERSHOOT: Final = 1.1
 """Speed at the contact, over that of the configuration; and, squared, what a lag of half a tick adds to the force."""
@@ -105,7 +106,7 @@ class Contact:
         Distance of the two references, and of the first from where the current holds the shaft against the stop, beyond
         what friction may hold back [counts].
     current : float
-        Largest true current over the limit.
+        Largest true current over the limit, without the ripple.
     force : float
         Largest torque of the stop over what the current and the moving shaft can do to an ideal spring.
     """
@@ -126,8 +127,7 @@ def stops_of(plant: PlantConfig, seed: int, kind: str, trial: int) -> tuple[Plan
     stops: list[Stop] = []
     for axis, entry in enumerate(plant.axes):
         assert not isinstance(entry.theta_start, str)
-        stiffest = 0.25 * entry.inertia * plant.pwm_frequency**2
-        stiffness = min(math.exp(rnd.uniform(low, high)), stiffest)
+        stiffness = min(math.exp(rnd.uniform(low, high)), STIFFEST * entry.inertia * plant.pwm_frequency**2)
         damping = 2.0 * rnd.uniform(*DAMPING) * math.sqrt(stiffness * entry.inertia)
         stops.append(Stop(rnd.uniform(*AWAY), stiffness, damping))
         plant = plant.with_axis(
@@ -215,14 +215,15 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
         stick = entry.friction / stops[axis].stiffness / COUNT
         edge = entry.stop_max if way > 0.0 else entry.stop_min
         rest = edge + way * push / stops[axis].stiffness
-        hit = push + math.sqrt(push**2 + stops[axis].stiffness * entry.inertia * (OVERSHOOT * home.speed) ** 2)
+        late = stops[axis].stiffness * OVERSHOOT * home.speed / plant.pwm_frequency  # a step of the plant
+        hit = late + push + math.sqrt(push**2 + stops[axis].stiffness * entry.inertia * (OVERSHOOT * home.speed) ** 2)
         found.append(
             Contact(
                 done=all(result[axis] == "DONE" for result in results),
                 spread=max(spread[axis] for spread in spreads),
                 repeats=max(abs(zeros[0][axis] - zeros[1][axis]) / COUNT - stick, 0.0),
                 place=max(abs(zeros[0][axis] - rest) / COUNT - stick, 0.0),
-                current=first[axis].current / home.current,
+                current=(first[axis].current - ripple(plant, axis, home.current)) / home.current,
                 force=first[axis].torque / hit,
             )
         )
