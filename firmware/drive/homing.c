@@ -291,7 +291,8 @@ static void run_leg(axis_t *axis)
 
 static bool held(const axis_t *axis)
 {
-    return axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && axis->requested && axis->latch.captured == 0U;
+    return axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && axis->requested &&
+           axis->latch.captured == 0U;
 }
 
 static home_result_t refusal(const axis_t *axis)

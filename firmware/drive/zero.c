@@ -6,7 +6,8 @@ static bool holds(const axis_t *axis)
 {
     const motion_state_t *m = &axis->motion;
     const trajectory_t *t = &axis->trajectory;
-    return m->motion == MOTION_POSITION && path_at_rest(&m->path, m->target) && !t->leads && trajectory_waiting(t) == 0U;
+    return m->motion == MOTION_POSITION && path_at_rest(&m->path, m->target) && !t->leads &&
+           trajectory_waiting(t) == 0U;
 }
 
 bool zero_may_shift(const axis_t *axis)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from servo_twin.experiments import homing
+from servo_twin.experiments import homing, rig
 from servo_twin.plant import PlantConfig
 
 
@@ -15,7 +15,7 @@ def test_agrees() -> None:
 def test_stops_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if the place of the stops were wrong by ten counts."""
     zeros = homing._zeros
-    monkeypatch.setattr(homing, "_zeros", lambda board: [zero + 10 * homing.COUNT for zero in zeros(board)])
+    monkeypatch.setattr(homing, "_zeros", lambda board: [zero + 10 * rig.COUNT for zero in zeros(board)])
     (first, second) = homing.contacts(PlantConfig.load(), 6, "steel", 0)
     assert min(first.place, second.place) > homing.PLACE_MOST
 
