@@ -153,7 +153,8 @@ def test_a_restarted_board_gets_its_positions_back() -> None:
     rig = Rig()
     known(rig)
     rig.restart()
-    assert rig.homing.restoring, "until then positions count from elsewhere"
+    waits = rig.homing.restoring
+    assert waits, "until then positions count from elsewhere"
     for _ in range(6):
         rig.sample()
     assert rig.written() == [

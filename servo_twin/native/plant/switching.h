@@ -62,7 +62,6 @@ typedef struct {
 /* One axis. The bridge is advanced only when its own gates change or something asks for it; `clock` is where it stands. */
 typedef struct {
     bridge_t bridge;
-    end_stop_t stop;
     quadrature_t encoder;
     thermal_t winding, sink;
     plant_random_t noise;
@@ -103,6 +102,7 @@ typedef struct {
 
 typedef struct {
     switching_axis_t axis[BOARD_AXES];
+    end_stop_t stop[BOARD_AXES];
     supply_t supply;
     double u_noise, u_noise_whole, codes_per_volt;
     plant_random_t noise;

@@ -67,7 +67,7 @@ def positions(rig: Rig) -> None:
     _ask(rig, "STOP_NEGATIVE")
     rig.run(0.01)
     rig.set("cmd.position", 1.0, 0.0)
-    rig.run(0.02)
+    rig.run(0.06)
     _ask(rig, "STOP_NEGATIVE")
     rig.run(0.01)
     rig.set("cmd.enable", 0)
@@ -80,14 +80,15 @@ def homing(rig: Rig) -> None:
     _quickly(rig)
     spin(rig)
     step = 2.0 * math.pi / 4000
-    rig.obstruct(0, 0.01, math.inf)
+    (place,) = rig.raw("axis1.position")
+    rig.obstruct(0, 10 * step, math.inf)
     rig.obstruct(1, math.inf, math.inf)
     _ask(rig, "STOP_NEGATIVE", "STOP_POSITIVE")  # axis 2 has none
-    for way in (0.0, 5.0, -4.0, 0.0):
+    for later in (0, 5, -4):
         rig.until("a contact", lambda: rig.get("axis1.i_q") < -0.6, 3.0)
         rig.until("the way back", lambda: rig.get("axis1.speed") > 5.0, 3.0)
         rig.run(0.004)
-        rig.obstruct(0, 0.08 + way * step, math.inf)
+        rig.obstruct(0, (rig.raw("axis1.position")[0] - place + 10 - later) * step, math.inf)
     _end(rig)
     _end(rig, 1)
     rig.obstruct(0, 0.005, 0.005)  # both ways
