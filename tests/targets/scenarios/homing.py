@@ -67,7 +67,7 @@ def positions(rig: Rig) -> None:
     _ask(rig, "STOP_NEGATIVE")
     rig.run(0.01)
     rig.set("cmd.position", 1.0, 0.0)
-    rig.run(0.06)
+    rig.run(0.15)
     _ask(rig, "STOP_NEGATIVE")
     rig.run(0.01)
     rig.set("cmd.enable", 0)
@@ -85,7 +85,7 @@ def homing(rig: Rig) -> None:
     rig.obstruct(1, math.inf, math.inf)
     _ask(rig, "STOP_NEGATIVE", "STOP_POSITIVE")  # axis 2 has none
     for later in (0, 5, -4):
-        rig.until("a contact", lambda: rig.get("axis1.i_q") < -0.6, 3.0)
+        rig.until("a contact", lambda: rig.raw("axis1.position")[0] < place and rig.get("axis1.i_q") < -0.6, 3.0)
         rig.until("the way back", lambda: rig.get("axis1.speed") > 5.0, 3.0)
         rig.run(0.004)
         rig.obstruct(0, (rig.raw("axis1.position")[0] - place + 10 - later) * step, math.inf)
