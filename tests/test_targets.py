@@ -47,6 +47,9 @@ NOT_ON_A_TARGET = {
     # Refuse what the table of variables and the number of scope slots rule out.
     "fill",
     "scope_read",
+    # The recorder's board has no switches, and 2 s are too long for a recording.
+    "back_off",
+    "run_leg",
     # The recorder's board leaves no interrupt out.
     "come_late",
     "servo_m1_isr",

@@ -26,6 +26,8 @@ typedef struct {
     uint16_t points_taken;
     uint16_t points_late;
     frac16_t winding_temperature;
+    uint16_t home_state;
+    uint16_t unused; /* the size is the same on every machine */
 } axis_snapshot_t;
 
 /* All of it from one slow tick. */
@@ -49,11 +51,13 @@ typedef struct {
 typedef struct {
     int32_t position[HAL_AXES];
     frac32_t speed[HAL_AXES];
+    int32_t home_position[HAL_AXES]; /* counts */
     frac16_t i_q[HAL_AXES];
     uint16_t mode[HAL_AXES];
     uint16_t enable[HAL_AXES];
     uint16_t quick_stop[HAL_AXES];
     uint16_t clear_faults[HAL_AXES];
+    uint16_t home[HAL_AXES]; /* home_method_t */
     int32_t points[POINTS_TOGETHER * POINT_WORDS]; /* app/points.c */
 } command_block_t;
 

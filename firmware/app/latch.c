@@ -1,6 +1,8 @@
 #include "app/latch.h"
 
 #include "app/points.h"
+#include "drive/homing.h"
+#include "drive/limits.h"
 
 #include <stddef.h>
 
@@ -21,6 +23,8 @@ static const field_t fields[] = {
     FIELD(enable, FRESH_ENABLE),
     FIELD(quick_stop, FRESH_QUICK_STOP),
     FIELD(clear_faults, FRESH_CLEAR_FAULTS),
+    FIELD(home, FRESH_HOME),
+    FIELD(home_position, 0), /* counts as a command, and waits for the one before */
 };
 #define FIELDS (sizeof fields / sizeof fields[0])
 
@@ -63,6 +67,12 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
     }
     block->clear_faults[i] = 0;
 
+    fresh = homing_filter(axis, fresh, block->position[i]);
+    if ((fresh & FRESH_HOME) != 0U) {
+        homing_request(axis, block->home[i], block->home_position[i]);
+    }
+    block->home[i] = HOME_METHOD_NONE;
+
     command->position = block->position[i];
     command->speed = block->speed[i];
     command->i_q = block->i_q[i];
@@ -73,6 +83,7 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
 {
     const uint16_t i = axis->index;
     const bool confined = (parameter->features[i] & FEATURE_POSITION_LIMITS) != 0U;
+    axis->features = parameter->features[i];
     axis->written_limits = (axis_limits_t){
         parameter->speed_limit[i],
         parameter->acceleration_limit[i],
@@ -80,11 +91,11 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
         confined ? parameter->position_min[i] : INT32_MIN,
         confined ? parameter->position_max[i] : INT32_MAX,
     };
+    homing_confine(axis, &axis->written_limits);
     axis->limits_fresh = true;
     axis->following_error = parameter->following_error[i];
     axis->over_speed = parameter->over_speed[i];
     axis->command_timeout = parameter->command_timeout;
-    axis->features = parameter->features[i];
     axis->feedback_wanted = parameter->feedback[i];
     axis->on_disable = (stop_category_t)parameter->on_disable[i];
     axis->on_quick_stop = (stop_category_t)parameter->on_quick_stop[i];
@@ -117,6 +128,11 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
         }
         if (written.parameters) {
             apply_parameter(parameter, &axes[i]);
+        }
+        if (axes[i].home.renew) {
+            apply_parameter(parameter, &axes[i]);
+            limits_renew(&axes[i]); /* nobody has asked for anything, but nothing is on its way beyond the old ones */
+            axes[i].home.renew = false;
         }
     }
     return written.commands;

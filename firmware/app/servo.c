@@ -156,7 +156,7 @@ static void watch_bus(servo_t *servo)
         axis_t *axis = &servo->axis[i];
         axis->diagnosis.bus.u_dc_max = brake->able ? servo_config.brake.u_dc_max_able : axis->config->u_dc_max;
         axis->regen_derating = brake->regen_derating;
-        axis->bus_limits = (uint16_t)(((brake->on || brake->spent) ? LIMIT_BRAKE : 0U) |
+        axis->bus_limits = (uint16_t)(axis->home.refused | ((brake->on || brake->spent) ? LIMIT_BRAKE : 0U) |
                                       (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));
     }
 }
@@ -182,6 +182,7 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->points_taken = axis->trajectory.taken;
     view->points_late = axis->trajectory.late;
     view->winding_temperature = winding_model_shown(&axis->diagnosis.winding);
+    view->home_state = axis->home.state;
 }
 
 static void publish_estimate(const axis_t *axis, axis_estimate_t *view)

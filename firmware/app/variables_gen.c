@@ -32,173 +32,183 @@ CHECK(12, SIZE(command.mode) == 4);
 CHECK(13, SIZE(command.enable) == 4);
 CHECK(14, SIZE(command.quick_stop) == 4);
 CHECK(15, SIZE(command.clear_faults) == 4);
-CHECK(16, SIZE(command.points) == 128);
-CHECK(17, SIZE(config.window) == 100);
-CHECK(18, SIZE(config.header) == 16);
-CHECK(19, SIZE(config.take) == 2);
-CHECK(20, SIZE(config_status.layout) == 4);
-CHECK(21, SIZE(config_status.checksum) == 8);
-CHECK(22, SIZE(config_status.taken_tick) == 4);
-CHECK(23, SIZE(config_status.taken_count) == 2);
-CHECK(24, SIZE(config_status.answers) == 2);
-CHECK(25, SIZE(config_status.refusal) == 2);
-CHECK(26, SIZE(config_status.refused_member) == 2);
-CHECK(27, SIZE(parameter.speed_limit) == 8);
-CHECK(28, SIZE(parameter.acceleration_limit) == 8);
-CHECK(29, SIZE(parameter.i_q_limit) == 4);
-CHECK(30, SIZE(parameter.features) == 4);
-CHECK(31, SIZE(parameter.position_min) == 8);
-CHECK(32, SIZE(parameter.position_max) == 8);
-CHECK(33, SIZE(parameter.following_error) == 8);
-CHECK(34, SIZE(parameter.over_speed) == 8);
-CHECK(35, SIZE(parameter.feedback) == 4);
-CHECK(36, SIZE(parameter.on_disable) == 4);
-CHECK(37, SIZE(parameter.on_quick_stop) == 4);
-CHECK(38, SIZE(parameter.faults_enabled) == 8);
-CHECK(39, SIZE(parameter.monitor) == 4);
-CHECK(40, SIZE(parameter.host_timeout) == 2);
-CHECK(41, SIZE(parameter.command_timeout) == 2);
-CHECK(42, SIZE(parameter.brake) == 2);
-CHECK(43, SIZE(snapshot.axis[0].position) == 4);
-CHECK(44, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(45, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(46, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(47, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(48, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(49, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(50, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(51, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(52, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(53, SIZE(snapshot.axis[0].state) == 2);
-CHECK(54, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(55, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(56, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(57, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(58, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(59, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(60, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(61, SIZE(snapshot.axis[0].winding_temperature) == 2);
-CHECK(62, SIZE(snapshot.monitor[0]) == 2);
-CHECK(63, SIZE(estimate.axis[0].speed) == 4);
-CHECK(64, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(65, SIZE(estimate.axis[0].emf) == 2);
-CHECK(66, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(67, SIZE(record[0].pending) == 4);
-CHECK(68, SIZE(belief.torque_constant[0]) == 2);
-CHECK(69, SIZE(belief.acceleration_current[0]) == 4);
-CHECK(70, SIZE(snapshot.axis[1].position) == 4);
-CHECK(71, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(72, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(73, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(74, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(75, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(76, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(77, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(78, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(79, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(80, SIZE(snapshot.axis[1].state) == 2);
-CHECK(81, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(82, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(83, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(84, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(85, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(86, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(87, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(88, SIZE(snapshot.axis[1].winding_temperature) == 2);
-CHECK(89, SIZE(snapshot.monitor[1]) == 2);
-CHECK(90, SIZE(estimate.axis[1].speed) == 4);
-CHECK(91, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(92, SIZE(estimate.axis[1].emf) == 2);
-CHECK(93, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(94, SIZE(record[1].pending) == 4);
-CHECK(95, SIZE(belief.torque_constant[1]) == 2);
-CHECK(96, SIZE(belief.acceleration_current[1]) == 4);
-CHECK(97, SIZE(tick) >= 4);
-CHECK(98, SIZE(applied_tick) >= 4);
-CHECK(99, SIZE(applied_count) >= 2);
-CHECK(100, SIZE(axis[0].u_dc) >= 2);
-CHECK(101, SIZE(late_loops) >= 2);
-CHECK(102, SIZE(points_refused) >= 2);
-CHECK(103, SIZE(point_refusal) >= 2);
-CHECK(104, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(105, SIZE(axis[0].feedback.position) >= 4);
-CHECK(106, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(107, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(108, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(109, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(110, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(111, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(112, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(113, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(114, SIZE(axis[0].latch.captured) >= 4);
-CHECK(115, SIZE(axis[0].latch.first) >= 2);
-CHECK(116, SIZE(axis[0].active_limits) >= 2);
-CHECK(117, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(118, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(119, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(120, SIZE(axis[0].current_max.winding) >= 2);
-CHECK(121, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(122, SIZE(axis[0].estimate.size) >= 2);
-CHECK(123, SIZE(axis[0].latch.pending) >= 4);
-CHECK(124, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(125, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(126, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(127, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(128, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(129, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(130, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(131, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(132, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(133, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(134, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(135, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(136, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(137, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(138, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(139, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(140, SIZE(axis[0].command.mode) >= 2);
-CHECK(141, SIZE(axis[0].events.command) >= 2);
-CHECK(142, SIZE(axis[0].events.mode) >= 2);
-CHECK(143, SIZE(axis[0].sm.entered) >= 2);
-CHECK(144, SIZE(axis[1].feedback.position) >= 4);
-CHECK(145, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(146, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(147, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(148, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(149, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(150, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(151, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(152, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(153, SIZE(axis[1].latch.captured) >= 4);
-CHECK(154, SIZE(axis[1].latch.first) >= 2);
-CHECK(155, SIZE(axis[1].active_limits) >= 2);
-CHECK(156, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(157, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(158, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(159, SIZE(axis[1].current_max.winding) >= 2);
-CHECK(160, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(161, SIZE(axis[1].estimate.size) >= 2);
-CHECK(162, SIZE(axis[1].latch.pending) >= 4);
-CHECK(163, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(164, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(165, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(166, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(167, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(168, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(169, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(170, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(171, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(172, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(173, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(174, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(175, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(176, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(177, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(178, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(179, SIZE(axis[1].command.mode) >= 2);
-CHECK(180, SIZE(axis[1].events.command) >= 2);
-CHECK(181, SIZE(axis[1].events.mode) >= 2);
-CHECK(182, SIZE(axis[1].sm.entered) >= 2);
+CHECK(16, SIZE(command.home_position) == 8);
+CHECK(17, SIZE(command.home) == 4);
+CHECK(18, SIZE(command.points) == 128);
+CHECK(19, SIZE(config.window) == 100);
+CHECK(20, SIZE(config.header) == 16);
+CHECK(21, SIZE(config.take) == 2);
+CHECK(22, SIZE(config_status.layout) == 4);
+CHECK(23, SIZE(config_status.checksum) == 8);
+CHECK(24, SIZE(config_status.taken_tick) == 4);
+CHECK(25, SIZE(config_status.taken_count) == 2);
+CHECK(26, SIZE(config_status.answers) == 2);
+CHECK(27, SIZE(config_status.refusal) == 2);
+CHECK(28, SIZE(config_status.refused_member) == 2);
+CHECK(29, SIZE(parameter.speed_limit) == 8);
+CHECK(30, SIZE(parameter.acceleration_limit) == 8);
+CHECK(31, SIZE(parameter.i_q_limit) == 4);
+CHECK(32, SIZE(parameter.features) == 4);
+CHECK(33, SIZE(parameter.position_min) == 8);
+CHECK(34, SIZE(parameter.position_max) == 8);
+CHECK(35, SIZE(parameter.following_error) == 8);
+CHECK(36, SIZE(parameter.over_speed) == 8);
+CHECK(37, SIZE(parameter.feedback) == 4);
+CHECK(38, SIZE(parameter.on_disable) == 4);
+CHECK(39, SIZE(parameter.on_quick_stop) == 4);
+CHECK(40, SIZE(parameter.faults_enabled) == 8);
+CHECK(41, SIZE(parameter.monitor) == 4);
+CHECK(42, SIZE(parameter.host_timeout) == 2);
+CHECK(43, SIZE(parameter.command_timeout) == 2);
+CHECK(44, SIZE(parameter.brake) == 2);
+CHECK(45, SIZE(snapshot.axis[0].position) == 4);
+CHECK(46, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(47, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(48, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(49, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(50, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(51, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(52, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(53, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(54, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(55, SIZE(snapshot.axis[0].state) == 2);
+CHECK(56, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(57, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(58, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(59, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(60, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(61, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(62, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(63, SIZE(snapshot.axis[0].winding_temperature) == 2);
+CHECK(64, SIZE(snapshot.axis[0].home_state) == 2);
+CHECK(65, SIZE(snapshot.monitor[0]) == 2);
+CHECK(66, SIZE(estimate.axis[0].speed) == 4);
+CHECK(67, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(68, SIZE(estimate.axis[0].emf) == 2);
+CHECK(69, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(70, SIZE(record[0].pending) == 4);
+CHECK(71, SIZE(belief.torque_constant[0]) == 2);
+CHECK(72, SIZE(belief.acceleration_current[0]) == 4);
+CHECK(73, SIZE(snapshot.axis[1].position) == 4);
+CHECK(74, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(75, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(76, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(77, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(78, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(79, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(80, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(81, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(82, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(83, SIZE(snapshot.axis[1].state) == 2);
+CHECK(84, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(85, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(86, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(87, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(88, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(89, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(90, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(91, SIZE(snapshot.axis[1].winding_temperature) == 2);
+CHECK(92, SIZE(snapshot.axis[1].home_state) == 2);
+CHECK(93, SIZE(snapshot.monitor[1]) == 2);
+CHECK(94, SIZE(estimate.axis[1].speed) == 4);
+CHECK(95, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(96, SIZE(estimate.axis[1].emf) == 2);
+CHECK(97, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(98, SIZE(record[1].pending) == 4);
+CHECK(99, SIZE(belief.torque_constant[1]) == 2);
+CHECK(100, SIZE(belief.acceleration_current[1]) == 4);
+CHECK(101, SIZE(tick) >= 4);
+CHECK(102, SIZE(applied_tick) >= 4);
+CHECK(103, SIZE(applied_count) >= 2);
+CHECK(104, SIZE(axis[0].u_dc) >= 2);
+CHECK(105, SIZE(late_loops) >= 2);
+CHECK(106, SIZE(points_refused) >= 2);
+CHECK(107, SIZE(point_refusal) >= 2);
+CHECK(108, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(109, SIZE(axis[0].feedback.position) >= 4);
+CHECK(110, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(111, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(112, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(113, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(114, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(115, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(116, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(117, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(118, SIZE(axis[0].latch.captured) >= 4);
+CHECK(119, SIZE(axis[0].latch.first) >= 2);
+CHECK(120, SIZE(axis[0].active_limits) >= 2);
+CHECK(121, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(122, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(123, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
+CHECK(124, SIZE(axis[0].current_max.winding) >= 2);
+CHECK(125, SIZE(axis[0].home.state) >= 2);
+CHECK(126, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(127, SIZE(axis[0].estimate.size) >= 2);
+CHECK(128, SIZE(axis[0].latch.pending) >= 4);
+CHECK(129, SIZE(axis[0].home.result) >= 2);
+CHECK(130, SIZE(axis[0].home.spread) >= 2);
+CHECK(131, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(132, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(133, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(134, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(135, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(136, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(137, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(138, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(139, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(140, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(141, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(142, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(143, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(144, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(145, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(146, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(147, SIZE(axis[0].command.mode) >= 2);
+CHECK(148, SIZE(axis[0].events.command) >= 2);
+CHECK(149, SIZE(axis[0].events.mode) >= 2);
+CHECK(150, SIZE(axis[0].sm.entered) >= 2);
+CHECK(151, SIZE(axis[1].feedback.position) >= 4);
+CHECK(152, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(153, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(154, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(155, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(156, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(157, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(158, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(159, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(160, SIZE(axis[1].latch.captured) >= 4);
+CHECK(161, SIZE(axis[1].latch.first) >= 2);
+CHECK(162, SIZE(axis[1].active_limits) >= 2);
+CHECK(163, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(164, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(165, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
+CHECK(166, SIZE(axis[1].current_max.winding) >= 2);
+CHECK(167, SIZE(axis[1].home.state) >= 2);
+CHECK(168, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(169, SIZE(axis[1].estimate.size) >= 2);
+CHECK(170, SIZE(axis[1].latch.pending) >= 4);
+CHECK(171, SIZE(axis[1].home.result) >= 2);
+CHECK(172, SIZE(axis[1].home.spread) >= 2);
+CHECK(173, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(174, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(175, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(176, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(177, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(178, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(179, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(180, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(181, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(182, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(183, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(184, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(185, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(186, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(187, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(188, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(189, SIZE(axis[1].command.mode) >= 2);
+CHECK(190, SIZE(axis[1].events.command) >= 2);
+CHECK(191, SIZE(axis[1].events.mode) >= 2);
+CHECK(192, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -252,6 +262,29 @@ static const char strings[] TABLE_MEMORY =
     "ACCELERATION\0"
     "BUSY\0"
     "FORM\0"
+    "home_state_t\0"
+    "UNKNOWN\0"
+    "ASSUMED\0"
+    "HOMING\0"
+    "KNOWN\0"
+    "home_method_t\0"
+    "HERE\0"
+    "ASSUME\0"
+    "STOP_POSITIVE\0"
+    "STOP_NEGATIVE\0"
+    "SWITCH_POSITIVE\0"
+    "SWITCH_NEGATIVE\0"
+    "home_result_t\0"
+    "RUNNING\0"
+    "DONE\0"
+    "ABORTED\0"
+    "MOTION\0"
+    "SENSORLESS\0"
+    "NOT_FOUND\0"
+    "TIMEOUT\0"
+    "BLOCKED\0"
+    "STUCK\0"
+    "SPREAD\0"
     "monitor_t\0"
     "U_DC\0"
     "AXIS1_I_D\0"
@@ -305,6 +338,7 @@ static const char strings[] TABLE_MEMORY =
     "points_taken\0"
     "points_late\0"
     "winding_temperature\0"
+    "home_state\0"
     "fault_record_t\0"
     "pending\0"
     "code\0"
@@ -319,6 +353,8 @@ static const char strings[] TABLE_MEMORY =
     "cmd.enable\0"
     "cmd.quick_stop\0"
     "cmd.clear_faults\0"
+    "cmd.home_position\0"
+    "cmd.home\0"
     "cmd.points\0"
     "config.window\0"
     "config.header\0"
@@ -367,6 +403,7 @@ static const char strings[] TABLE_MEMORY =
     "axis1.points_late\0"
     "axis1.winding_temperature\0"
     "axis1.winding_current\0"
+    "axis1.home_state\0"
     "axis1.monitor\0"
     "axis1.estimate_speed\0"
     "axis1.estimate_theta_e\0"
@@ -374,6 +411,8 @@ static const char strings[] TABLE_MEMORY =
     "axis1.estimate_reliable\0"
     "axis1.pending\0"
     "axis1.fault_record\0"
+    "axis1.home_result\0"
+    "axis1.home_spread\0"
     "axis1.torque_constant\0"
     "axis1.acceleration_current\0"
     "axis1.i_a\0"
@@ -416,6 +455,7 @@ static const char strings[] TABLE_MEMORY =
     "axis2.points_late\0"
     "axis2.winding_temperature\0"
     "axis2.winding_current\0"
+    "axis2.home_state\0"
     "axis2.monitor\0"
     "axis2.estimate_speed\0"
     "axis2.estimate_theta_e\0"
@@ -423,6 +463,8 @@ static const char strings[] TABLE_MEMORY =
     "axis2.estimate_reliable\0"
     "axis2.pending\0"
     "axis2.fault_record\0"
+    "axis2.home_result\0"
+    "axis2.home_spread\0"
     "axis2.torque_constant\0"
     "axis2.acceleration_current\0"
     "axis2.i_a\0"
@@ -505,210 +547,245 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {265, 21, 8, 0, TSA_KIND_NONE}, /* ACCELERATION */
     {278, 21, 9, 0, TSA_KIND_NONE}, /* BUSY */
     {283, 21, 10, 0, TSA_KIND_NONE}, /* FORM */
-    {288, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
+    {288, 8, 0, 2, TSA_KIND_NONE}, /* home_state_t */
+    {301, 21, 0, 0, TSA_KIND_NONE}, /* UNKNOWN */
+    {309, 21, 1, 0, TSA_KIND_NONE}, /* ASSUMED */
+    {317, 21, 2, 0, TSA_KIND_NONE}, /* HOMING */
+    {324, 21, 3, 0, TSA_KIND_NONE}, /* KNOWN */
+    {330, 8, 0, 2, TSA_KIND_NONE}, /* home_method_t */
     {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {298, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
-    {303, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
-    {313, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
-    {323, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
-    {337, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
-    {347, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
-    {357, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
-    {371, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
-    {383, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
-    {393, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
-    {403, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
-    {417, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
-    {427, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
-    {437, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
-    {451, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {463, 474, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
-    {483, 488, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
-    {490, 488, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
-    {503, 517, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
-    {519, 524, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {526, 517, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
-    {537, 517, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
-    {555, 517, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
-    {570, 214, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
-    {584, 589, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
-    {605, 524, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
-    {589, 474, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
-    {613, 622, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
-    {624, 622, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
-    {637, 643, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
-    {645, 643, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
-    {655, 524, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {659, 524, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {663, 524, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
-    {671, 524, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
-    {675, 524, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
-    {679, 524, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {687, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
-    {693, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
-    {702, 488, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
-    {709, 517, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
-    {721, 517, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
-    {728, 517, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
-    {743, 517, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
-    {756, 517, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
-    {768, 524, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
-    {788, 474, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {803, 488, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
-    {483, 488, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {811, 517, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
-    {687, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
-    {693, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {816, 517, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {821, 517, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
-    {659, 524, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {655, 524, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {679, 524, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {519, 524, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {637, 524, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {826, 488, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {841, 463, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {483, 488, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {490, 488, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {503, 517, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {519, 524, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {526, 517, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
-    {537, 517, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
-    {555, 517, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
-    {570, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {850, 622, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {863, 643, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {873, 524, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {881, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {890, 517, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {901, 517, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {916, 517, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {933, 622, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {944, 622, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {958, 622, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {972, 517, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {984, 488, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {998, 488, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1014, 488, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1032, 517, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1051, 517, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1066, 517, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1081, 517, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1103, 643, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1121, 643, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1146, 524, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1162, 517, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1177, 622, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1196, 622, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {1215, 622, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {1237, 643, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {1254, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1269, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1286, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1306, 488, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {1327, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {1341, 517, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {1360, 517, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {1382, 517, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {1394, 643, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {1403, 622, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {1418, 622, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {1437, 643, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {1449, 643, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {1465, 524, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {1475, 524, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {1485, 524, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {1499, 524, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {1509, 524, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {1519, 524, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1533, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1545, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1560, 488, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1573, 517, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1591, 517, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1604, 517, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {1625, 517, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {1644, 517, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {1662, 524, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {1688, 524, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {1710, 524, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1724, 643, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1745, 524, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1768, 524, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1787, 517, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1811, 488, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1825, 788, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1844, 524, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1866, 622, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {1893, 524, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {1903, 524, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {1913, 524, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {1923, 524, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {1937, 524, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {1950, 524, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {1963, 524, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {1976, 622, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {1987, 622, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {1998, 622, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2013, 643, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2029, 643, LIVE(13), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2048, 643, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2064, 622, LIVE(15), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2080, 622, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2096, 622, LIVE(17), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2111, 95, LIVE(18), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2122, 517, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2142, 517, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2159, 517, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2177, 622, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2192, 622, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {2211, 643, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {2223, 643, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {2239, 524, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {2249, 524, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {2259, 524, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {2273, 524, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {2283, 524, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {2293, 524, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {2307, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {2319, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2334, 488, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2347, 517, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2365, 517, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {2378, 517, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {2399, 517, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {2418, 517, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {2436, 524, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {2462, 524, LIVE(22), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {2484, 524, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {2498, 643, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {2519, 524, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {2542, 524, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {2561, 517, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {2585, 488, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {2599, 788, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {2618, 524, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {2640, 622, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {2667, 524, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {2677, 524, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {2687, 524, LIVE(25), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {2697, 524, LIVE(26), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {2711, 524, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {2724, 524, LIVE(28), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {2737, 524, LIVE(29), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {2750, 622, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {2761, 622, LIVE(31), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {2772, 622, LIVE(32), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {2787, 643, LIVE(33), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {2803, 643, LIVE(34), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {2822, 643, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {2838, 622, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {2854, 622, LIVE(37), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {2870, 622, LIVE(38), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {2885, 95, LIVE(39), 2, TSA_KIND_RO}, /* axis2.mode */
-    {2896, 517, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {2916, 517, LIVE(41), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {2933, 517, LIVE(42), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {344, 21, 1, 0, TSA_KIND_NONE}, /* HERE */
+    {349, 21, 2, 0, TSA_KIND_NONE}, /* ASSUME */
+    {356, 21, 3, 0, TSA_KIND_NONE}, /* STOP_POSITIVE */
+    {370, 21, 4, 0, TSA_KIND_NONE}, /* STOP_NEGATIVE */
+    {384, 21, 5, 0, TSA_KIND_NONE}, /* SWITCH_POSITIVE */
+    {400, 21, 6, 0, TSA_KIND_NONE}, /* SWITCH_NEGATIVE */
+    {416, 8, 0, 2, TSA_KIND_NONE}, /* home_result_t */
+    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {430, 21, 1, 0, TSA_KIND_NONE}, /* RUNNING */
+    {438, 21, 2, 0, TSA_KIND_NONE}, /* DONE */
+    {443, 21, 3, 0, TSA_KIND_NONE}, /* ABORTED */
+    {451, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
+    {458, 21, 5, 0, TSA_KIND_NONE}, /* SENSORLESS */
+    {324, 21, 6, 0, TSA_KIND_NONE}, /* KNOWN */
+    {469, 21, 7, 0, TSA_KIND_NONE}, /* NOT_FOUND */
+    {479, 21, 8, 0, TSA_KIND_NONE}, /* TIMEOUT */
+    {487, 21, 9, 0, TSA_KIND_NONE}, /* BLOCKED */
+    {495, 21, 10, 0, TSA_KIND_NONE}, /* STUCK */
+    {501, 21, 11, 0, TSA_KIND_NONE}, /* SPREAD */
+    {508, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
+    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {518, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
+    {523, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
+    {533, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
+    {543, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
+    {557, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
+    {567, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
+    {577, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
+    {591, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
+    {603, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
+    {613, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
+    {623, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
+    {637, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
+    {647, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
+    {657, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
+    {671, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
+    {683, 694, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
+    {703, 708, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
+    {710, 708, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
+    {723, 737, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
+    {739, 744, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {746, 737, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
+    {757, 737, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
+    {775, 737, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
+    {790, 214, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
+    {804, 809, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
+    {825, 744, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
+    {809, 694, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
+    {833, 842, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
+    {844, 842, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
+    {857, 863, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
+    {865, 863, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
+    {875, 744, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {879, 744, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {883, 744, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
+    {891, 744, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
+    {895, 744, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
+    {899, 744, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {907, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
+    {913, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
+    {922, 708, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
+    {929, 737, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
+    {941, 737, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
+    {948, 737, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
+    {963, 737, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
+    {976, 737, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
+    {988, 744, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
+    {1008, 288, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
+    {1019, 694, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {1034, 708, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {703, 708, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
+    {1042, 737, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {907, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
+    {913, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
+    {1047, 737, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {1052, 737, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {879, 744, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {875, 744, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {899, 744, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {739, 744, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {857, 744, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
+    {1057, 708, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {1072, 683, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {703, 708, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {710, 708, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {723, 737, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {739, 744, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {746, 737, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {757, 737, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {775, 737, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
+    {790, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
+    {1081, 842, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1094, 863, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1104, 744, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1112, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1121, 737, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1132, 737, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1147, 737, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1164, 842, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
+    {1182, 330, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
+    {1191, 842, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {1202, 842, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1216, 842, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {1230, 737, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1242, 708, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1256, 708, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1272, 708, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1290, 737, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1309, 737, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1324, 737, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1339, 737, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1361, 863, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1379, 863, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1404, 744, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1420, 737, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1435, 842, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1454, 842, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {1473, 842, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {1495, 863, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {1512, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1527, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1544, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1564, 708, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {1585, 508, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {1599, 737, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {1618, 737, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {1640, 737, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {1652, 863, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {1661, 842, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {1676, 842, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {1695, 863, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {1707, 863, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {1723, 744, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {1733, 744, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {1743, 744, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {1757, 744, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {1767, 744, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {1777, 744, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1791, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1803, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1818, 708, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1831, 737, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1849, 737, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1862, 737, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {1883, 737, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {1902, 737, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {1920, 744, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {1946, 744, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {1968, 288, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {1985, 744, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1999, 863, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2020, 744, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2043, 744, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2062, 737, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2086, 708, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2100, 1019, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2119, 416, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2137, 737, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2155, 744, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2177, 842, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2204, 744, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2214, 744, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2224, 744, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2234, 744, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2248, 744, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2261, 744, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2274, 744, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2287, 842, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2298, 842, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2309, 842, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2324, 863, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2340, 863, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2359, 863, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2375, 842, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2391, 842, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2407, 842, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2422, 95, LIVE(20), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2433, 737, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2453, 737, LIVE(22), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2470, 737, LIVE(23), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2488, 842, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2503, 842, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {2522, 863, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {2534, 863, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {2550, 744, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {2560, 744, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {2570, 744, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {2584, 744, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {2594, 744, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {2604, 744, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {2618, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {2630, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2645, 708, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2658, 737, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2676, 737, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {2689, 737, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {2710, 737, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {2729, 737, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {2747, 744, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {2773, 744, LIVE(24), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {2795, 288, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {2812, 744, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {2826, 863, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {2847, 744, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {2870, 744, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {2889, 737, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {2913, 708, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {2927, 1019, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {2946, 416, LIVE(25), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {2964, 737, LIVE(26), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {2982, 744, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3004, 842, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3031, 744, LIVE(27), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3041, 744, LIVE(28), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3051, 744, LIVE(29), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3061, 744, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3075, 744, LIVE(31), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3088, 744, LIVE(32), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3101, 744, LIVE(33), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3114, 842, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3125, 842, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3136, 842, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3151, 863, LIVE(37), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3167, 863, LIVE(38), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3186, 863, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3202, 842, LIVE(40), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3218, 842, LIVE(41), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3234, 842, LIVE(42), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3249, 95, LIVE(43), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3260, 737, LIVE(44), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3280, 737, LIVE(45), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3297, 737, LIVE(46), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -736,29 +813,32 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[0].points_late), OFFSET(axis[0].trajectory.late), 2}, /* axis1.points_late */
     {AT(snapshot.axis[0].winding_temperature), OFFSET(axis[0].diagnosis.winding.temperature) + 2, 2}, /* axis1.winding_temperature */
     {LIVE(1), OFFSET(axis[0].current_max.winding), 2}, /* axis1.winding_current */
+    {AT(snapshot.axis[0].home_state), OFFSET(axis[0].home.state), 2}, /* axis1.home_state */
     {AT(estimate.axis[0].speed), OFFSET(axis[0].estimate.speed), 4}, /* axis1.estimate_speed */
     {AT(estimate.axis[0].emf), OFFSET(axis[0].estimate.size), 2}, /* axis1.estimate_emf */
     {AT(record[0].pending), OFFSET(axis[0].latch.pending), 4}, /* axis1.pending */
-    {LIVE(2), OFFSET(axis[0].sense.current.a), 2}, /* axis1.i_a */
-    {LIVE(3), OFFSET(axis[0].sense.current.b), 2}, /* axis1.i_b */
-    {LIVE(4), OFFSET(axis[0].sense.current.c), 2}, /* axis1.i_c */
-    {LIVE(5), OFFSET(axis[0].current_ref.d), 2}, /* axis1.i_d_ref */
-    {LIVE(6), OFFSET(axis[0].sense.duty.a), 2}, /* axis1.duty_a */
-    {LIVE(7), OFFSET(axis[0].sense.duty.b), 2}, /* axis1.duty_b */
-    {LIVE(8), OFFSET(axis[0].sense.duty.c), 2}, /* axis1.duty_c */
-    {LIVE(9), OFFSET(axis[0].current_loop.d.integral) + 4, 4}, /* axis1.pi_d */
-    {LIVE(10), OFFSET(axis[0].current_loop.q.integral) + 4, 4}, /* axis1.pi_q */
-    {LIVE(11), OFFSET(axis[0].motion.speed_pi.integral) + 4, 4}, /* axis1.pi_speed */
-    {LIVE(12), OFFSET(axis[0].feedback.mean_speed), 4}, /* axis1.speed_raw */
-    {LIVE(13), OFFSET(axis[0].motion.shaped_speed), 4}, /* axis1.speed_shaped */
-    {LIVE(14), OFFSET(axis[0].estimate.pll.angle), 4}, /* axis1.pll_angle */
-    {LIVE(15), OFFSET(axis[0].estimate.pll.step), 4}, /* axis1.pll_speed */
-    {LIVE(16), OFFSET(axis[0].estimate.observer.e.alpha), 4}, /* axis1.emf_alpha */
-    {LIVE(17), OFFSET(axis[0].estimate.observer.e.beta), 4}, /* axis1.emf_beta */
-    {LIVE(18), OFFSET(axis[0].command.mode), 2}, /* axis1.mode */
-    {LIVE(19), OFFSET(axis[0].events.command), 2}, /* axis1.event_command */
-    {LIVE(20), OFFSET(axis[0].events.mode), 2}, /* axis1.event_mode */
-    {LIVE(21), OFFSET(axis[0].sm.entered), 2}, /* axis1.event_state */
+    {LIVE(2), OFFSET(axis[0].home.result), 2}, /* axis1.home_result */
+    {LIVE(3), OFFSET(axis[0].home.spread), 2}, /* axis1.home_spread */
+    {LIVE(4), OFFSET(axis[0].sense.current.a), 2}, /* axis1.i_a */
+    {LIVE(5), OFFSET(axis[0].sense.current.b), 2}, /* axis1.i_b */
+    {LIVE(6), OFFSET(axis[0].sense.current.c), 2}, /* axis1.i_c */
+    {LIVE(7), OFFSET(axis[0].current_ref.d), 2}, /* axis1.i_d_ref */
+    {LIVE(8), OFFSET(axis[0].sense.duty.a), 2}, /* axis1.duty_a */
+    {LIVE(9), OFFSET(axis[0].sense.duty.b), 2}, /* axis1.duty_b */
+    {LIVE(10), OFFSET(axis[0].sense.duty.c), 2}, /* axis1.duty_c */
+    {LIVE(11), OFFSET(axis[0].current_loop.d.integral) + 4, 4}, /* axis1.pi_d */
+    {LIVE(12), OFFSET(axis[0].current_loop.q.integral) + 4, 4}, /* axis1.pi_q */
+    {LIVE(13), OFFSET(axis[0].motion.speed_pi.integral) + 4, 4}, /* axis1.pi_speed */
+    {LIVE(14), OFFSET(axis[0].feedback.mean_speed), 4}, /* axis1.speed_raw */
+    {LIVE(15), OFFSET(axis[0].motion.shaped_speed), 4}, /* axis1.speed_shaped */
+    {LIVE(16), OFFSET(axis[0].estimate.pll.angle), 4}, /* axis1.pll_angle */
+    {LIVE(17), OFFSET(axis[0].estimate.pll.step), 4}, /* axis1.pll_speed */
+    {LIVE(18), OFFSET(axis[0].estimate.observer.e.alpha), 4}, /* axis1.emf_alpha */
+    {LIVE(19), OFFSET(axis[0].estimate.observer.e.beta), 4}, /* axis1.emf_beta */
+    {LIVE(20), OFFSET(axis[0].command.mode), 2}, /* axis1.mode */
+    {LIVE(21), OFFSET(axis[0].events.command), 2}, /* axis1.event_command */
+    {LIVE(22), OFFSET(axis[0].events.mode), 2}, /* axis1.event_mode */
+    {LIVE(23), OFFSET(axis[0].sm.entered), 2}, /* axis1.event_state */
     {AT(snapshot.axis[1].position), OFFSET(axis[1].feedback.position), 4}, /* axis2.position */
     {AT(snapshot.axis[1].speed), OFFSET(axis[1].feedback.speed), 4}, /* axis2.speed */
     {AT(snapshot.axis[1].speed_ref), OFFSET(axis[1].motion.speed_ref), 4}, /* axis2.speed_ref */
@@ -774,30 +854,33 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[1].points_taken), OFFSET(axis[1].trajectory.taken), 2}, /* axis2.points_taken */
     {AT(snapshot.axis[1].points_late), OFFSET(axis[1].trajectory.late), 2}, /* axis2.points_late */
     {AT(snapshot.axis[1].winding_temperature), OFFSET(axis[1].diagnosis.winding.temperature) + 2, 2}, /* axis2.winding_temperature */
-    {LIVE(22), OFFSET(axis[1].current_max.winding), 2}, /* axis2.winding_current */
+    {LIVE(24), OFFSET(axis[1].current_max.winding), 2}, /* axis2.winding_current */
+    {AT(snapshot.axis[1].home_state), OFFSET(axis[1].home.state), 2}, /* axis2.home_state */
     {AT(estimate.axis[1].speed), OFFSET(axis[1].estimate.speed), 4}, /* axis2.estimate_speed */
     {AT(estimate.axis[1].emf), OFFSET(axis[1].estimate.size), 2}, /* axis2.estimate_emf */
     {AT(record[1].pending), OFFSET(axis[1].latch.pending), 4}, /* axis2.pending */
-    {LIVE(23), OFFSET(axis[1].sense.current.a), 2}, /* axis2.i_a */
-    {LIVE(24), OFFSET(axis[1].sense.current.b), 2}, /* axis2.i_b */
-    {LIVE(25), OFFSET(axis[1].sense.current.c), 2}, /* axis2.i_c */
-    {LIVE(26), OFFSET(axis[1].current_ref.d), 2}, /* axis2.i_d_ref */
-    {LIVE(27), OFFSET(axis[1].sense.duty.a), 2}, /* axis2.duty_a */
-    {LIVE(28), OFFSET(axis[1].sense.duty.b), 2}, /* axis2.duty_b */
-    {LIVE(29), OFFSET(axis[1].sense.duty.c), 2}, /* axis2.duty_c */
-    {LIVE(30), OFFSET(axis[1].current_loop.d.integral) + 4, 4}, /* axis2.pi_d */
-    {LIVE(31), OFFSET(axis[1].current_loop.q.integral) + 4, 4}, /* axis2.pi_q */
-    {LIVE(32), OFFSET(axis[1].motion.speed_pi.integral) + 4, 4}, /* axis2.pi_speed */
-    {LIVE(33), OFFSET(axis[1].feedback.mean_speed), 4}, /* axis2.speed_raw */
-    {LIVE(34), OFFSET(axis[1].motion.shaped_speed), 4}, /* axis2.speed_shaped */
-    {LIVE(35), OFFSET(axis[1].estimate.pll.angle), 4}, /* axis2.pll_angle */
-    {LIVE(36), OFFSET(axis[1].estimate.pll.step), 4}, /* axis2.pll_speed */
-    {LIVE(37), OFFSET(axis[1].estimate.observer.e.alpha), 4}, /* axis2.emf_alpha */
-    {LIVE(38), OFFSET(axis[1].estimate.observer.e.beta), 4}, /* axis2.emf_beta */
-    {LIVE(39), OFFSET(axis[1].command.mode), 2}, /* axis2.mode */
-    {LIVE(40), OFFSET(axis[1].events.command), 2}, /* axis2.event_command */
-    {LIVE(41), OFFSET(axis[1].events.mode), 2}, /* axis2.event_mode */
-    {LIVE(42), OFFSET(axis[1].sm.entered), 2}, /* axis2.event_state */
+    {LIVE(25), OFFSET(axis[1].home.result), 2}, /* axis2.home_result */
+    {LIVE(26), OFFSET(axis[1].home.spread), 2}, /* axis2.home_spread */
+    {LIVE(27), OFFSET(axis[1].sense.current.a), 2}, /* axis2.i_a */
+    {LIVE(28), OFFSET(axis[1].sense.current.b), 2}, /* axis2.i_b */
+    {LIVE(29), OFFSET(axis[1].sense.current.c), 2}, /* axis2.i_c */
+    {LIVE(30), OFFSET(axis[1].current_ref.d), 2}, /* axis2.i_d_ref */
+    {LIVE(31), OFFSET(axis[1].sense.duty.a), 2}, /* axis2.duty_a */
+    {LIVE(32), OFFSET(axis[1].sense.duty.b), 2}, /* axis2.duty_b */
+    {LIVE(33), OFFSET(axis[1].sense.duty.c), 2}, /* axis2.duty_c */
+    {LIVE(34), OFFSET(axis[1].current_loop.d.integral) + 4, 4}, /* axis2.pi_d */
+    {LIVE(35), OFFSET(axis[1].current_loop.q.integral) + 4, 4}, /* axis2.pi_q */
+    {LIVE(36), OFFSET(axis[1].motion.speed_pi.integral) + 4, 4}, /* axis2.pi_speed */
+    {LIVE(37), OFFSET(axis[1].feedback.mean_speed), 4}, /* axis2.speed_raw */
+    {LIVE(38), OFFSET(axis[1].motion.shaped_speed), 4}, /* axis2.speed_shaped */
+    {LIVE(39), OFFSET(axis[1].estimate.pll.angle), 4}, /* axis2.pll_angle */
+    {LIVE(40), OFFSET(axis[1].estimate.pll.step), 4}, /* axis2.pll_speed */
+    {LIVE(41), OFFSET(axis[1].estimate.observer.e.alpha), 4}, /* axis2.emf_alpha */
+    {LIVE(42), OFFSET(axis[1].estimate.observer.e.beta), 4}, /* axis2.emf_beta */
+    {LIVE(43), OFFSET(axis[1].command.mode), 2}, /* axis2.mode */
+    {LIVE(44), OFFSET(axis[1].events.command), 2}, /* axis2.event_command */
+    {LIVE(45), OFFSET(axis[1].events.mode), 2}, /* axis2.event_mode */
+    {LIVE(46), OFFSET(axis[1].sm.entered), 2}, /* axis2.event_state */
 };
 
 const tsa_table_t servo_variables = {
@@ -811,8 +894,8 @@ static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87};
 const name_list_t servo_substate_names = {substate_offsets, 6};
 static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 119, 265, 278, 283};
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
-static const uint16_t fault_offsets[] = {2951, 2964, 2978, 2991, 3006, 159, 3019, 3031, 3039, 3047, 3060, 3076, 3087, 3104, 3121, 3130, 3145, 3160, 3171, 3185, 3195, 3204};
-const name_list_t servo_fault_names = {fault_offsets, 22};
+static const uint16_t fault_offsets[] = {3315, 3328, 3342, 3355, 3370, 159, 3383, 3395, 3403, 3411, 3424, 3440, 3451, 3468, 3485, 3494, 3509, 3524, 3535, 3549, 3559, 3568, 317};
+const name_list_t servo_fault_names = {fault_offsets, 23};
 
 const variable_range_t servo_ranges[] = {
     {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */
@@ -822,6 +905,8 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(command.enable), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.enable */
     {OFFSET(command.quick_stop), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.quick_stop */
     {OFFSET(command.clear_faults), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.clear_faults */
+    {OFFSET(command.home_position), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* cmd.home_position */
+    {OFFSET(command.home), 2, 2, INT32_C(0), INT32_C(6)}, /* cmd.home */
     {OFFSET(command.points), 4, 32, INT32_MIN, INT32_C(2147483647)}, /* cmd.points */
     {OFFSET(config.window), 4, 25, INT32_MIN, INT32_C(2147483647)}, /* config.window */
     {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */
@@ -829,7 +914,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */
     {OFFSET(parameter.acceleration_limit), 4, 2, INT32_C(2051), INT32_C(102534791)}, /* param.acceleration_limit */
     {OFFSET(parameter.i_q_limit), 2, 2, INT32_C(397), INT32_C(15888)}, /* param.i_q_limit */
-    {OFFSET(parameter.features), 2, 2, INT32_C(0), INT32_C(32767)}, /* param.features */
+    {OFFSET(parameter.features), 2, 2, INT32_C(0), INT32_C(65535)}, /* param.features */
     {OFFSET(parameter.position_min), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* param.position_min */
     {OFFSET(parameter.position_max), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* param.position_max */
     {OFFSET(parameter.following_error), 4, 2, INT32_C(6), INT32_C(636620)}, /* param.following_error */
@@ -837,7 +922,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(parameter.feedback), 2, 2, INT32_C(0), INT32_C(1)}, /* param.feedback */
     {OFFSET(parameter.on_disable), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_disable */
     {OFFSET(parameter.on_quick_stop), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_quick_stop */
-    {OFFSET(parameter.faults_enabled), 4, 2, INT32_C(0), INT32_C(4194303)}, /* param.faults_enabled */
+    {OFFSET(parameter.faults_enabled), 4, 2, INT32_C(0), INT32_C(8388607)}, /* param.faults_enabled */
     {OFFSET(parameter.monitor), 2, 2, INT32_C(0), INT32_C(15)}, /* param.monitor */
     {OFFSET(parameter.host_timeout), 2, 1, INT32_C(100), INT32_C(60000)}, /* param.host_timeout */
     {OFFSET(parameter.command_timeout), 2, 1, INT32_C(0), INT32_C(60000)}, /* param.command_timeout */

@@ -19,6 +19,7 @@
 #include "diagnosis/shaft_monitor.h"
 #include "diagnosis/winding_model.h"
 #include "drive/brake.h"
+#include "drive/home_data.h"
 #include "drive/startup_data.h"
 #include "drive/stop_data.h"
 #include "hal/hal.h"
@@ -83,6 +84,7 @@ typedef struct {
     /* i_d at most against the flux while braking current is folded back: its losses brake too. */
     frac16_t copper_current;
     field_weakening_config_t field_weakening;
+    home_config_t home;
 } axis_config_t;
 
 typedef struct {

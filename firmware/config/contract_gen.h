@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x4B7E7349)
+#define CATALOGUE_HASH UINT32_C(0x973AB987)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -57,6 +57,38 @@ typedef enum {
 } point_refusal_t;
 
 typedef enum {
+    HOME_STATE_UNKNOWN = 0,
+    HOME_STATE_ASSUMED = 1,
+    HOME_STATE_HOMING = 2,
+    HOME_STATE_KNOWN = 3,
+} home_state_t;
+
+typedef enum {
+    HOME_METHOD_NONE = 0,
+    HOME_METHOD_HERE = 1,
+    HOME_METHOD_ASSUME = 2,
+    HOME_METHOD_STOP_POSITIVE = 3,
+    HOME_METHOD_STOP_NEGATIVE = 4,
+    HOME_METHOD_SWITCH_POSITIVE = 5,
+    HOME_METHOD_SWITCH_NEGATIVE = 6,
+} home_method_t;
+
+typedef enum {
+    HOME_RESULT_NONE = 0,
+    HOME_RESULT_RUNNING = 1,
+    HOME_RESULT_DONE = 2,
+    HOME_RESULT_ABORTED = 3,
+    HOME_RESULT_MOTION = 4,
+    HOME_RESULT_SENSORLESS = 5,
+    HOME_RESULT_KNOWN = 6,
+    HOME_RESULT_NOT_FOUND = 7,
+    HOME_RESULT_TIMEOUT = 8,
+    HOME_RESULT_BLOCKED = 9,
+    HOME_RESULT_STUCK = 10,
+    HOME_RESULT_SPREAD = 11,
+} home_result_t;
+
+typedef enum {
     MONITOR_NONE = 0,
     MONITOR_U_DC = 1,
     MONITOR_AXIS1_I_D = 2,
@@ -97,8 +129,9 @@ typedef enum {
 #define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop came late or has left out a period */
 #define FAULT_WATCHDOG UINT32_C(0x00100000) /* the watchdog has reset the board: the control loops had stopped */
 #define FAULT_MOTOR_TEMPERATURE UINT32_C(0x00200000) /* the winding is hotter than its limit, by the estimate from its currents */
+#define FAULT_HOMING UINT32_C(0x00400000) /* a homing has failed: axisN.home_result says why */
 
-#define FAULTS_ALWAYS UINT32_C(0x0018701F) /* nobody can switch them off */
+#define FAULTS_ALWAYS UINT32_C(0x0058701F) /* nobody can switch them off */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */
@@ -111,6 +144,7 @@ typedef enum {
 #define LIMIT_STARVED UINT16_C(0x0100) /* no point followed one with a speed: the axis has stopped */
 #define LIMIT_TEMPERATURE UINT16_C(0x0200) /* less than the current limit, because the winding is hot */
 #define LIMIT_FIELD_WEAKENING UINT16_C(0x0400) /* current against the flux of the magnets, because the voltage of the bus does not suffice for this speed otherwise */
+#define LIMIT_NOT_HOMED UINT16_C(0x0800) /* the position is not known: the shaft stays near where it was enabled, and farther set-points are refused */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
@@ -127,6 +161,7 @@ typedef enum {
 #define FEATURE_STARVED UINT16_C(0x1000) /* a fault (HOST_SILENT) when no point of a trajectory follows one with a speed */
 #define FEATURE_WINDING_MODEL UINT16_C(0x2000) /* the current limit falls with the estimated temperature of the winding, and a fault beyond its maximum */
 #define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* current against the flux of the magnets at speeds that the voltage does not reach otherwise */
+#define FEATURE_HOMING UINT16_C(0x8000) /* until the position is known or assumed, the shaft stays near where it was enabled, and soft limits are not applied */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2
@@ -147,7 +182,7 @@ typedef enum {
 #define CONFIG_REFUSAL_MOTION 9
 #define CONFIG_REFUSAL_BUSY 10
 
-#define PARAM_FEATURES_MAX INT32_C(32767)
-#define PARAM_FAULTS_ENABLED_MAX INT32_C(4194303)
+#define PARAM_FEATURES_MAX INT32_C(65535)
+#define PARAM_FAULTS_ENABLED_MAX INT32_C(8388607)
 
 #endif

@@ -49,6 +49,7 @@ const fault_rule_t fault_rules[FINDINGS] = {
     [FINDING_CONVERTER_BROKEN] = {FAULT_CURRENT_SENSE, 0, 0}, /* code off its offset without current, or stuck among noisy ones */
     [FINDING_LOOPS_LATE] = {FAULT_LATE_LOOP, 0, 0}, /* more than two control loops late or left out within 32 ms */
     [FINDING_WATCHDOG_RESET] = {FAULT_WATCHDOG, 0, 0}, /* the watchdog has reset the board */
+    [FINDING_HOMING_FAILED] = {FAULT_HOMING, 0, 0}, /* no stop or switch in time, at several places, or one that holds the shaft */
 };
 
 /* What explains other findings, the strongest first. */

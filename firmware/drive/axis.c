@@ -6,6 +6,7 @@
 #include "diagnosis/fault_isolate.h"
 #include "drive/axis_states.h"
 #include "drive/feedback.h"
+#include "drive/homing.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/run_step.h"
@@ -49,6 +50,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->motion.position_gain = config->position_gain;
     axis->fast = LOOP_FAST;
     axis->feedback_wanted = config->feedback;
+    homing_init(axis);
     axis->source->reset(axis);
     axis_states_init(axis);
 }
@@ -61,6 +63,7 @@ static void choose_source(axis_t *axis)
         axis->sensorless = sensorless;
         axis->source = sensorless ? &observer_feedback : &encoder_feedback;
         axis->source->reset(axis);
+        homing_forget(axis);
     }
 }
 
@@ -195,6 +198,7 @@ void axis_check(axis_t *axis)
 
 void axis_protect(axis_t *axis)
 {
+    homing_step(axis);
     winding_protect(axis);
     weakening_step(axis); /* within what the winding bears */
 }

@@ -10,6 +10,7 @@
 #include "drive/current_sense.h"
 #include "drive/estimate_data.h"
 #include "drive/feedback_data.h"
+#include "drive/home_data.h"
 #include "drive/startup_data.h"
 #include "drive/state_machine.h"
 #include "drive/stop_data.h"
@@ -37,6 +38,7 @@ typedef enum {
 #define FRESH_ENABLE UINT16_C(0x20)
 #define FRESH_QUICK_STOP UINT16_C(0x40)
 #define FRESH_CLEAR_FAULTS UINT16_C(0x80) /* a 1 */
+#define FRESH_HOME UINT16_C(0x100)
 
 /* What the host asks of an axis, latched once per slow tick. */
 typedef struct {
@@ -93,6 +95,8 @@ typedef enum {
     MOTION_TORQUE = CONTROL_MODE_TORQUE,     /* follow the current set-point within the speed limit */
     MOTION_TRAJECTORY = CONTROL_MODE_TRAJECTORY, /* follow the curve through timed points */
     MOTION_STOP,                             /* ramp down at the limit; then hold */
+    MOTION_HOME,                             /* follow the ramped speed that homing.c asks for */
+    MOTION_PRESS,                            /* push with the current that homing.c asks for */
 } motion_t;
 
 typedef struct {
@@ -166,7 +170,7 @@ typedef struct axis {
     frac32_t u_dc_filter;
     frac16_t u_dc; /* filtered bus voltage */
     frac16_t regen_derating; /* part of the braking current that the bus takes */
-    uint16_t bus_limits; /* LIMIT_ bits that the bus sets */
+    uint16_t bus_limits; /* LIMIT_ bits that stand: of the bus, of the field, and of a set-point that was refused */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;
@@ -174,6 +178,8 @@ typedef struct axis {
     field_weakening_t weakening; /* of the field; all zero: no effect */
     motion_state_t motion;
     trajectory_t trajectory;
+    home_t home;
+    uint16_t inputs; /* INPUT_ bits (drive/inputs.h) */
     observation_t observation;
     diagnosis_t diagnosis;
     dq_t test_current; /* that a monitor asks for on top of the set-point */

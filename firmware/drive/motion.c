@@ -188,7 +188,7 @@ static frac32_t confined_speed(axis_t *axis, frac32_t speed)
     }
     const frac32_t confined = soft_limits_confined(axis, speed);
     if (f32_abs(confined) < axis->limits.speed && confined != speed) {
-        axis_report(axis, LIMIT_POSITION);
+        axis_report(axis, axis->home.limit);
         return confined;
     }
     return speed;
@@ -204,7 +204,7 @@ static void confine_target(axis_t *axis)
     m->target_clipped = m->target_clipped || target != m->target;
     m->target = target;
     if (m->target_clipped) {
-        axis_report(axis, LIMIT_POSITION);
+        axis_report(axis, axis->home.limit);
     }
 }
 
@@ -400,6 +400,26 @@ static void end_stop(axis_t *axis)
     }
 }
 
+void motion_home(axis_t *axis, frac32_t speed)
+{
+    begin(axis, MOTION_HOME);
+    axis->motion.speed_target = speed;
+}
+
+void motion_press(axis_t *axis, frac16_t i_q)
+{
+    begin(axis, MOTION_PRESS);
+    axis->motion.i_q_target = i_q;
+}
+
+void motion_rest(axis_t *axis)
+{
+    if (axis->motion.motion == MOTION_HOME || axis->motion.motion == MOTION_PRESS) {
+        begin(axis, MOTION_STOP);
+        axis->motion.speed_target = 0;
+    }
+}
+
 void motion_start(axis_t *axis)
 {
     axis->motion = (motion_state_t){.position_gain = axis->config->position_gain};
@@ -484,6 +504,9 @@ void motion_step(axis_t *axis)
         m->speed_ref = trajectory_controller(axis);
     } else if (m->motion == MOTION_POSITION) {
         m->speed_ref = position_controller(axis);
+    } else if (m->motion == MOTION_PRESS) {
+        axis->current_ref.q = press_control(axis);
+        return;
     } else {
         m->speed_ref = ramped_speed(axis);
         if (m->motion == MOTION_STOP) {

@@ -22,6 +22,15 @@ bool motion_too_slow(const axis_t *axis);
 /* One slow tick: take fresh commands, shape, run the controllers, set `axis->current_ref`. */
 void motion_step(axis_t *axis);
 
+/* Turn at a speed until another motion is asked for; within the limits, which are renewed when that begins. */
+void motion_home(axis_t *axis, frac32_t speed);
+
+/* Push with a current. A speed controller would chatter there: the M/T method shows every count of dither as a speed. */
+void motion_press(axis_t *axis, frac16_t i_q);
+
+/* End what these two have begun: to rest, then hold. */
+void motion_rest(axis_t *axis);
+
 /* May points be queued? The axis is in mode TRAJECTORY, and holds or follows a trajectory. */
 bool motion_takes_points(const axis_t *axis);
 

@@ -7,6 +7,7 @@
 #include "drive/axis_faults.h"
 #include "drive/current_drive.h"
 #include "drive/estimate.h"
+#include "drive/homing.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/outputs.h"
@@ -77,6 +78,7 @@ static void align_spin(axis_t *axis)
     encoder_monitor_start(&axis->diagnosis.encoder, axis->feedback.position);
     angle_monitor_start(&axis->diagnosis.angle);
     axis->test_current = (dq_t){0, 0};
+    homing_spin(axis);
     motion_start(axis);
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);

@@ -152,7 +152,7 @@ frac16_t torque_control(axis_t *axis)
     frac32_t i_q = f32_from_f16(wanted);
     if (i_q > max || i_q < min) {
         const bool soft = (i_q > max) ? range.max < axis->limits.speed : range.min > -axis->limits.speed;
-        axis_report(axis, soft ? LIMIT_POSITION : LIMIT_SPEED);
+        axis_report(axis, soft ? axis->home.limit : LIMIT_SPEED);
         i_q = (i_q > max) ? max : min;
     }
     const bool less = restricted(axis);
@@ -163,4 +163,16 @@ frac16_t torque_control(axis_t *axis)
     m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
     return result;
+}
+
+frac16_t press_control(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const frac16_t i_q = f16_limit(m->i_q_target, axis->limits.i_q);
+    m->speed_ref = 0;
+    m->saturated = false;
+    pi_reset(&m->speed_pi, f32_from_f16(i_q));
+    axis->current_ref.d = 0;
+    axis_report(axis, LIMIT_CURRENT);
+    return i_q;
 }

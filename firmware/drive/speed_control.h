@@ -14,4 +14,7 @@ void speed_control_retune(axis_t *axis, const axis_config_t *config);
 /* The torque that is wanted, within the speed limits. */
 frac16_t torque_control(axis_t *axis);
 
+/* One slow tick of a constant current i_q, from which the speed controller goes on afterwards. */
+frac16_t press_control(axis_t *axis);
+
 #endif

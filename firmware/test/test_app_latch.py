@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from servo_bench import OVER_CURRENT, SPEED, TORQUE, Bench
 
-FIELDS = ("position", "speed", "i_q", "mode", "enable", "quick_stop", "clear_faults")
+FIELDS = ("position", "speed", "i_q", "mode", "enable", "quick_stop", "clear_faults", "home")
 """Set-points and requests of one element per axis, in the order of the block."""
-BITS = dict(zip(FIELDS, (0, 1, 2, 4, 5, 6, 7), strict=True))
+BITS = dict(zip(FIELDS, (0, 1, 2, 4, 5, 6, 7, 8), strict=True))
 """In `axis_command_t.fresh`; bit 3 is that of timed points."""
 FRESH_POSITION = 1
 TO_LATCH = 7
@@ -37,7 +37,7 @@ def marks_of(core: Core, offset: int, size: int) -> Any:
 @pytest.mark.parametrize("field", FIELDS)
 def test_one_element_marks_one_axis_of_one_field(core: Core, field: str, axis: int) -> None:
     offset = core.ffi.offsetof("command_block_t", field)
-    size = core.ffi.sizeof(core.ffi.typeof("command_block_t").fields[FIELDS.index(field)][1].type.item)
+    size = core.ffi.sizeof(dict(core.ffi.typeof("command_block_t").fields)[field].type.item)
     marks = marks_of(core, offset + axis * size, size)
     assert (marks.commands, marks.parameters) == (True, False)
     assert list(marks.fresh) == [1 << BITS[field] if i == axis else 0 for i in range(2)]
@@ -49,9 +49,9 @@ def test_any_range_marks_exactly_what_it_touches(core: Core, data: st.DataObject
     begin = data.draw(st.integers(0, total - 1))
     size = data.draw(st.integers(1, total - begin))
     marks = marks_of(core, begin, size)
-    for k, field in enumerate(FIELDS):
+    for field in FIELDS:
         offset = core.ffi.offsetof("command_block_t", field)
-        element = core.ffi.sizeof(core.ffi.typeof("command_block_t").fields[k][1].type.item)
+        element = core.ffi.sizeof(dict(core.ffi.typeof("command_block_t").fields)[field].type.item)
         for axis in range(2):
             touched = begin < offset + (axis + 1) * element and offset + axis * element < begin + size
             assert (marks.fresh[axis] >> BITS[field] & 1) == touched
@@ -175,7 +175,7 @@ def test_held_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
     bench.write(0, enable=1, mode=SPEED, position=1, speed=2, i_q=3, quick_stop=1, clear_faults=1)
     bench.core.lib.probe_run(bench.servo, TO_LATCH)
     command = bench.axis(0).command
-    assert command.fresh == sum(1 << bit for bit in BITS.values())
+    assert command.fresh == sum(1 << bit for field, bit in BITS.items() if field != "home")
     bench.core.lib.probe_run(bench.servo, 1)
     bench.servo.held = True
     bench.slow()

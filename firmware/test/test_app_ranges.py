@@ -22,6 +22,8 @@ WRITABLE = {
     if v.writable and v.name != "cmd.points" and not v.name.startswith("config.")
 }
 RANGED = [name for name in WRITABLE if name != "cmd.position"]
+BOUNDED = [name for name in RANGED if WRITABLE[name].raw_range[1] + 1 < 1 << 8 * WRITABLE[name].element_size]
+"""Those with numbers that they refuse."""
 
 
 def stopped(core: Core, *, shaft: int = 0) -> Bench:
@@ -102,7 +104,7 @@ def test_both_ends_of_a_range_are_taken(bench: Bench, name: str, way: Way) -> No
 
 
 @WAYS
-@pytest.mark.parametrize("name", RANGED)
+@pytest.mark.parametrize("name", BOUNDED)
 def test_one_beyond_either_end_is_refused_and_changes_nothing(bench: Bench, name: str, way: Way) -> None:
     variable = WRITABLE[name]
     low, high = variable.raw_range

@@ -63,6 +63,7 @@ RULES: Final = {
     "CONVERTER_BROKEN": Rule("CURRENT_SENSE"),
     "LOOPS_LATE": Rule("LATE_LOOP"),
     "WATCHDOG_RESET": Rule("WATCHDOG"),
+    "HOMING_FAILED": Rule("HOMING"),
 }
 """In the order of their priority."""
 

@@ -6,6 +6,8 @@ servo-command velocity axis1=50 --for 2
 servo-command move axis1=31.4 axis2=-31.4 --time 2
 servo-command follow path.csv
 servo-command sine axis1 --amplitude 1 --frequency 2 --for 10
+servo-command home axis1 --method stop-negative
+servo-command zero axis1 0.5
 servo-command quick_stop
 servo-command state
 servo-command set 'param.features[0]=ANTI_WINDUP+POSITION_LIMITS' param.i_q_limit=1.0,1.5
@@ -47,6 +49,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from servo_bridge.command_paths import PATH_VERBS, add_path_verbs, run_path
+from servo_bridge.homing import METHODS
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_msgs_py import topics
 
@@ -60,6 +63,8 @@ _BRIDGE: Final = "servo_bridge"  # name of the node
 _LIST: Final = "board_parameters"  # its parameter
 _LOST: Final = "DISCONNECTED"  # how its state begins while there is no board
 _DIAGNOSTICS: Final = 2.5  # they come every second [s]
+_HOME_POSITIONS: Final = "home_positions"  # its parameter
+_HOMING: Final = 600.0  # longest homing [s]
 _UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 
 
@@ -145,6 +150,40 @@ class Commander(Node):
         """Call ``quick_stop`` or ``clear_faults``."""
         return self._ask(Trigger, Trigger.Request(), name, name)
 
+    def home(self, joint: str, method: str, position: float | None) -> str:
+        """Home a joint, or set its position where it is; the bridge's own parameter says to which value.
+
+        Raises
+        ------
+        CommandError
+            If there is no such joint, or the bridge or the board refuses, with the reason.
+        """
+        names = [one.name for one in self.joints()]
+        if joint not in names:
+            raise CommandError(f"there is no joint {joint}; there are {', '.join(names)}")
+        if position is not None:
+            self._set_home_position(names.index(joint), position)
+        name = topics.home_service(joint, method)
+        client = self.create_client(Trigger, self._of(name))
+        self.wait_for(client.service_is_ready, f"no service {self._of(name)} was found")
+        future = client.call_async(Trigger.Request())
+        self.wait_for(future.done, f"{self._of(name)} did not answer", _HOMING)
+        response = future.result()
+        assert response is not None
+        if not response.success:
+            raise CommandError(response.message)
+        return str(response.message)
+
+    def _set_home_position(self, axis: int, position: float) -> None:
+        bridge = f"{_BRIDGE}/"
+        request = GetParameters.Request(names=[_HOME_POSITIONS])
+        values = list(self._call(GetParameters, request, bridge + "get_parameters").values[0].double_array_value)
+        values[axis] = position
+        parameter = Parameter(_HOME_POSITIONS, value=values).to_parameter_msg()
+        answer = self._call(SetParameters, SetParameters.Request(parameters=[parameter]), bridge + "set_parameters")
+        if not answer.results[0].successful:
+            raise CommandError(answer.results[0].reason)
+
     def state(self) -> str:
         """State of the servo and its joints now, with faults and limits, for people."""
         joints: list[JointState] = []
@@ -164,6 +203,8 @@ class Commander(Node):
         for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True):
             lines.append(f"  {name}: {position:.4f} rad, {velocity:.3f} rad/s")
             values = _values(statuses.get(self._part(name)))
+            if "position known" in values:
+                lines[-1] += f", position {values['position known']}"
             for key, heading in (("faults", "fault"), ("first fault", "first fault"), ("limits", "at limit")):
                 if values.get(key, "none") != "none":
                     lines.append(f"    {heading} {values[key]}")
@@ -399,6 +440,16 @@ def _parameter(text: str) -> tuple[Variable, int | None]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is no position in rad")
+    return value
+
+
 def _duration(text: str) -> float:
     try:
         value = float(text)
@@ -422,6 +473,20 @@ def _parser() -> argparse.ArgumentParser:
         ("state", "print state, positions, speeds, faults with remedy, limits that are reached"),
     ):
         verbs.add_parser(verb, help=text)
+    homer = verbs.add_parser("home", help="turn a joint to a stop or a switch, which tells its position")
+    homer.add_argument("joint", metavar="JOINT")
+    homer.add_argument(
+        "--method", required=True, choices=[name.replace("_", "-") for name in METHODS if name != "here"]
+    )
+    homer.add_argument(
+        "--position",
+        type=_number,
+        metavar="RAD",
+        help="where the joint is there; stays set (default: the bridge's parameter home_positions)",
+    )
+    zero = verbs.add_parser("zero", help="set the position of a joint where it is")
+    zero.add_argument("joint", metavar="JOINT")
+    zero.add_argument("position", nargs="?", type=_number, default=0.0, metavar="RAD", help="default: 0")
     setter = verbs.add_parser("set", help="set parameters of the board; they stay set when it is connected anew")
     setter.add_argument(
         "assignments",
@@ -462,6 +527,10 @@ def _perform(commander: Commander, args: argparse.Namespace) -> str:
         return commander.state()
     if args.verb == "set":
         return commander.set(args.assignments)
+    if args.verb == "home":
+        return commander.home(args.joint, args.method.replace("-", "_"), args.position)
+    if args.verb == "zero":
+        return commander.home(args.joint, "here", args.position)
     if args.verb == "get":
         return commander.get(args.names)
     if args.verb in ("enable", "disable"):

@@ -194,6 +194,9 @@ class Health:
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
+        values["position known"] = self._catalogue.label(
+            "home_state_t", int(frame.values[f"{prefix}.home_state"])
+        ).lower()
         if record is not None and record.fault is not None:
             values["first fault"] = record.summary().removeprefix("first fault ")
             values["first fault tick"] = record.tick

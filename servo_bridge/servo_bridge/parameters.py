@@ -143,6 +143,17 @@ _SETTINGS: Mapping[str, Spec] = {
         "that the service tune gives the board",
         read_only=False,
     ),
+    "home_positions": Spec(
+        [0.0, 0.0],
+        "where each joint is at the stop or switch that it is homed to, or when its position is set [rad]",
+        read_only=False,
+    ),
+    "restore_positions": Spec(
+        True,
+        "whether a board that was restarted gets back the positions that it has had, as an assumption: of axes with "
+        "the feature HOMING, which rest",
+        read_only=False,
+    ),
     "preferred_source": Spec(
         "",
         "topic with precedence, such as joint_commands: while it commands an axis, and 1 s longer, the set-points of "
@@ -182,6 +193,8 @@ class Settings:
     recording: BurstRequest
     tuning: str
     preferred_source: str
+    home_positions: tuple[float, ...]
+    restore_positions: bool
 
     @property
     def names(self) -> list[str]:
@@ -232,6 +245,8 @@ def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
         recording=_recording(values["recording"]),
         tuning=values["tuning"],
         preferred_source=_preferred_source(values["preferred_source"], names),
+        home_positions=_home_positions(values),
+        restore_positions=values["restore_positions"],
     )
 
 
@@ -258,6 +273,13 @@ def _preferred_source(topic: str, joints: Sequence[str]) -> str:
     if topic and topic not in known:
         raise ParameterError(f"parameter preferred_source is {topic!r}; give one of {', '.join(known)}, or nothing")
     return topic
+
+
+def _home_positions(values: Mapping[str, Any]) -> tuple[float, ...]:
+    numbers = _per_joint(values, "home_positions")
+    if not all(map(math.isfinite, numbers)):
+        raise ParameterError(f"parameter home_positions is {list(numbers)}; give finite numbers")
+    return tuple(numbers)
 
 
 def _recording(text: str) -> BurstRequest:

@@ -60,6 +60,7 @@ class Publications:
         self._next_joint = self._next_snapshot = 0
         self._epoch = 0
         self._rows: list[list[float]] = []
+        self._last_known: list[bool | None] = [None] * len(self._joints)
         self._last_description = ""
         self._last_state: str | None = None
         self._last_armed: bool | None = None
@@ -73,10 +74,15 @@ class Publications:
             node.create_publisher(Float64MultiArray, topics.fault_record_topic(joint.name), latched) for joint in joints
         ]
         self._description = node.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
+        self._known = [
+            node.create_publisher(Bool, topics.position_known_topic(joint.name), latched) for joint in joints
+        ]
         self._state = node.create_publisher(String, topics.STATE, latched)
         self._armed = node.create_publisher(Bool, topics.ARMED, latched)
 
-    def sample(self, frame: Frame, stamp_ns: int, torque_constants: Sequence[float] | None) -> None:
+    def sample(
+        self, frame: Frame, stamp_ns: int, torque_constants: Sequence[float] | None, *, joint_states: bool = True
+    ) -> None:
         """Publish a sample, as far as the rates allow.
 
         Parameters
@@ -87,12 +93,14 @@ class Publications:
             ROS time of its tick [ns].
         torque_constants : sequence of float, optional
             Of the motors, per axis [N m/A]; efforts are left out until they are known.
+        joint_states : bool
+            Whether the positions are those of the joints; else they are not published as such.
         """
         if frame.epoch != self._epoch:
             self.flush()
             self._epoch = frame.epoch
             self._next_joint = self._next_snapshot = 0
-        if frame.tick >= self._next_joint:
+        if joint_states and frame.tick >= self._next_joint:
             # Stepping from the last due tick and not from this one keeps the mean rate.
             self._next_joint = max(self._next_joint + self._joint_ticks, frame.tick)
             message = joint_state_from_values(self._joints, stamp_ns, frame.values, torque_constants)
@@ -131,6 +139,13 @@ class Publications:
         if text != self._last_description:
             self._last_description = text
             self._description.publish(String(data=text))
+
+    def positions_known(self, known: Sequence[bool]) -> None:
+        """Publish which positions are known where that has changed."""
+        for axis, (now, publisher) in enumerate(zip(known, self._known, strict=True)):
+            if now != self._last_known[axis]:
+                self._last_known[axis] = now
+                publisher.publish(Bool(data=now))
 
     def state(self, text: str, *, armed: bool) -> None:
         """Publish state and armed where they have changed."""

@@ -37,6 +37,7 @@ from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
 from servo_bridge.freemaster.client import BoardInfo, password_of_environment
 from servo_bridge.health import BOARD_COUNTERS, WINDING, Health, Winding
+from servo_bridge.homing import METHODS, Homing, with_home_states
 from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
 from servo_bridge.keep_alive import KeepAlive
@@ -156,7 +157,7 @@ class Supervisor:
         self._publications = Publications(
             node,
             settings.joints,
-            self._telemetry.columns,
+            with_home_states(self._telemetry.columns),
             joint_states_rate=settings.joint_states_rate,
             snapshot_period=settings.snapshot_period,
         )
@@ -220,6 +221,19 @@ class Supervisor:
         self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
         self._fault_records = FaultRecords(self._catalogue, self._link.read, self._inbox.post, self._on_fault_record)
         self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
+        self._homing = Homing(
+            catalogue,
+            settings.joints,
+            settings.home_positions,
+            settings.restore_positions,
+            self._arbiter,
+            self._dispatcher,
+            self._link.read,
+            self._inbox.post,
+            moved=self._telemetry.recount,
+            say=lambda text: self._log.info(text),
+            warn=self._warn,
+        )
         self._records = RecordService(
             node,
             catalogue,
@@ -273,7 +287,12 @@ class Supervisor:
             DeferredService(node, SetBool, topics.ENABLE, lambda request: motion.enable(request.data)),
             DeferredService(node, Trigger, topics.QUICK_STOP, lambda _: motion.quick_stop()),
             DeferredService(node, Trigger, topics.CLEAR_FAULTS, lambda _: motion.clear_faults()),
+            *(self._offer_home(axis, method) for axis in range(AXES) for method in METHODS),
         ]
+
+    def _offer_home(self, axis: int, method: str) -> DeferredService:
+        name = topics.home_service(self._joints[axis], method)
+        return DeferredService(self._node, Trigger, name, lambda _: self._homing.home(axis, method))
 
     def _offer_action(self) -> FollowAction | None:
         interfaces = action_interfaces()
@@ -324,6 +343,8 @@ class Supervisor:
             self._board_parameters.want(settings.board_parameters)
         self._settings = settings
         self._arbiter.joints = list(settings.joints)
+        self._homing.joints, self._homing.positions = list(settings.joints), list(settings.home_positions)
+        self._homing.restores = settings.restore_positions
         self._records.request = settings.recording
         self._tuning.path = settings.tuning
         self._arbiter.sources.preferred = settings.preferred_source
@@ -409,6 +430,8 @@ class Supervisor:
                 self._action.link_lost(f"the link to the board was lost: {status.reason}")
             self._dispatcher.close(status.reason)
             self._motion.link_lost(status.reason)
+            self._homing.link_lost(status.reason)
+            self._publications.positions_known(self._homing.known)
             self._fault_records.link_lost()
             self._records.link_lost()
         self._publish_state()
@@ -416,7 +439,7 @@ class Supervisor:
     def _on_sample(self, sample: Sample) -> None:
         if self._status.state is not LinkState.CONNECTED:
             return  # was on its way when the link broke
-        frame = self._telemetry.frame(sample)
+        frame = self._homing.completed(self._telemetry.frame(sample))
         if frame.epoch != self._epoch:
             self._epoch = frame.epoch
             self._board_clock.reset()
@@ -441,12 +464,20 @@ class Supervisor:
             )
         applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
         self._motion.on_frame(frame)
+        parameters = self._board_parameters.values
+        self._homing.on_frame(frame, None if parameters is None else parameters["param.features"])
+        self._publications.positions_known(self._homing.known)
         if applied is not None:
             # Before the sample that shows its effect, so that a twin that replays has it in time.
             self._publications.applied(applied)
             if applied.variable == "cmd.points":
                 self._streamer.arrived(periods_ahead(applied.raw, applied.tick) * PERIOD)
-        self._publications.sample(frame, stamp, [motor.torque_constant for motor in self._motors] or None)
+        self._publications.sample(
+            frame,
+            stamp,
+            [motor.torque_constant for motor in self._motors] or None,
+            joint_states=not self._homing.restoring,
+        )
         self._publish_state()
 
     def _axis_reports(self, frame: Frame) -> list[AxisReport]:
@@ -610,6 +641,7 @@ class Supervisor:
         self._arbiter.link_lost(reason)
         self._dispatcher.close(reason)
         self._motion.link_lost(reason)
+        self._homing.link_lost(reason)
         self._publications.flush()
         self._publications.state(f"DISCONNECTED {reason}", armed=False)
 

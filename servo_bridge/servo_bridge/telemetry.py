@@ -158,6 +158,10 @@ class Telemetry:
             tuple(raw[at.faults] for at in self._axes),
         )
 
+    def recount(self, axis: int) -> None:
+        """The position of an axis counts from elsewhere from now on."""
+        self._counts[axis] = None
+
     def _waits(self, axis: int, label: str, tick: int) -> bool:
         """Whether an axis without an encoder waits for the speed set-point that starts it.
 

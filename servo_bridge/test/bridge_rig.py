@@ -68,7 +68,7 @@ class FakeLink:
         self.connected = False
         self.tick = 8
         self.epoch = 0
-        self.values: dict[str, int] = {}
+        self.values: dict[str, int] = {f"axis{k}.home_state": 0 for k in (1, 2)}
         self.parameters = {v.name: [v.to_raw(v.minimum)] * v.count for v in parameters(catalogue)}
         self.blocks: dict[str, bytes] = {}
         self.held: list[Future[Value]] | None = None  # reads of blocks that wait for ever, once it is a list

@@ -87,7 +87,7 @@ def test_vars(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str])
     assert "rw" in speed
     assert "rad/s" in speed
     assert "-419 .. 419" in speed
-    assert len(lines) == 9
+    assert len(lines) == 11
 
 
 def test_vars_without_a_match(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:

@@ -189,11 +189,13 @@ def _name_lists(catalogue: Catalogue, strings: _Strings) -> str:
     }
     lines: list[str] = []
     for name, values in lists.items():
-        if list(values.values()) != list(range(len(values))):
-            raise CatalogueError(f"names of {name}: the numbers are not 0, 1, .. in order")
-        offsets = ", ".join(str(strings.offset(key, len(key))) for key in values) or "0"
+        if list(values.values()) != sorted(set(values.values())):
+            raise CatalogueError(f"names of {name}: the numbers are not in ascending order")
+        by_number = {number: key for key, number in values.items()}
+        names = [by_number.get(number, "unused") for number in range(max(by_number, default=-1) + 1)]
+        offsets = ", ".join(str(strings.offset(key, len(key))) for key in names) or "0"
         lines.append(f"static const uint16_t {name}_offsets[] = {{{offsets}}};")
-        lines.append(f"const name_list_t servo_{name}_names = {{{name}_offsets, {len(values)}}};")
+        lines.append(f"const name_list_t servo_{name}_names = {{{name}_offsets, {len(names)}}};")
     return "\n".join(lines)
 
 

@@ -62,6 +62,10 @@ RECORD: Final = "record"
 TUNE: Final = "tune"
 """std_srvs/SetBool: give the board the configuration of the file that the parameter ``tuning`` names; with data: false
 only say what would change."""
+HOME: Final = "home"
+"""std_srvs/Trigger, ``<joint>/home/<method>``: make the position of a joint known."""
+POSITION_KNOWN: Final = "position_known"
+"""std_msgs/Bool, latched, ``<joint>/position_known``: whether the position was set or found since the board's reset."""
 RESYNC: Final = "resync"
 
 COMMAND_VARIABLES: Final = (
@@ -74,6 +78,8 @@ COMMAND_VARIABLES: Final = (
     "cmd.clear_faults",
     "cmd.points",
     "config.take",
+    "cmd.home_position",
+    "cmd.home",
 )
 """Command variables in the order that numbers them in `COMMANDS_APPLIED`."""
 
@@ -102,6 +108,16 @@ def _by_joint(name: str, joints: Sequence[str]) -> str:
 def fault_record_topic(joint: str) -> str:
     """Topic of what led to the first fault of one joint."""
     return f"{joint}/{FAULT_RECORD}"
+
+
+def home_service(joint: str, method: str) -> str:
+    """Service that makes the position of one joint known in one way."""
+    return f"{joint}/{HOME}/{method}"
+
+
+def position_known_topic(joint: str) -> str:
+    """Topic that says whether the position of one joint is known."""
+    return f"{joint}/{POSITION_KNOWN}"
 
 
 def joint_position_topic(joint: str) -> str:

@@ -25,6 +25,9 @@ typedef struct {
     double inertia;        /* total inertia [kg m^2] */
     double friction;       /* Coulomb friction [N m] */
     double viscous;        /* viscous friction [N m s] */
+    double stop_min, stop_max; /* angles of the end stops [rad] (mechanical) */
+    double stop_stiffness; /* [N m/rad]; 0: there are none */
+    double stop_damping;   /* [N m s] */
     double encoder_lines;  /* lines per turn; counts are four times as many */
     double theta_start;    /* mechanical rotor angle at time zero [rad] */
     double i_full_scale;   /* ADC range is -i_full_scale .. +i_full_scale [A] */

@@ -17,7 +17,11 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["AxisPlant", "BusPlant", "PlantConfig", "PlantError"]
+__all__ = ["STIFFEST", "AxisPlant", "BusPlant", "PlantConfig", "PlantError"]
+
+STIFFEST: Final = 0.06
+"""Of an end stop, over inertia and the square of the PWM frequency: it swings in 25 periods, and its torque is worked
+out once in each."""
 
 DEFAULT_FILE: Final = Path(__file__).with_name("plant.toml")
 
@@ -42,6 +46,10 @@ _AXIS_RULES: Final[Mapping[str, _Rule]] = {
     "inertia": _POSITIVE,
     "friction": _NOT_NEGATIVE,
     "viscous": _NOT_NEGATIVE,
+    "stop_min": _ANY,
+    "stop_max": _ANY,
+    "stop_stiffness": _NOT_NEGATIVE,
+    "stop_damping": _NOT_NEGATIVE,
     "encoder_lines": _WHOLE,
     "i_full_scale": _POSITIVE,
     "i_noise": _NOT_NEGATIVE,
@@ -99,6 +107,10 @@ class AxisPlant:
         Total inertia [kg m^2].
     friction, viscous : float
         Coulomb [N m] and viscous [N m s] friction.
+    stop_min, stop_max : float
+        Mechanical rotor angles of the end stops [rad].
+    stop_stiffness, stop_damping : float
+        What pushes the shaft back beyond them [N m/rad], [N m s]; without stiffness there are none.
     encoder_lines : float
         Lines per turn; counts are four times as many.
     theta_start : float or "random"
@@ -140,6 +152,10 @@ class AxisPlant:
     inertia: float
     friction: float
     viscous: float
+    stop_min: float
+    stop_max: float
+    stop_stiffness: float
+    stop_damping: float
     encoder_lines: float
     theta_start: float | Literal["random"]
     i_full_scale: float
@@ -162,6 +178,8 @@ class AxisPlant:
     def __post_init__(self) -> None:
         for name, rule in _AXIS_RULES.items():
             _check(name, getattr(self, name), rule)
+        if self.stop_min > self.stop_max:
+            raise PlantError(f"stop_min: {self.stop_min!r} is not below stop_max = {self.stop_max!r}")
         if self.theta_start != "random":
             _check("theta_start", self.theta_start, _ANY)
         offsets: object = self.i_offset
@@ -244,6 +262,13 @@ class PlantConfig:
             raise PlantError(
                 f"pwm_frequency: {self.pwm_frequency!r} Hz does not divide into quarter periods of whole nanoseconds"
             )
+        for name, axis in zip(("axis1", "axis2"), self.axes, strict=True):
+            most = STIFFEST * axis.inertia * self.pwm_frequency**2
+            if axis.stop_stiffness > most:
+                raise PlantError(
+                    f"{name}.stop_stiffness: {axis.stop_stiffness!r} N m/rad swings faster than a PWM period shows;"
+                    f" with this inertia the most is {most:.3g}"
+                )
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> PlantConfig:

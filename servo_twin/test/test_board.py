@@ -97,7 +97,7 @@ class TestVariables:
             ("param.feedback", [9, 0]),
             ("param.monitor", [99, 0]),
             ("param.host_timeout", 0),
-            ("param.features", [1 << 13, 0]),
+            ("param.faults_enabled", [1 << 30, 0]),
             ("cmd.position", [2**30 + 1, 0]),
         ],
     )

@@ -97,7 +97,7 @@ class FarReplica:
 def test_positions_of_the_twin_are_unwrapped_as_those_of_the_board_are(turns_of_the_counter: int) -> None:
     far = turns_of_the_counter << 32
     sample = SimpleNamespace(position=(far + 2**31 + 5, 0), labels=("STOP", "STOP"))
-    tie = AxisTie(0)
+    tie = AxisTie(0, CATALOGUE)
     tie.begin(sample, FarReplica())  # type: ignore[arg-type]
     assert tie.offset == 3
     assert tie.in_real_frame(FarReplica(), sample) == {  # type: ignore[arg-type]
@@ -210,7 +210,7 @@ class TestReplica:
 
     def test_a_set_point_that_expires_on_the_twins_board_alone_is_a_stop_too(self, replica: Replica) -> None:
         """Once: a bit that stays does not take back what a new set-point has said."""
-        tie = AxisTie(1)
+        tie = AxisTie(1, CATALOGUE)
         (sample,) = SampleReader(CATALOGUE).rows(COLUMNS, TestSamples.row())
         said = []
         for limits in (0, EXPIRED, EXPIRED, 0, EXPIRED):

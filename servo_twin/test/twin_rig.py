@@ -22,7 +22,7 @@ from servo_msgs_py import topics
 
 CATALOGUE = Catalogue.load()
 AXIS_VARIABLES = (
-    *("position", "speed", "i_q", "state", "substate", "faults", "limits"),
+    *("position", "speed", "i_q", "state", "substate", "faults", "limits", "home_state"),
     *("position_ref", "speed_ref", "i_q_ref"),
 )
 VARIABLES = ("tick", "applied_tick", "applied_count", *(f"axis{n}.{v}" for n in (1, 2) for v in AXIS_VARIABLES))

@@ -36,6 +36,7 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
         _stops(axis, configuration.scales)
         check_winding(axis)
         check_sensorless(axis, board)
+        _home(axis)
 
 
 def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
@@ -183,6 +184,15 @@ def _returned(axis: Axis, board: Board) -> float:
     emf, r_s = axis("motor.pole_pairs") * axis("motor.psi_m") * axis("limits.speed"), axis("motor.r_s")
     current = min(axis("limits.current"), 0.5 * emf / r_s)  # more current burns more than it returns
     return 1.5 * current * (emf - r_s * current)
+
+
+def _home(axis: Axis) -> None:
+    """A homing has to see that the shaft stands, and to leave the places apart that it compares."""
+    if axis("home.speed") < 1.0:
+        raise axis.refused("home.speed", "a quarter of it shows too few counts to tell a contact", "write 1 or more")
+    if axis("home.spread") >= axis("home.back_off"):
+        reason = f"not below home.back_off = {axis('home.back_off'):g} rad"
+        raise axis.refused("home.spread", reason, "write some counts of the encoder")
 
 
 def _stops(axis: Axis, scales: Scales) -> None:

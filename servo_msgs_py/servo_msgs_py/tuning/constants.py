@@ -56,6 +56,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **winding_constants(to),
         **stop_constants(to),
         **field_weakening_constants(to),
+        **_home(to),
     }
 
 
@@ -238,6 +239,17 @@ def _supervision(to: Converter) -> dict[str, Field]:
         "shaft.runaway_margin": to.at(FRAC32, "timing.runaway_margin", 1.0 / s.speed),
         "stop_speed": to.at(FRAC32, "timing.stop_speed", 1.0 / s.speed),
         **{field: to.ticks(path) for field, path in times.items()},
+    }
+
+
+def _home(to: Converter) -> dict[str, Field]:
+    per_rad = to.axis.counts / (2.0 * math.pi)
+    counts = {"home.back_off": "home.back_off", "home.spread_max": "home.spread", "home.reach": "home.reach"}
+    return {
+        "home.speed": to.at(FRAC16, "home.speed", 1.0 / to.s.speed),
+        "home.current": to.at(FRAC16, "home.current", 1.0 / to.s.i),
+        "home.turns_max": to.at(UINT16, "home.turns_max", 1.0),
+        **{field: to.at(UINT16, path, per_rad) for field, path in counts.items()},
     }
 
 

@@ -329,6 +329,14 @@ class _Restorer:
                 "current_use": min(at("field_weakening.i_d_max") / current, 1.0) or 0.5,
                 "magnet_current": at("field_weakening.i_d_max") or current,
             },
+            "home": {
+                "speed": at("home.speed"),
+                "current": at("home.current"),
+                "back_off": at("home.back_off"),
+                "spread": at("home.spread_max"),
+                "turns_max": b["home.turns_max"],
+                "reach": at("home.reach"),
+            },
             "sensing": {
                 "sign_current": s.i / _value("current_loop.dead_time.slope", b),
                 "offset_tolerance": b["offset_tolerance"],

@@ -257,6 +257,14 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "current_use": Entry("", "part of limits.current for the current against the flux", most=1.0),
         "magnet_current": Entry("A", "current against the flux that the hot magnets bear, peak"),
     },
+    "home": {
+        "speed": Entry("rad/s", "of the first approach of a homing; the next ones take a quarter of it"),
+        "current": Entry("A", "limit of i_q while an axis is homed"),
+        "back_off": Entry("rad", "way back from a stop or a switch before the next approach"),
+        "spread": Entry("rad", "distance of the places where it was found that is a fault", zero=True),
+        "turns_max": Entry("", "turns within which it has to be found", whole=True),
+        "reach": Entry("rad", "distance from where an axis was enabled, until its position is known"),
+    },
     "sensing": {
         "sign_current": Entry("A", "above it the direction of a phase current is certain"),
         "offset_tolerance": Entry("", "ADC codes that an offset may lie off mid-scale", whole=True),

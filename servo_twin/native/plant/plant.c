@@ -17,6 +17,7 @@ void plant_init(plant_t *plant, const board_config_t *config)
         axis->config = config->axis[i];
         plant_inverter_init(&axis->inverter, &config->axis[i], config->pwm_frequency, step);
         plant_motor_init(&axis->motor, &config->axis[i]);
+        axis->stop = end_stop_of(&config->axis[i], step);
         plant_encoder_init(&axis->encoder, &config->axis[i]);
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
         axis->codes_per_ampere = 2048.0 / config->axis[i].i_full_scale;
@@ -88,6 +89,11 @@ void plant_step(plant_t *plant, uint64_t now_ns)
     const double theta[2] = {drive[0].motor.theta, drive[1].motor.theta};
     const double omega[2] = {drive[0].motor.omega, drive[1].motor.omega};
     double charge;
+    for (int i = 0; i < BOARD_AXES; i++) {
+        if (drive[i].stop.stiffness > 0.0) {
+            drive[i].motor.load = end_stop_load(&drive[i].stop, theta[i], omega[i]);
+        }
+    }
     plant->u_step = plant->bus.u;
     const unsigned taken = plant_pair_step(&plant->pair, lane, plant->bus.u, &charge);
     for (int i = 0; i < BOARD_AXES; i++) {
@@ -113,6 +119,12 @@ void plant_step(plant_t *plant, uint64_t now_ns)
         plant->steps = 0;
         warm_up(plant);
     }
+}
+
+void plant_set_load(plant_t *plant, int axis, double torque)
+{
+    plant->axis[axis].stop.load = torque;
+    plant->axis[axis].motor.load = torque; /* the next step adds what a stop takes */
 }
 
 void plant_voltages(const plant_t *plant, int axis, double voltage[3])

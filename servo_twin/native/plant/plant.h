@@ -7,6 +7,7 @@
 
 #include "board.h"
 #include "plant/encoder.h"
+#include "plant/end_stop.h"
 #include "plant/harm.h"
 #include "plant/inverter.h"
 #include "plant/motor.h"
@@ -21,6 +22,7 @@ typedef struct {
     plant_axis_t config;
     plant_inverter_t inverter;
     plant_motor_t motor;
+    end_stop_t stop;
     plant_encoder_t encoder;
     plant_random_t noise;
     double codes_per_ampere;
@@ -47,6 +49,9 @@ void plant_init(plant_t *plant, const board_config_t *config);
 
 /* One step of plant->step_ns, a half cycle of the PWM, that begins at `now_ns`. */
 void plant_step(plant_t *plant, uint64_t now_ns);
+
+/* External torque [N m], as board_set_load. */
+void plant_set_load(plant_t *plant, int axis, double torque);
 
 /* Voltages of the phases against the midpoint of the bus at the end of the last step [V]. */
 void plant_voltages(const plant_t *plant, int axis, double voltage[3]);

@@ -34,6 +34,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
         switching_axis_t *axis = &plant->axis[i];
         const double l = (c->l_d < c->l_q) ? c->l_d : c->l_q;
         bridge_init(&axis->bridge, c);
+        plant->stop[i] = end_stop_of(c, 1.0 / config->pwm_frequency);
         axis->window = bridge_integral(&axis->bridge);
         quadrature_init(&axis->encoder, c, config->seed, (uint64_t)i + 3u);
         thermal_init(&axis->winding, c->winding_capacity, c->winding_resistance, config->ambient);
@@ -310,6 +311,17 @@ static void warm_up(switching_t *plant)
     supply_warm(&plant->supply, h);
 }
 
+/* What the end stops do to a shaft until the next time. */
+static void push_back(switching_t *plant, int i)
+{
+    bridge_t *b = &plant->axis[i].bridge;
+    bridge_settle(b);
+    b->load = end_stop_load(&plant->stop[i], b->theta, b->omega);
+    b->begun = false;
+    b->moved = true;
+    plant->stale = true;
+}
+
 /* Whoever looks at the means must not change what comes after: the plant itself stops for them, always at these clocks. */
 static void end_window(switching_t *plant)
 {
@@ -320,6 +332,9 @@ static void end_window(switching_t *plant)
         const bridge_integral_t now = bridge_integral(&axis->bridge);
         for (int k = 0; k < 3; k++) {
             axis->voltage[k] = (now.volts[k] - axis->window.volts[k]) * per_h;
+        }
+        if (plant->stop[i].stiffness > 0.0) {
+            push_back(plant, i);
         }
     }
     if (++plant->windows == THERMAL_WINDOWS) {
@@ -680,7 +695,11 @@ static bridge_t *touch(switching_t *plant, int i)
     return bridge;
 }
 
-void switching_set_load(switching_t *plant, int axis, double torque) { touch(plant, axis)->load = torque; }
+void switching_set_load(switching_t *plant, int axis, double torque)
+{
+    plant->stop[axis].load = torque;
+    touch(plant, axis)->load = torque; /* the next period adds what a stop takes */
+}
 
 void switching_lock(switching_t *plant, int axis, bool locked)
 {

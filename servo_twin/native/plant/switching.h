@@ -24,6 +24,7 @@
 
 #include "board.h"
 #include "plant/bridge.h"
+#include "plant/end_stop.h"
 #include "plant/harm.h"
 #include "plant/quadrature.h"
 #include "plant/sensors.h"
@@ -101,6 +102,7 @@ typedef struct {
 
 typedef struct {
     switching_axis_t axis[BOARD_AXES];
+    end_stop_t stop[BOARD_AXES];
     supply_t supply;
     double u_noise, u_noise_whole, codes_per_volt;
     plant_random_t noise;

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import AppliedCommand
 
 from servo_twin.lockstep.replica import Replica
@@ -16,6 +16,8 @@ POINTS: Final = "cmd.points"
 _SET_POINTS: Final = ("cmd.position", "cmd.speed", "cmd.i_q", "cmd.points")  # by control mode
 _STOPS: Final = (("cmd.quick_stop", 1), ("cmd.enable", 0))
 _ENABLE: Final = ("cmd.enable", 1)
+_POSITIONS: Final = ("cmd.position", "cmd.home_position")  # commands that are positions of a shaft
+_HOME: Final = "cmd.home"
 
 
 class AxisTie:
@@ -25,6 +27,8 @@ class AxisTie:
     ----------
     number : int
         Index of the axis.
+    catalogue : Catalogue
+        For the names of what a position is worth.
 
     Attributes
     ----------
@@ -37,7 +41,7 @@ class AxisTie:
         Real tick since which the two cannot be compared; None while they can.
     """
 
-    def __init__(self, number: int) -> None:
+    def __init__(self, number: int, catalogue: Catalogue) -> None:
         self.memory: dict[str, int] = {}
         self.apart_since: int | None = None
         self.stopping = False
@@ -47,6 +51,10 @@ class AxisTie:
         self._faulted = False  # the real axis takes no enable
         self._release()
         self._offset = 0
+        methods, states = (catalogue.enums[name] for name in ("home_method_t", "home_state_t"))
+        self._set_here = (methods["HERE"], methods["ASSUME"])
+        self._settings = {states["KNOWN"]: methods["HERE"], states["ASSUMED"]: methods["ASSUME"]}
+        self._homing = states["HOMING"]
 
     @property
     def offset(self) -> int:
@@ -82,6 +90,19 @@ class AxisTie:
         self._hold = sample.position_ref[self._number]
         return True
 
+    def take_over_home(self, replica: Replica, sample: Sample) -> None:
+        """Have the twin's position be worth what the real one is; the shaft of neither may turn."""
+        method = self._settings.get(sample.home_states[self._number])
+        if method is not None:
+            own = replica.raw[f"{self._name}.position"]
+            replica.write("cmd.home_position", [own] * AXES, 1 << self._number)
+            replica.write(_HOME, [method] * AXES, 1 << self._number)
+
+    def homed(self, before: Sample | None, sample: Sample) -> bool:
+        """Whether the real axis has looked for its reference up to this sample: it is elsewhere than the twin's now."""
+        was = before is not None and before.home_states[self._number] == self._homing
+        return was and sample.home_states[self._number] != self._homing
+
     # ---- commands
     def remember(self, command: AppliedCommand) -> None:
         """Note what was written to the real axis."""
@@ -112,6 +133,8 @@ class AxisTie:
         if command.variable == POINTS:
             self.stopping = False
             return True
+        if command.variable == _HOME and command.raw[self._number] not in self._set_here:
+            return False  # stops and switches of the real axis are not the twin's
         wanted = command.variable, command.raw[self._number]
         if wanted == ("cmd.clear_faults", 1):
             self._faulted = False
@@ -125,7 +148,7 @@ class AxisTie:
         return False
 
     def _write(self, replica: Replica, variable: str, raw: int) -> None:
-        own = _int32(raw - self._offset) if variable == "cmd.position" else raw
+        own = _int32(raw - self._offset) if variable in _POSITIONS else raw
         replica.write(variable, [own] * AXES, 1 << self._number)
 
     def observe(self, replica: Replica, sample: Sample) -> None:
@@ -207,6 +230,9 @@ class AxisTie:
     def difference(self, replica: Replica, sample: Sample) -> tuple[str, bool]:
         """What keeps the two from being compared, empty if nothing does, and whether that is a matter of a search."""
         real, twin = sample.labels[self._number], replica.label(self._number)
+        if sample.home_states[self._number] == self._homing:
+            self.apart_since = sample.tick
+            return f"{self._name} is being homed", True
         kinds = {activity(real), activity(twin)}
         alone = twin == "FAULT" != real  # it would not follow when the real axis is enabled
         if (kinds == {Activity.IDLE} and not alone) or (kinds == {Activity.ACTIVE} and self._aligned):

@@ -84,6 +84,8 @@ class Sample:
         Captured faults of every axis; 0 where the telemetry has none.
     expired : tuple of bool
         Per axis, whether it has stopped because its set-point was not written again.
+    home_states : tuple of int
+        What the position of every axis is worth (home_state_t); 0 where the telemetry does not tell.
     values : mapping
         Everything in the sample, SI, by column name.
     """
@@ -97,6 +99,7 @@ class Sample:
     position_ref: tuple[int, ...]
     faults: tuple[int, ...]
     expired: tuple[bool, ...]
+    home_states: tuple[int, ...]
     values: Mapping[str, float]
 
 
@@ -150,6 +153,7 @@ class SampleReader:
             position_ref=reference,
             faults=tuple(int(values.get(f"{axis}.faults", 0.0)) for axis in self._axes),
             expired=tuple(bool(int(values.get(f"{axis}.limits", 0.0)) & self._expired) for axis in self._axes),
+            home_states=tuple(int(values.get(f"{axis}.home_state", 0.0)) for axis in self._axes),
             values=values,
         )
 

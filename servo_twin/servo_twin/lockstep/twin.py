@@ -151,7 +151,7 @@ class Twin:
         self._last: Sample | None = None
         self._replica: Replica | None = None
         self._shift = 0
-        self._axes = [AxisTie(axis) for axis in range(AXES)]
+        self._axes = [AxisTie(axis, self._catalogue) for axis in range(AXES)]
         self._parameters: RawParameters | None = None
         self._cause = ""  # why the twin has to begin anew, while it waits for that
         self._in_force: RawParameters = {}  # on the twin's board, as the real board has them
@@ -330,6 +330,9 @@ class Twin:
             return None
         self._rest.add(sample.tick, sample.position)
         self.fault = self._fault(sample)
+        homed = [axis_name(number) for number, axis in enumerate(self._axes) if axis.homed(self._last, sample)]
+        if homed and self._replica is not None:
+            self._drop(f"{' and '.join(homed)} of the board was homed")
         began = self._replica is None and self._begin(sample)
         replica = self._replica
         if replica is not None and not began:
@@ -393,6 +396,8 @@ class Twin:
             self._warm(replica, number)
         active = sum(axis.begin(sample, replica) << number for number, axis in enumerate(self._axes))
         self._set_parameters(replica)
+        for axis in self._axes:
+            axis.take_over_home(replica, sample)
         replica.write("cmd.enable", [1] * AXES, active)
         self._shift = replica.tick - sample.tick
         return True

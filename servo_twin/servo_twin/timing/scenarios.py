@@ -51,6 +51,9 @@ def _features(board: Board, every: bool) -> None:
     if every:
         for axis in range(AXES):
             features(board, axis, **{flag.name: True for flag in board.catalogue.flags["features"]})
+        board.write_raw(
+            "cmd.home", [board.catalogue.enums["home_method_t"]["HERE"]] * AXES
+        )  # else the shafts go nowhere
 
 
 def _mode(board: Board, name: str) -> None:

@@ -31,6 +31,7 @@ __all__ = [
     "axes",
     "burst_entity",
     "path_entity",
+    "position_state",
     "residual_entity",
     "series_entity",
     "shaft_entity",
@@ -61,13 +62,17 @@ STATE_COLOURS: Final[dict[str, Colour]] = {
     "RUN/FREEWHEEL": (120, 150, 120),
     "RUN/STARTUP": (170, 120, 190),
     "DISCONNECTED": (60, 60, 60),
+    "UNKNOWN": (95, 105, 120),
+    "ASSUMED": (190, 160, 50),
+    "HOMING": (200, 130, 40),
+    "KNOWN": (50, 160, 80),
     "CONNECTED": (50, 160, 80),
     "FOLLOWS": (50, 160, 80),
     "APART": (200, 130, 40),
     "NO PATH": (95, 105, 120),
     "ON PATH": (50, 160, 80),
 }
-"""States of the axes, of the link, of the twin and of the path."""
+"""States of the axes and of what their positions are worth, of the link, of the twin and of the path."""
 
 PATH_STATES: Final = ("NO PATH", "ON PATH")
 """States of the path: whether the axes follow one."""
@@ -127,6 +132,11 @@ def series_entity(axis: int, quantity: str, source: str) -> str:
 def residual_entity(axis: int, field: str) -> str:
     """Where a residual lies: ``/plot/axis1/residual/position``."""
     return f"/{PLOT}/{axis_name(axis)}/residual/{field}"
+
+
+def position_state(axis: str) -> str:
+    """Name of the state that says what the position of an axis is worth."""
+    return f"{axis}/position"
 
 
 def state_entity(name: str) -> str:

@@ -34,7 +34,8 @@ _Table = NDArray[np.float64]
 _NS: Final = 1_000_000_000
 _TOLERANCE: Final = 1e-6  # of times that are meant to be the same [s]
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
-_USUAL: Final = ("CONNECTED", "FOLLOWS", *scene.PATH_STATES)  # states that are no trouble
+_HOME_STATES: Final = Catalogue.load().enums["home_state_t"]
+_USUAL: Final = ("CONNECTED", "FOLLOWS", *scene.PATH_STATES, *_HOME_STATES)  # states that are no trouble
 _LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of diagnostics: OK, WARN, ERROR, STALE
 
 
@@ -238,6 +239,8 @@ class Viewer:
             wanted = [f"{name}.{column}" for column in ("state", "substate", "faults")]
             if all(column in columns for column in wanted):
                 self._states_of(axis, times, table[:, [columns.index(column) for column in wanted]].astype(int))
+            if (home := f"{name}.home_state") in columns:
+                self._home_states(name, times, table[:, columns.index(home)].astype(int))
 
     def _rows(self, source: str, columns: Sequence[str], table: _Table) -> None:
         """Telemetry that does not carry the time line itself."""
@@ -323,6 +326,12 @@ class Viewer:
                 self._say(name, moment, "ERROR", text)
             for flag in self._catalogue.active("faults", gone):
                 self._say(name, moment, "INFO", f"{flag.name} cleared")
+
+    def _home_states(self, name: str, times: NDArray[np.float64], words: NDArray[np.int_]) -> None:
+        """Note where the worth of an axis's position changes."""
+        for row in (0, *(np.flatnonzero(np.diff(words)) + 1).tolist()):
+            label = self._catalogue.label("home_state_t", int(words[row]))
+            self._state(float(times[row]), scene.position_state(name), label)
 
     def _board_state(self, stamp_ns: int, text: str) -> None:
         moment = self._time.of_stamp(stamp_ns)

@@ -154,6 +154,7 @@ int main(void)
             (machine_image(0) == WITHOUT_ENCODERS) ? FEEDBACK_KIND_OBSERVER : FEEDBACK_KIND_ENCODER;
         if (machine_image(0) == ALL_FEATURES) {
             servo.parameter.features[i] = (uint16_t)PARAM_FEATURES_MAX;
+            servo.axis[i].home.state = HOME_STATE_KNOWN; /* else the shaft goes nowhere */
         }
         servo.parameter.speed_limit[i] = RAD_PER_S(419); /* more than the voltage allows */
         servo.parameter.over_speed[i] = RAD_PER_S(520);

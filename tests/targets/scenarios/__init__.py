@@ -12,7 +12,7 @@ from typing import Final
 from targets import server_requests
 from targets.recording import Scenario
 from targets.rig import Rig
-from targets.scenarios import faults, moves, observers, stops, tuning
+from targets.scenarios import faults, homing, moves, observers, stops, tuning
 from targets.scenarios.parts import plant, ready
 
 
@@ -60,5 +60,8 @@ SCENARIOS: Final = (
     Scenario("broken-encoders", plant(), faults.broken_encoders),
     Scenario("tuning", plant(), tuning.tuning),
     Scenario("hot-winding", plant(), tuning.hot_winding),
+    Scenario("positions", plant(), homing.positions),
+    Scenario("homing", plant(), homing.homing),
+    Scenario("blocked", plant(), homing.blocked),
     Scenario("server", plant(), server),
 )

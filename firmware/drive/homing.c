@@ -1,0 +1,354 @@
+#include "drive/homing.h"
+
+#include "drive/axis_faults.h"
+#include "drive/inputs.h"
+#include "drive/motion.h"
+#include "drive/path_units.h"
+#include "drive/zero.h"
+
+/* Legs of a homing: approaches have odd numbers, the way back after each of them the next one. The first approach is fast,
+ * and only tells where the others are to look. */
+#define LEG_NONE 0U
+#define LEG_ASKED 1U      /* taken with the next step */
+#define LEG_LIMITS 2U     /* the limits of the homing are about to come into force */
+#define LEG_CLEAR 4U      /* off a switch that is active already */
+#define LEG_FIRST 5U
+#define LEG_LAST 12U      /* back, after the fourth approach */
+#define LEG_SETTLE 13U    /* at rest, to be held */
+
+#define SLOWER_SHIFT 2    /* of the approaches after the first: a quarter of the speed */
+#define STAND_COUNTS 1    /* a standing shaft dithers by that */
+#define TOUCH_COUNTS 4    /* a shaft that stands has not gone where its speed would have taken it .. */
+#define TOUCH_TICKS 8U    /* .. in so many slow ticks at least: then all of the current presses */
+#define STAND_TICKS 100U  /* slow ticks that are a contact */
+#define LEFT_TICKS 64U    /* slow ticks of home_t.left */
+#define LEFT_MIN 64U      /* 2 s: to speed up, to press, to turn round */
+
+/* Faults after which the count of the encoder is not what it was. */
+#define COUNT_LOST (FAULT_ENCODER | FAULT_ENCODER_LOST | FAULT_ENCODER_REVERSED | FAULT_ANGLE_MISMATCH)
+
+void homing_init(axis_t *axis)
+{
+    axis->home = (home_t){.limit = LIMIT_POSITION};
+    axis->inputs = 0;
+}
+
+static bool trusted(const home_t *home) { return home->state == HOME_STATE_KNOWN || home->state == HOME_STATE_ASSUMED; }
+
+/* The shaft has to stay near where it was enabled. */
+static bool confined(const axis_t *axis)
+{
+    const bool on = (axis->features & FEATURE_HOMING) != 0U && !axis->sensorless;
+    return on && axis->home.state == HOME_STATE_UNKNOWN;
+}
+
+static void set_state(axis_t *axis, uint16_t state)
+{
+    axis->home.state = state;
+    axis->home.refused = 0;
+    axis->home.renew = true;
+}
+
+/* ---- what others ask ------------------------------------------------------------------------------------------------ */
+
+void homing_forget(axis_t *axis)
+{
+    if (trusted(&axis->home)) {
+        set_state(axis, HOME_STATE_UNKNOWN);
+    }
+}
+
+void homing_spin(axis_t *axis)
+{
+    if (axis->home.leg == LEG_NONE) {
+        axis->home.origin = axis->feedback.position;
+    }
+    homing_confine(axis, &axis->written_limits);
+}
+
+void homing_confine(axis_t *axis, axis_limits_t *limits)
+{
+    home_t *home = &axis->home;
+    home->limit = LIMIT_POSITION;
+    if (home->state == HOME_STATE_HOMING) {
+        const frac16_t own = axis->config->home.current;
+        limits->i_q = (limits->i_q < own) ? limits->i_q : own;
+        limits->position_min = INT32_MIN;
+        limits->position_max = INT32_MAX;
+    } else if (confined(axis)) {
+        const int32_t reach = (int32_t)axis->config->home.reach;
+        limits->position_min = i32_sub_wrap(home->origin, reach);
+        limits->position_max = i32_add_wrap(home->origin, reach);
+        home->limit = LIMIT_NOT_HOMED;
+    }
+}
+
+/* ---- the end of a homing -------------------------------------------------------------------------------------------- */
+
+static void end(axis_t *axis, home_result_t result)
+{
+    home_t *home = &axis->home;
+    const bool moved = home->leg > LEG_ASKED;
+    home->result = (uint16_t)result;
+    home->leg = LEG_NONE;
+    if (moved && result != HOME_RESULT_DONE) {
+        home->origin = axis->feedback.position;
+        set_state(axis, HOME_STATE_UNKNOWN);
+    }
+}
+
+static void fail(axis_t *axis, home_result_t result)
+{
+    end(axis, result);
+    motion_rest(axis);
+    axis_raise(axis, FOUND(FINDING_HOMING_FAILED));
+}
+
+static void set_zero(axis_t *axis, int32_t from, uint16_t state)
+{
+    zero_shift(axis, i32_sub_wrap(axis->home.value, from));
+    set_state(axis, state);
+    end(axis, HOME_RESULT_DONE);
+}
+
+uint16_t homing_filter(axis_t *axis, uint16_t fresh, int32_t position)
+{
+    const uint16_t moves = FRESH_POSITION | FRESH_SPEED | FRESH_I_Q | FRESH_POINTS | FRESH_MODE | FRESH_QUICK_STOP;
+    home_t *home = &axis->home;
+    if ((fresh & moves) == 0U) {
+        return fresh;
+    }
+    if (home->leg != LEG_NONE) {
+        end(axis, HOME_RESULT_ABORTED);
+        motion_rest(axis);
+    }
+    const int32_t off = i32_sub_wrap(position, home->origin);
+    const int32_t reach = (int32_t)axis->config->home.reach;
+    const bool far = (fresh & FRESH_POSITION) != 0U && confined(axis) && (off > reach || off < -reach);
+    home->refused = far ? LIMIT_NOT_HOMED : 0U;
+    return far ? (uint16_t)(fresh & (uint16_t)~FRESH_POSITION) : fresh;
+}
+
+void homing_request(axis_t *axis, uint16_t method, int32_t value)
+{
+    home_t *home = &axis->home;
+    if (home->leg != LEG_NONE) {
+        end(axis, HOME_RESULT_ABORTED);
+        motion_rest(axis);
+    }
+    if (method != HOME_METHOD_NONE) {
+        home->method = method;
+        home->value = value;
+        home->result = HOME_RESULT_RUNNING;
+        home->leg = LEG_ASKED;
+    }
+}
+
+/* ---- the legs ------------------------------------------------------------------------------------------------------- */
+
+static bool approaches(uint16_t leg) { return (leg & 1U) != 0U; }
+
+static bool by_switch(const home_t *home) { return home->method >= HOME_METHOD_SWITCH_POSITIVE; }
+
+static int32_t direction(const home_t *home)
+{
+    return (home->method == HOME_METHOD_STOP_NEGATIVE || home->method == HOME_METHOD_SWITCH_NEGATIVE) ? -1 : 1;
+}
+
+static bool active(const axis_t *axis) { return (axis->inputs & INPUT_HOME) != 0U; }
+
+static uint32_t way_max(const axis_t *axis)
+{
+    const home_config_t *config = &axis->config->home;
+    return approaches(axis->home.leg) ? (uint32_t)config->turns_max * axis->config->encoder.counts : config->back_off;
+}
+
+/* Twice the time that the way takes at this speed. */
+static uint16_t time_for(const axis_t *axis, frac32_t speed)
+{
+    const path_position_t step = path_step_of(axis->config, speed);
+    const uint32_t per_unit = (uint32_t)asr64(step * (path_position_t)LEFT_TICKS, PATH_BITS);
+    const uint32_t units = 2U * way_max(axis) / ((per_unit != 0U) ? per_unit : 1U) + LEFT_MIN;
+    return (units < UINT16_MAX) ? (uint16_t)units : UINT16_MAX;
+}
+
+/* Of the present leg, with its sign. */
+static frac32_t leg_speed(const axis_t *axis)
+{
+    const home_t *home = &axis->home;
+    const bool approach = approaches(home->leg);
+    const frac32_t fast = f32_from_f16(axis->config->home.speed);
+    const frac32_t speed = (approach && home->leg != LEG_FIRST) ? asr32(fast, SLOWER_SHIFT) : fast;
+    return (approach == (direction(home) > 0)) ? speed : -speed;
+}
+
+static void begin_leg(axis_t *axis, uint16_t leg)
+{
+    home_t *home = &axis->home;
+    home->leg = leg;
+    home->ticks = 0;
+    home->anchor = axis->feedback.position;
+    home->origin = axis->feedback.position;
+    const frac32_t speed = leg_speed(axis);
+    home->left = time_for(axis, f32_abs(speed));
+    motion_home(axis, speed);
+}
+
+/* The shaft has come to rest against something that takes all of the current. */
+static bool stands(axis_t *axis)
+{
+    home_t *home = &axis->home;
+    const frac32_t speed = leg_speed(axis);
+    const int32_t off = i32_sub_wrap(axis->feedback.position, home->anchor);
+    if (off > STAND_COUNTS || off < -STAND_COUNTS) {
+        home->anchor = axis->feedback.position;
+        home->ticks = 0;
+        motion_home(axis, speed);
+        return false;
+    }
+    home->ticks++;
+    const path_position_t missed = path_step_of(axis->config, f32_abs(speed)) * home->ticks;
+    if (home->ticks >= TOUCH_TICKS && missed >= path_counts(TOUCH_COUNTS)) {
+        motion_press(axis, (speed < 0) ? f16_neg(axis->limits.i_q) : axis->limits.i_q);
+    }
+    return home->ticks >= STAND_TICKS && axis->motion.motion == MOTION_PRESS;
+}
+
+/* The first place does not count: it was found at another speed. */
+static void note_place(home_t *home, int32_t place)
+{
+    const int32_t off = i32_sub_wrap(place, home->lowest);
+    if (home->leg <= LEG_FIRST + 2U) {
+        home->lowest = place;
+        home->spread = 0;
+    } else if (off < 0) {
+        const uint32_t spread = (uint32_t)home->spread + (uint32_t)-off;
+        home->spread = (spread < UINT16_MAX) ? (uint16_t)spread : UINT16_MAX;
+        home->lowest = place;
+    } else if (off > (int32_t)home->spread) {
+        home->spread = (off < (int32_t)UINT16_MAX) ? (uint16_t)off : UINT16_MAX;
+    }
+}
+
+static home_result_t approach(axis_t *axis, int32_t way)
+{
+    home_t *home = &axis->home;
+    const bool still = stands(axis);
+    if (by_switch(home) ? active(axis) : still) {
+        note_place(home, axis->feedback.position);
+        if (home->spread > axis->config->home.spread_max) {
+            return HOME_RESULT_SPREAD;
+        }
+        begin_leg(axis, (uint16_t)(home->leg + 1U));
+        return HOME_RESULT_RUNNING;
+    }
+    if (still) {
+        return HOME_RESULT_BLOCKED;
+    }
+    return ((uint32_t)((way < 0) ? -way : way) > way_max(axis)) ? HOME_RESULT_NOT_FOUND : HOME_RESULT_RUNNING;
+}
+
+static home_result_t back_off(axis_t *axis, int32_t way)
+{
+    home_t *home = &axis->home;
+    if (stands(axis)) {
+        return HOME_RESULT_STUCK;
+    }
+    if (by_switch(home) && active(axis)) {
+        home->origin = axis->feedback.position; /* the way counts from its edge */
+    } else if (-direction(home) * way >= (int32_t)axis->config->home.back_off) {
+        if (home->leg == LEG_LAST) {
+            home->leg = LEG_SETTLE;
+            motion_rest(axis);
+        } else {
+            begin_leg(axis, (uint16_t)(home->leg + 1U));
+        }
+    }
+    return HOME_RESULT_RUNNING;
+}
+
+static bool out_of_time(axis_t *axis)
+{
+    home_t *home = &axis->home;
+    home->left = (uint16_t)(home->left - (((*axis->latch.clock / AXIS_SLOW_PERIODS) % LEFT_TICKS == 0U) ? 1U : 0U));
+    return home->left == 0U;
+}
+
+static void run_leg(axis_t *axis)
+{
+    home_t *home = &axis->home;
+    const int32_t way = i32_sub_wrap(axis->feedback.position, home->origin);
+    home_result_t result = approaches(home->leg) ? approach(axis, way) : back_off(axis, way);
+    if (result == HOME_RESULT_RUNNING && out_of_time(axis)) {
+        result = HOME_RESULT_TIMEOUT;
+    }
+    if (result != HOME_RESULT_RUNNING) {
+        fail(axis, result);
+    }
+}
+
+/* ---- the beginning and the end of one ------------------------------------------------------------------------------- */
+
+static bool held(const axis_t *axis)
+{
+    return axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && axis->requested &&
+           axis->latch.captured == 0U;
+}
+
+static home_result_t refusal(const axis_t *axis)
+{
+    const home_t *home = &axis->home;
+    if (axis->sensorless) {
+        return HOME_RESULT_SENSORLESS;
+    }
+    if (home->method == HOME_METHOD_ASSUME && home->state == HOME_STATE_KNOWN) {
+        return HOME_RESULT_KNOWN;
+    }
+    const bool sets = home->method == HOME_METHOD_HERE || home->method == HOME_METHOD_ASSUME;
+    return (zero_may_shift(axis) && (sets || held(axis))) ? HOME_RESULT_RUNNING : HOME_RESULT_MOTION;
+}
+
+static void take_request(axis_t *axis)
+{
+    home_t *home = &axis->home;
+    const home_result_t refused = refusal(axis);
+    if (refused != HOME_RESULT_RUNNING) {
+        end(axis, refused);
+    } else if (home->method == HOME_METHOD_HERE) {
+        set_zero(axis, axis->feedback.position, HOME_STATE_KNOWN);
+    } else if (home->method == HOME_METHOD_ASSUME) {
+        set_zero(axis, axis->feedback.position, HOME_STATE_ASSUMED);
+    } else {
+        home->leg = LEG_LIMITS;
+        home->spread = 0;
+        set_state(axis, HOME_STATE_HOMING);
+    }
+}
+
+static void proceed(axis_t *axis)
+{
+    home_t *home = &axis->home;
+    if (!held(axis)) {
+        end(axis, HOME_RESULT_ABORTED);
+    } else if (home->leg == LEG_SETTLE) {
+        if (zero_may_shift(axis)) {
+            set_zero(axis, i32_add_wrap(home->lowest, (int32_t)(home->spread / 2U)), HOME_STATE_KNOWN);
+        }
+    } else if (home->leg != LEG_LIMITS) {
+        run_leg(axis);
+    } else if (!home->renew) {
+        begin_leg(axis, (by_switch(home) && active(axis)) ? LEG_CLEAR : LEG_FIRST);
+    }
+}
+
+void homing_step(axis_t *axis)
+{
+    home_t *home = &axis->home;
+    if (home->leg == LEG_ASKED) {
+        take_request(axis);
+    } else if (home->leg != LEG_NONE) {
+        proceed(axis);
+    } else if ((axis->latch.captured & COUNT_LOST) != 0U) {
+        homing_forget(axis);
+    }
+}

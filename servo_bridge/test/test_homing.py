@@ -1,0 +1,208 @@
+"""Homing without ROS: answers, directions, and the position that a restarted board gets back."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+
+import pytest
+from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
+from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.homing import METHODS, Homing
+from servo_bridge.telemetry import Frame
+from servo_msgs_py.catalogue import Catalogue, Value
+from servo_msgs_py.joints import Joint
+
+CATALOGUE = Catalogue.load()
+STATE, METHOD, RESULT = (CATALOGUE.enums[f"home_{name}_t"] for name in ("state", "method", "result"))
+FEATURE = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "HOMING")
+LSB = CATALOGUE["cmd.home_position"].lsb
+
+
+class Rig:
+    """Homing on a real arbiter and dispatcher; `sample` plays the board."""
+
+    def __init__(self, *, restores: bool = True, features: int = FEATURE) -> None:
+        self.sent: list[CommandWrite] = []
+        self.said: list[str] = []
+        self.moved: list[int] = []
+        self.values = {f"axis{k}.home_{what}": 0.0 for k in (1, 2) for what in ("result", "spread")}
+        joints = (Joint("arm", gear_ratio=10.0, direction=-1, offset=0.5), Joint("hand"))
+        self.arbiter = Arbiter(CATALOGUE, joints)
+        self.dispatcher = Dispatcher(self._send, self.arbiter, self.said.append)
+        self.homing = Homing(
+            CATALOGUE,
+            joints,
+            [1.5, 0.0],
+            restores,
+            self.arbiter,
+            self.dispatcher,
+            self._read,
+            lambda function: function(),
+            moved=self.moved.append,
+            say=self.said.append,
+            warn=self.said.append,
+        )
+        self.features = [features, features]
+        self.states = [0, 0]
+        self.counts = [0, 0]
+        self.label = "RUN/SPIN"
+        self.tick = self.applied = self.epoch = 0
+        self.dispatcher.open()
+        self.sample()
+
+    def _send(self, write: CommandWrite) -> None:
+        self.sent.append(write)
+
+    def _read(self, name: str) -> Future[Value]:
+        done: Future[Value] = Future()
+        states = {f"axis{k}.home_state": float(state) for k, state in enumerate(self.states, 1)}
+        done.set_result((states | self.values)[name])
+        return done
+
+    def sample(self, ticks: int = 16) -> None:
+        """The board has taken what was written, and shows where it is."""
+        self.tick += ticks
+        if self.sent and self.sent[-1].variable != "seen":
+            write = self.sent[-1]
+            self.dispatcher.acknowledged(write, None)
+            self.applied += 1
+        spins = self.label == "RUN/SPIN"
+        axes = tuple(AxisStatus(self.label, spins, position=counts) for counts in self.counts)
+        frame = Frame(self.tick, self.epoch, 0, {}, self.tick, self.applied, axes, (0, 0))
+        frame = self.homing.completed(frame)
+        self.arbiter.board_seen(axes)
+        self.dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
+        self.homing.on_frame(frame, self.features)
+
+    def look(self) -> None:
+        """Long enough for the bridge to see the states."""
+        self.sample(4000)
+        self.sample()
+
+    def written(self) -> list[tuple[str, int, tuple[int, ...]]]:
+        return [(write.variable, write.first, write.raw) for write in self.sent]
+
+    def restart(self) -> None:
+        """Everything counts from zero again."""
+        self.epoch += 1
+        self.tick, self.states, self.counts, self.label = 0, [0, 0], [0, 0], "STOP"
+        self.sample()
+
+
+def test_methods_are_those_of_the_board() -> None:
+    assert {name.upper() for name in METHODS} == METHOD.keys() - {"NONE", "ASSUME"}
+
+
+@pytest.mark.parametrize(
+    ("result", "success", "text"), [("DONE", True, "within 3 counts"), ("NOT_FOUND", False, "turns_max")]
+)
+def test_answer_comes_at_the_end(result: str, success: bool, text: str) -> None:
+    rig = Rig()
+    rig.arbiter.release()
+    answer = rig.homing.home(1, "stop_negative")
+    rig.sample()
+    rig.states[1] = STATE["HOMING"]
+    for _ in range(50):
+        rig.sample()
+    assert not answer.done()
+    assert rig.written() == [("cmd.home_position", 1, (0,)), ("cmd.home", 1, (METHOD["STOP_NEGATIVE"],))]
+    rig.values |= {"axis2.home_result": RESULT[result], "axis2.home_spread": 3}
+    rig.states[1] = STATE["KNOWN"]
+    rig.look()
+    assert answer.result(0)[0] is success
+    assert text in answer.result(0)[1]
+    assert rig.homing.known == [False, True]
+
+
+def test_directions_and_positions_are_those_of_the_joint() -> None:
+    rig = Rig()
+    rig.arbiter.release()
+    rig.homing.home(0, "switch_positive")
+    rig.sample()
+    value = round((1.5 - 0.5) * -10.0 / LSB)
+    assert rig.written() == [("cmd.home_position", 0, (value,)), ("cmd.home", 0, (METHOD["SWITCH_NEGATIVE"],))]
+
+
+def test_a_shaft_is_turned_only_while_it_is_enabled() -> None:
+    rig = Rig()
+    answer = rig.homing.home(1, "stop_positive")
+    assert not answer.result(0)[0]
+    assert "enable" in answer.result(0)[1]
+    assert not rig.sent
+    rig.homing.home(1, "here")
+    assert rig.sent, "which moves nothing"
+
+
+def test_a_lost_link_is_an_answer() -> None:
+    rig = Rig()
+    rig.arbiter.release()
+    answer = rig.homing.home(1, "stop_negative")
+    rig.sample()
+    rig.sample()
+    rig.homing.link_lost("unplugged")
+    assert answer.result(0) == (False, "the link was lost: unplugged")
+    assert rig.homing.known == [False, False]
+
+
+def known(rig: Rig) -> None:
+    rig.states, rig.counts = [STATE["KNOWN"]] * 2, [12_345, -77]
+    rig.look()
+
+
+def test_a_restarted_board_gets_its_positions_back() -> None:
+    rig = Rig()
+    known(rig)
+    rig.restart()
+    waits = rig.homing.restoring
+    assert waits, "until then positions count from elsewhere"
+    for _ in range(6):
+        rig.sample()
+    assert rig.written() == [
+        ("cmd.home_position", 0, (12_345,)),
+        ("cmd.home_position", 1, (-77,)),
+        ("cmd.home", 0, (METHOD["ASSUME"],)),
+        ("cmd.home", 1, (METHOD["ASSUME"],)),
+    ]
+    rig.states, rig.counts = [STATE["ASSUMED"]] * 2, [12_345, -77]
+    rig.look()
+    assert not rig.homing.restoring
+    assert rig.homing.known == [False, False], "the shaft may have turned meanwhile"
+    rig.restart()
+    rig.sample()
+    assert len(rig.sent) > 4, "an assumption is kept, too"
+
+
+@pytest.mark.parametrize("how", ["not wanted", "feature off", "unknown before", "lost before"])
+def test_nothing_is_restored(how: str) -> None:
+    rig = Rig(restores=how != "not wanted", features=0 if how == "feature off" else FEATURE)
+    if how != "unknown before":
+        known(rig)
+    if how == "lost before":
+        rig.states = [0, 0]
+        rig.look()
+    rig.restart()
+    for _ in range(10):
+        rig.sample()
+    assert not rig.sent
+    assert not rig.homing.restoring
+
+
+def test_an_attempt_that_has_no_effect_is_repeated_and_given_up() -> None:
+    rig = Rig()
+    known(rig)
+    rig.restart()
+    for _ in range(24):
+        rig.sample(1600)
+    assert len(rig.sent) > 8
+    assert not rig.homing.restoring
+    assert any("home it" in text for text in rig.said)
+
+
+def test_an_axis_that_spins_already_is_left_alone() -> None:
+    rig = Rig()
+    known(rig)
+    rig.restart()
+    rig.sent.clear()
+    rig.label = "RUN/SPIN"
+    rig.sample()
+    assert not rig.homing.restoring

@@ -1,0 +1,26 @@
+"""Homing finds hard stops of any stiffness; figures that are wrong are noticed."""
+
+from __future__ import annotations
+
+import pytest
+from servo_twin.experiments import homing, rig
+from servo_twin.plant import PlantConfig
+
+
+def test_agrees() -> None:
+    outcome = homing.run(PlantConfig.load(), seed=6)
+    assert [row for row in outcome.rows if not row.agrees] == []
+
+
+def test_stops_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if the place of the stops were wrong by ten counts."""
+    zeros = homing._zeros
+    monkeypatch.setattr(homing, "_zeros", lambda board: [zero + 10 * rig.COUNT for zero in zeros(board)])
+    (first, second) = homing.contacts(PlantConfig.load(), 6, "steel", 0)
+    assert min(first.place, second.place) > homing.PLACE_MOST
+
+
+def test_an_axis_without_the_feature_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(homing, "features", lambda board, axis, **switches: None)
+    axes, _ = homing.unhomed(PlantConfig.load(), 6)
+    assert all(it.refused > 1000.0 and not it.named for it in axes)

@@ -1,0 +1,113 @@
+"""Positions that are set, found and not found."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
+from servo_msgs_py.catalogue import Catalogue
+
+from targets.rig import Rig
+from targets.scenarios.parts import POSITION, SPEED, features, ready, spin
+from targets.scenarios.tuning import Blocks
+
+_METHOD: Final = Catalogue.load().enums["home_method_t"]
+_QUICKLY: Final = {"home.speed": 4.0, "home.turns_max": 0.05, "home.back_off": 0.5}
+"""Of the configuration: a homing is long for a recording."""
+
+
+def _quickly(rig: Rig) -> None:
+    blocks = Blocks(rig)
+    for axis in (0, 1):
+        block = read_block(blocks, axis)
+        send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in _QUICKLY.items()})
+    take_blocks(blocks, [0, 1], blocks.wait)
+
+
+def _ask(rig: Rig, first: str, second: str = "NONE") -> None:
+    rig.set_raw("cmd.home", _METHOD[first], _METHOD[second])
+
+
+def _end(rig: Rig, axis: int = 0) -> None:
+    homing = rig.catalogue.enums["home_state_t"]["HOMING"]
+    rig.run(0.003)
+    rig.until("the end of a homing", lambda: rig.raw(f"axis{axis + 1}.home_state") != [homing], 3.0)
+
+
+def positions(rig: Rig) -> None:
+    """Set at rest and held, refused otherwise, confined until then; commands that end a homing."""
+    ready(rig)
+    rig.set("cmd.home_position", 1.0, -2.0)
+    _ask(rig, "ASSUME", "HERE")
+    rig.run(0.002)
+    _ask(rig, "STOP_POSITIVE", "ASSUME")  # neither holds, one is known
+    rig.run(0.002)
+    rig.set_raw("param.feedback", 0, 1)  # forgets
+    rig.run(0.002)
+    _ask(rig, "NONE", "HERE")
+    rig.run(0.002)
+    rig.set_raw("param.feedback", 0, 0)
+    rig.set_raw("param.features", features(), features("HOMING"))
+    spin(rig)
+    rig.set("cmd.position", 1.2, 100.0)  # out of reach
+    rig.run(0.005)
+    _ask(rig, "HERE")  # moves
+    rig.set_raw("cmd.mode", POSITION, SPEED)
+    rig.set("cmd.speed", 0.0, 200.0)
+    rig.run(0.06)
+    rig.set("cmd.speed", 0.0, -50.0)
+    rig.run(0.03)
+    rig.set("cmd.speed", 0.0)
+    rig.run(0.02)
+    _ask(rig, "STOP_POSITIVE")
+    rig.run(0.02)
+    _ask(rig, "NONE")
+    rig.run(0.05)
+    _ask(rig, "STOP_NEGATIVE")
+    rig.run(0.01)
+    rig.set("cmd.position", 1.0, 0.0)
+    rig.run(0.15)
+    _ask(rig, "STOP_NEGATIVE")
+    rig.run(0.01)
+    rig.set("cmd.enable", 0)
+    rig.run(0.01)
+
+
+def homing(rig: Rig) -> None:
+    """To a stop that is found at other places, and all that may be wrong with one."""
+    ready(rig)
+    _quickly(rig)
+    spin(rig)
+    step = 2.0 * math.pi / 4000
+    (place,) = rig.raw("axis1.position")
+    rig.obstruct(0, 10 * step, math.inf)
+    rig.obstruct(1, math.inf, math.inf)
+    _ask(rig, "STOP_NEGATIVE", "STOP_POSITIVE")  # axis 2 has none
+    for later in (0, 5, -4):
+        rig.until("a contact", lambda: rig.raw("axis1.position")[0] < place and rig.get("axis1.i_q") < -0.6, 3.0)
+        rig.until("the way back", lambda: rig.get("axis1.speed") > 5.0, 3.0)
+        rig.run(0.004)
+        rig.obstruct(0, (rig.raw("axis1.position")[0] - place + 10 - later) * step, math.inf)
+    _end(rig)
+    _end(rig, 1)
+    rig.obstruct(0, 0.005, 0.005)  # both ways
+    _ask(rig, "STOP_NEGATIVE")
+    _end(rig)
+
+
+def blocked(rig: Rig) -> None:
+    """Stops before a switch, and at places that are too far apart."""
+    ready(rig)
+    _quickly(rig)
+    spin(rig)
+    rig.obstruct(0, math.inf, 0.01)
+    rig.obstruct(1, 0.01, math.inf)
+    _ask(rig, "SWITCH_POSITIVE", "STOP_NEGATIVE")
+    _end(rig)
+    for _ in range(3):
+        rig.until("a contact", lambda: rig.get("axis2.i_q") < -0.6, 3.0)
+        rig.until("the way back", lambda: rig.get("axis2.speed") > 5.0, 3.0)
+        rig.run(0.004)
+        rig.obstruct(1, 0.03, math.inf)
+    _end(rig, 1)
