@@ -33,6 +33,25 @@ static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint
     return refusal == POINT_REFUSAL_NONE;
 }
 
+static storage_board_t storage_board(servo_t *servo)
+{
+    return (storage_board_t){
+        .hal = servo->hal,
+        .axes = servo->axis,
+        .values = {(uint8_t *)servo, (uint16_t)offsetof(servo_t, parameter), &servo->configure},
+        .config_status = &servo->config_status,
+        .journal = &servo->journal,
+        .request = (uint16_t)offsetof(servo_t, storage_request),
+    };
+}
+
+static bool accepts_storage(servo_t *servo, uint16_t offset, bool whole, const uint8_t *data, uint16_t size)
+{
+    const storage_board_t board = storage_board(servo);
+    return storage_accept(&servo->storage, &servo->storage_status, &board, (uint16_t)(offset - board.request), whole,
+                          data, size);
+}
+
 static bool accepts(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
 {
     servo_t *servo = (servo_t *)context;
@@ -44,6 +63,14 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     if (offset >= config && (uint32_t)offset + size <= config + sizeof servo->config) {
         const bool accepted = configure_accept(&servo->configure, &servo->config_status, (uint16_t)(offset - config),
                                                mask == NULL, data, size);
+        if (!accepted) {
+            journal_refused(&servo->journal, offset);
+        }
+        return accepted;
+    }
+    const uint16_t storage = (uint16_t)offsetof(servo_t, storage_request);
+    if (offset >= storage && (uint32_t)offset + size <= storage + sizeof servo->storage_request) {
+        const bool accepted = accepts_storage(servo, offset, mask == NULL, data, size);
         if (!accepted) {
             journal_refused(&servo->journal, offset);
         }
@@ -70,8 +97,10 @@ static void written(void *context, uint16_t offset, uint16_t size)
         latch_mark(&servo->marks, (uint16_t)(offset - begin), size);
     } else if (offset == offsetof(servo_t, config.window)) {
         configure_show(&servo->configure, &servo->config);
-    } else if (offset < offsetof(servo_t, config) || offset >= offsetof(servo_t, config_status)) {
-        servo->marks.parameters = true; /* nothing else can be written */
+    } else if (offset >= offsetof(servo_t, parameter) &&
+               offset < offsetof(servo_t, parameter) + sizeof servo->parameter) {
+        servo->marks.parameters = true;
+        storage_note_parameter(&servo->storage);
     }
 }
 
@@ -172,11 +201,23 @@ void servo_host_init(servo_t *servo)
     freemaster_init(&servo->freemaster, &app);
 }
 
+void servo_restore(servo_t *servo)
+{
+    servo->storage_request = (storage_request_t){{0}};
+    const storage_board_t board = storage_board(servo);
+    storage_begin(&servo->storage, &servo->storage_status, &board);
+}
+
 void servo_background(servo_t *servo)
 {
+    if (storage_busy(&servo->storage, servo->hal)) {
+        return; /* journal and server read tables */
+    }
     journal_watch(&servo->journal, &servo->snapshot);
     journal_print(&servo->journal, &servo->freemaster);
     freemaster_poll(&servo->freemaster, servo->hal);
+    const storage_board_t board = storage_board(servo);
+    storage_step(&servo->storage, &servo->storage_status, &board);
 }
 
 uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size)

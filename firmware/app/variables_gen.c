@@ -43,156 +43,164 @@ CHECK(23, SIZE(config_status.taken_count) == 2);
 CHECK(24, SIZE(config_status.answers) == 2);
 CHECK(25, SIZE(config_status.refusal) == 2);
 CHECK(26, SIZE(config_status.refused_member) == 2);
-CHECK(27, SIZE(parameter.speed_limit) == 8);
-CHECK(28, SIZE(parameter.acceleration_limit) == 8);
-CHECK(29, SIZE(parameter.i_q_limit) == 4);
-CHECK(30, SIZE(parameter.features) == 4);
-CHECK(31, SIZE(parameter.position_min) == 8);
-CHECK(32, SIZE(parameter.position_max) == 8);
-CHECK(33, SIZE(parameter.following_error) == 8);
-CHECK(34, SIZE(parameter.over_speed) == 8);
-CHECK(35, SIZE(parameter.feedback) == 4);
-CHECK(36, SIZE(parameter.on_disable) == 4);
-CHECK(37, SIZE(parameter.on_quick_stop) == 4);
-CHECK(38, SIZE(parameter.faults_enabled) == 8);
-CHECK(39, SIZE(parameter.monitor) == 4);
-CHECK(40, SIZE(parameter.host_timeout) == 2);
-CHECK(41, SIZE(parameter.command_timeout) == 2);
-CHECK(42, SIZE(parameter.brake) == 2);
-CHECK(43, SIZE(snapshot.axis[0].position) == 4);
-CHECK(44, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(45, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(46, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(47, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(48, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(49, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(50, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(51, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(52, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(53, SIZE(snapshot.axis[0].state) == 2);
-CHECK(54, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(55, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(56, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(57, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(58, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(59, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(60, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(61, SIZE(snapshot.monitor[0]) == 2);
-CHECK(62, SIZE(estimate.axis[0].speed) == 4);
-CHECK(63, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(64, SIZE(estimate.axis[0].emf) == 2);
-CHECK(65, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(66, SIZE(record[0].pending) == 4);
-CHECK(67, SIZE(belief.torque_constant[0]) == 2);
-CHECK(68, SIZE(belief.acceleration_current[0]) == 4);
-CHECK(69, SIZE(snapshot.axis[1].position) == 4);
-CHECK(70, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(71, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(72, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(73, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(74, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(75, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(76, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(77, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(78, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(79, SIZE(snapshot.axis[1].state) == 2);
-CHECK(80, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(81, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(82, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(83, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(84, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(85, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(86, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(87, SIZE(snapshot.monitor[1]) == 2);
-CHECK(88, SIZE(estimate.axis[1].speed) == 4);
-CHECK(89, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(90, SIZE(estimate.axis[1].emf) == 2);
-CHECK(91, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(92, SIZE(record[1].pending) == 4);
-CHECK(93, SIZE(belief.torque_constant[1]) == 2);
-CHECK(94, SIZE(belief.acceleration_current[1]) == 4);
-CHECK(95, SIZE(tick) >= 4);
-CHECK(96, SIZE(applied_tick) >= 4);
-CHECK(97, SIZE(applied_count) >= 2);
-CHECK(98, SIZE(axis[0].u_dc) >= 2);
-CHECK(99, SIZE(late_loops) >= 2);
-CHECK(100, SIZE(points_refused) >= 2);
-CHECK(101, SIZE(point_refusal) >= 2);
-CHECK(102, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(103, SIZE(axis[0].feedback.position) >= 4);
-CHECK(104, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(105, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(106, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(107, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(108, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(109, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(110, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(111, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(112, SIZE(axis[0].latch.captured) >= 4);
-CHECK(113, SIZE(axis[0].latch.first) >= 2);
-CHECK(114, SIZE(axis[0].active_limits) >= 2);
-CHECK(115, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(116, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(117, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(118, SIZE(axis[0].estimate.size) >= 2);
-CHECK(119, SIZE(axis[0].latch.pending) >= 4);
-CHECK(120, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(121, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(122, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(123, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(124, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(125, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(126, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(127, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(128, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(129, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(130, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(131, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(132, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(133, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(134, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(135, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(136, SIZE(axis[0].command.mode) >= 2);
-CHECK(137, SIZE(axis[0].events.command) >= 2);
-CHECK(138, SIZE(axis[0].events.mode) >= 2);
-CHECK(139, SIZE(axis[0].sm.entered) >= 2);
-CHECK(140, SIZE(axis[1].feedback.position) >= 4);
-CHECK(141, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(142, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(143, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(144, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(145, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(146, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(147, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(148, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(149, SIZE(axis[1].latch.captured) >= 4);
-CHECK(150, SIZE(axis[1].latch.first) >= 2);
-CHECK(151, SIZE(axis[1].active_limits) >= 2);
-CHECK(152, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(153, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(154, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(155, SIZE(axis[1].estimate.size) >= 2);
-CHECK(156, SIZE(axis[1].latch.pending) >= 4);
-CHECK(157, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(158, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(159, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(160, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(161, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(162, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(163, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(164, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(165, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(166, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(167, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(168, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(169, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(170, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(171, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(172, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(173, SIZE(axis[1].command.mode) >= 2);
-CHECK(174, SIZE(axis[1].events.command) >= 2);
-CHECK(175, SIZE(axis[1].events.mode) >= 2);
-CHECK(176, SIZE(axis[1].sm.entered) >= 2);
+CHECK(27, SIZE(storage_request.request) == 4);
+CHECK(28, SIZE(storage_status.sequence) == 4);
+CHECK(29, SIZE(storage_status.state) == 2);
+CHECK(30, SIZE(storage_status.answered) == 2);
+CHECK(31, SIZE(storage_status.refusal) == 2);
+CHECK(32, SIZE(storage_status.source) == 2);
+CHECK(33, SIZE(storage_status.copy) == 4);
+CHECK(34, SIZE(storage_status.saves) == 2);
+CHECK(35, SIZE(parameter.speed_limit) == 8);
+CHECK(36, SIZE(parameter.acceleration_limit) == 8);
+CHECK(37, SIZE(parameter.i_q_limit) == 4);
+CHECK(38, SIZE(parameter.features) == 4);
+CHECK(39, SIZE(parameter.position_min) == 8);
+CHECK(40, SIZE(parameter.position_max) == 8);
+CHECK(41, SIZE(parameter.following_error) == 8);
+CHECK(42, SIZE(parameter.over_speed) == 8);
+CHECK(43, SIZE(parameter.feedback) == 4);
+CHECK(44, SIZE(parameter.on_disable) == 4);
+CHECK(45, SIZE(parameter.on_quick_stop) == 4);
+CHECK(46, SIZE(parameter.faults_enabled) == 8);
+CHECK(47, SIZE(parameter.monitor) == 4);
+CHECK(48, SIZE(parameter.host_timeout) == 2);
+CHECK(49, SIZE(parameter.command_timeout) == 2);
+CHECK(50, SIZE(parameter.brake) == 2);
+CHECK(51, SIZE(snapshot.axis[0].position) == 4);
+CHECK(52, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(53, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(54, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(55, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(56, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(57, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(58, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(59, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(60, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(61, SIZE(snapshot.axis[0].state) == 2);
+CHECK(62, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(63, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(64, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(65, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(66, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(67, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(68, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(69, SIZE(snapshot.monitor[0]) == 2);
+CHECK(70, SIZE(estimate.axis[0].speed) == 4);
+CHECK(71, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(72, SIZE(estimate.axis[0].emf) == 2);
+CHECK(73, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(74, SIZE(record[0].pending) == 4);
+CHECK(75, SIZE(belief.torque_constant[0]) == 2);
+CHECK(76, SIZE(belief.acceleration_current[0]) == 4);
+CHECK(77, SIZE(snapshot.axis[1].position) == 4);
+CHECK(78, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(79, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(80, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(81, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(82, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(83, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(84, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(85, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(86, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(87, SIZE(snapshot.axis[1].state) == 2);
+CHECK(88, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(89, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(90, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(91, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(92, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(93, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(94, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(95, SIZE(snapshot.monitor[1]) == 2);
+CHECK(96, SIZE(estimate.axis[1].speed) == 4);
+CHECK(97, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(98, SIZE(estimate.axis[1].emf) == 2);
+CHECK(99, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(100, SIZE(record[1].pending) == 4);
+CHECK(101, SIZE(belief.torque_constant[1]) == 2);
+CHECK(102, SIZE(belief.acceleration_current[1]) == 4);
+CHECK(103, SIZE(tick) >= 4);
+CHECK(104, SIZE(applied_tick) >= 4);
+CHECK(105, SIZE(applied_count) >= 2);
+CHECK(106, SIZE(axis[0].u_dc) >= 2);
+CHECK(107, SIZE(late_loops) >= 2);
+CHECK(108, SIZE(points_refused) >= 2);
+CHECK(109, SIZE(point_refusal) >= 2);
+CHECK(110, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(111, SIZE(axis[0].feedback.position) >= 4);
+CHECK(112, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(113, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(114, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(115, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(116, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(117, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(118, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(119, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(120, SIZE(axis[0].latch.captured) >= 4);
+CHECK(121, SIZE(axis[0].latch.first) >= 2);
+CHECK(122, SIZE(axis[0].active_limits) >= 2);
+CHECK(123, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(124, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(125, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(126, SIZE(axis[0].estimate.size) >= 2);
+CHECK(127, SIZE(axis[0].latch.pending) >= 4);
+CHECK(128, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(129, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(130, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(131, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(132, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(133, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(134, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(135, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(136, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(137, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(138, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(139, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(140, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(141, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(142, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(143, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(144, SIZE(axis[0].command.mode) >= 2);
+CHECK(145, SIZE(axis[0].events.command) >= 2);
+CHECK(146, SIZE(axis[0].events.mode) >= 2);
+CHECK(147, SIZE(axis[0].sm.entered) >= 2);
+CHECK(148, SIZE(axis[1].feedback.position) >= 4);
+CHECK(149, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(150, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(151, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(152, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(153, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(154, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(155, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(156, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(157, SIZE(axis[1].latch.captured) >= 4);
+CHECK(158, SIZE(axis[1].latch.first) >= 2);
+CHECK(159, SIZE(axis[1].active_limits) >= 2);
+CHECK(160, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(161, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(162, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(163, SIZE(axis[1].estimate.size) >= 2);
+CHECK(164, SIZE(axis[1].latch.pending) >= 4);
+CHECK(165, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(166, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(167, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(168, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(169, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(170, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(171, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(172, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(173, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(174, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(175, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(176, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(177, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(178, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(179, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(180, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(181, SIZE(axis[1].command.mode) >= 2);
+CHECK(182, SIZE(axis[1].events.command) >= 2);
+CHECK(183, SIZE(axis[1].events.mode) >= 2);
+CHECK(184, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -262,6 +270,25 @@ static const char strings[] TABLE_MEMORY =
     "AXIS2_U_Q\0"
     "AXIS2_THETA_E\0"
     "AXIS2_SPEED\0"
+    "storage_state_t\0"
+    "IDLE\0"
+    "SAVING\0"
+    "ERASING\0"
+    "storage_source_t\0"
+    "BUILT_IN\0"
+    "COPY_A\0"
+    "COPY_B\0"
+    "stored_copy_t\0"
+    "EMPTY\0"
+    "INTACT\0"
+    "DAMAGED\0"
+    "OTHER_LAYOUT\0"
+    "OUT_OF_RANGE\0"
+    "ABSENT\0"
+    "storage_refusal_t\0"
+    "MOTION\0"
+    "CHANGED\0"
+    "FLASH\0"
     "snapshot_t\0"
     "\xED:STRUCT\0"
     "tick\0"
@@ -323,6 +350,14 @@ static const char strings[] TABLE_MEMORY =
     "config.answers\0"
     "config.refusal\0"
     "config.refused_member\0"
+    "storage.request\0"
+    "storage.sequence\0"
+    "storage.state\0"
+    "storage.answered\0"
+    "storage.refusal\0"
+    "storage.source\0"
+    "storage.copy\0"
+    "storage.saves\0"
     "param.speed_limit\0"
     "param.acceleration_limit\0"
     "param.i_q_limit\0"
@@ -510,188 +545,219 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {427, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
     {437, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
     {451, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {463, 474, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
-    {483, 488, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
-    {490, 488, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
-    {503, 517, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
-    {519, 524, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {526, 517, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
-    {537, 517, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
-    {555, 517, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
-    {570, 214, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
-    {584, 589, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
-    {605, 524, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
-    {589, 474, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
-    {613, 622, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
-    {624, 622, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
-    {637, 643, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
-    {645, 643, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
-    {655, 524, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {659, 524, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {663, 524, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
-    {671, 524, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
-    {675, 524, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
-    {679, 524, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {687, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
-    {693, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
-    {702, 488, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
-    {709, 517, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
-    {721, 517, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
-    {728, 517, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
-    {743, 517, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
-    {756, 517, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
-    {768, 474, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {783, 488, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
-    {483, 488, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {791, 517, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
-    {687, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
-    {693, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {796, 517, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {801, 517, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
-    {659, 524, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {655, 524, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {679, 524, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {519, 524, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {637, 524, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {806, 488, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {821, 463, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {483, 488, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {490, 488, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {503, 517, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {519, 524, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {526, 517, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
-    {537, 517, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
-    {555, 517, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
-    {570, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {830, 622, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {843, 643, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {853, 524, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {861, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {870, 517, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {881, 517, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {896, 517, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {913, 622, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {924, 622, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {938, 622, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {952, 517, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {964, 488, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {978, 488, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {994, 488, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1012, 517, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1031, 517, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1046, 517, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1061, 517, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1083, 643, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1101, 643, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1126, 524, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1142, 517, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1157, 622, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1176, 622, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {1195, 622, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {1217, 643, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {1234, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1249, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1266, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1286, 488, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {1307, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {1321, 517, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {1340, 517, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {1362, 517, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {1374, 643, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {1383, 622, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {1398, 622, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {1417, 643, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {1429, 643, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {1445, 524, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {1455, 524, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {1465, 524, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {1479, 524, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {1489, 524, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {1499, 524, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1513, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1525, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1540, 488, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1553, 517, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1571, 517, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1584, 517, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {1605, 517, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {1624, 517, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {1642, 524, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1656, 643, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1677, 524, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1700, 524, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1719, 517, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1743, 488, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1757, 768, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1776, 524, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1798, 622, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {1825, 524, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {1835, 524, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {1845, 524, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {1855, 524, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {1869, 524, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {1882, 524, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {1895, 524, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {1908, 622, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {1919, 622, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {1930, 622, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {1945, 643, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {1961, 643, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {1980, 643, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {1996, 622, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2012, 622, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2028, 622, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2043, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2054, 517, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2074, 517, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2091, 517, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2109, 622, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2124, 622, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {2143, 643, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {2155, 643, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {2171, 524, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {2181, 524, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {2191, 524, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {2205, 524, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {2215, 524, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {2225, 524, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {2239, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {2251, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2266, 488, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2279, 517, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2297, 517, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {2310, 517, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {2331, 517, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {2350, 517, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {2368, 524, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {2382, 643, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {2403, 524, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {2426, 524, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {2445, 517, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {2469, 488, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {2483, 768, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {2502, 524, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {2524, 622, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {2551, 524, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {2561, 524, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {2571, 524, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {2581, 524, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {2595, 524, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {2608, 524, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {2621, 524, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {2634, 622, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {2645, 622, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {2656, 622, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {2671, 643, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {2687, 643, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {2706, 643, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {2722, 622, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {2738, 622, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {2754, 622, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {2769, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
-    {2780, 517, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {2800, 517, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {2817, 517, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {463, 8, 0, 2, TSA_KIND_NONE}, /* storage_state_t */
+    {479, 21, 0, 0, TSA_KIND_NONE}, /* IDLE */
+    {484, 21, 1, 0, TSA_KIND_NONE}, /* SAVING */
+    {491, 21, 2, 0, TSA_KIND_NONE}, /* ERASING */
+    {499, 8, 0, 2, TSA_KIND_NONE}, /* storage_source_t */
+    {516, 21, 0, 0, TSA_KIND_NONE}, /* BUILT_IN */
+    {525, 21, 1, 0, TSA_KIND_NONE}, /* COPY_A */
+    {532, 21, 2, 0, TSA_KIND_NONE}, /* COPY_B */
+    {539, 8, 0, 2, TSA_KIND_NONE}, /* stored_copy_t */
+    {553, 21, 0, 0, TSA_KIND_NONE}, /* EMPTY */
+    {559, 21, 1, 0, TSA_KIND_NONE}, /* INTACT */
+    {566, 21, 2, 0, TSA_KIND_NONE}, /* DAMAGED */
+    {574, 21, 3, 0, TSA_KIND_NONE}, /* OTHER_LAYOUT */
+    {587, 21, 4, 0, TSA_KIND_NONE}, /* OUT_OF_RANGE */
+    {600, 21, 5, 0, TSA_KIND_NONE}, /* ABSENT */
+    {607, 8, 0, 2, TSA_KIND_NONE}, /* storage_refusal_t */
+    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {283, 21, 1, 0, TSA_KIND_NONE}, /* FORM */
+    {600, 21, 2, 0, TSA_KIND_NONE}, /* ABSENT */
+    {278, 21, 3, 0, TSA_KIND_NONE}, /* BUSY */
+    {625, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
+    {632, 21, 5, 0, TSA_KIND_NONE}, /* CHANGED */
+    {640, 21, 6, 0, TSA_KIND_NONE}, /* FLASH */
+    {646, 657, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
+    {666, 671, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
+    {673, 671, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
+    {686, 700, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
+    {702, 707, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {709, 700, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
+    {720, 700, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
+    {738, 700, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
+    {753, 214, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
+    {767, 772, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
+    {788, 707, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
+    {772, 657, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
+    {796, 805, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
+    {807, 805, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
+    {820, 826, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
+    {828, 826, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
+    {838, 707, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {842, 707, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {846, 707, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
+    {854, 707, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
+    {858, 707, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
+    {862, 707, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {870, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
+    {876, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
+    {885, 671, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
+    {892, 700, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
+    {904, 700, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
+    {911, 700, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
+    {926, 700, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
+    {939, 700, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
+    {951, 657, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {966, 671, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {666, 671, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
+    {974, 700, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {870, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
+    {876, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
+    {979, 700, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {984, 700, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {842, 707, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {838, 707, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {862, 707, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {702, 707, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {820, 707, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
+    {989, 671, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {1004, 646, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {666, 671, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {673, 671, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {686, 700, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {702, 707, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {709, 700, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {720, 700, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {738, 700, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
+    {753, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
+    {1013, 805, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1026, 826, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1036, 707, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1044, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1053, 700, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1064, 700, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1079, 700, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1096, 805, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {1107, 805, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1121, 805, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {1135, 700, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1147, 671, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1161, 671, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1177, 671, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1195, 700, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1214, 700, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1229, 700, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1244, 700, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1266, 700, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1282, 671, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1299, 463, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1313, 700, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1330, 607, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1346, 499, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1361, 539, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1374, 700, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1388, 826, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1406, 826, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1431, 707, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1447, 700, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1462, 805, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1481, 805, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {1500, 805, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {1522, 826, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {1539, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1554, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1571, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1591, 671, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {1612, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {1626, 700, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {1645, 700, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {1667, 700, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {1679, 826, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {1688, 805, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {1703, 805, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {1722, 826, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {1734, 826, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {1750, 707, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {1760, 707, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {1770, 707, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {1784, 707, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {1794, 707, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {1804, 707, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1818, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1830, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1845, 671, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1858, 700, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1876, 700, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1889, 700, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {1910, 700, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {1929, 700, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {1947, 707, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1961, 826, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1982, 707, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2005, 707, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2024, 700, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2048, 671, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2062, 951, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2081, 707, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2103, 805, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2130, 707, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2140, 707, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2150, 707, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2160, 707, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2174, 707, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2187, 707, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2200, 707, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2213, 805, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2224, 805, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2235, 805, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2250, 826, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2266, 826, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2285, 826, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2301, 805, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2317, 805, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2333, 805, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2348, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2359, 700, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2379, 700, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2396, 700, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2414, 805, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2429, 805, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {2448, 826, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {2460, 826, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {2476, 707, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {2486, 707, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {2496, 707, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {2510, 707, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {2520, 707, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {2530, 707, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {2544, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {2556, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2571, 671, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2584, 700, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2602, 700, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {2615, 700, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {2636, 700, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {2655, 700, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {2673, 707, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {2687, 826, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {2708, 707, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {2731, 707, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {2750, 700, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {2774, 671, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {2788, 951, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {2807, 707, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {2829, 805, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {2856, 707, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {2866, 707, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {2876, 707, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {2886, 707, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {2900, 707, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {2913, 707, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {2926, 707, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {2939, 805, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {2950, 805, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {2961, 805, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {2976, 826, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {2992, 826, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3011, 826, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3027, 805, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3043, 805, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3059, 805, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3074, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3085, 700, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3105, 700, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3122, 700, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -790,7 +856,9 @@ static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87};
 const name_list_t servo_substate_names = {substate_offsets, 6};
 static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 119, 265, 278, 283};
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
-static const uint16_t fault_offsets[] = {2835, 2848, 2862, 2875, 2890, 159, 2903, 2915, 2923, 2931, 2944, 2960, 2971, 2988, 3005, 3014, 3029, 3044, 3055, 3069, 3079};
+static const uint16_t copy_offsets[] = {553, 559, 566, 574, 587, 600};
+const name_list_t servo_copy_names = {copy_offsets, 6};
+static const uint16_t fault_offsets[] = {3140, 3153, 3167, 3180, 3195, 159, 3208, 3220, 3228, 3236, 3249, 3265, 3276, 3293, 3310, 3319, 3334, 3349, 3360, 3374, 3384};
 const name_list_t servo_fault_names = {fault_offsets, 21};
 
 const variable_range_t servo_ranges[] = {
@@ -805,6 +873,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(config.window), 4, 25, INT32_MIN, INT32_C(2147483647)}, /* config.window */
     {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */
     {OFFSET(config.take), 2, 1, INT32_C(0), INT32_C(3)}, /* config.take */
+    {OFFSET(storage_request.request), 2, 2, INT32_C(0), INT32_C(65535)}, /* storage.request */
     {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */
     {OFFSET(parameter.acceleration_limit), 4, 2, INT32_C(2051), INT32_C(102534791)}, /* param.acceleration_limit */
     {OFFSET(parameter.i_q_limit), 2, 2, INT32_C(397), INT32_C(15888)}, /* param.i_q_limit */

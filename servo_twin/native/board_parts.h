@@ -4,7 +4,11 @@
 
 #include "app/servo.h"
 #include "board.h"
+#include "flash.h"
 
 servo_t *board_servo(board_t *board);
+
+/* The data flash, and the present on its clock. */
+flash_t *board_flash(board_t *board, uint64_t *now_ns);
 
 #endif
