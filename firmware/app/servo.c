@@ -25,33 +25,6 @@ static void raise_on_all(servo_t *servo, finding_t finding)
     }
 }
 
-/* Those of the configuration in force. */
-static void default_parameters(servo_t *servo)
-{
-    parameter_block_t *parameter = &servo->parameter;
-    parameter->host_timeout = servo_config.host_timeout;
-    parameter->command_timeout = servo_config.command_timeout;
-    parameter->brake = servo_config.brake.fitted ? 1U : 0U;
-    for (uint16_t i = 0; i < HAL_AXES; i++) {
-        const axis_config_t *config = configure_block(&servo->configure, i);
-        parameter->speed_limit[i] = config->speed_limit;
-        parameter->acceleration_limit[i] = config->acceleration_limit;
-        parameter->i_q_limit[i] = config->i_q_limit;
-        parameter->features[i] = config->features;
-        parameter->feedback[i] = config->feedback;
-        parameter->on_disable[i] = config->stop.disable;
-        parameter->on_quick_stop[i] = config->stop.quick_stop;
-        parameter->faults_enabled[i] = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
-        parameter->position_min[i] = -config->position_limit;
-        parameter->position_max[i] = config->position_limit;
-        parameter->following_error[i] = config->following_error;
-        parameter->over_speed[i] = config->over_speed;
-    }
-    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
-        parameter->monitor[i] = MONITOR_NONE;
-    }
-}
-
 void servo_init(servo_t *servo, hal_t *hal)
 {
     servo->catalogue_hash = CATALOGUE_HASH;
@@ -64,7 +37,6 @@ void servo_init(servo_t *servo, hal_t *hal)
     const bool by_watchdog = hal_reset_by_watchdog(hal);
     journal_init(&servo->journal, by_watchdog);
     configure_init(&servo->configure, &servo->config_status);
-    default_parameters(servo);
     servo_restore(servo);
     configure_begin(&servo->configure, &servo->config_status);
     for (uint16_t i = 0; i < HAL_AXES; i++) {

@@ -72,7 +72,7 @@ typedef struct servo {
 
 void servo_init(servo_t *servo, hal_t *hal);
 
-/* Parts of it: what the data flash keeps; for the host, server, its callbacks, passwords. */
+/* Parts of it: parameters, and what the data flash keeps of them; for the host, server, its callbacks, passwords. */
 void servo_restore(servo_t *servo);
 void servo_host_init(servo_t *servo);
 

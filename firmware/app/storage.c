@@ -95,7 +95,7 @@ static void begin(storage_t *storage, storage_status_t *status, const storage_bo
 static storage_refusal_t take_request(storage_t *storage, storage_status_t *status, const storage_board_t *board,
                                       uint16_t kind, uint16_t token)
 {
-    if ((kind != STORAGE_REQUEST_SAVE && kind != STORAGE_REQUEST_FACTORY) || token == 0U) {
+    if ((kind != STORAGE_REQUEST_SAVE && kind != STORAGE_REQUEST_FACTORY) || token == 0U || token == storage->token) {
         return STORAGE_REFUSAL_FORM;
     }
     if (status->copy[0] == STORED_COPY_ABSENT) {

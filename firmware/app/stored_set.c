@@ -8,6 +8,8 @@
 
 #define ERASED UINT32_C(0xFFFFFFFF)
 
+typedef char stored_set_fits_t[(STORED_WORDS <= STORED_ROOM) ? 1 : -1];
+
 enum { FORMAT, LENGTH, SEQUENCE, PARAMETERS, MEMBERS };
 
 /* ---- values by their word ------------------------------------------------------------------------------------------- */

@@ -27,7 +27,6 @@
 
 #define STORED_SECTORS (HAL_FLASH_SECTORS / STORAGE_COPIES) /* of a copy */
 #define STORED_ROOM (STORED_SECTORS * HAL_FLASH_SECTOR_WORDS)
-typedef char stored_set_fits_t[(STORED_WORDS <= STORED_ROOM) ? 1 : -1];
 
 /* The values of a board. */
 typedef struct {
