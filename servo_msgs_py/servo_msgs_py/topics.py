@@ -60,6 +60,10 @@ RECORD: Final = "record"
 TUNE: Final = "tune"
 """std_srvs/SetBool: give the board the configuration of the file that the parameter ``tuning`` names; with data: false
 only say what would change."""
+SAVE_TO_BOARD: Final = "save_to_board"
+"""std_srvs/Trigger: keep parameters and configuration in the data flash of the board."""
+RESTORE_FACTORY: Final = "restore_factory"
+"""std_srvs/Trigger: erase what the data flash keeps."""
 RESYNC: Final = "resync"
 
 COMMAND_VARIABLES: Final = (
