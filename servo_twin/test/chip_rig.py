@@ -35,7 +35,7 @@ CDEF = (
     + """
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
 typedef struct { double cycles_per_instruction; unsigned entry_clocks; } core_speed_t;
-typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core; } chip_config_t;
+typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core; const uint8_t *flash; uint64_t seed; } chip_config_t;
 typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
 typedef struct { trace_entry_t *entry; size_t size, left; } trace_t;
 typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
@@ -154,7 +154,7 @@ def build(folder: Path) -> Native:
     builder.set_source(
         "_chip_under_test",
         PREAMBLE,
-        sources=[str(path) for path in sorted((NATIVE / "chip").glob("*.c"))],
+        sources=[str(path) for path in [NATIVE / "flash.c", *sorted((NATIVE / "chip").glob("*.c"))]],
         include_dirs=[str(NATIVE)],
         extra_compile_args=["-std=c99", "-O1"],
     )
@@ -239,6 +239,8 @@ def _addresses() -> Iterator[tuple[str, int]]:
     yield from {"SIM_CTRL": 0xE400, "SIM_RSTAT": 0xE401, "SIM_PCR": 0xE40B, "SIM_IPS0": 0xE422}.items()
     for offset, name in enumerate(["AL", "BH", "CL", "CH", "DL", "EL", "EH", "FL", "FH", "GL", "GH"]):
         yield f"SIM_GPS{name}", 0xE417 + offset
+    for offset, name in enumerate(["STAT", "SEC", "ADDRESS", "COMMAND", "LOW", "HIGH"]):
+        yield f"FTFL_{name}", 0xE3C0 + offset
     for n, letter in enumerate("ABCDEFG"):
         for name, offset in {"DR": 1, "DDR": 2, "PER": 3, "IENR": 5, "RAWDATA": 10}.items():
             yield f"GPIO{letter}_{name}", 0xE200 + 0x10 * n + offset

@@ -27,6 +27,9 @@ CHECK_PERIODS: Final = 160
 ARITHMETIC_ROUNDS: Final = 150
 
 _FUNCTION: Final = re.compile(r"^\w+(?: \*)? (\w+)\(", re.MULTILINE)
+_NOT_AN_ENTRY: Final = ("servo_read", "servo_write", "servo_restore", "servo_host_init")
+"""Functions of ``servo.h`` that no port calls."""
+
 _HEADER: Final = struct.Struct("<4sIIII")
 _READ_AHEAD: Final = 8
 """Bytes that a reader may have fetched beyond the last call."""
@@ -215,4 +218,4 @@ def wrapped_functions(sources: Sources) -> list[str]:
     """
     names = _FUNCTION.findall((sources.firmware / "hal" / "hal.h").read_text(encoding="utf-8"))
     entries = _FUNCTION.findall((sources.firmware / "app" / "servo.h").read_text(encoding="utf-8"))
-    return names + [name for name in entries if name not in ("servo_read", "servo_write", "servo_host_init")]
+    return names + [name for name in entries if name not in _NOT_AN_ENTRY]
