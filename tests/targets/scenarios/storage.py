@@ -22,31 +22,36 @@ def _reset(rig: Rig) -> None:
 
 
 def storage(rig: Rig) -> None:
-    """A save that a parameter ends, a reset with what is left of it; two saves, a reset with the second; no set at all."""
+    """A save, one that a parameter ends, a reset with what is left of it; a reset with the newest set; no set at all."""
     ready(rig)
-    rig.set_raw("storage.request", SAVE, 1)
-    rig.run(0.02)
     rig.set("param.speed_limit", 90.0, 80.0)
+    rig.set_raw("storage.request", SAVE, 1)
+    rig.run(0.05)
+    rig.remember()  # the seal is still to come
     _finish(rig)
-    _reset(rig)  # copy A is damaged
-    for token in (2, 2, 3):
-        rig.set("param.i_q_limit", 1.0 + token)
+    rig.set_raw("storage.request", SAVE, 2)
+    rig.run(0.04)
+    rig.set("param.speed_limit", 80.0, 90.0)
+    _finish(rig)
+    _reset(rig)  # copy B is damaged
+    for token in (3, 3, 4):
+        rig.set("param.i_q_limit", 0.5 * token)
         rig.set_raw("storage.request", SAVE, token)
         _finish(rig)
-    rig.set_raw("storage.request", FACTORY, 3)  # its token has been used
-    rig.set_raw("storage.request", SAVE, 4)
-    rig.set_raw("storage.request", FACTORY, 5)  # busy
+    rig.set_raw("storage.request", FACTORY, 4)  # its token has been used
+    rig.set_raw("storage.request", SAVE, 5)
+    rig.set_raw("storage.request", FACTORY, 6)  # busy
     rig.set("cmd.clear_faults", 1)
     _finish(rig)
     rig.set("param.i_q_limit", 1.0)
     _reset(rig)  # the newest set
     rig.set("cmd.clear_faults", 1)
     rig.until("cleared", lambda: rig.places() == ["STOP", "STOP"])
-    rig.set_raw("storage.request", SAVE, 6)
+    rig.set_raw("storage.request", SAVE, 7)
     rig.set("cmd.enable", 1)
     _finish(rig)
-    rig.set_raw("storage.request", SAVE, 7)  # in motion
+    rig.set_raw("storage.request", SAVE, 8)  # in motion
     rig.set("cmd.enable", 0)
     rig.until("off", lambda: rig.places() == ["STOP", "STOP"])
-    rig.set_raw("storage.request", FACTORY, 8)
+    rig.set_raw("storage.request", FACTORY, 9)
     _finish(rig)
