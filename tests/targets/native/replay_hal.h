@@ -8,7 +8,7 @@
 
 /* Words of a copy in the data flash; those behind a set stay erased. */
 #ifdef __AVR__
-#define REPLAY_WORDS 0U /* no room: what is written is forgotten, but for the last word */
+#define REPLAY_WORDS 1U /* no room: what is written is forgotten, but for the last word */
 #else
 #define REPLAY_WORDS STORED_WORDS
 #endif
@@ -20,7 +20,7 @@ struct hal {
     out_log_t out;
     uint16_t last; /* word that was programmed .. */
     uint32_t last_value;
-    uint32_t flash[STORAGE_COPIES][REPLAY_WORDS + 1U];
+    uint32_t flash[STORAGE_COPIES][REPLAY_WORDS];
 };
 
 /* An erased data flash. */
