@@ -239,7 +239,7 @@ def _addresses() -> Iterator[tuple[str, int]]:
     yield from {"SIM_CTRL": 0xE400, "SIM_RSTAT": 0xE401, "SIM_PCR": 0xE40B, "SIM_IPS0": 0xE422}.items()
     for offset, name in enumerate(["AL", "BH", "CL", "CH", "DL", "EL", "EH", "FL", "FH", "GL", "GH"]):
         yield f"SIM_GPS{name}", 0xE417 + offset
-    for offset, name in enumerate(["STAT", "SEC", "ADDRESS", "COMMAND", "LOW", "HIGH"]):
+    for offset, name in enumerate(["FSTAT", "FSEC", "FCCOB3", "FCCOB1", "FCCOB7", "FCCOB5"]):
         yield f"FTFL_{name}", 0xE3C0 + offset
     for n, letter in enumerate("ABCDEFG"):
         for name, offset in {"DR": 1, "DDR": 2, "PER": 3, "IENR": 5, "RAWDATA": 10}.items():
@@ -383,12 +383,18 @@ class ChipRig:
         self.run(self.now + clocks)
 
     def read(self, name: str) -> int:
-        value = self.lib.try_read(self.chip, ADDRESS[name])
+        return self.read_at(ADDRESS[name])
+
+    def read_at(self, address: int) -> int:
+        value = self.lib.try_read(self.chip, address)
         self._check(value >= 0)
         return int(value)
 
     def write(self, name: str, value: int) -> None:
-        self._check(self.lib.try_write(self.chip, ADDRESS[name], value & 0xFFFF) == 0)
+        self.write_at(ADDRESS[name], value)
+
+    def write_at(self, address: int, value: int) -> None:
+        self._check(self.lib.try_write(self.chip, address, value & 0xFFFF) == 0)
 
     def write_all(self, values: dict[str, int]) -> None:
         for name, value in values.items():
