@@ -19,7 +19,7 @@ CATALOGUE = Catalogue.load()
 WRITABLE = {
     v.name: v
     for v in CATALOGUE.variables.values()
-    if v.writable and v.name != "cmd.points" and not v.name.startswith("config.")
+    if v.writable and v.name != "cmd.points" and not v.name.startswith(("config.", "storage."))
 }
 RANGED = [name for name in WRITABLE if name != "cmd.position"]
 

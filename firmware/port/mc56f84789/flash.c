@@ -38,7 +38,7 @@ void hal_flash_erase(hal_t *hal, uint16_t sector)
 
 void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value)
 {
-    REG_WRITE(hal, FTFL_FCCOB_LOW, value & 0xFFFFU);
+    REG_WRITE(hal, FTFL_FCCOB_LOW, (uint16_t)value);
     REG_WRITE(hal, FTFL_FCCOB_HIGH, value >> 16);
     launch(hal, FTFL_PROGRAM_LONGWORD, word);
 }
