@@ -1,4 +1,4 @@
-"""What a board keeps without power, from the command line and over ROS, and the twin of a board that came up with it."""
+"""What a board keeps without power, from the command line and over ROS, and the twin of such a board."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COPY_B: Final = 4 * (28 + 2) * 256
 """Where copy B begins in an image of the flash [bytes]."""
 
 
-# ---- the tool, in simulated time --------------------------------------------------------------------------------------
+# ---- the tool, in simulated time -----------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:
             desk.tool(*arguments)
 
 
-# ---- a board on a real port -------------------------------------------------------------------------------------------
+# ---- a board on a real port ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.realtime
@@ -156,7 +156,7 @@ def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path)
         chain.end()
 
 
-# ---- over ROS ---------------------------------------------------------------------------------------------------------
+# ---- over ROS ------------------------------------------------------------------------------------------------------
 
 
 class Keeper:

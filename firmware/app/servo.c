@@ -1,6 +1,5 @@
 #include "app/servo.h"
 
-#include "app/servo_storage.h"
 #include "drive/estimate.h"
 #include "drive/motion.h"
 

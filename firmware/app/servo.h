@@ -72,7 +72,8 @@ typedef struct servo {
 
 void servo_init(servo_t *servo, hal_t *hal);
 
-/* A part of it, for the host: server, its callbacks, passwords. */
+/* Parts of it: parameters, and what the data flash keeps; for the host, server, its callbacks, passwords. */
+void servo_restore(servo_t *servo);
 void servo_host_init(servo_t *servo);
 
 /* Interrupts: t1 and t3 of DRM F34, a latched encoder edge, the hardware over-current break. */

@@ -4,9 +4,6 @@
 
 #include "app/servo.h"
 
-/* Parameters and configuration as the board begins with them; before configure_begin. */
-void servo_restore(servo_t *servo);
-
 /* A write of a part of the request, by its offset in servo_t. */
 bool servo_storage_accept(servo_t *servo, uint16_t offset, bool whole, const uint8_t *data, uint16_t size);
 

@@ -33,7 +33,7 @@ VALUES: Final = sum(v.count for v in PARAMETERS)
 SEAL: Final = HEAD + VALUES + 2 * len(TABLE)
 COMMANDS: Final = 2 + SEAL + 1  # of a save: two sectors, every word
 
-Words = NDArray[np.uint32]
+Words = NDArray[Any]
 Values = tuple[Any, ...]
 
 
@@ -47,7 +47,7 @@ class Command(NamedTuple):
 
     def torn(self, changed: Words) -> Words:
         """What is left when only the bits under `changed` (of a sector) had changed when power failed."""
-        words = self.before.copy()
+        words: Words = self.before.copy()
         if self.erases:
             words[SECTOR * self.at : SECTOR * (self.at + 1)] |= changed
         else:
@@ -74,7 +74,8 @@ class StorageBench(BlockBench):
 
     @property
     def flash(self) -> Words:
-        return np.frombuffer(self.core.ffi.buffer(self.hal.flash), np.uint32).copy()
+        words: Words = np.frombuffer(self.core.ffi.buffer(self.hal.flash), np.uint32).copy()
+        return words
 
     def values(self) -> Values:
         """All that is kept."""

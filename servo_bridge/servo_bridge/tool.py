@@ -173,7 +173,11 @@ def _parser() -> argparse.ArgumentParser:
     command = add("tune", tool_tune.tune, "change gains and motor data of a board that runs, or read them back")
     tool_tune.add_arguments(command)
     for name, run, text in (
-        ("save", tool_commands.save, "save the parameters of the board to a file, or both parameters and configuration in it"),
+        (
+            "save",
+            tool_commands.save,
+            "save the parameters of the board to a file, or both parameters and configuration in it",
+        ),
         ("load", tool_commands.load, "write the parameters of a file to the board"),
         ("diff", tool_commands.diff, "compare a file with the board; exit status 1 when they differ"),
     ):

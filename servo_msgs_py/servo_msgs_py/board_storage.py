@@ -30,13 +30,13 @@ _COPIES: Final = "AB"
 
 _REFUSALS: Final[Mapping[str, str]] = {
     "FORM": "the board does not understand the request; does another program write, too? Ask again",
-    "ABSENT": "the board has no data flash; keep the values in a file: servo-tool save FILE, servo-tool tune --from-board",
+    "ABSENT": "the board has no data flash; keep the values in files: servo-tool save, servo-tool tune --from-board",
     "BUSY": "the board is still busy with the request before; ask again",
-    "MOTION": "only at rest with the outputs off: disable both axes and wait until they stand, then ask again; what was "
-    "stored before is still there",
+    "MOTION": "only at rest with the outputs off: disable both axes and wait until they stand, then ask again; what "
+    "was stored before is still there",
     "CHANGED": "parameters or configuration were changed meanwhile; what was stored before is still there: ask again",
-    "FLASH": "the data flash does not keep what is written; what was stored before is still there. If it happens again, "
-    "the flash is worn out",
+    "FLASH": "the data flash does not keep what is written; what was stored before is still there. If it happens "
+    "again, the flash is worn out",
 }
 
 _COPY_TEXTS: Final[Mapping[str, str]] = {
@@ -85,9 +85,7 @@ class Storage(NamedTuple):
     @property
     def trouble(self) -> str:
         """What is wrong with a copy, and what to do; empty if nothing is."""
-        wrong = [
-            f"copy {_COPIES[k]} is {_COPY_TEXTS[copy]}" for k, copy in enumerate(self.copies) if copy not in _FINE
-        ]
+        wrong = [f"copy {_COPIES[k]} is {_COPY_TEXTS[copy]}" for k, copy in enumerate(self.copies) if copy not in _FINE]
         if not wrong:
             return ""
         used = "the built-in values are" if self.source == "BUILT_IN" else f"copy {self.source[-1]} is"
@@ -146,7 +144,9 @@ def request_result(memory: BlockMemory, token: int) -> Storage | None:
     if memory.read_words("storage.state") != [Catalogue.load().enums["storage_state_t"]["IDLE"]]:
         return None
     if memory.read_words("storage.answered") != [token]:
-        raise StorageRefusedError("", "the board has forgotten the request; was it reset? Look at its state and ask again")
+        raise StorageRefusedError(
+            "", "the board has forgotten the request; was it reset? Look at its state and ask again"
+        )
     if memory.read_words("storage.refusal") != [0]:
         raise _refused(memory)
     return read_storage(memory)
@@ -180,7 +180,9 @@ def success_text(kind: Kind, storage: Storage) -> str:
     """What a request has done, for people."""
     if kind == "SAVE":
         return f"stored as set {storage.sequence}: a reset brings these parameters and this configuration back"
-    return "both copies are erased; the built-in values come into force at the next reset, until then all stays as it is"
+    return (
+        "both copies are erased; the built-in values come into force at the next reset, until then all stays as it is"
+    )
 
 
 def _refused(memory: BlockMemory) -> StorageRefusedError:

@@ -41,8 +41,8 @@ __all__ = [
     "BoardError",
     "BoardStats",
     "ChipError",
-    "FlashState",
     "Firmware",
+    "FlashState",
     "SimulationError",
     "Truth",
 ]

@@ -105,8 +105,8 @@ class Pacer:
 class FlashFile:
     """What stays of a board without power, in a file: `Board.flash_image`.
 
-    It is brought up to date whenever a command of the flash has ended, so that the end of the process, however it comes,
-    is like a power failure.
+    It is brought up to date whenever a command of the flash has ended: the end of the process, however it comes, is
+    like a power failure.
 
     Parameters
     ----------
@@ -380,7 +380,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="of the sensor noise; the same seed gives the same board")
     parser.add_argument("--plant", type=Path, help="TOML file with what differs from the packaged plant.toml")
     parser.add_argument(
-        "--flash", type=Path, metavar="FILE", help="keep what the board stores in its data flash (default: until it ends)"
+        "--flash",
+        type=Path,
+        metavar="FILE",
+        help="keep what the board stores in its data flash (default: until it ends)",
     )
     add_level_option(parser, "the board is")
     parser.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second (default: %(default)g)")

@@ -35,7 +35,8 @@ CDEF = (
     + """
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
 typedef struct { double cycles_per_instruction; unsigned entry_clocks; } core_speed_t;
-typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core; const uint8_t *flash; uint64_t seed; } chip_config_t;
+typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core;
+                 const uint8_t *flash; uint64_t seed; } chip_config_t;
 typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
 typedef struct { trace_entry_t *entry; size_t size, left; } trace_t;
 typedef struct { uint32_t overruns, lost; ...; } sci_line_t;

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
 from servo_msgs_py.board_parameters import parameters
@@ -42,6 +43,10 @@ class Kept:
     def run(self, seconds: float) -> None:
         self.board.run(seconds)
 
+    def wait(self) -> bool:
+        self.run(0.001)
+        return True
+
     def values(self) -> Values:
         named = tuple(tuple(self.memory.read_words(v.name)) for v in parameters(CATALOGUE))
         return (*named, *(tuple(read_block(self.memory, axis).values()) for axis in range(AXES)))
@@ -51,7 +56,7 @@ class Kept:
         self.board.write("param.speed_limit", [100.0 + number, 90.0])
         block = read_block(self.memory, 1)
         send_block(self.memory, 1, {**block, "position_gain": block["position_gain"] + number})
-        take_blocks(self.memory, [1], lambda: self.run(0.001) is None)
+        take_blocks(self.memory, [1], self.wait)
 
     def carry_out(self, kind: Kind) -> Storage:
         token = begin_request(self.memory, kind)
@@ -61,7 +66,7 @@ class Kept:
             self.run(0.0005)
         raise AssertionError("the request never ends")
 
-    def words(self) -> Sequence[int]:
+    def words(self) -> NDArray[np.uint32]:
         return np.frombuffer(self.board.flash_image(), "<u4")
 
 
@@ -96,7 +101,7 @@ def test_each_sector_is_erased_by_every_second_save(kept: Kept) -> None:
 
 
 def test_power_may_fail_at_any_instant_of_a_save(kept: Kept) -> None:
-    """Twice as many cuts as there are kinds of commands, at random parts of their time; and the instants beside the seal."""
+    """At random parts of random commands, and at the instants beside the seal."""
     random = np.random.default_rng(1)
     kept.change(1)
     kept.carry_out("SAVE")

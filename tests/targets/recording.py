@@ -27,7 +27,7 @@ CHECK_PERIODS: Final = 160
 ARITHMETIC_ROUNDS: Final = 150
 
 _FUNCTION: Final = re.compile(r"^\w+(?: \*)? (\w+)\(", re.MULTILINE)
-_NOT_AN_ENTRY: Final = ("servo_read", "servo_write", "servo_host_init")
+_NOT_AN_ENTRY: Final = ("servo_read", "servo_write", "servo_restore", "servo_host_init")
 """Functions of ``servo.h`` that no port calls."""
 
 _HEADER: Final = struct.Struct("<4sIIII")

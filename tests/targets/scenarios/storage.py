@@ -22,7 +22,7 @@ def _reset(rig: Rig) -> None:
 
 
 def storage(rig: Rig) -> None:
-    """A save, one that a parameter ends, a reset with what is left of it; a reset with the newest set; no set at all."""
+    """A save, one that a parameter ends, a reset with what is left; a reset with the newest set; no set at all."""
     ready(rig)
     rig.set("param.speed_limit", 90.0, 80.0)
     rig.set_raw("storage.request", SAVE, 1)
