@@ -14,12 +14,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from line_world import SimulatedLine
 from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.commands import write_memory
 from servo_bridge.freemaster.line import Line
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.wire.session import connect
-from servo_msgs_py.board_storage import StorageRefusedError, carry_out
+from servo_msgs_py.board_storage import StorageRefusedError, begin_request, carry_out
 from servo_msgs_py.catalogue import Catalogue
 from servo_twin.board import Board
+from servo_twin.level import Level
+from servo_twin.lockstep.replica import Replica
 from std_srvs.srv import Trigger
 from test_tune_on_board import BAUD, Desk, edited
 
@@ -120,6 +123,23 @@ def test_a_request_whose_answer_is_lost_is_carried_out_once() -> None:
         board.run(0.01)
         with pytest.raises(StorageRefusedError, match="at rest"):
             carry_out(memory, "SAVE", memory.wait)
+
+
+@pytest.mark.parametrize("level", ["ideal", "registers"])
+def test_no_byte_of_a_request_is_lost_while_a_sector_is_erased(level: Level) -> None:
+    """A write as long as the line takes in 14 ms; it is dealt with after the erase."""
+    with Board(level=level) as board:
+        board.run(0.1)
+        begin_request(Replica(board), "SAVE")
+        board.run(0.0005)
+        board.serial_in(write_memory(board.address("cmd.points"), bytes(128)).frame)
+        board.run(0.0134)
+        assert board.serial_out() == b""
+        assert board.read("point_refusal") == 0
+        board.run(0.01)
+        assert board.serial_out()[:1] == b"+"
+        assert board.read("point_refusal") != 0, "points full of zeros are refused, but have been seen"
+        assert board.read("receiver_overruns") == 0
 
 
 def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:

@@ -186,7 +186,8 @@ void servo_host_init(servo_t *servo)
 void servo_background(servo_t *servo)
 {
     if (storage_busy(&servo->storage, servo->hal)) {
-        return; /* journal and server read tables */
+        freemaster_listen(&servo->freemaster, servo->hal); /* journal and requests need tables */
+        return;
     }
     journal_watch(&servo->journal, &servo->snapshot);
     journal_print(&servo->journal, &servo->freemaster);

@@ -528,7 +528,7 @@ def test_a_board_without_data_flash_says_so(bench: StorageBench) -> None:
 
 
 def test_the_server_waits_while_a_command_is_under_way(bench: StorageBench) -> None:
-    """Its tables lie in the data flash. Between two commands it has its turn, and the loops run all the time."""
+    """Its tables lie in the data flash. It takes bytes and has its turn between two commands; the loops run all the time."""
     bench.hal.flash_polls = 10
     assert bench.request(SAVE)
     bench.core.lib.servo_background(bench.servo)
@@ -536,6 +536,7 @@ def test_the_server_waits_while_a_command_is_under_way(bench: StorageBench) -> N
     for _ in range(9):
         bench.core.lib.servo_background(bench.servo)
         assert bench.hal.serial_out_size == 0
+    assert bench.hal.serial_in_taken == bench.hal.serial_in_size > 0, "all of it has been fetched"
     tick = bench.servo.snapshot.tick
     bench.slow(2)
     assert bench.hal.serial_out_size > 0
