@@ -47,6 +47,13 @@ NOT_ON_A_TARGET = {
     # Refuse what the table of variables and the number of scope slots rule out.
     "fill",
     "scope_read",
+    # The recorder's board has a data flash that keeps what is written, and sets of one version of the firmware.
+    "worth",
+    "storage_begin",
+    "take_request",
+    "is_done",
+    "storage_step",
+    "stored_check",
     # The recorder's board leaves no interrupt out.
     "come_late",
     "servo_m1_isr",

@@ -354,8 +354,6 @@ static void execute(freemaster_t *server)
 static void answer(freemaster_t *server, frame_event_t event)
 {
     switch (event) {
-    case FRAME_NOTHING:
-        break;
     case FRAME_COMPLETE:
         execute(server);
         break;
@@ -367,7 +365,7 @@ static void answer(freemaster_t *server, frame_event_t event)
         server->statistics.bad_crc++;
         frame_send(&server->transmitter, FM_BAD_CHECKSUM, 0);
         break;
-    case FRAME_ABORTED:
+    default: /* given up */
         server->statistics.aborted++;
         break;
     }
