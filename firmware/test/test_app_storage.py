@@ -528,7 +528,7 @@ def test_a_board_without_data_flash_says_so(bench: StorageBench) -> None:
 
 
 def test_the_server_waits_while_a_command_is_under_way(bench: StorageBench) -> None:
-    """Its tables lie in the data flash. It takes bytes and has its turn between two commands; the loops run all the time."""
+    """Its tables lie in the data flash. It takes bytes, and has its turn between two commands; the loops go on."""
     bench.hal.flash_polls = 10
     assert bench.request(SAVE)
     bench.core.lib.servo_background(bench.servo)
