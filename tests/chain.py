@@ -185,9 +185,10 @@ class Chain:
             pytest.skip(f"{name} is not installed beside {sys.executable}")
         return self._launch(name, [str(path), *arguments])
 
-    def board(self, seed: int = 5, level: Level | None = None) -> Process:
+    def board(self, seed: int = 5, level: Level | None = None, flash: Path | None = None) -> Process:
         """Start a board, of the chosen level unless one is given, and wait for its port."""
         options = ["--link", str(self.port), "--baud", str(self.baud), "--seed", str(seed)]
+        options += ["--flash", str(flash)] if flash else []
         board = self._start(BOARD, *options, "--level", level or chosen_level())
         wait_for(self.port.exists, 10.0, board.text)
         return board

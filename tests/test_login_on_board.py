@@ -65,11 +65,13 @@ def command_result(board: Board, code: int) -> int:
 def test_commands_and_parameters_have_their_passwords(board: Board) -> None:
     command = ("cmd.speed", bytes(8))
     parameter = ("param.host_timeout", b"\x00\x08")
+    save = ("storage.request", b"\x01\x00\x07\x00")
     assert (write(board, *command), write(board, *parameter)) == (NEEDED, NEEDED)
     assert log_in(board, 2, b"drive") == b"\x00\x02"
-    assert (write(board, *command), write(board, *parameter)) == (OK, NEEDED)
+    assert (write(board, *command), write(board, *parameter), write(board, *save)) == (OK, NEEDED, NEEDED)
     assert log_in(board, 3, b"gains") == b"\x00\x03"
     assert (write(board, *command), write(board, *parameter)) == (OK, OK)
+    assert write(board, *save) == OK
     assert board.read_raw("param.host_timeout") == [2048]
     assert command_result(board, CLEAR_FAULTS) == DONE
     assert log_in(board, 3, b"guess") == b"\x92"

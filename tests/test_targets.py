@@ -50,6 +50,13 @@ NOT_ON_A_TARGET = {
     # The recorder's board has no switches, and 2 s are too long for a recording.
     "back_off",
     "run_leg",
+    # The recorder's board has a data flash that keeps what is written, and sets of one version of the firmware.
+    "worth",
+    "storage_begin",
+    "take_request",
+    "is_done",
+    "storage_step",
+    "stored_check",
     # The recorder's board leaves no interrupt out.
     "come_late",
     "servo_m1_isr",

@@ -106,6 +106,26 @@ typedef struct {
     uint16_t refused_member;
 } config_status_t;
 
+#define STORAGE_COPIES 2
+#define STORAGE_KIND 0 /* words of a request */
+#define STORAGE_TOKEN 1
+
+/* Written by the host to keep parameters and configuration in the data flash (app/storage.h). */
+typedef struct {
+    uint16_t request[2]; /* STORAGE_REQUEST_, and a number that the last request did not have */
+} storage_request_t;
+
+typedef struct {
+    uint32_t sequence; /* of the newest set in the flash; 0: there is none */
+    uint16_t state;    /* storage_state_t */
+    uint16_t answered; /* token of the last request that has been dealt with */
+    uint16_t refusal;  /* storage_refusal_t of the last request */
+    uint16_t source;   /* storage_source_t: where the values at the last reset came from */
+    uint16_t copy[STORAGE_COPIES]; /* stored_copy_t */
+    uint16_t saves;    /* carried out since reset */
+    uint16_t unused; /* what follows has the same address on every machine */
+} storage_status_t;
+
 /* What the observer sees; 0 where it does not run. The angle is that of the snapshot, the rest at most a slow tick older. */
 typedef struct {
     frac32_t speed;

@@ -3,59 +3,9 @@
 #include <stddef.h>
 
 #include "app/words.h"
-#include "comm/table_memory.h"
 #include "config/axis_members.h"
 #include "drive/take_config.h"
-
-/* ---- members as numbers --------------------------------------------------------------------------------------------- */
-
-static axis_member_t member_at(uint16_t number)
-{
-    axis_member_t member;
-    table_copy(&member, &axis_members[number], sizeof member);
-    return member;
-}
-
-static axis_range_t range_of(uint16_t number)
-{
-    axis_range_t range;
-    table_copy(&range, &axis_ranges[member_at(number).range], sizeof range);
-    return range;
-}
-
-static int32_t member_get(const axis_config_t *block, uint16_t number)
-{
-    const void *member = (const uint8_t *)block + member_at(number).offset;
-    const uint16_t kind = range_of(number).kind;
-    if ((kind & MEMBER_WIDE) != 0U) {
-        return (kind & MEMBER_SIGNED) != 0U ? *(const int32_t *)member : (int32_t)(*(const uint32_t *)member);
-    }
-    return (kind & MEMBER_SIGNED) != 0U ? *(const int16_t *)member : (int32_t)(*(const uint16_t *)member);
-}
-
-static void member_set(axis_config_t *block, uint16_t number, int32_t value)
-{
-    void *member = (uint8_t *)block + member_at(number).offset;
-    const uint16_t kind = range_of(number).kind;
-    if ((kind & MEMBER_WIDE) != 0U) {
-        if ((kind & MEMBER_SIGNED) != 0U) {
-            *(int32_t *)member = value;
-        } else {
-            *(uint32_t *)member = (uint32_t)value;
-        }
-    } else if ((kind & MEMBER_SIGNED) != 0U) {
-        *(int16_t *)member = (int16_t)value;
-    } else {
-        *(uint16_t *)member = (uint16_t)value;
-    }
-}
-
-static bool member_accepts(uint16_t number, int32_t value)
-{
-    const axis_range_t range = range_of(number);
-    const bool bits = (range.kind & MEMBER_BITS) == 0U || ((uint32_t)value & ~(uint32_t)range.max) == 0U;
-    return value >= range.min && value <= range.max && bits;
-}
+#include "math/crc32.h"
 
 /* ---- a part of a block, and the host's words ------------------------------------------------------------------------ */
 
@@ -63,36 +13,16 @@ static int32_t get_word(const uint8_t *data, uint16_t word) { return (int32_t)wo
 
 /* ---- the sum of a block --------------------------------------------------------------------------------------------- */
 
-#define CRC_START UINT32_C(0xFFFFFFFF)
-
-/* CRC-32 as in zlib, four bits at a time: reflected, polynomial 04C11DB7h. */
-static uint32_t crc_bytes(uint32_t crc, uint32_t value, uint16_t size)
-{
-    static const uint32_t steps[16] TABLE_MEMORY = {
-        UINT32_C(0x00000000), UINT32_C(0x1DB71064), UINT32_C(0x3B6E20C8), UINT32_C(0x26D930AC),
-        UINT32_C(0x76DC4190), UINT32_C(0x6B6B51F4), UINT32_C(0x4DB26158), UINT32_C(0x5005713C),
-        UINT32_C(0xEDB88320), UINT32_C(0xF00F9344), UINT32_C(0xD6D6A3E8), UINT32_C(0xCB61B38C),
-        UINT32_C(0x9B64C2B0), UINT32_C(0x86D3D2D4), UINT32_C(0xA00AE278), UINT32_C(0xBDBDF21C),
-    };
-    for (uint16_t k = 0; k < 2U * size; k++) {
-        uint32_t step;
-        table_copy(&step, &steps[(crc ^ value) & 0xFU], sizeof step);
-        crc = (crc >> 4) ^ step;
-        value >>= 4;
-    }
-    return crc;
-}
-
 static uint32_t checksum(const axis_config_t *block, uint16_t axis)
 {
-    uint32_t crc = crc_bytes(CRC_START, AXIS_LAYOUT, 4);
-    crc = crc_bytes(crc, AXIS_MEMBERS, 4);
-    crc = crc_bytes(crc, axis, 4);
+    uint32_t crc = crc32_add(CRC32_START, AXIS_LAYOUT, 4);
+    crc = crc32_add(crc, AXIS_MEMBERS, 4);
+    crc = crc32_add(crc, axis, 4);
     for (uint16_t k = 0; k < AXIS_MEMBERS; k++) {
-        const bool wide = (range_of(k).kind & MEMBER_WIDE) != 0U;
-        crc = crc_bytes(crc, (uint32_t)member_get(block, k), wide ? 4U : 2U);
+        const bool wide = (axis_member_kind(k) & MEMBER_WIDE) != 0U;
+        crc = crc32_add(crc, (uint32_t)axis_member_get(block, k), wide ? 4U : 2U);
     }
-    return crc ^ CRC_START;
+    return crc32_end(crc);
 }
 
 /* First member that differs and may only change at rest; AXIS_MEMBERS: there is none. */
@@ -100,7 +30,7 @@ static uint16_t rest_difference(const axis_config_t *block, const axis_config_t 
 {
     uint16_t k = 0;
     while (k < AXIS_MEMBERS &&
-           ((range_of(k).kind & MEMBER_LIVE) != 0U || member_get(block, k) == member_get(other, k))) {
+           ((axis_member_kind(k) & MEMBER_LIVE) != 0U || axis_member_get(block, k) == axis_member_get(other, k))) {
         k++;
     }
     return k;
@@ -138,7 +68,7 @@ static uint16_t write_window(configure_t *configure, config_status_t *status, co
     }
     for (uint16_t k = 0; k < count; k++) {
         const uint16_t number = (uint16_t)(first + k);
-        if (!member_accepts(number, get_word(data, (uint16_t)(CONFIG_VALUES + k)))) {
+        if (!axis_member_accepts(number, get_word(data, (uint16_t)(CONFIG_VALUES + k)))) {
             status->refused_member = number;
             return CONFIG_REFUSAL_RANGE;
         }
@@ -146,7 +76,7 @@ static uint16_t write_window(configure_t *configure, config_status_t *status, co
     configure->ready[axis] = false;
     for (uint16_t k = 0; k < count; k++) {
         const int32_t value = get_word(data, (uint16_t)(CONFIG_VALUES + k));
-        member_set(spare(configure, (uint16_t)axis), (uint16_t)(first + k), value);
+        axis_member_set(spare(configure, (uint16_t)axis), (uint16_t)(first + k), value);
     }
     return CONFIG_REFUSAL_NONE;
 }
@@ -219,7 +149,7 @@ void configure_show(const configure_t *configure, config_request_t *request)
     const axis_config_t *block = configure_block(configure, (uint16_t)request->window[CONFIG_AXIS]);
     const uint16_t first = (uint16_t)request->window[CONFIG_FIRST];
     for (uint16_t k = 0; k < CONFIG_TOGETHER && first + k < AXIS_MEMBERS; k++) {
-        request->window[CONFIG_VALUES + k] = member_get(block, (uint16_t)(first + k));
+        request->window[CONFIG_VALUES + k] = axis_member_get(block, (uint16_t)(first + k));
     }
 }
 
@@ -231,8 +161,14 @@ void configure_init(configure_t *configure, config_status_t *status)
     *status = (config_status_t){.layout = AXIS_LAYOUT};
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         configure->block[i][0] = servo_config.axis[i];
-        configure->block[i][1] = servo_config.axis[i];
-        status->checksum[i] = checksum(&configure->block[i][0], i);
+    }
+}
+
+void configure_begin(configure_t *configure, config_status_t *status)
+{
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        *spare(configure, i) = *configure_block(configure, i);
+        status->checksum[i] = checksum(configure_block(configure, i), i);
     }
 }
 

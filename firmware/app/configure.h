@@ -22,8 +22,17 @@ typedef struct {
     uint16_t pending;            /* axes whose spare is to be taken, a bit each */
 } configure_t;
 
-/* Both blocks of each axis are the built-in ones. */
+/* The blocks in force are the built-in ones. Others may take their place (configure_restore) until configure_begin. */
 void configure_init(configure_t *configure, config_status_t *status);
+
+/* The block in force, to be written before configure_begin. */
+static inline axis_config_t *configure_restore(configure_t *configure, uint16_t axis)
+{
+    return &configure->block[axis][configure->in_force[axis]];
+}
+
+/* The blocks in force stay: the spare ones are the same, and all of them have their sums. */
+void configure_begin(configure_t *configure, config_status_t *status);
 
 static inline const axis_config_t *configure_block(const configure_t *configure, uint16_t axis)
 {

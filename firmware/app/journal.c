@@ -16,6 +16,7 @@ typedef enum {
     EVENT_CLEARED,
     EVENT_POINTS,
     EVENT_REFUSED,
+    EVENT_COPY,
     EVENT_LATE,
     EVENT_OVERRUN,
 } event_kind_t;
@@ -115,6 +116,11 @@ void journal_watch(journal_t *journal, const volatile snapshot_t *snapshot)
 
 void journal_refused(journal_t *journal, uint16_t offset) { note(journal, journal->tick, EVENT_REFUSED, 0, offset); }
 
+void journal_copy(journal_t *journal, uint16_t copy, uint16_t state)
+{
+    note(journal, journal->tick, EVENT_COPY, 0, (uint16_t)(copy << 8U | state));
+}
+
 /* ---- lines ------------------------------------------------------------------------------------------------------ */
 
 typedef struct {
@@ -202,6 +208,10 @@ static void put_event(writer_t *writer, const journal_event_t *event)
     case EVENT_REFUSED:
         put(writer, "refused ");
         put_variable(writer, event->value);
+        break;
+    case EVENT_COPY:
+        put(writer, (event->value >> 8U == 0U) ? "stored copy A: " : "stored copy B: ");
+        put_name(writer, &servo_copy_names, (uint16_t)(event->value & 0xFFU));
         break;
     case EVENT_LATE:
         put(writer, "late loops: ");

@@ -49,6 +49,9 @@ void journal_watch(journal_t *journal, const volatile snapshot_t *snapshot);
 /* The board has not taken what was to be written at this offset of servo_t. */
 void journal_refused(journal_t *journal, uint16_t offset);
 
+/* A copy in the data flash is not what it should be: stored_copy_t. */
+void journal_copy(journal_t *journal, uint16_t copy, uint16_t state);
+
 /* Hand lines to the console of the client, as many as it has room for now. */
 void journal_print(journal_t *journal, freemaster_t *server);
 

@@ -2,7 +2,6 @@
 
 #include <stddef.h>
 
-#include "app/variables.h"
 #include "config/contract_gen.h"
 
 typedef struct {
@@ -30,8 +29,23 @@ static uint32_t value_after(const ranges_memory_t *in, const write_t *write, uin
     return value;
 }
 
+uint32_t ranges_get(const variable_range_t *range, const uint8_t *element)
+{
+    return (range->size < sizeof(uint32_t)) ? *(const uint16_t *)(const void *)element
+                                            : *(const uint32_t *)(const void *)element;
+}
+
+void ranges_set(const variable_range_t *range, uint8_t *element, uint32_t value)
+{
+    if (range->size < sizeof value) {
+        *(uint16_t *)(void *)element = (uint16_t)value;
+    } else {
+        *(uint32_t *)(void *)element = value;
+    }
+}
+
 /* Counted from the minimum, modulo the size of the element: signed and unsigned numbers compare alike. */
-static bool in_range(const variable_range_t *range, uint32_t value)
+bool ranges_accept_value(const variable_range_t *range, uint32_t value)
 {
     const uint32_t mask = (range->size < sizeof value) ? UINT32_C(0xFFFF) : UINT32_MAX;
     return ((value - (uint32_t)range->min) & mask) <= (uint32_t)range->max - (uint32_t)range->min;
@@ -53,7 +67,7 @@ static bool elements_accept(const ranges_memory_t *in, const variable_range_t *r
             continue; /* untouched */
         }
         const uint32_t value = value_after(in, write, offset, range->size);
-        if (!in_range(range, value)) {
+        if (!ranges_accept_value(range, value)) {
             return false;
         }
         if (range->offset == in->positions && !in_reach(in, i, value)) {

@@ -34,30 +34,19 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->estimate = (estimate_block_t){0};
     servo->command = (command_block_t){0};
     servo->config = (config_request_t){0};
+    servo->brake_config = servo_config.brake;
+    const bool by_watchdog = hal_reset_by_watchdog(hal);
+    journal_init(&servo->journal, by_watchdog);
     configure_init(&servo->configure, &servo->config_status);
-    servo->parameter.host_timeout = servo_config.host_timeout;
-    servo->parameter.command_timeout = servo_config.command_timeout;
-    servo->parameter.brake = servo_config.brake.fitted ? 1U : 0U;
+    servo_restore(servo);
+    configure_begin(&servo->configure, &servo->config_status);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = configure_block(&servo->configure, i);
         axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
-        servo->parameter.speed_limit[i] = config->speed_limit;
-        servo->parameter.acceleration_limit[i] = config->acceleration_limit;
-        servo->parameter.i_q_limit[i] = config->i_q_limit;
-        servo->parameter.features[i] = config->features;
-        servo->parameter.feedback[i] = config->feedback;
-        servo->parameter.on_disable[i] = config->stop.disable;
-        servo->parameter.on_quick_stop[i] = config->stop.quick_stop;
-        servo->parameter.faults_enabled[i] = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
-        servo->parameter.position_min[i] = -config->position_limit;
-        servo->parameter.position_max[i] = config->position_limit;
-        servo->parameter.following_error[i] = config->following_error;
-        servo->parameter.over_speed[i] = config->over_speed;
         servo->belief.torque_constant[i] = config->torque_constant;
         servo->belief.acceleration_current[i] = config->acceleration_forward;
     }
     for (uint16_t i = 0; i < HAL_MONITORS; i++) {
-        servo->parameter.monitor[i] = MONITOR_NONE;
         servo->monitor[i] = 0;
     }
     latch_board(&servo->parameter, &servo->settings);
@@ -78,8 +67,6 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->host_silence = 0;
     servo->host_seen = false;
 
-    const bool by_watchdog = hal_reset_by_watchdog(hal);
-    journal_init(&servo->journal, by_watchdog);
     if (by_watchdog) {
         raise_on_all(servo, FINDING_WATCHDOG_RESET);
     }
@@ -148,13 +135,13 @@ static void watch_bus(servo_t *servo)
 {
     brake_t *brake = &servo->brake;
     const bool was_on = brake->on;
-    brake_step(brake, &servo_config.brake, servo->settings.brake_fitted, servo->axis[MOTOR_1].u_dc);
+    brake_step(brake, &servo->brake_config, servo->settings.brake_fitted, servo->axis[MOTOR_1].u_dc);
     if (brake->on != was_on) {
         hal_brake(servo->hal, brake->on);
     }
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         axis_t *axis = &servo->axis[i];
-        axis->diagnosis.bus.u_dc_max = brake->able ? servo_config.brake.u_dc_max_able : axis->config->u_dc_max;
+        axis->diagnosis.bus.u_dc_max = brake->able ? servo->brake_config.u_dc_max_able : axis->config->u_dc_max;
         axis->regen_derating = brake->regen_derating;
         axis->bus_limits = (uint16_t)(axis->home.refused | ((brake->on || brake->spent) ? LIMIT_BRAKE : 0U) |
                                       (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));

@@ -11,6 +11,7 @@
 #include "app/journal.h"
 #include "app/latch.h"
 #include "app/monitor.h"
+#include "app/storage.h"
 #include "comm/freemaster.h"
 #include "drive/axis.h"
 #include "hal/hal.h"
@@ -37,12 +38,16 @@ typedef struct servo {
     estimate_block_t estimate;
     config_request_t config;
     config_status_t config_status;
+    storage_request_t storage_request;
+    storage_status_t storage_status;
 
     hal_t *hal;
     axis_t axis[HAL_AXES];
     configure_t configure;
+    storage_t storage;
     board_settings_t settings;
     brake_t brake;
+    brake_config_t brake_config; /* a copy: no interrupt reads what may lie in the data flash */
     uint32_t tick; /* PWM periods since reset */
     bool m2_awaited;     /* M1 has run, M2 has not */
     uint16_t lateness;   /* of the loops, forgotten with time */
@@ -67,7 +72,8 @@ typedef struct servo {
 
 void servo_init(servo_t *servo, hal_t *hal);
 
-/* A part of it, for the host: server, its callbacks, passwords. */
+/* Parts of it: parameters, and what the data flash keeps; for the host, server, its callbacks, passwords. */
+void servo_restore(servo_t *servo);
 void servo_host_init(servo_t *servo);
 
 /* Interrupts: t1 and t3 of DRM F34, a latched encoder edge, the hardware over-current break. */

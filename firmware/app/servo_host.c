@@ -6,6 +6,7 @@
 #include "app/points.h"
 #include "app/ranges.h"
 #include "app/servo.h"
+#include "app/servo_storage.h"
 #include "app/variables.h"
 
 #define PWM_PERIOD_NS UINT32_C(62500)
@@ -49,6 +50,14 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
         }
         return accepted;
     }
+    const uint16_t storage = (uint16_t)offsetof(servo_t, storage_request);
+    if (offset >= storage && (uint32_t)offset + size <= storage + sizeof servo->storage_request) {
+        const bool accepted = servo_storage_accept(servo, offset, mask == NULL, data, size);
+        if (!accepted) {
+            journal_refused(&servo->journal, offset);
+        }
+        return accepted;
+    }
     const ranges_memory_t memory = {
         .memory = (const uint8_t *)servo,
         .positions = (uint16_t)offsetof(servo_t, command.position),
@@ -70,8 +79,10 @@ static void written(void *context, uint16_t offset, uint16_t size)
         latch_mark(&servo->marks, (uint16_t)(offset - begin), size);
     } else if (offset == offsetof(servo_t, config.window)) {
         configure_show(&servo->configure, &servo->config);
-    } else if (offset < offsetof(servo_t, config) || offset >= offsetof(servo_t, config_status)) {
-        servo->marks.parameters = true; /* nothing else can be written */
+    } else if (offset >= offsetof(servo_t, parameter) &&
+               offset < offsetof(servo_t, parameter) + sizeof servo->parameter) {
+        servo->marks.parameters = true;
+        storage_note_parameter(&servo->storage);
     }
 }
 
@@ -174,9 +185,14 @@ void servo_host_init(servo_t *servo)
 
 void servo_background(servo_t *servo)
 {
+    if (storage_busy(&servo->storage, servo->hal)) {
+        freemaster_listen(&servo->freemaster, servo->hal); /* journal and requests need tables */
+        return;
+    }
     journal_watch(&servo->journal, &servo->snapshot);
     journal_print(&servo->journal, &servo->freemaster);
     freemaster_poll(&servo->freemaster, servo->hal);
+    servo_storage_step(servo);
 }
 
 uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size)

@@ -24,6 +24,7 @@ extern const name_list_t servo_state_names;
 extern const name_list_t servo_substate_names;
 extern const name_list_t servo_refusal_names;
 extern const name_list_t servo_fault_names; /* of the bits */
+extern const name_list_t servo_copy_names;
 extern const variable_range_t servo_ranges[];
 extern const uint16_t servo_ranges_count;
 

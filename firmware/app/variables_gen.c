@@ -45,170 +45,178 @@ CHECK(25, SIZE(config_status.taken_count) == 2);
 CHECK(26, SIZE(config_status.answers) == 2);
 CHECK(27, SIZE(config_status.refusal) == 2);
 CHECK(28, SIZE(config_status.refused_member) == 2);
-CHECK(29, SIZE(parameter.speed_limit) == 8);
-CHECK(30, SIZE(parameter.acceleration_limit) == 8);
-CHECK(31, SIZE(parameter.i_q_limit) == 4);
-CHECK(32, SIZE(parameter.features) == 4);
-CHECK(33, SIZE(parameter.position_min) == 8);
-CHECK(34, SIZE(parameter.position_max) == 8);
-CHECK(35, SIZE(parameter.following_error) == 8);
-CHECK(36, SIZE(parameter.over_speed) == 8);
-CHECK(37, SIZE(parameter.feedback) == 4);
-CHECK(38, SIZE(parameter.on_disable) == 4);
-CHECK(39, SIZE(parameter.on_quick_stop) == 4);
-CHECK(40, SIZE(parameter.faults_enabled) == 8);
-CHECK(41, SIZE(parameter.monitor) == 4);
-CHECK(42, SIZE(parameter.host_timeout) == 2);
-CHECK(43, SIZE(parameter.command_timeout) == 2);
-CHECK(44, SIZE(parameter.brake) == 2);
-CHECK(45, SIZE(snapshot.axis[0].position) == 4);
-CHECK(46, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(47, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(48, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(49, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(50, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(51, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(52, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(53, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(54, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(55, SIZE(snapshot.axis[0].state) == 2);
-CHECK(56, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(57, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(58, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(59, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(60, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(61, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(62, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(63, SIZE(snapshot.axis[0].winding_temperature) == 2);
-CHECK(64, SIZE(snapshot.axis[0].home_state) == 2);
-CHECK(65, SIZE(snapshot.monitor[0]) == 2);
-CHECK(66, SIZE(estimate.axis[0].speed) == 4);
-CHECK(67, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(68, SIZE(estimate.axis[0].emf) == 2);
-CHECK(69, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(70, SIZE(record[0].pending) == 4);
-CHECK(71, SIZE(belief.torque_constant[0]) == 2);
-CHECK(72, SIZE(belief.acceleration_current[0]) == 4);
-CHECK(73, SIZE(snapshot.axis[1].position) == 4);
-CHECK(74, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(75, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(76, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(77, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(78, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(79, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(80, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(81, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(82, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(83, SIZE(snapshot.axis[1].state) == 2);
-CHECK(84, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(85, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(86, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(87, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(88, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(89, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(90, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(91, SIZE(snapshot.axis[1].winding_temperature) == 2);
-CHECK(92, SIZE(snapshot.axis[1].home_state) == 2);
-CHECK(93, SIZE(snapshot.monitor[1]) == 2);
-CHECK(94, SIZE(estimate.axis[1].speed) == 4);
-CHECK(95, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(96, SIZE(estimate.axis[1].emf) == 2);
-CHECK(97, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(98, SIZE(record[1].pending) == 4);
-CHECK(99, SIZE(belief.torque_constant[1]) == 2);
-CHECK(100, SIZE(belief.acceleration_current[1]) == 4);
-CHECK(101, SIZE(tick) >= 4);
-CHECK(102, SIZE(applied_tick) >= 4);
-CHECK(103, SIZE(applied_count) >= 2);
-CHECK(104, SIZE(axis[0].u_dc) >= 2);
-CHECK(105, SIZE(late_loops) >= 2);
-CHECK(106, SIZE(points_refused) >= 2);
-CHECK(107, SIZE(point_refusal) >= 2);
-CHECK(108, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(109, SIZE(axis[0].feedback.position) >= 4);
-CHECK(110, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(111, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(112, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(113, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(114, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(115, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(116, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(117, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(118, SIZE(axis[0].latch.captured) >= 4);
-CHECK(119, SIZE(axis[0].latch.first) >= 2);
-CHECK(120, SIZE(axis[0].active_limits) >= 2);
-CHECK(121, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(122, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(123, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(124, SIZE(axis[0].current_max.winding) >= 2);
-CHECK(125, SIZE(axis[0].home.state) >= 2);
-CHECK(126, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(127, SIZE(axis[0].estimate.size) >= 2);
-CHECK(128, SIZE(axis[0].latch.pending) >= 4);
-CHECK(129, SIZE(axis[0].home.result) >= 2);
-CHECK(130, SIZE(axis[0].home.spread) >= 2);
-CHECK(131, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(132, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(133, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(134, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(135, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(136, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(137, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(138, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(139, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(140, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(141, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(142, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(143, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(144, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(145, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(146, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(147, SIZE(axis[0].command.mode) >= 2);
-CHECK(148, SIZE(axis[0].events.command) >= 2);
-CHECK(149, SIZE(axis[0].events.mode) >= 2);
-CHECK(150, SIZE(axis[0].sm.entered) >= 2);
-CHECK(151, SIZE(axis[1].feedback.position) >= 4);
-CHECK(152, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(153, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(154, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(155, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(156, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(157, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(158, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(159, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(160, SIZE(axis[1].latch.captured) >= 4);
-CHECK(161, SIZE(axis[1].latch.first) >= 2);
-CHECK(162, SIZE(axis[1].active_limits) >= 2);
-CHECK(163, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(164, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(165, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(166, SIZE(axis[1].current_max.winding) >= 2);
-CHECK(167, SIZE(axis[1].home.state) >= 2);
-CHECK(168, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(169, SIZE(axis[1].estimate.size) >= 2);
-CHECK(170, SIZE(axis[1].latch.pending) >= 4);
-CHECK(171, SIZE(axis[1].home.result) >= 2);
-CHECK(172, SIZE(axis[1].home.spread) >= 2);
-CHECK(173, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(174, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(175, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(176, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(177, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(178, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(179, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(180, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(181, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(182, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(183, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(184, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(185, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(186, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(187, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(188, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(189, SIZE(axis[1].command.mode) >= 2);
-CHECK(190, SIZE(axis[1].events.command) >= 2);
-CHECK(191, SIZE(axis[1].events.mode) >= 2);
-CHECK(192, SIZE(axis[1].sm.entered) >= 2);
+CHECK(29, SIZE(storage_request.request) == 4);
+CHECK(30, SIZE(storage_status.sequence) == 4);
+CHECK(31, SIZE(storage_status.state) == 2);
+CHECK(32, SIZE(storage_status.answered) == 2);
+CHECK(33, SIZE(storage_status.refusal) == 2);
+CHECK(34, SIZE(storage_status.source) == 2);
+CHECK(35, SIZE(storage_status.copy) == 4);
+CHECK(36, SIZE(storage_status.saves) == 2);
+CHECK(37, SIZE(parameter.speed_limit) == 8);
+CHECK(38, SIZE(parameter.acceleration_limit) == 8);
+CHECK(39, SIZE(parameter.i_q_limit) == 4);
+CHECK(40, SIZE(parameter.features) == 4);
+CHECK(41, SIZE(parameter.position_min) == 8);
+CHECK(42, SIZE(parameter.position_max) == 8);
+CHECK(43, SIZE(parameter.following_error) == 8);
+CHECK(44, SIZE(parameter.over_speed) == 8);
+CHECK(45, SIZE(parameter.feedback) == 4);
+CHECK(46, SIZE(parameter.on_disable) == 4);
+CHECK(47, SIZE(parameter.on_quick_stop) == 4);
+CHECK(48, SIZE(parameter.faults_enabled) == 8);
+CHECK(49, SIZE(parameter.monitor) == 4);
+CHECK(50, SIZE(parameter.host_timeout) == 2);
+CHECK(51, SIZE(parameter.command_timeout) == 2);
+CHECK(52, SIZE(parameter.brake) == 2);
+CHECK(53, SIZE(snapshot.axis[0].position) == 4);
+CHECK(54, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(55, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(56, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(57, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(58, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(59, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(60, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(61, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(62, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(63, SIZE(snapshot.axis[0].state) == 2);
+CHECK(64, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(65, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(66, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(67, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(68, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(69, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(70, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(71, SIZE(snapshot.axis[0].winding_temperature) == 2);
+CHECK(72, SIZE(snapshot.axis[0].home_state) == 2);
+CHECK(73, SIZE(snapshot.monitor[0]) == 2);
+CHECK(74, SIZE(estimate.axis[0].speed) == 4);
+CHECK(75, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(76, SIZE(estimate.axis[0].emf) == 2);
+CHECK(77, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(78, SIZE(record[0].pending) == 4);
+CHECK(79, SIZE(belief.torque_constant[0]) == 2);
+CHECK(80, SIZE(belief.acceleration_current[0]) == 4);
+CHECK(81, SIZE(snapshot.axis[1].position) == 4);
+CHECK(82, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(83, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(84, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(85, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(86, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(87, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(88, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(89, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(90, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(91, SIZE(snapshot.axis[1].state) == 2);
+CHECK(92, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(93, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(94, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(95, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(96, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(97, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(98, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(99, SIZE(snapshot.axis[1].winding_temperature) == 2);
+CHECK(100, SIZE(snapshot.axis[1].home_state) == 2);
+CHECK(101, SIZE(snapshot.monitor[1]) == 2);
+CHECK(102, SIZE(estimate.axis[1].speed) == 4);
+CHECK(103, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(104, SIZE(estimate.axis[1].emf) == 2);
+CHECK(105, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(106, SIZE(record[1].pending) == 4);
+CHECK(107, SIZE(belief.torque_constant[1]) == 2);
+CHECK(108, SIZE(belief.acceleration_current[1]) == 4);
+CHECK(109, SIZE(tick) >= 4);
+CHECK(110, SIZE(applied_tick) >= 4);
+CHECK(111, SIZE(applied_count) >= 2);
+CHECK(112, SIZE(axis[0].u_dc) >= 2);
+CHECK(113, SIZE(late_loops) >= 2);
+CHECK(114, SIZE(points_refused) >= 2);
+CHECK(115, SIZE(point_refusal) >= 2);
+CHECK(116, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(117, SIZE(axis[0].feedback.position) >= 4);
+CHECK(118, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(119, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(120, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(121, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(122, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(123, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(124, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(125, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(126, SIZE(axis[0].latch.captured) >= 4);
+CHECK(127, SIZE(axis[0].latch.first) >= 2);
+CHECK(128, SIZE(axis[0].active_limits) >= 2);
+CHECK(129, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(130, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(131, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
+CHECK(132, SIZE(axis[0].current_max.winding) >= 2);
+CHECK(133, SIZE(axis[0].home.state) >= 2);
+CHECK(134, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(135, SIZE(axis[0].estimate.size) >= 2);
+CHECK(136, SIZE(axis[0].latch.pending) >= 4);
+CHECK(137, SIZE(axis[0].home.result) >= 2);
+CHECK(138, SIZE(axis[0].home.spread) >= 2);
+CHECK(139, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(140, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(141, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(142, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(143, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(144, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(145, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(146, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(147, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(148, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(149, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(150, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(151, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(152, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(153, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(154, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(155, SIZE(axis[0].command.mode) >= 2);
+CHECK(156, SIZE(axis[0].events.command) >= 2);
+CHECK(157, SIZE(axis[0].events.mode) >= 2);
+CHECK(158, SIZE(axis[0].sm.entered) >= 2);
+CHECK(159, SIZE(axis[1].feedback.position) >= 4);
+CHECK(160, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(161, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(162, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(163, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(164, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(165, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(166, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(167, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(168, SIZE(axis[1].latch.captured) >= 4);
+CHECK(169, SIZE(axis[1].latch.first) >= 2);
+CHECK(170, SIZE(axis[1].active_limits) >= 2);
+CHECK(171, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(172, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(173, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
+CHECK(174, SIZE(axis[1].current_max.winding) >= 2);
+CHECK(175, SIZE(axis[1].home.state) >= 2);
+CHECK(176, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(177, SIZE(axis[1].estimate.size) >= 2);
+CHECK(178, SIZE(axis[1].latch.pending) >= 4);
+CHECK(179, SIZE(axis[1].home.result) >= 2);
+CHECK(180, SIZE(axis[1].home.spread) >= 2);
+CHECK(181, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(182, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(183, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(184, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(185, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(186, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(187, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(188, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(189, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(190, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(191, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(192, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(193, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(194, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(195, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(196, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(197, SIZE(axis[1].command.mode) >= 2);
+CHECK(198, SIZE(axis[1].events.command) >= 2);
+CHECK(199, SIZE(axis[1].events.mode) >= 2);
+CHECK(200, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -301,6 +309,24 @@ static const char strings[] TABLE_MEMORY =
     "AXIS2_U_Q\0"
     "AXIS2_THETA_E\0"
     "AXIS2_SPEED\0"
+    "storage_state_t\0"
+    "IDLE\0"
+    "SAVING\0"
+    "ERASING\0"
+    "storage_source_t\0"
+    "BUILT_IN\0"
+    "COPY_A\0"
+    "COPY_B\0"
+    "stored_copy_t\0"
+    "EMPTY\0"
+    "INTACT\0"
+    "DAMAGED\0"
+    "OTHER_LAYOUT\0"
+    "OUT_OF_RANGE\0"
+    "ABSENT\0"
+    "storage_refusal_t\0"
+    "CHANGED\0"
+    "FLASH\0"
     "snapshot_t\0"
     "\xED:STRUCT\0"
     "tick\0"
@@ -366,6 +392,14 @@ static const char strings[] TABLE_MEMORY =
     "config.answers\0"
     "config.refusal\0"
     "config.refused_member\0"
+    "storage.request\0"
+    "storage.sequence\0"
+    "storage.state\0"
+    "storage.answered\0"
+    "storage.refusal\0"
+    "storage.source\0"
+    "storage.copy\0"
+    "storage.saves\0"
     "param.speed_limit\0"
     "param.acceleration_limit\0"
     "param.i_q_limit\0"
@@ -590,202 +624,233 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {647, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
     {657, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
     {671, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {683, 694, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
-    {703, 708, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
-    {710, 708, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
-    {723, 737, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
-    {739, 744, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {746, 737, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
-    {757, 737, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
-    {775, 737, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
-    {790, 214, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
-    {804, 809, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
-    {825, 744, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
-    {809, 694, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
-    {833, 842, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
-    {844, 842, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
-    {857, 863, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
-    {865, 863, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
-    {875, 744, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {879, 744, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {883, 744, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
-    {891, 744, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
-    {895, 744, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
-    {899, 744, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {907, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
-    {913, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
-    {922, 708, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
-    {929, 737, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
-    {941, 737, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
-    {948, 737, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
-    {963, 737, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
-    {976, 737, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
-    {988, 744, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
-    {1008, 288, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
-    {1019, 694, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {1034, 708, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
-    {703, 708, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {1042, 737, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
-    {907, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
-    {913, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {1047, 737, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {1052, 737, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
-    {879, 744, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {875, 744, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {899, 744, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {739, 744, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {857, 744, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {1057, 708, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {1072, 683, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {703, 708, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {710, 708, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {723, 737, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {739, 744, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {746, 737, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
-    {757, 737, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
-    {775, 737, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
-    {790, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {1081, 842, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {1094, 863, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {1104, 744, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {1112, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {1121, 737, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {1132, 737, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {1147, 737, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {1164, 842, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
-    {1182, 330, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
-    {1191, 842, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {1202, 842, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {1216, 842, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {1230, 737, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {1242, 708, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {1256, 708, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1272, 708, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1290, 737, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1309, 737, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1324, 737, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1339, 737, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1361, 863, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1379, 863, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1404, 744, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1420, 737, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1435, 842, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1454, 842, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {1473, 842, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {1495, 863, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {1512, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1527, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1544, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1564, 708, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {1585, 508, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {1599, 737, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {1618, 737, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {1640, 737, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {1652, 863, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {1661, 842, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {1676, 842, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {1695, 863, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {1707, 863, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {1723, 744, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {1733, 744, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {1743, 744, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {1757, 744, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {1767, 744, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {1777, 744, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1791, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1803, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1818, 708, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1831, 737, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1849, 737, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1862, 737, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {1883, 737, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {1902, 737, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {1920, 744, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {1946, 744, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {1968, 288, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
-    {1985, 744, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1999, 863, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {2020, 744, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {2043, 744, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {2062, 737, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {2086, 708, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {2100, 1019, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {2119, 416, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
-    {2137, 737, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2155, 744, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2177, 842, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {2204, 744, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {2214, 744, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {2224, 744, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {2234, 744, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {2248, 744, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {2261, 744, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {2274, 744, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {2287, 842, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {2298, 842, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {2309, 842, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2324, 863, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2340, 863, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2359, 863, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2375, 842, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2391, 842, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2407, 842, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2422, 95, LIVE(20), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2433, 737, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2453, 737, LIVE(22), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2470, 737, LIVE(23), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2488, 842, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2503, 842, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {2522, 863, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {2534, 863, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {2550, 744, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {2560, 744, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {2570, 744, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {2584, 744, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {2594, 744, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {2604, 744, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {2618, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {2630, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2645, 708, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2658, 737, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2676, 737, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {2689, 737, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {2710, 737, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {2729, 737, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {2747, 744, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {2773, 744, LIVE(24), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {2795, 288, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
-    {2812, 744, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {2826, 863, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {2847, 744, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {2870, 744, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {2889, 737, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {2913, 708, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {2927, 1019, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {2946, 416, LIVE(25), 2, TSA_KIND_RO}, /* axis2.home_result */
-    {2964, 737, LIVE(26), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {2982, 744, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3004, 842, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {3031, 744, LIVE(27), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {3041, 744, LIVE(28), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {3051, 744, LIVE(29), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {3061, 744, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {3075, 744, LIVE(31), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {3088, 744, LIVE(32), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {3101, 744, LIVE(33), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {3114, 842, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {3125, 842, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {3136, 842, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {3151, 863, LIVE(37), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {3167, 863, LIVE(38), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {3186, 863, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {3202, 842, LIVE(40), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {3218, 842, LIVE(41), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {3234, 842, LIVE(42), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {3249, 95, LIVE(43), 2, TSA_KIND_RO}, /* axis2.mode */
-    {3260, 737, LIVE(44), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {3280, 737, LIVE(45), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {3297, 737, LIVE(46), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {683, 8, 0, 2, TSA_KIND_NONE}, /* storage_state_t */
+    {699, 21, 0, 0, TSA_KIND_NONE}, /* IDLE */
+    {704, 21, 1, 0, TSA_KIND_NONE}, /* SAVING */
+    {711, 21, 2, 0, TSA_KIND_NONE}, /* ERASING */
+    {719, 8, 0, 2, TSA_KIND_NONE}, /* storage_source_t */
+    {736, 21, 0, 0, TSA_KIND_NONE}, /* BUILT_IN */
+    {745, 21, 1, 0, TSA_KIND_NONE}, /* COPY_A */
+    {752, 21, 2, 0, TSA_KIND_NONE}, /* COPY_B */
+    {759, 8, 0, 2, TSA_KIND_NONE}, /* stored_copy_t */
+    {773, 21, 0, 0, TSA_KIND_NONE}, /* EMPTY */
+    {779, 21, 1, 0, TSA_KIND_NONE}, /* INTACT */
+    {786, 21, 2, 0, TSA_KIND_NONE}, /* DAMAGED */
+    {794, 21, 3, 0, TSA_KIND_NONE}, /* OTHER_LAYOUT */
+    {807, 21, 4, 0, TSA_KIND_NONE}, /* OUT_OF_RANGE */
+    {820, 21, 5, 0, TSA_KIND_NONE}, /* ABSENT */
+    {827, 8, 0, 2, TSA_KIND_NONE}, /* storage_refusal_t */
+    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {283, 21, 1, 0, TSA_KIND_NONE}, /* FORM */
+    {820, 21, 2, 0, TSA_KIND_NONE}, /* ABSENT */
+    {278, 21, 3, 0, TSA_KIND_NONE}, /* BUSY */
+    {451, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
+    {845, 21, 5, 0, TSA_KIND_NONE}, /* CHANGED */
+    {853, 21, 6, 0, TSA_KIND_NONE}, /* FLASH */
+    {859, 870, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
+    {879, 884, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
+    {886, 884, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
+    {899, 913, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
+    {915, 920, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {922, 913, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
+    {933, 913, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
+    {951, 913, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
+    {966, 214, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
+    {980, 985, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
+    {1001, 920, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
+    {985, 870, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
+    {1009, 1018, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
+    {1020, 1018, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
+    {1033, 1039, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
+    {1041, 1039, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
+    {1051, 920, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {1055, 920, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {1059, 920, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
+    {1067, 920, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
+    {1071, 920, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
+    {1075, 920, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {1083, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
+    {1089, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
+    {1098, 884, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
+    {1105, 913, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
+    {1117, 913, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
+    {1124, 913, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
+    {1139, 913, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
+    {1152, 913, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
+    {1164, 920, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
+    {1184, 288, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
+    {1195, 870, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {1210, 884, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {879, 884, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
+    {1218, 913, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {1083, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
+    {1089, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
+    {1223, 913, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {1228, 913, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {1055, 920, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {1051, 920, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {1075, 920, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {915, 920, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {1033, 920, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
+    {1233, 884, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {1248, 859, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {879, 884, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {886, 884, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {899, 913, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {915, 920, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {922, 913, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {933, 913, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {951, 913, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
+    {966, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
+    {1257, 1018, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1270, 1039, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1280, 920, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1288, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1297, 913, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1308, 913, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1323, 913, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1340, 1018, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
+    {1358, 330, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
+    {1367, 1018, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {1378, 1018, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1392, 1018, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {1406, 913, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1418, 884, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1432, 884, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1448, 884, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1466, 913, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1485, 913, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1500, 913, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1515, 913, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1537, 913, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1553, 884, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1570, 683, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1584, 913, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1601, 827, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1617, 719, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1632, 759, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1645, 913, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1659, 1039, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1677, 1039, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1702, 920, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1718, 913, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1733, 1018, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1752, 1018, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {1771, 1018, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {1793, 1039, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {1810, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1825, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1842, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1862, 884, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {1883, 508, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {1897, 913, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {1916, 913, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {1938, 913, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {1950, 1039, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {1959, 1018, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {1974, 1018, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {1993, 1039, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {2005, 1039, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {2021, 920, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {2031, 920, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {2041, 920, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {2055, 920, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {2065, 920, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {2075, 920, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {2089, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {2101, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {2116, 884, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {2129, 913, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {2147, 913, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {2160, 913, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {2181, 913, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {2200, 913, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {2218, 920, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {2244, 920, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {2266, 288, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {2283, 920, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {2297, 1039, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2318, 920, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2341, 920, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2360, 913, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2384, 884, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2398, 1195, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2417, 416, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2435, 913, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2453, 920, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2475, 1018, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2502, 920, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2512, 920, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2522, 920, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2532, 920, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2546, 920, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2559, 920, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2572, 920, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2585, 1018, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2596, 1018, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2607, 1018, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2622, 1039, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2638, 1039, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2657, 1039, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2673, 1018, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2689, 1018, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2705, 1018, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2720, 95, LIVE(20), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2731, 913, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2751, 913, LIVE(22), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2768, 913, LIVE(23), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2786, 1018, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2801, 1018, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {2820, 1039, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {2832, 1039, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {2848, 920, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {2858, 920, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {2868, 920, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {2882, 920, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {2892, 920, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {2902, 920, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {2916, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {2928, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2943, 884, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2956, 913, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2974, 913, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {2987, 913, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {3008, 913, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {3027, 913, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {3045, 920, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {3071, 920, LIVE(24), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {3093, 288, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {3110, 920, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {3124, 1039, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {3145, 920, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {3168, 920, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {3187, 913, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {3211, 884, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {3225, 1195, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {3244, 416, LIVE(25), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {3262, 913, LIVE(26), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {3280, 920, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3302, 1018, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3329, 920, LIVE(27), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3339, 920, LIVE(28), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3349, 920, LIVE(29), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3359, 920, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3373, 920, LIVE(31), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3386, 920, LIVE(32), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3399, 920, LIVE(33), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3412, 1018, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3423, 1018, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3434, 1018, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3449, 1039, LIVE(37), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3465, 1039, LIVE(38), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3484, 1039, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3500, 1018, LIVE(40), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3516, 1018, LIVE(41), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3532, 1018, LIVE(42), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3547, 95, LIVE(43), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3558, 913, LIVE(44), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3578, 913, LIVE(45), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3595, 913, LIVE(46), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -894,7 +959,9 @@ static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87};
 const name_list_t servo_substate_names = {substate_offsets, 6};
 static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 119, 265, 278, 283};
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
-static const uint16_t fault_offsets[] = {3315, 3328, 3342, 3355, 3370, 159, 3383, 3395, 3403, 3411, 3424, 3440, 3451, 3468, 3485, 3494, 3509, 3524, 3535, 3549, 3559, 3568, 317};
+static const uint16_t copy_offsets[] = {773, 779, 786, 794, 807, 820};
+const name_list_t servo_copy_names = {copy_offsets, 6};
+static const uint16_t fault_offsets[] = {3613, 3626, 3640, 3653, 3668, 159, 3681, 3693, 3701, 3709, 3722, 3738, 3749, 3766, 3783, 3792, 3807, 3822, 3833, 3847, 3857, 3866, 317};
 const name_list_t servo_fault_names = {fault_offsets, 23};
 
 const variable_range_t servo_ranges[] = {
@@ -911,6 +978,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(config.window), 4, 25, INT32_MIN, INT32_C(2147483647)}, /* config.window */
     {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */
     {OFFSET(config.take), 2, 1, INT32_C(0), INT32_C(3)}, /* config.take */
+    {OFFSET(storage_request.request), 2, 2, INT32_C(0), INT32_C(65535)}, /* storage.request */
     {OFFSET(parameter.speed_limit), 4, 2, INT32_C(410139), INT32_C(1718483103)}, /* param.speed_limit */
     {OFFSET(parameter.acceleration_limit), 4, 2, INT32_C(2051), INT32_C(102534791)}, /* param.acceleration_limit */
     {OFFSET(parameter.i_q_limit), 2, 2, INT32_C(397), INT32_C(15888)}, /* param.i_q_limit */

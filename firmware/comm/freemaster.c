@@ -351,11 +351,9 @@ static void execute(freemaster_t *server)
     frame_send(&server->transmitter, status, reply.size);
 }
 
-static void receive(freemaster_t *server, uint8_t byte)
+static void answer(freemaster_t *server, frame_event_t event)
 {
-    switch (frame_receive(&server->receiver, byte)) {
-    case FRAME_NOTHING:
-        break;
+    switch (event) {
     case FRAME_COMPLETE:
         execute(server);
         break;
@@ -367,7 +365,7 @@ static void receive(freemaster_t *server, uint8_t byte)
         server->statistics.bad_crc++;
         frame_send(&server->transmitter, FM_BAD_CHECKSUM, 0);
         break;
-    case FRAME_ABORTED:
+    default: /* given up */
         server->statistics.aborted++;
         break;
     }
@@ -389,6 +387,7 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
         recorder_init(&server->recorder[i], &app->recorder[i], &server->samples);
     }
     server->statistics = none;
+    server->received = FRAME_NOTHING;
     frame_receiver_init(&server->receiver);
     frame_transmitter_init(&server->transmitter);
     scope_init(&server->scope);
@@ -397,17 +396,46 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
     pipe_init(&server->pipe, app->console);
 }
 
-void freemaster_poll(freemaster_t *server, hal_t *hal)
+/* Bytes that come while an answer leaves are lost. */
+static frame_event_t receive(freemaster_t *server, uint8_t byte)
+{
+    if (frame_is_sending(&server->transmitter)) {
+        server->statistics.bytes_lost++;
+        return FRAME_NOTHING;
+    }
+    return frame_receive(&server->receiver, byte);
+}
+
+static void transmit(freemaster_t *server, hal_t *hal)
 {
     uint8_t byte;
-    while (hal_serial_get(hal, &byte)) {
-        if (frame_is_sending(&server->transmitter)) {
-            server->statistics.bytes_lost++;
-        } else {
-            receive(server, byte);
-        }
-    }
     while (frame_peek(&server->transmitter, &byte) && hal_serial_put(hal, byte)) {
         frame_advance(&server->transmitter);
     }
+}
+
+/* Up to the next event, which waits. */
+static void fetch(freemaster_t *server, hal_t *hal)
+{
+    uint8_t byte;
+    while (server->received == FRAME_NOTHING && hal_serial_get(hal, &byte)) {
+        server->received = receive(server, byte);
+    }
+}
+
+void freemaster_listen(freemaster_t *server, hal_t *hal)
+{
+    fetch(server, hal);
+    transmit(server, hal);
+}
+
+void freemaster_poll(freemaster_t *server, hal_t *hal)
+{
+    fetch(server, hal);
+    while (server->received != FRAME_NOTHING) {
+        answer(server, server->received);
+        server->received = FRAME_NOTHING;
+        fetch(server, hal);
+    }
+    transmit(server, hal);
 }

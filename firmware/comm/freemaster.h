@@ -32,6 +32,7 @@ typedef struct {
     freemaster_app_t app;
     tsa_space_t space;
     frame_receiver_t receiver;
+    frame_event_t received; /* that has not been dealt with */
     frame_transmitter_t transmitter;
     scope_t scope;
     recorder_memory_t samples;
@@ -47,6 +48,9 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app);
 /* Move bytes from and to the serial line; carries out at most one request. What is received before its answer has been
  * handed to the line is dropped: a vendor target would destroy both answers. */
 void freemaster_poll(freemaster_t *server, hal_t *hal);
+
+/* The same while the tables cannot be read: a request that has come waits for the next freemaster_poll. */
+void freemaster_listen(freemaster_t *server, hal_t *hal);
 
 /* What the client on the line may do: ACCESS_NONE .. ACCESS_TUNE. */
 uint8_t freemaster_level(const freemaster_t *server);

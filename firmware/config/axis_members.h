@@ -26,4 +26,10 @@ typedef struct {
 extern const axis_range_t axis_ranges[];
 extern const axis_member_t axis_members[AXIS_MEMBERS];
 
+/* A member by its number. */
+int32_t axis_member_get(const axis_config_t *block, uint16_t number);
+void axis_member_set(axis_config_t *block, uint16_t number, int32_t value);
+bool axis_member_accepts(uint16_t number, int32_t value);
+uint16_t axis_member_kind(uint16_t number); /* MEMBER_ bits */
+
 #endif

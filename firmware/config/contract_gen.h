@@ -5,7 +5,10 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x973AB987)
+#define CATALOGUE_HASH UINT32_C(0xC9222710)
+
+#define PARAMETER_LAYOUT UINT32_C(0x632423D4)
+#define PARAMETER_VALUES 29U
 
 typedef enum {
     STATE_FAULT = 0,
@@ -107,6 +110,37 @@ typedef enum {
     MONITOR_AXIS2_SPEED = 15,
 } monitor_t;
 
+typedef enum {
+    STORAGE_STATE_IDLE = 0,
+    STORAGE_STATE_SAVING = 1,
+    STORAGE_STATE_ERASING = 2,
+} storage_state_t;
+
+typedef enum {
+    STORAGE_SOURCE_BUILT_IN = 0,
+    STORAGE_SOURCE_COPY_A = 1,
+    STORAGE_SOURCE_COPY_B = 2,
+} storage_source_t;
+
+typedef enum {
+    STORED_COPY_EMPTY = 0,
+    STORED_COPY_INTACT = 1,
+    STORED_COPY_DAMAGED = 2,
+    STORED_COPY_OTHER_LAYOUT = 3,
+    STORED_COPY_OUT_OF_RANGE = 4,
+    STORED_COPY_ABSENT = 5,
+} stored_copy_t;
+
+typedef enum {
+    STORAGE_REFUSAL_NONE = 0,
+    STORAGE_REFUSAL_FORM = 1,
+    STORAGE_REFUSAL_ABSENT = 2,
+    STORAGE_REFUSAL_BUSY = 3,
+    STORAGE_REFUSAL_MOTION = 4,
+    STORAGE_REFUSAL_CHANGED = 5,
+    STORAGE_REFUSAL_FLASH = 6,
+} storage_refusal_t;
+
 #define FAULT_OVER_VOLTAGE UINT32_C(0x00000001) /* DC bus above the over-voltage limit */
 #define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002) /* DC bus below the under-voltage limit */
 #define FAULT_OVER_CURRENT UINT32_C(0x00000004) /* hardware over-current latch tripped */
@@ -181,6 +215,9 @@ typedef enum {
 #define CONFIG_REFUSAL_UNCHECKED 8
 #define CONFIG_REFUSAL_MOTION 9
 #define CONFIG_REFUSAL_BUSY 10
+
+#define STORAGE_REQUEST_SAVE 1
+#define STORAGE_REQUEST_FACTORY 2
 
 #define PARAM_FEATURES_MAX INT32_C(65535)
 #define PARAM_FAULTS_ENABLED_MAX INT32_C(8388607)

@@ -3,6 +3,13 @@
 #include "config/contract_gen.h"
 #include "diagnosis/fault_rules.h"
 
+static fault_rule_t rule_of(uint16_t finding)
+{
+    fault_rule_t rule;
+    program_table_copy(&rule, &fault_rules[finding], sizeof rule);
+    return rule;
+}
+
 /* A silent phase whose converter repeats its code is no evidence of a lost phase, nor is any while a converter is off. */
 static uint16_t suspicions(const evidence_t *evidence)
 {
@@ -14,8 +21,10 @@ static uint16_t suspicions(const evidence_t *evidence)
 static fault_set_t cause_of(uint16_t suspected, fault_set_t enabled)
 {
     for (uint16_t i = 0; suspected != 0U && i < FAULT_CAUSES; i++) {
-        if ((suspected & fault_causes[i].suspicion) != 0U && (enabled & fault_causes[i].fault) != 0U) {
-            return fault_causes[i].fault;
+        fault_cause_t cause;
+        program_table_copy(&cause, &fault_causes[i], sizeof cause);
+        if ((suspected & cause.suspicion) != 0U && (enabled & cause.fault) != 0U) {
+            return cause.fault;
         }
     }
     return 0;
@@ -34,8 +43,8 @@ static fault_set_t name_of(const fault_rule_t *rule, uint16_t suspected, fault_s
 bool fault_relevant(finding_set_t findings, fault_set_t enabled)
 {
     for (; findings != 0U; findings &= findings - 1U) {
-        const fault_rule_t *rule = &fault_rules[fault_lowest(findings)];
-        if (((rule->fault | rule->otherwise) & enabled) != 0U || cause_of(rule->instead, enabled) != 0U) {
+        const fault_rule_t rule = rule_of(fault_lowest(findings));
+        if (((rule.fault | rule.otherwise) & enabled) != 0U || cause_of(rule.instead, enabled) != 0U) {
             return true;
         }
     }
@@ -47,10 +56,10 @@ fault_verdict_t fault_isolate(const evidence_t *evidence, fault_set_t enabled)
     const uint16_t suspected = suspicions(evidence);
     fault_verdict_t verdict = {0, 0};
     for (finding_set_t findings = evidence->confirmed; findings != 0U; findings &= findings - 1U) {
-        const fault_rule_t *rule = &fault_rules[fault_lowest(findings)];
-        const fault_set_t name = name_of(rule, suspected, enabled);
+        const fault_rule_t rule = rule_of(fault_lowest(findings));
+        const fault_set_t name = name_of(&rule, suspected, enabled);
         verdict.first = (verdict.first == 0U) ? name : verdict.first;
-        verdict.faults |= name | (rule->fault & FAULT_OVER_CURRENT & enabled); /* that there was */
+        verdict.faults |= name | (rule.fault & FAULT_OVER_CURRENT & enabled); /* that there was */
     }
     return verdict;
 }
@@ -59,7 +68,7 @@ fault_set_t fault_names(finding_set_t findings)
 {
     fault_set_t faults = 0;
     for (; findings != 0U; findings &= findings - 1U) {
-        faults |= fault_rules[fault_lowest(findings)].fault;
+        faults |= rule_of(fault_lowest(findings)).fault;
     }
     return faults;
 }
@@ -69,7 +78,7 @@ finding_set_t fault_wanted(finding_set_t findings, fault_set_t enabled)
     finding_set_t wanted = 0;
     for (; findings != 0U; findings &= findings - 1U) {
         const uint16_t lowest = fault_lowest(findings);
-        wanted |= ((fault_rules[lowest].fault & enabled) != 0U) ? FOUND(lowest) : 0U;
+        wanted |= ((rule_of(lowest).fault & enabled) != 0U) ? FOUND(lowest) : 0U;
     }
     return wanted;
 }
@@ -77,9 +86,10 @@ finding_set_t fault_wanted(finding_set_t findings, fault_set_t enabled)
 fault_revision_t fault_revise(fault_set_t fresh, fault_set_t captured, uint32_t age)
 {
     for (uint16_t i = 0; i < FAULT_REVISIONS; i++) {
-        if ((fresh & fault_revisions[i].fault) != 0U && age < fault_revisions[i].within &&
-            (captured & fault_revisions[i].after) != 0U) {
-            return (fault_revision_t){fault_revisions[i].fault, fault_revisions[i].voids};
+        fault_revision_rule_t rule;
+        program_table_copy(&rule, &fault_revisions[i], sizeof rule);
+        if ((fresh & rule.fault) != 0U && age < rule.within && (captured & rule.after) != 0U) {
+            return (fault_revision_t){rule.fault, rule.voids};
         }
     }
     return (fault_revision_t){0, 0};

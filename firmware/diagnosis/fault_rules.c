@@ -15,7 +15,7 @@
 #define ANGLE SUSPECT_ANGLE
 
 /* clang-format off */
-const fault_rule_t fault_rules[FINDINGS] = {
+PROGRAM_TABLE fault_rule_t fault_rules[FINDINGS] = {
     [FINDING_OVER_VOLTAGE] = {FAULT_OVER_VOLTAGE, 0, 0}, /* filtered bus voltage above its limit */
     [FINDING_UNDER_VOLTAGE] = {FAULT_UNDER_VOLTAGE, 0, 0}, /* filtered bus voltage below its limit, but for INIT */
     [FINDING_HARDWARE_BREAK] = {FAULT_OVER_CURRENT, SILENCE | ENCODER, 0}, /* the hardware latch has opened the switches; this is sooner than slower checks */
@@ -53,7 +53,7 @@ const fault_rule_t fault_rules[FINDINGS] = {
 };
 
 /* What explains other findings, the strongest first. */
-const fault_cause_t fault_causes[FAULT_CAUSES] = {
+PROGRAM_TABLE fault_cause_t fault_causes[FAULT_CAUSES] = {
     {SENSOR, FAULT_CURRENT_SENSE}, /* a converter off its offset twice, or six equal codes among noisy ones */
     {PHASE, FAULT_PHASE_LOST}, /* a phase silent for two ticks or in three directions, or eight ticks of voltage without current */
     {ENCODER, FAULT_ENCODER_LOST}, /* the count had stopped at once, and READY has shorted the windings */
@@ -67,7 +67,7 @@ const fault_cause_t fault_causes[FAULT_CAUSES] = {
 
 /* Causes that are found after their consequence. `within` [PWM periods]: a converter that repeats its code is found within
  * 128 ms; the loops are counted once in a slow tick, the over-current that they have let happen is seen at once. */
-const fault_revision_rule_t fault_revisions[FAULT_REVISIONS] = {
+PROGRAM_TABLE fault_revision_rule_t fault_revisions[FAULT_REVISIONS] = {
     {FAULT_CURRENT_SENSE, 2048, CURRENT_DERIVED_FAULTS | FAULT_OVER_CURRENT, CURRENT_DERIVED_FAULTS}, /* current feedback invalid; faults derived from it are void */
     {FAULT_LATE_LOOP, 16, FAULT_OVER_CURRENT, 0}, /* duties stood still while the shaft went on */
 };

@@ -1,9 +1,10 @@
 /* fault_rules.h - the tables that name faults; fault_isolate.c applies them. Tables only, so that a chip may keep them in a
- * slower memory. */
+ * slower memory; not in the data flash, which cannot be read while it is written. */
 #ifndef SERVO_DIAGNOSIS_FAULT_RULES_H
 #define SERVO_DIAGNOSIS_FAULT_RULES_H
 
 #include "diagnosis/evidence.h"
+#include "math/program_table.h"
 
 #define FAULT_CAUSES 4
 #define FAULT_REVISIONS 2
@@ -26,8 +27,8 @@ typedef struct {
     fault_set_t voids;
 } fault_revision_rule_t;
 
-extern const fault_rule_t fault_rules[FINDINGS];
-extern const fault_cause_t fault_causes[FAULT_CAUSES];
-extern const fault_revision_rule_t fault_revisions[FAULT_REVISIONS];
+extern PROGRAM_TABLE fault_rule_t fault_rules[FINDINGS];
+extern PROGRAM_TABLE fault_cause_t fault_causes[FAULT_CAUSES];
+extern PROGRAM_TABLE fault_revision_rule_t fault_revisions[FAULT_REVISIONS];
 
 #endif

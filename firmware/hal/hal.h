@@ -102,6 +102,32 @@ bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture);
 #define HAL_EDGE_AGE_OVERFLOW UINT32_C(0x10000)
 uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
 
+/* ---- data flash ------------------------------------------------------------------------------------------------- */
+
+/* What stays without power: sectors of words of 32 bits. An erase makes ones of a sector; a word is programmed once after
+ * that. One command at a time; each ends by itself. While it is under way, and while power fails meanwhile, nobody knows
+ * what the sector or the word reads as, and nothing else in the data flash can be read. */
+#define HAL_FLASH_SECTORS 4U
+#define HAL_FLASH_SECTOR_WORDS 256U
+
+typedef enum {
+    HAL_FLASH_DONE,
+    HAL_FLASH_BUSY,
+    HAL_FLASH_FAILED,
+} hal_flash_t;
+
+/* False on a board without data flash: the other functions must not be called then. */
+bool hal_flash_present(hal_t *hal);
+
+uint32_t hal_flash_read(hal_t *hal, uint16_t word);
+
+/* Begin a command. */
+void hal_flash_erase(hal_t *hal, uint16_t sector);
+void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value);
+
+/* What has become of the last command. */
+hal_flash_t hal_flash_result(hal_t *hal);
+
 /* ---- serial line and watchdog ---------------------------------------------------------------------------------- */
 
 /* Take one received byte; false when there is none. */

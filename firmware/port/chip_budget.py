@@ -26,7 +26,7 @@ ARM: Final = ("arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-O2")
 AVR: Final = ("avr-gcc", "-mmcu=atmega1284p", "-Os")
 
 RAM_WORDS: Final = 0x4000
-DATA_FLASH_WORDS: Final = 0x4000
+DATA_FLASH_WORDS: Final = 0x3800  # the rest is what the board keeps without power
 BYTES_PER_WORD: Final = 2
 CALL_WORDS: Final = 2  # JSR pushes PC and SR
 INTERRUPT_WORDS: Final = 64  # `interrupt alignsp saveall`: some 45 words of registers, alignment, PC and SR
@@ -89,7 +89,7 @@ class Program:
     code: Mapping[str, int]
     """Bytes of Thumb-2 by file."""
     constants: Mapping[str, int]
-    """Bytes of read-only data by file; but for `table_files` the chip keeps them in RAM."""
+    """Bytes of read-only data by file; but for `table_files` and `program_table_files` the chip keeps them in RAM."""
 
     def find(self, pattern: str) -> set[str]:
         """Functions whose name matches.
@@ -257,6 +257,11 @@ def table_files() -> list[str]:
     return [f"{name}.c" for name in listed("list-tables")]
 
 
+def program_table_files() -> list[str]:
+    """Files of nothing but tables that stay beside the program."""
+    return [f"{name}.c" for name in listed("list-program-tables")]
+
+
 def stack_words() -> int:
     """What the linker file keeps for the stack."""
     text = (CHIP / "mc56f84789.cmd").read_text(encoding="ascii")
@@ -294,12 +299,13 @@ def budget(program: Program) -> Budget:
         by_level[level] = (deepest, depths[deepest])
     code = sum(program.code[name] for name in fast_files())
     tables = sum(program.constants[name] for name in table_files())
+    beside = sum(program.constants[name] for name in program_table_files())
     return Budget(
         program.depth("main"),
         by_level,
         round(code / BYTES_PER_WORD * CODE_ALLOWANCE),
         data_words(),
-        -(-(sum(program.constants.values()) - tables) // BYTES_PER_WORD),
+        -(-(sum(program.constants.values()) - tables - beside) // BYTES_PER_WORD),
         stack_words(),
         -(-tables // BYTES_PER_WORD),
     )

@@ -20,6 +20,7 @@ void fake_hal_init(hal_t *hal)
 {
     memset(hal, 0, sizeof *hal);
     hal->bus_code = 2708; /* 24 V */
+    memset(hal->flash, 0xFF, sizeof hal->flash);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         fake_axis_t *axis = &hal->axis[i];
         for (uint16_t phase = 0; phase < 3; phase++) {
@@ -136,6 +137,50 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 {
     note(hal, FAKE_EDGE_AGE, axis, 0);
     return hal->axis[axis].age;
+}
+
+bool hal_flash_present(hal_t *hal) { return !hal->flash_absent; }
+
+uint32_t hal_flash_read(hal_t *hal, uint16_t word)
+{
+    hal->flash_reads = (uint16_t)(hal->flash_reads + ((hal->flash_left > 0U) ? 1U : 0U));
+    return hal->flash[word];
+}
+
+static void begin_flash(hal_t *hal, bool erases, uint16_t at, uint32_t value)
+{
+    hal->flash_left = (uint16_t)(hal->flash_polls + 1U);
+    hal->flash_commands++;
+    hal->flash_erases = erases;
+    hal->flash_at = at;
+    hal->flash_value = value;
+}
+
+void hal_flash_erase(hal_t *hal, uint16_t sector) { begin_flash(hal, true, sector, 0); }
+
+void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value) { begin_flash(hal, false, word, value); }
+
+static void change_flash(hal_t *hal)
+{
+    const uint16_t words = hal->flash_erases ? HAL_FLASH_SECTOR_WORDS : 1U;
+    uint32_t *word = &hal->flash[hal->flash_at * words];
+    for (uint16_t i = 0; i < words; i++) {
+        const uint32_t after = hal->flash_erases ? UINT32_MAX : word[i] & hal->flash_value;
+        word[i] = (word[i] & hal->flash_stuck) | (after & ~hal->flash_stuck);
+    }
+}
+
+hal_flash_t hal_flash_result(hal_t *hal)
+{
+    if (hal->flash_left > 1U) {
+        hal->flash_left--;
+        return HAL_FLASH_BUSY;
+    }
+    if (hal->flash_left == 1U) {
+        hal->flash_left = 0;
+        change_flash(hal);
+    }
+    return hal->flash_fails ? HAL_FLASH_FAILED : HAL_FLASH_DONE;
 }
 
 bool hal_serial_get(hal_t *hal, uint8_t *byte)

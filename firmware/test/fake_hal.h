@@ -6,6 +6,7 @@
 
 #define FAKE_EVENTS 512
 #define FAKE_SERIAL 512
+#define FAKE_FLASH (HAL_FLASH_SECTORS * HAL_FLASH_SECTOR_WORDS)
 
 typedef enum {
     FAKE_ADC_SELECT, /* value: pair */
@@ -66,6 +67,17 @@ struct hal {
     uint16_t serial_in_taken;
     uint8_t serial_out[FAKE_SERIAL];
     uint16_t serial_out_size;
+    uint32_t flash[FAKE_FLASH];
+    bool flash_absent;
+    uint16_t flash_polls; /* for which a command is busy */
+    uint16_t flash_left;  /* .. of the present one */
+    uint16_t flash_commands; /* begun */
+    uint16_t flash_reads;  /* while one was under way: nobody may */
+    bool flash_erases;     /* the present one is an erase */
+    uint16_t flash_at;     /* .. of this sector, or programs this word */
+    uint32_t flash_value;
+    bool flash_fails; /* the controller reports an error from now on */
+    uint32_t flash_stuck; /* bits that no command changes */
     bool logging;
     uint16_t events;
     fake_event_t event[FAKE_EVENTS];

@@ -52,6 +52,11 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
 bool hal_serial_get(hal_t *hal, uint8_t *byte);
 bool hal_serial_put(hal_t *hal, uint8_t byte);
 void hal_watchdog_service(hal_t *hal);
+bool hal_flash_present(hal_t *hal);
+uint32_t hal_flash_read(hal_t *hal, uint16_t word);
+void hal_flash_erase(hal_t *hal, uint16_t sector);
+void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value);
+int hal_flash_result(hal_t *hal);
 """
 
 READ, WRITE, INTERRUPTS, SERVO = range(4)

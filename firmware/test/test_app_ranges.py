@@ -19,7 +19,7 @@ CATALOGUE = Catalogue.load()
 WRITABLE = {
     v.name: v
     for v in CATALOGUE.variables.values()
-    if v.writable and v.name != "cmd.points" and not v.name.startswith("config.")
+    if v.writable and v.name != "cmd.points" and not v.name.startswith(("config.", "storage."))
 }
 RANGED = [name for name in WRITABLE if name != "cmd.position"]
 BOUNDED = [name for name in RANGED if WRITABLE[name].raw_range[1] + 1 < 1 << 8 * WRITABLE[name].element_size]

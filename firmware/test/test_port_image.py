@@ -56,7 +56,8 @@ def test_memory() -> None:
     assert end == 0x20000
     assert regions()["x_ram"] == ("RW", 0, 0x4000)
     assert regions()["x_image"] == ("RX", 0, 0x4000)
-    assert regions()["x_flex_nvm"] == ("R", 0x8000, 0x4000)
+    assert regions()["x_flex_nvm"] == ("R", 0x8000, 0x3800)
+    assert regions()["x_kept"] == ("RW", 0xB800, 0x0800)
     assert regions()["ram_code"] == ("RX", 0x60000, 0x4000)
     assert regions()["p_vectors"][2] == 2 * len(table())
     assert regions()["p_flash_config"][1:] == (0x200, 8)

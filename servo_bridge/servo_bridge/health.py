@@ -8,6 +8,7 @@ from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from servo_msgs_py.board_parameters import RawParameters, si
+from servo_msgs_py.board_storage import Storage
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import diagnostic_status, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
@@ -257,6 +258,14 @@ class Health:
         known = si(values, self._catalogue)
         texts = {name: value_text(self._catalogue[name], value, self._catalogue) for name, value in known.items()}
         return self._status("parameters", _WARN if trouble else _OK, trouble or "as wanted", dict(texts))
+
+    def storage(self, storage: Storage | None) -> DiagnosticStatus:
+        """Status of what the data flash of the board keeps."""
+        if storage is None:
+            return self._status("storage", _OK, "not read yet", {})
+        values = {"newest set": storage.sequence or "none", "values since the reset": _words(storage.source)}
+        values |= {f"copy {name}": _words(copy) for name, copy in zip("AB", storage.copies, strict=True)}
+        return self._status("storage", _WARN if storage.trouble else _OK, storage.text, values)
 
     def _status(self, part: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
         return diagnostic_status(f"{self._node}: {part}", level, message, self._hardware, values)

@@ -47,6 +47,7 @@ from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
 from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.setpoint_topics import SetPointTopics
+from servo_bridge.storage_service import StorageService
 from servo_bridge.telemetry import Frame, Telemetry
 from servo_bridge.trajectory.check import Limits, require
 from servo_bridge.trajectory.follower import AxisReport, Follower
@@ -255,6 +256,9 @@ class Supervisor:
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
+        self._storage = StorageService(
+            node, self._link.call, self._inbox.post, say=lambda text: self._log.info(text), warn=self._warn
+        )
         self._offer_services()
         self._start_timers()
         self._publish_description()
@@ -413,6 +417,7 @@ class Supervisor:
             self._dispatcher.open(_TAKE_OVER)
             self._read_beliefs()
             self._tuning.connected()
+            self._storage.connected()
         else:
             if status.state is LinkState.CONNECTING:
                 self._log.info(str(status))
@@ -434,6 +439,7 @@ class Supervisor:
             self._publications.positions_known(self._homing.known)
             self._fault_records.link_lost()
             self._records.link_lost()
+            self._storage.link_lost()
         self._publish_state()
 
     def _on_sample(self, sample: Sample) -> None:
@@ -615,6 +621,7 @@ class Supervisor:
             ),
             health.stream(self._streamer.report),
             health.parameters(self._board_parameters.values, self._board_parameters.trouble),
+            health.storage(self._storage.storage),
         ]
         self._diagnostics.publish(diagnostic_array(self._node.get_clock().now().nanoseconds, statuses))
         self._read_counters()

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge import tool_commands, tool_faults, tool_record, tool_scope, tool_tune
+from servo_bridge import tool_commands, tool_faults, tool_record, tool_scope, tool_storage, tool_tune
 from servo_bridge.desktop_project import desktop_project
 from servo_bridge.freemaster.client import PASSWORD_VARIABLE, Client, password_of_environment
 from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, RecorderError
@@ -173,16 +173,26 @@ def _parser() -> argparse.ArgumentParser:
     command = add("tune", tool_tune.tune, "change gains and motor data of a board that runs, or read them back")
     tool_tune.add_arguments(command)
     for name, run, text in (
-        ("save", tool_commands.save, "save the parameters of the board to a file"),
+        (
+            "save",
+            tool_commands.save,
+            "save the parameters of the board to a file, or both parameters and configuration in it",
+        ),
         ("load", tool_commands.load, "write the parameters of a file to the board"),
         ("diff", tool_commands.diff, "compare a file with the board; exit status 1 when they differ"),
     ):
         command = add(name, run, text)
-        command.add_argument("file", metavar="FILE", help=".toml or .json")
+        command.add_argument("file", metavar="FILE", help=".toml or .json", nargs="?" if name == "save" else None)
         if name == "save":
+            command.add_argument(
+                "--to-board",
+                action="store_true",
+                help="keep parameters and configuration in the data flash of the board: a reset brings them back",
+            )
             command.add_argument(
                 "--match", default="param.*", metavar="PATTERN", help="variables to save (default: 'param.*')"
             )
+    add("factory", tool_storage.factory, "erase what save --to-board has kept: built-in values from the next reset on")
     return parser
 
 

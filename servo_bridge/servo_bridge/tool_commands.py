@@ -22,6 +22,7 @@ from servo_bridge.freemaster.client import LEVELS
 from servo_bridge.freemaster.errors import StatusError
 from servo_bridge.freemaster.tsa import Number
 from servo_bridge.sampler import Reading, Sampler
+from servo_bridge.tool_storage import save_to_board, storage_row
 from servo_bridge.tool_values import UsageError, describe, lookup, opened, parse_values, value_text
 from servo_bridge.wire.board_clock import TickExtender
 from servo_bridge.wire.serial_port import LowLatency
@@ -84,6 +85,7 @@ def info(context: Context) -> int:
         *((f"recorder {index}", _recorder_text(session, index)) for index in range(board.recorders)),
         ("variables", str(len(session.variables))),
         ("catalogue", contract),
+        storage_row(context),
     ]
     rows += [
         (name, value_text(session.variables[name], session.read(session.variables[name]), context.catalogue))
@@ -232,6 +234,10 @@ def record(context: Context) -> int:
 
 def save(context: Context) -> int:
     """Save parameters."""
+    if context.args.to_board == bool(context.args.file):
+        raise UsageError("give a FILE to save the parameters in, or --to-board to keep all of it on the board")
+    if context.args.to_board:
+        return save_to_board(context)
     variables = context.session.variables
     names = opened(variables, (v.name for v in _matching(context, context.args.match)))
     chosen = [v for v in map(variables.__getitem__, names) if v.target.writable and not v.is_block]

@@ -7,6 +7,7 @@ that was written.
 from __future__ import annotations
 
 import re
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -22,6 +23,7 @@ __all__ = [
     "applied",
     "contradiction",
     "find",
+    "layout",
     "merged",
     "parameters",
     "parse",
@@ -71,6 +73,19 @@ class Assignment:
 def parameters(catalogue: Catalogue) -> list[Variable]:
     """All parameters of a board, in the order of the table."""
     return [v for v in catalogue.variables.values() if v.name.startswith(PREFIX)]
+
+
+def layout(catalogue: Catalogue) -> int:
+    """CRC-32 of all that says what the numbers of a stored set of parameters mean.
+
+    Also of the bits that they may have: a set from before a fault was known would switch it off.
+    """
+    lines = [f"{v.name} {v.type} {v.count} {v.lsb!r}" for v in parameters(catalogue)]
+    for name in sorted({v.enum for v in parameters(catalogue) if v.enum}):
+        lines.append(f"{name} {sorted(catalogue.enums[name].items(), key=lambda e: e[1])}")
+    for name in sorted({v.flags for v in parameters(catalogue) if v.flags}):
+        lines.append(f"{name} {[(flag.name, flag.bit) for flag in catalogue.flags[name]]}")
+    return zlib.crc32("\n".join(lines).encode())
 
 
 def find(text: str, catalogue: Catalogue) -> tuple[Variable, int | None]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from servo_msgs_py.axis_config import AxisConfigTable, Member
+from servo_msgs_py.board_parameters import layout, parameters
 from servo_msgs_py.catalogue import Catalogue, CatalogueError, Variable
 from servo_msgs_py.fault_rules import FaultRules, fault_list
 
@@ -44,6 +45,10 @@ def contract_header(catalogue: Catalogue) -> str:
     """Enumerations, flag masks, the table's hash and the flag words with every bit that can be written."""
     lines = [_BANNER, "#ifndef SERVO_CONTRACT_GEN_H\n#define SERVO_CONTRACT_GEN_H\n\n#include <stdint.h>\n"]
     lines.append(f"#define CATALOGUE_HASH UINT32_C(0x{catalogue.hash:08X})\n")
+    lines.append(
+        f"#define PARAMETER_LAYOUT UINT32_C(0x{layout(catalogue):08X})\n"
+        f"#define PARAMETER_VALUES {sum(v.count for v in parameters(catalogue))}U\n"
+    )
     for name, entries in catalogue.enums.items():
         prefix = name.removesuffix("_t").upper()
         body = "".join(f"    {prefix}_{key} = {value},\n" for key, value in entries.items())
@@ -185,6 +190,7 @@ def _name_lists(catalogue: Catalogue, strings: _Strings) -> str:
         "state": dict(catalogue.enums.get("state_t", {})),
         "substate": dict(catalogue.enums.get("substate_t", {})),
         "refusal": dict(catalogue.enums.get("point_refusal_t", {})),
+        "copy": dict(catalogue.enums.get("stored_copy_t", {})),
         "fault": {flag.name: flag.bit for flag in catalogue.flags.get("faults", ())},
     }
     lines: list[str] = []

@@ -66,6 +66,10 @@ HOME: Final = "home"
 """std_srvs/Trigger, ``<joint>/home/<method>``: make the position of a joint known."""
 POSITION_KNOWN: Final = "position_known"
 """std_msgs/Bool, latched, ``<joint>/position_known``: whether the position was set or found since the board's reset."""
+SAVE_TO_BOARD: Final = "save_to_board"
+"""std_srvs/Trigger: keep parameters and configuration in the data flash of the board."""
+RESTORE_FACTORY: Final = "restore_factory"
+"""std_srvs/Trigger: erase what the data flash keeps."""
 RESYNC: Final = "resync"
 
 COMMAND_VARIABLES: Final = (

@@ -60,7 +60,7 @@ def test_the_variables_that_the_whole_project_relies_on() -> None:
 
 def test_only_commands_blocks_and_parameters_can_be_written() -> None:
     writable = {name.split(".")[0] for name, v in CATALOGUE.variables.items() if v.writable}
-    assert writable == {"cmd", "config", "param"}
+    assert writable == {"cmd", "config", "param", "storage"}
 
 
 def test_numbers_of_states_are_those_of_the_seed() -> None:

@@ -30,6 +30,43 @@ void board_table(uint32_t *address, uint32_t *size)
     *size = tsa_table_size(&servo_variables);
 }
 
+/* ---- data flash --------------------------------------------------------------------------------------------------- */
+
+size_t board_flash_size(void) { return FLASH_IMAGE_BYTES; }
+
+void board_flash_state(board_t *board, board_flash_state_t *state)
+{
+    uint64_t now_ns;
+    flash_t *flash = board_flash(board, &now_ns);
+    state->busy = flash_busy(flash, now_ns) ? 1 : 0;
+    state->dead = flash->dead ? 1 : 0;
+    state->commands = flash->commands;
+}
+
+void board_flash_image(board_t *board, uint8_t *image)
+{
+    uint64_t now_ns;
+    flash_t *flash = board_flash(board, &now_ns);
+    (void)flash_busy(flash, now_ns);
+    flash_image(flash, image);
+}
+
+void board_flash_cut(board_t *board, uint32_t command, double part)
+{
+    uint64_t now_ns;
+    flash_t *flash = board_flash(board, &now_ns);
+    (void)flash_busy(flash, now_ns);
+    flash_cut(flash, command, part);
+}
+
+void board_flash_cut_now(board_t *board)
+{
+    uint64_t now_ns;
+    flash_t *flash = board_flash(board, &now_ns);
+    flash_break_off(flash, now_ns);
+    flash->dead = true;
+}
+
 /* ---- samples ------------------------------------------------------------------------------------------------------ */
 
 static void put_operation(payload_writer_t *request, uint8_t code, const payload_writer_t *operand)

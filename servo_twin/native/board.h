@@ -71,6 +71,7 @@ typedef struct {
     double baud;           /* serial line [bit/s], 10 bits per byte */
     board_core_t core;
     uint64_t seed;         /* of every random number */
+    const uint8_t *flash;  /* image of the data flash, board_flash_size() bytes; NULL: erased */
 } board_config_t;
 
 /* The plant's own state, which no sensor sees exactly; to look changes nothing. At register level the state of the present
@@ -172,6 +173,24 @@ typedef struct {
 } board_stats_t;
 
 void board_stats(const board_t *board, board_stats_t *stats);
+
+/* The data flash, which keeps what is in it without power. An image has the words, low byte first, then how many times each
+ * sector was erased. */
+size_t board_flash_size(void);
+void board_flash_image(board_t *board, uint8_t *image);
+
+typedef struct {
+    uint32_t commands; /* begun since power-on */
+    int busy; /* one is under way */
+    int dead; /* power has failed */
+} board_flash_state_t;
+
+void board_flash_state(board_t *board, board_flash_state_t *state);
+
+/* Power fails during the command `number` from now on (1: the next one) when `part` (0..1) of its time has passed, or now.
+ * The image is then what another board finds at power-on; nothing that this board does afterwards changes it. */
+void board_flash_cut(board_t *board, uint32_t number, double part);
+void board_flash_cut_now(board_t *board);
 
 /* Have one of the firmware's recorders (0: every PWM period, 1: every slow tick) sample variables in every call of its loop, from
  * the next one on, without a trigger. `samples` is lent until board_sample_end: room for so many points, which have the variables

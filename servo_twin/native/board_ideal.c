@@ -23,6 +23,12 @@ board_t *board_new(const board_config_t *config)
 
 void board_free(board_t *board) { free(board); }
 
+flash_t *board_flash(board_t *board, uint64_t *now_ns)
+{
+    *now_ns = board->chip.now_ns;
+    return &board->chip.flash;
+}
+
 servo_t *board_servo(board_t *board) { return &board->servo; }
 
 const char *board_error(const board_t *board)

@@ -4,10 +4,14 @@
 
 #include "app/servo.h"
 #include "board.h"
+#include "flash.h"
 
 servo_t *board_servo(board_t *board);
 
 /* Temperature of a winding of the plant from now on [deg C]. */
 void board_warm_winding(board_t *board, int axis, double celsius);
+
+/* The data flash, and the present on its clock. */
+flash_t *board_flash(board_t *board, uint64_t *now_ns);
 
 #endif

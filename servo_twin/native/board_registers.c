@@ -194,6 +194,12 @@ void world_background(void *world)
     }
 }
 
+flash_t *board_flash(board_t *board, uint64_t *now_ns)
+{
+    *now_ns = board->chip.now * CLOCK_NS;
+    return &board->chip.ftfl.flash;
+}
+
 /* ---- board.h -------------------------------------------------------------------------------------------------------- */
 
 board_t *board_new(const board_config_t *config)
@@ -209,6 +215,8 @@ board_t *board_new(const board_config_t *config)
         .wiring = wiring,
         .baud = config->baud,
         .crossbar_clocks = SYNC_CLOCKS,
+        .flash = config->flash,
+        .seed = config->seed,
         .core = {config->core.cycles_per_instruction, config->core.entry_cycles},
     };
     chip_init(&board->chip, &chip, board);

@@ -20,6 +20,7 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->servo = servo;
     plant_init(&chip->plant, config);
     uart_init(&chip->uart, config->baud);
+    flash_init(&chip->flash, config->flash, config->seed);
     for (int i = 0; i < HAL_AXES; i++) {
         chip->axis[i] = at_reset;
     }
@@ -87,6 +88,7 @@ static void watch_dog(hal_t *chip)
         plant_encoder_restart(&chip->plant.axis[i].encoder);
         follow_enable(chip, i);
     }
+    flash_break_off(&chip->flash, chip->now_ns);
     chip->bitten = true;
     chip->left_out = 0;
     chip->stalled_ns = 0;
@@ -268,6 +270,35 @@ uint16_t hal_late_loops(hal_t *hal) { return hal->late; }
 uint16_t hal_receiver_overruns(hal_t *hal) { return (uint16_t)hal->uart.overruns; }
 
 bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
+
+/* Its last sectors, as on the chip: the first ones belong to tables. */
+#define KEPT_WORD ((FLASH_SECTORS - HAL_FLASH_SECTORS) * FLASH_SECTOR_WORDS)
+
+bool hal_flash_present(hal_t *hal)
+{
+    (void)hal;
+    return true;
+}
+
+uint32_t hal_flash_read(hal_t *hal, uint16_t word) { return hal->flash.word[KEPT_WORD + word]; }
+
+void hal_flash_erase(hal_t *hal, uint16_t sector)
+{
+    flash_erase(&hal->flash, FLASH_SECTORS - HAL_FLASH_SECTORS + sector, hal->now_ns);
+}
+
+void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value)
+{
+    flash_program(&hal->flash, KEPT_WORD + word, value, hal->now_ns);
+}
+
+hal_flash_t hal_flash_result(hal_t *hal)
+{
+    if (flash_busy(&hal->flash, hal->now_ns)) {
+        return HAL_FLASH_BUSY;
+    }
+    return hal->flash.failed ? HAL_FLASH_FAILED : HAL_FLASH_DONE;
+}
 
 bool hal_serial_get(hal_t *hal, uint8_t *byte) { return uart_get(&hal->uart, byte); }
 

@@ -14,6 +14,7 @@
 #include <stdint.h>
 
 #include "app/servo.h"
+#include "flash.h"
 #include "hal/hal.h"
 #include "plant/plant.h"
 #include "uart.h"
@@ -32,6 +33,7 @@ struct hal {
     servo_t *servo;
     plant_t plant;
     uart_t uart;
+    flash_t flash;
     chip_axis_t axis[HAL_AXES];
     uint16_t bus_code;
     uint64_t now_ns;     /* what the software would see on a clock */

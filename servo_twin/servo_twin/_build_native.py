@@ -105,7 +105,13 @@ def make_ffi(
         module,
         _PREAMBLE,
         sources=paths(
-            [NATIVE / "board.c", *native, *sorted((NATIVE / "plant").glob("*.c")), *(sources or firmware_sources())]
+            [
+                NATIVE / "board.c",
+                NATIVE / "flash.c",
+                *native,
+                *sorted((NATIVE / "plant").glob("*.c")),
+                *(sources or firmware_sources()),
+            ]
         ),
         include_dirs=paths([NATIVE, FIRMWARE]),
         depends=paths(headers),

@@ -42,6 +42,7 @@ __all__ = [
     "BoardStats",
     "ChipError",
     "Firmware",
+    "FlashState",
     "SimulationError",
     "Truth",
 ]
@@ -145,6 +146,24 @@ class BoardStats:
     watchdog_services: int
 
 
+class FlashState(NamedTuple):
+    """What the data flash is doing.
+
+    Attributes
+    ----------
+    commands : int
+        Commands begun since power-on.
+    busy : bool
+        One is under way.
+    dead : bool
+        Power has failed (`Board.cut_flash`): nothing changes the flash any more.
+    """
+
+    commands: int
+    busy: bool
+    dead: bool
+
+
 def _native_config(ffi: Any, plant: PlantConfig, core: CoreSpeed, seed: int, baud: float) -> Any:
     config = ffi.new("board_config_t *")
     plant.drawn(seed).fill(config)
@@ -173,6 +192,8 @@ class Board:
         How fast the core is at register level; the packaged ``core.toml`` by default.
     firmware : Firmware, optional
         Compiled with another configuration (`servo_twin.firmware_build`), for a board of that level.
+    flash : bytes, optional
+        What is in its data flash: the `flash_image` of a board before it; erased by default.
     """
 
     def __init__(
@@ -185,6 +206,7 @@ class Board:
         level: Level | None = None,
         core: CoreSpeed | None = None,
         firmware: Firmware | None = None,
+        flash: bytes | None = None,
     ) -> None:
         if not 0 <= seed < 1 << 64:
             raise ValueError(f"seed {seed} is not within 0 .. 2^64 - 1")
@@ -194,7 +216,12 @@ class Board:
         self._ffi, self._lib = firmware or _FIRMWARE[self.level]
         self.plant = plant or PlantConfig.load()
         self.catalogue = catalogue or Catalogue.load()
-        handle = self._lib.board_new(_native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud))
+        config = _native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud)
+        if flash is not None:
+            if len(flash) != self._lib.board_flash_size():
+                raise ValueError(f"an image of the flash has {self._lib.board_flash_size()} bytes, not {len(flash)}")
+            config.flash = self._ffi.from_buffer("uint8_t[]", flash)  # board_new copies what it needs
+        handle = self._lib.board_new(config)
         if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
@@ -460,6 +487,42 @@ class Board:
         """Simulated time at which the next byte on the wire is complete [ns]; None while the line is idle."""
         next_ns = int(self._lib.board_serial_next_ns(self._board))
         return None if next_ns == _IDLE else next_ns
+
+    # ---- data flash -------------------------------------------------------------------------------------------------
+
+    def flash_image(self) -> bytes:
+        """What stays without power: the words of the data flash, and how many times each sector was erased.
+
+        ``np.frombuffer(image, "<u4")`` has 8192 words and 32 counts.
+        """
+        image = bytearray(self._lib.board_flash_size())
+        self._lib.board_flash_image(self._board, self._ffi.from_buffer("uint8_t[]", image, require_writable=True))
+        return bytes(image)
+
+    def flash_state(self) -> FlashState:
+        """What the data flash is doing."""
+        state = self._ffi.new("board_flash_state_t *")
+        self._lib.board_flash_state(self._board, state)
+        return FlashState(state.commands, bool(state.busy), bool(state.dead))
+
+    def cut_flash(self, number: int, part: float) -> None:
+        """Let power fail during a command of the flash that is still to come.
+
+        The board runs on, but nothing that it does changes the flash: `flash_image` is what the next board finds.
+
+        Parameters
+        ----------
+        number : int
+            Of the command, from 1 for the next one.
+        part : float
+            Part of its time that has passed by then, 0 .. 1.
+        """
+        self._lib.board_flash_cut(self._board, number, part)
+
+    def cut_power(self) -> bytes:
+        """Let power fail now; returns what is in the flash then. A command under way is torn."""
+        self._lib.board_flash_cut_now(self._board)
+        return self.flash_image()
 
     # ---- plant ------------------------------------------------------------------------------------------------------
 

@@ -26,7 +26,7 @@ from servo_twin.board import Board
 from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
 
-__all__ = ["LinkError", "Pacer", "Terminal", "main", "serve", "slip_reporter"]
+__all__ = ["FlashFile", "LinkError", "Pacer", "Terminal", "main", "serve", "slip_reporter"]
 
 MAX_LAG_S: Final = 0.05
 """Backlog that is made up for; a longer stall of the machine is given up and counted as a slip [s]."""
@@ -100,6 +100,42 @@ class Pacer:
 
     def _at(self, now_ns: int) -> int:
         return self._sim_ns + int((now_ns - self._wall_ns) * self._speed)
+
+
+class FlashFile:
+    """What stays of a board without power, in a file: `Board.flash_image`.
+
+    It is brought up to date whenever a command of the flash has ended: the end of the process, however it comes, is
+    like a power failure.
+
+    Parameters
+    ----------
+    path : Path
+        A file that does not exist yet is an erased flash.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._kept = path.read_bytes() if path.exists() else None
+
+    @property
+    def image(self) -> bytes | None:
+        """As the file has it."""
+        return self._kept
+
+    def update(self, board: Board) -> None:
+        """Write what is in the flash of a board, if it is something else; in one step."""
+        image = board.flash_image()
+        if image != self._kept:
+            fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+            fresh.write_bytes(image)
+            fresh.replace(self._path)
+            self._kept = image
 
 
 class Terminal:
@@ -229,6 +265,7 @@ def serve(
     *,
     clock_ns: Callable[[], int] = time.monotonic_ns,
     on_slip: Callable[[Pacer], None] = lambda pacer: None,
+    on_step: Callable[[], None] = lambda: None,
 ) -> None:
     """Run a board in step with the clock and connect it with a line until `stopped`.
 
@@ -246,6 +283,8 @@ def serve(
         Monotonic wall time [ns].
     on_slip : callable
         Told when time has slipped.
+    on_step : callable
+        Called whenever the board has been brought up to the clock.
     """
     waiting = b""  # sent by the client, no room on the board's side yet
     slips = pacer.slips
@@ -254,6 +293,7 @@ def serve(
         if pacer.slips != slips:
             slips = pacer.slips
             on_slip(pacer)
+        on_step()
         sent = board.serial_out()
         if sent:
             line.write(sent)
@@ -339,6 +379,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the sensor noise; the same seed gives the same board")
     parser.add_argument("--plant", type=Path, help="TOML file with what differs from the packaged plant.toml")
+    parser.add_argument(
+        "--flash",
+        type=Path,
+        metavar="FILE",
+        help="keep what the board stores in its data flash (default: until it ends)",
+    )
     add_level_option(parser, "the board is")
     parser.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second (default: %(default)g)")
     return parser
@@ -348,18 +394,26 @@ def main(argv: list[str] | None = None) -> int:
     """Command ``virtual_board``; returns its exit status."""
     options = _parser().parse_args(argv)
     try:
-        board = Board(PlantConfig.load(options.plant), seed=options.seed, baud=options.baud, level=options.level)
+        flash = FlashFile(options.flash) if options.flash else None
+        board = Board(
+            PlantConfig.load(options.plant),
+            seed=options.seed,
+            baud=options.baud,
+            level=options.level,
+            flash=flash.image if flash else None,
+        )
     except (PlantError, ValueError) as error:
         return _complain(str(error), 2)
     except OSError as error:
-        return _complain(f"{options.plant}: {error.strerror}", 2)
+        return _complain(f"{error.filename or options.plant}: {error.strerror}", 2)
     try:
         with board, _stop_signals() as stopped, Terminal(options.link) as line:
             where = f"{options.link} -> {line.device}" if options.link else line.device
             what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
             print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
             pacer = Pacer(time.monotonic_ns(), speed=options.speed)
-            serve(board, line, pacer, stopped, on_slip=slip_reporter(board.level))
+            keep = _keeper(board, flash)
+            serve(board, line, pacer, stopped, on_slip=slip_reporter(board.level), on_step=keep)
             print(
                 f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
                 f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
@@ -369,6 +423,23 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         return _complain(str(error), 1)
     return 0
+
+
+def _keeper(board: Board, flash: FlashFile | None) -> Callable[[], None]:
+    """Brings the file of the flash up to date when a command has been begun or has ended."""
+    if flash is None:
+        return lambda: None
+    before = board.flash_state()
+    flash.update(board)
+
+    def keep() -> None:
+        nonlocal before
+        now = board.flash_state()
+        if now != before:
+            before = now
+            flash.update(board)
+
+    return keep
 
 
 def _complain(message: str, status: int) -> int:

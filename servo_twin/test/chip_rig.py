@@ -35,7 +35,8 @@ CDEF = (
     + """
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
 typedef struct { double cycles_per_instruction; unsigned entry_clocks; } core_speed_t;
-typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core; } chip_config_t;
+typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core;
+                 const uint8_t *flash; uint64_t seed; } chip_config_t;
 typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
 typedef struct { trace_entry_t *entry; size_t size, left; } trace_t;
 typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
@@ -154,7 +155,7 @@ def build(folder: Path) -> Native:
     builder.set_source(
         "_chip_under_test",
         PREAMBLE,
-        sources=[str(path) for path in sorted((NATIVE / "chip").glob("*.c"))],
+        sources=[str(path) for path in [NATIVE / "flash.c", *sorted((NATIVE / "chip").glob("*.c"))]],
         include_dirs=[str(NATIVE)],
         extra_compile_args=["-std=c99", "-O1"],
     )
@@ -239,6 +240,8 @@ def _addresses() -> Iterator[tuple[str, int]]:
     yield from {"SIM_CTRL": 0xE400, "SIM_RSTAT": 0xE401, "SIM_PCR": 0xE40B, "SIM_IPS0": 0xE422}.items()
     for offset, name in enumerate(["AL", "BH", "CL", "CH", "DL", "EL", "EH", "FL", "FH", "GL", "GH"]):
         yield f"SIM_GPS{name}", 0xE417 + offset
+    for offset, name in enumerate(["FSTAT", "FSEC", "FCCOB3", "FCCOB1", "FCCOB7", "FCCOB5"]):
+        yield f"FTFL_{name}", 0xE3C0 + offset
     for n, letter in enumerate("ABCDEFG"):
         for name, offset in {"DR": 1, "DDR": 2, "PER": 3, "IENR": 5, "RAWDATA": 10}.items():
             yield f"GPIO{letter}_{name}", 0xE200 + 0x10 * n + offset
@@ -381,12 +384,18 @@ class ChipRig:
         self.run(self.now + clocks)
 
     def read(self, name: str) -> int:
-        value = self.lib.try_read(self.chip, ADDRESS[name])
+        return self.read_at(ADDRESS[name])
+
+    def read_at(self, address: int) -> int:
+        value = self.lib.try_read(self.chip, address)
         self._check(value >= 0)
         return int(value)
 
     def write(self, name: str, value: int) -> None:
-        self._check(self.lib.try_write(self.chip, ADDRESS[name], value & 0xFFFF) == 0)
+        self.write_at(ADDRESS[name], value)
+
+    def write_at(self, address: int, value: int) -> None:
+        self._check(self.lib.try_write(self.chip, address, value & 0xFFFF) == 0)
 
     def write_all(self, values: dict[str, int]) -> None:
         for name, value in values.items():

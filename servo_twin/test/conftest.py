@@ -48,7 +48,7 @@ def chip_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
         PLANT_CDEF + CHIP_CDEF,
         '#include "ideal_chip.h"\n',
         [fake, NATIVE, NATIVE.parents[1] / "firmware"],
-        [NATIVE / "ideal_chip.c", NATIVE / "uart.c", fake / "servo.c"],
+        [NATIVE / "ideal_chip.c", NATIVE / "uart.c", NATIVE / "flash.c", fake / "servo.c"],
     )
 
 

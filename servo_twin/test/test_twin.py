@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.timed_points import TimedPoint
 from servo_msgs_py.units import PERIOD_NS
@@ -279,6 +280,32 @@ class TestConfiguration:
             follows(rig, rig.move([5.0, -5.0]))
             rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
             assert rig.twin.synchronisations == began
+
+    @pytest.mark.parametrize("told_after", [0.0, 0.4])
+    def test_a_board_that_comes_up_with_stored_values_is_followed(self, told_after: float) -> None:
+        """The bridge reads blocks and parameters at every connection, some time after the first samples."""
+        with TwinRig() as rig:
+            rig.run(0.1)
+            rig.tune({axis: self.quicker(rig, axis) for axis in range(AXES)})
+            rig.set_parameters("param.i_q_limit=1.0,1.5", "param.speed_limit=90,80")
+            rig.run(0.1)
+            blocks = {axis: tuple(AxisConfigTable.load().words(read_block(rig.real, axis))) for axis in range(AXES)}
+            assert rig.real.write_words("storage.request", [CATALOGUE.bits["storage_request"]["SAVE"], 1])
+            rig.run(0.2)
+            assert rig.board.read("storage.saves") == 1
+            rig.reset_board(seed=7)
+            assert rig.board.read("storage.source") == 1
+            assert rig.board.read("param.speed_limit") == pytest.approx([90.0, 80.0])
+            rig.sample()
+            rig.run(told_after)
+            rig.twin.parameters({v.name: rig.board.read_raw(v.name) for v in parameters(CATALOGUE)})
+            rig.twin.blocks(blocks)
+            rig.up()
+            moving = rig.move([40.0, -40.0])
+            follows(rig, moving)
+            for pair in moving:
+                for name in ("axis1.position_ref", "axis2.position_ref"):
+                    assert pair.twin[name] == pair.real[name], "the same gains and limits shape the set-points"
 
 
 class TestRotorSearch:

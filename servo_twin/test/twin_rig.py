@@ -85,9 +85,10 @@ class TwinRig:
         self.real.close()
 
     def reset_board(self, seed: int = 1) -> None:
-        """Switch the real board off and on."""
+        """Switch the real board off and on; its data flash keeps what is in it."""
+        flash = self.board.cut_power()
         self.real.close()
-        self.board = Board(seed=seed)
+        self.board = Board(seed=seed, flash=flash)
         self.real = Replica(self.board)
 
     def write(self, variable: str, values: Sequence[float], mask: int = 3) -> None:

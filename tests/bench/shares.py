@@ -21,7 +21,7 @@ PERIODS: Final = 800
 
 _PARTS: Final = (
     ("plant", ("/plant/",)),
-    ("chip", ("/native/chip/", "ideal_chip", "uart", "/native/board")),
+    ("chip", ("/native/chip/", "ideal_chip", "uart", "/native/flash", "/native/board")),
     ("drivers", ("/firmware/port/",)),
     ("firmware", ("/firmware/",)),
 )

@@ -24,6 +24,8 @@ _OUTPUTS: Final = (
     ("brake", 1),
     ("monitor", 1),
     ("done", 0),
+    ("erase", 1),
+    ("program", 3),
 )
 """Names of ``out_t``, and how many words follow the head."""
 

@@ -43,6 +43,10 @@ _COLOUR: Final = re.compile(r"\x1b\[[0-9;]*m")
 class Program(Protocol):
     """A built program."""
 
+    @property
+    def remembers(self) -> bool:
+        """Whether it has memory for what the core writes to its data flash."""
+
     def run(self, image: bytes) -> str:
         """Start the program with an image; returns what it printed.
 
@@ -93,6 +97,7 @@ class HostProgram:
     """An executable of the host; the image goes in through its standard input."""
 
     path: Path
+    remembers: bool = True
 
     def run(self, image: bytes) -> str:
         return run([self.path], data=image)
@@ -153,6 +158,7 @@ class QemuProgram:
 
     path: Path
     options: tuple[str, ...] = ()
+    remembers: bool = True
 
     def run(self, image: bytes) -> str:
         with tempfile.NamedTemporaryFile(dir=self.path.parent, suffix=".image") as file:
@@ -203,6 +209,7 @@ class AvrProgram:
     replay: Path
     arithmetic: Path
     image_source: Path
+    remembers: bool = False
 
     def run(self, image: bytes) -> str:
         with tempfile.TemporaryDirectory(dir=self.replay.parent) as name:

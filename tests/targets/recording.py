@@ -27,6 +27,9 @@ CHECK_PERIODS: Final = 160
 ARITHMETIC_ROUNDS: Final = 150
 
 _FUNCTION: Final = re.compile(r"^\w+(?: \*)? (\w+)\(", re.MULTILINE)
+_NOT_AN_ENTRY: Final = ("servo_read", "servo_write", "servo_restore", "servo_host_init")
+"""Functions of ``servo.h`` that no port calls."""
+
 _HEADER: Final = struct.Struct("<4sIIII")
 _READ_AHEAD: Final = 8
 """Bytes that a reader may have fetched beyond the last call."""
@@ -74,6 +77,8 @@ class Recording:
         Names of the entries in the table of variables.
     written : tuple of (str, tuple of int)
         Variables that the host wrote, and the raw numbers.
+    remembered_from : int or None
+        Periods from which on the board may read back what it has written to its data flash.
     """
 
     name: str
@@ -85,6 +90,7 @@ class Recording:
     log: memoryview
     fields: dict[int, str]
     written: tuple[tuple[str, tuple[int, ...]], ...]
+    remembered_from: int | None = None
 
     def calls(self, first: int = 0, last: int | None = None) -> list[Call]:
         """Calls of the periods `first` to `last`, which is included."""
@@ -101,6 +107,17 @@ class Recording:
         checks = bisect_left(self.sizes, room - _READ_AHEAD)
         if checks == 0:
             raise ValueError(f"{self.name}: nothing of {len(self.image)} bytes fits into {room}")
+        return self._first(checks, room)
+
+    def forgetful(self) -> Recording:
+        """As much of the run as a machine can follow that has no memory for the data flash."""
+        if self.remembered_from is None:
+            return self
+        checks = self.remembered_from // CHECK_PERIODS
+        return self._first(checks, self.sizes[checks - 1] + _READ_AHEAD + 1)
+
+    def _first(self, checks: int, room: int) -> Recording:
+        """So many check values, out of so many bytes."""
         periods = checks * CHECK_PERIODS
         name, every, first, last, _ = _HEADER.unpack_from(self.image)
         header = _HEADER.pack(name, every, first, last, periods)
@@ -193,6 +210,7 @@ class Recorder:
                 log=memoryview(log).cast("H"),
                 fields=dict(enumerate(rig.entries)),
                 written=tuple(rig.written),
+                remembered_from=rig.remembered_from,
             )
 
     def arithmetic(self, seed: int = 1, rounds: int = ARITHMETIC_ROUNDS) -> Arithmetic:
@@ -215,4 +233,4 @@ def wrapped_functions(sources: Sources) -> list[str]:
     """
     names = _FUNCTION.findall((sources.firmware / "hal" / "hal.h").read_text(encoding="utf-8"))
     entries = _FUNCTION.findall((sources.firmware / "app" / "servo.h").read_text(encoding="utf-8"))
-    return names + [name for name in entries if name not in ("servo_read", "servo_write", "servo_host_init")]
+    return names + [name for name in entries if name not in _NOT_AN_ENTRY]

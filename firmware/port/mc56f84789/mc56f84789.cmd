@@ -7,8 +7,9 @@
 #            fast_code.text, run-time library      the same; FAST in the makefile says which files these are
 #            bss
 #            stack, grows upwards to the end
-#   X:8000   tables that no fast loop reads        in the data flash (FlexNVM), which is loaded as P:68000h; it is slower
+#   X:8000   tables that no interrupt reads        in the data flash (FlexNVM), which is loaded as P:68000h; it is slower
 #            flash_table.data                      than the RAM, and within reach of 16-bit pointers
+#   X:B800   what the board keeps without power    flash.c: its last four sectors
 #
 # Where the laid-out parts are too long for the RAM, or the stack has less than __stack_size, the linker says so.
 
@@ -21,7 +22,8 @@ MEMORY
     .x_ram          (RW) : ORIGIN = 0x00000, LENGTH = 0x04000
     .x_image        (RX) : ORIGIN = 0x00000, LENGTH = 0x04000   # the same RAM; X: what is in it is loaded into the flash
     .ram_code       (RX) : ORIGIN = 0x60000, LENGTH = 0x04000   # the same RAM, seen from P
-    .x_flex_nvm     (R)  : ORIGIN = 0x08000, LENGTH = 0x04000
+    .x_flex_nvm     (R)  : ORIGIN = 0x08000, LENGTH = 0x03800
+    .x_kept         (RW) : ORIGIN = 0x0B800, LENGTH = 0x00800
     .x_flex_ram     (RW) : ORIGIN = 0x1E000, LENGTH = 0x00400
     .x_peripherals  (RW) : ORIGIN = 0x0C000, LENGTH = 0x04000
 }
@@ -54,6 +56,8 @@ SECTIONS
         * (.text)
         * (fp_engine.text)
         * (user.text)
+        * (.const.data.char.pmem)           # tables that interrupts read (math/program_table.h)
+        * (.const.data.pmem)
         . = ALIGN(2);
         __image = .;
     } > .p_flash

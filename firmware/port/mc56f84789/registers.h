@@ -481,6 +481,29 @@
 #define QSCI_STAT_TIDLE BIT(14)
 #define QSCI_STAT_TDRE BIT(15)
 
+/* ---- flash controller: registers of bytes, two in a word, the even one in its low half ----------------------------- */
+
+#define DATA_FLASH_BASE 0x8000U /* in words of 16 bits */
+#define DATA_FLASH_SECTORS 32U  /* of 1 KB */
+
+#define FTFL_STAT 0xE3C0U          /* FSTAT, FCNFG */
+#define FTFL_FCCOB_ADDRESS 0xE3C2U /* FCCOB3, 2: bits 15:0 of the address, which counts bytes */
+#define FTFL_FCCOB_COMMAND 0xE3C3U /* FCCOB1, 0: bits 23:16, and the command */
+#define FTFL_FCCOB_LOW 0xE3C4U     /* FCCOB7, 6: bits 15:0 of the value */
+#define FTFL_FCCOB_HIGH 0xE3C5U    /* FCCOB5, 4 */
+
+#define FTFL_STAT_MGSTAT0 BIT(0)
+#define FTFL_STAT_FPVIOL BIT(4)
+#define FTFL_STAT_ACCERR BIT(5)
+#define FTFL_STAT_RDCOLERR BIT(6)
+#define FTFL_STAT_CCIF BIT(7) /* done; write 1 to begin the next command */
+#define FTFL_STAT_ERRORS (FTFL_STAT_FPVIOL | FTFL_STAT_ACCERR | FTFL_STAT_RDCOLERR) /* write 1 to clear */
+
+#define FTFL_COMMAND(v) FIELD(8, v)
+#define FTFL_ADDRESS_DATA BIT(7) /* bit 23 of the address: data flash, from its beginning */
+#define FTFL_PROGRAM_LONGWORD 0x06U
+#define FTFL_ERASE_SECTOR 0x09U
+
 /* ---- clock ------------------------------------------------------------------------------------------------------ */
 
 #define OCCS_CTRL 0xE2B0U

@@ -56,6 +56,7 @@ void chip_reset(chip_t *chip, reset_cause_t cause)
     xbar_reset(chip);
     sci_reset(chip);
     pins_reroute(chip);
+    ftfl_reset(chip);
     chip->must_boot = true;
     chip->alive = chip->alive && core_runs(chip); /* from outside: the software that ran is gone */
     longjmp(chip->escape, ESCAPE_RESET);
@@ -74,13 +75,14 @@ static const block_t blocks[] = {
     {0xE080, 0xE0B0, sci_read, sci_write},   {0xE140, 0xE1C0, qtmr_read, qtmr_write},
     {0xE200, 0xE270, gpio_read, gpio_write}, {0xE2B0, 0xE2B9, occs_read, occs_write},
     {0xE300, 0xE31C, intc_read, intc_write}, {0xE320, 0xE324, cop_read, cop_write},
-    {0xE340, 0xE388, xbar_read, xbar_write}, {0xE400, 0xE42E, sim_read, sim_write},
-    {0xE500, 0xE556, adc_read, adc_write},   {0xE600, 0xE800, pwm_read, pwm_write},
+    {0xE340, 0xE388, xbar_read, xbar_write}, {FTFL_BEGIN, FTFL_END, ftfl_read, ftfl_write},
+    {0xE400, 0xE42E, sim_read, sim_write},   {0xE500, 0xE556, adc_read, adc_write},
+    {0xE600, 0xE800, pwm_read, pwm_write},
 };
 
 /* The first block that may hold an address, by its bits 8 to 10. */
-static const block_t *const first_block[8] = {&blocks[0], &blocks[1], &blocks[2], &blocks[4],
-                                              &blocks[7], &blocks[8], &blocks[9], &blocks[9]};
+static const block_t *const first_block[8] = {&blocks[0], &blocks[1], &blocks[2],  &blocks[4],
+                                              &blocks[8], &blocks[9], &blocks[10], &blocks[10]};
 
 static inline const block_t *block_of(chip_t *chip, uint32_t address)
 {
@@ -108,6 +110,9 @@ static inline uint16_t read_register(chip_t *chip, uint32_t address)
 {
     if (++chip->core.polls > POLLS_MAX) {
         fail_waiting(chip, address);
+    }
+    if (address >= FTFL_DATA_BEGIN && address < FTFL_DATA_END) {
+        return ftfl_data_read(chip, address);
     }
     return block_of(chip, address)->read(chip, address);
 }
@@ -303,6 +308,7 @@ void chip_init(chip_t *chip, const chip_config_t *config, void *world)
     memset(chip, 0, sizeof *chip);
     chip->config = *config;
     chip->world = world;
+    flash_init(&chip->ftfl.flash, config->flash, config->seed);
     chip->line.byte_clocks = 10.0 * (double)CHIP_BUS_HZ / config->baud;
     chip->line.in_clock = CHIP_NEVER;
     if (setjmp(chip->escape) == 0) {

@@ -20,6 +20,7 @@
 
 #include "chip/adc.h"
 #include "chip/core.h"
+#include "chip/ftfl.h"
 #include "chip/pins.h"
 #include "chip/pwm.h"
 #include "chip/qtmr.h"
@@ -61,6 +62,8 @@ typedef struct {
     double baud;             /* of the host */
     unsigned crossbar_clocks; /* from a trigger to the input that it is led to */
     core_speed_t core;
+    const uint8_t *flash; /* image of the data flash; NULL: erased */
+    uint64_t seed;        /* of what a command leaves that power has cut off */
 } chip_config_t;
 
 typedef struct chip {
@@ -84,6 +87,7 @@ typedef struct chip {
     occs_t occs;
     sim_t sim;
     cop_t cop;
+    ftfl_t ftfl;
     trace_t trace;
     bool stop;               /* end chip_run before the next event */
     bool must_boot;

@@ -24,6 +24,8 @@ static const char *const gpio[] = {"PUR", "DR",   "DDR",    "PER",     "IAR",   
                                    "IPR", "IESR", "PPMODE", "RAWDATA", "DRIVE", "PUS",  "SRE"};
 static const char *const occs[] = {"CTRL", "DIVBY", "STAT", "03h", "OSCTL1", "OSCTL2", "CLKCHKR", "CLKCHKT", "PROT"};
 static const char *const cop[] = {"CTRL", "TOUT", "CNTR", "INTVAL"};
+static const char *const ftfl[] = {"FSTAT",  "FSEC",   "FCCOB3", "FCCOB1", "FCCOB7", "FCCOB5",
+                                   "FCCOBB", "FCCOB9", "FPROT3", "FPROT1", "0Ah",    "FEPROT"};
 static const char *const intc[] = {"VBA", "FIM0", "FIVAL0", "FIVAH0", "FIM1", "FIVAL1", "FIVAH1"};
 static const char *const intc_ctrl[] = {"CTRL"};
 static const char *const adc_low[] = {"CTRL1",  "CTRL2", "ZXCTRL1", "ZXCTRL2", "CLIST1",    "CLIST2",    "CLIST3",
@@ -36,10 +38,11 @@ static const char *const sim[] = {"CTRL",  "RSTAT",  "SCR0",   "SCR1",   "SCR2",
                                   "PSWR0", "PSWR1",  "PSWR2",  "PSWR3",  "PWRMODE"};
 
 static const named_t named[] = {
-    {0xE080, 0xE086, "QSCI0", sci},    {0xE090, 0xE096, "QSCI1", sci},       {0xE0A0, 0xE0A6, "QSCI2", sci},
-    {0xE2B0, 0xE2B9, "OCCS", occs},    {0xE30D, 0xE314, "INTC", intc},       {0xE31B, 0xE31C, "INTC", intc_ctrl},
-    {0xE320, 0xE324, "COP", cop},      {0xE400, 0xE429, "SIM", sim},         {0xE500, 0xE50E, "ADC", adc_low},
-    {0xE54E, 0xE556, "ADC", adc_high}, {0xE6C0, 0xE6CE, "PWMA", pwm_module}, {0xE7C0, 0xE7CE, "PWMB", pwm_module},
+    {0xE080, 0xE086, "QSCI0", sci},       {0xE090, 0xE096, "QSCI1", sci},    {0xE0A0, 0xE0A6, "QSCI2", sci},
+    {0xE2B0, 0xE2B9, "OCCS", occs},       {0xE30D, 0xE314, "INTC", intc},    {0xE31B, 0xE31C, "INTC", intc_ctrl},
+    {0xE320, 0xE324, "COP", cop},         {0xE3C0, 0xE3CC, "FTFL", ftfl},    {0xE400, 0xE429, "SIM", sim},
+    {0xE500, 0xE50E, "ADC", adc_low},     {0xE54E, 0xE556, "ADC", adc_high}, {0xE6C0, 0xE6CE, "PWMA", pwm_module},
+    {0xE7C0, 0xE7CE, "PWMB", pwm_module},
 };
 
 typedef struct {

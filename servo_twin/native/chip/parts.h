@@ -137,6 +137,9 @@ uint16_t xbar_read(chip_t *chip, uint32_t address);
 void xbar_write(chip_t *chip, uint32_t address, uint16_t value);
 uint16_t sci_read(chip_t *chip, uint32_t address);
 void sci_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t ftfl_read(chip_t *chip, uint32_t address);
+void ftfl_write(chip_t *chip, uint32_t address, uint16_t value);
+uint16_t ftfl_data_read(chip_t *chip, uint32_t address);
 uint16_t intc_read(chip_t *chip, uint32_t address);
 void intc_write(chip_t *chip, uint32_t address, uint16_t value);
 uint16_t gpio_read(chip_t *chip, uint32_t address);
@@ -155,6 +158,7 @@ void adc_reset(chip_t *chip);
 void qtmr_reset(chip_t *chip);
 void xbar_reset(chip_t *chip);
 void sci_reset(chip_t *chip);
+void ftfl_reset(chip_t *chip);
 void core_reset(chip_t *chip);
 void system_reset(chip_t *chip, reset_cause_t cause);
 

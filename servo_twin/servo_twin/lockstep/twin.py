@@ -179,15 +179,17 @@ class Twin:
         Those that come as a command afterwards are taken at their tick. Begins anew when the twin's board has others.
         """
         self._blocks |= {axis: tuple(words) for axis, words in blocks.items()}
-        if self._replica is None:
-            return
-        known = dict(enumerate(self._replica.read_words("config.checksum")))
+        if self._replica is not None and not self._will_have_blocks(self._replica):
+            self._cause = "the board has another configuration"
+            self.resync(self._cause)
+
+    def _will_have_blocks(self, replica: Replica) -> bool:
+        """Whether the twin's board has the blocks of the real one, or gets them by a command that waits."""
+        known = dict(enumerate(replica.read_words("config.checksum")))
         for command in self._ledger.until(_FOREVER):
             if command.variable == TAKE:
                 known |= checksums_of(blocks_of(command))
-        if any(known[axis] != checksum for axis, checksum in checksums_of(blocks).items()):
-            self._cause = "the board has another configuration"
-            self.resync(self._cause)
+        return all(known[axis] == checksum for axis, checksum in checksums_of(self._blocks).items())
 
     def windings(self, temperatures: Sequence[float]) -> None:
         """Take the temperatures of the windings that the real board estimates, in the order of the axes [deg C].
@@ -376,6 +378,9 @@ class Twin:
         """Switch the twin's board on if this sample allows it; returns whether it does."""
         if self._ledger.from_reset and not self._missing(sample) and sample.tick <= _ticks(self.settings.from_reset):
             replica = self._switch_on()
+            if not self._will_have_blocks(replica):  # the real board has come up with what its data flash keeps
+                bring(replica, self._blocks)
+                self._note_torque(replica)
             for axis in self._axes:
                 axis.begin()
             self._set_parameters(replica)

@@ -189,6 +189,38 @@ bool hal_serial_get(hal_t *hal, uint8_t *byte)
     return there;
 }
 
+bool hal_flash_present(hal_t *hal)
+{
+    (void)hal;
+    return false;
+}
+
+uint32_t hal_flash_read(hal_t *hal, uint16_t word)
+{
+    (void)hal;
+    (void)word;
+    return UINT32_MAX;
+}
+
+void hal_flash_erase(hal_t *hal, uint16_t sector)
+{
+    (void)hal;
+    (void)sector;
+}
+
+void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value)
+{
+    (void)hal;
+    (void)word;
+    (void)value;
+}
+
+hal_flash_t hal_flash_result(hal_t *hal)
+{
+    (void)hal;
+    return HAL_FLASH_DONE;
+}
+
 bool hal_serial_put(hal_t *hal, uint8_t byte)
 {
     hal->sent = byte;

@@ -32,6 +32,8 @@ typedef enum {
     OUT_BRAKE,   /* on */
     OUT_MONITOR, /* value */
     OUT_DONE,    /* the fast loop is through */
+    OUT_ERASE,   /* sector */
+    OUT_PROGRAM, /* word, value: low half, high half */
 } out_t;
 
 #define EXCHANGE_IN_MAX 64

@@ -278,6 +278,11 @@ uint16_t __real_hal_late_loops(hal_t *hal);
 uint16_t __real_hal_receiver_overruns(hal_t *hal);
 void __real_hal_brake(hal_t *hal, bool on);
 void __real_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value);
+bool __real_hal_flash_present(hal_t *hal);
+uint32_t __real_hal_flash_read(hal_t *hal, uint16_t word);
+void __real_hal_flash_erase(hal_t *hal, uint16_t sector);
+void __real_hal_flash_program(hal_t *hal, uint16_t word, uint32_t value);
+hal_flash_t __real_hal_flash_result(hal_t *hal);
 
 void __wrap_servo_init(servo_t *servo, hal_t *hal)
 {
@@ -439,6 +444,18 @@ bool __wrap_hal_serial_get(hal_t *hal, uint8_t *byte)
     return there;
 }
 
+bool __wrap_hal_flash_present(hal_t *hal) { return __real_hal_flash_present(hal); }
+
+/* The replay keeps its own data flash, which begins erased as this one does: what is read is no news. */
+uint32_t __wrap_hal_flash_read(hal_t *hal, uint16_t word) { return __real_hal_flash_read(hal, word); }
+
+hal_flash_t __wrap_hal_flash_result(hal_t *hal)
+{
+    const hal_flash_t result = __real_hal_flash_result(hal);
+    in((uint32_t)result);
+    return result;
+}
+
 /* ---- outputs ---------------------------------------------------------------------------------------------------- */
 
 void __wrap_hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair)
@@ -503,6 +520,20 @@ void __wrap_hal_duties_done(hal_t *hal, uint16_t axis)
 {
     out_head(&recorder.out, OUT_DONE, axis);
     __real_hal_duties_done(hal, axis);
+}
+
+void __wrap_hal_flash_erase(hal_t *hal, uint16_t sector)
+{
+    out1(OUT_ERASE, 0, sector);
+    __real_hal_flash_erase(hal, sector);
+}
+
+void __wrap_hal_flash_program(hal_t *hal, uint16_t word, uint32_t value)
+{
+    out1(OUT_PROGRAM, 0, word);
+    out_word(&recorder.out, (uint16_t)value);
+    out_word(&recorder.out, (uint16_t)(value >> 16));
+    __real_hal_flash_program(hal, word, value);
 }
 
 void __wrap_hal_watchdog_service(hal_t *hal)

@@ -50,6 +50,7 @@ bool replay_recording(void)
         return false;
     }
     digest_init(&digest);
+    replay_power_on(&hal);
     while (trace_reader_next(&reader, &call)) {
         const uint32_t period = digest.periods;
         replay_load(&hal, &call);

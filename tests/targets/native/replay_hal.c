@@ -1,5 +1,7 @@
 #include "replay_hal.h"
 
+#include <string.h>
+
 /* ---- hal/hal.h -------------------------------------------------------------------------------------------------- */
 
 static uint16_t take(hal_t *hal)
@@ -116,6 +118,57 @@ bool hal_serial_put(hal_t *hal, uint8_t byte)
     return take(hal) != 0U;
 }
 
+/* A command has its effect at once: nobody reads before it has ended. */
+bool hal_flash_present(hal_t *hal)
+{
+    (void)hal;
+    return true;
+}
+
+/* NULL behind a set. */
+static uint32_t *flash_word(hal_t *hal, uint16_t word)
+{
+    const uint16_t index = (uint16_t)(word % STORED_ROOM);
+    return (index < REPLAY_WORDS) ? &hal->flash[word / STORED_ROOM][index] : NULL;
+}
+
+uint32_t hal_flash_read(hal_t *hal, uint16_t word)
+{
+    const uint32_t *at = flash_word(hal, word);
+    if (at == NULL && word == hal->last) {
+        return hal->last_value;
+    }
+    return (at != NULL) ? *at : UINT32_MAX;
+}
+
+void hal_flash_erase(hal_t *hal, uint16_t sector)
+{
+    out_head(&hal->out, OUT_ERASE, 0);
+    out_word(&hal->out, sector);
+    for (uint16_t i = 0; i < HAL_FLASH_SECTOR_WORDS; i++) {
+        uint32_t *at = flash_word(hal, (uint16_t)(sector * HAL_FLASH_SECTOR_WORDS + i));
+        if (at != NULL) {
+            *at = UINT32_MAX;
+        }
+    }
+}
+
+void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value)
+{
+    out_head(&hal->out, OUT_PROGRAM, 0);
+    out_word(&hal->out, word);
+    out_word(&hal->out, (uint16_t)value);
+    out_word(&hal->out, (uint16_t)(value >> 16));
+    uint32_t *at = flash_word(hal, word);
+    if (at != NULL) {
+        *at &= value;
+    }
+    hal->last = word;
+    hal->last_value = value;
+}
+
+hal_flash_t hal_flash_result(hal_t *hal) { return (hal_flash_t)take(hal); }
+
 uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
 {
     (void)axis;
@@ -145,6 +198,12 @@ void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
 void hal_watchdog_service(hal_t *hal) { out_head(&hal->out, OUT_WATCHDOG, 0); }
 
 /* ---- calls ------------------------------------------------------------------------------------------------------ */
+
+void replay_power_on(hal_t *hal)
+{
+    (void)memset(hal->flash, 0xFF, sizeof hal->flash);
+    hal->last_value = UINT32_MAX;
+}
 
 void replay_load(hal_t *hal, const trace_call_t *call)
 {

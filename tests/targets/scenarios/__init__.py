@@ -12,7 +12,7 @@ from typing import Final
 from targets import server_requests
 from targets.recording import Scenario
 from targets.rig import Rig
-from targets.scenarios import faults, homing, moves, observers, stops, tuning
+from targets.scenarios import faults, homing, moves, observers, stops, storage, tuning
 from targets.scenarios.parts import plant, ready
 
 
@@ -63,5 +63,6 @@ SCENARIOS: Final = (
     Scenario("positions", plant(), homing.positions),
     Scenario("homing", plant(), homing.homing),
     Scenario("blocked", plant(), homing.blocked),
+    Scenario("storage", plant(), storage.storage),
     Scenario("server", plant(), server),
 )

@@ -1,0 +1,63 @@
+#include "app/servo_storage.h"
+
+#include <stddef.h>
+
+static storage_board_t storage_board(servo_t *servo)
+{
+    return (storage_board_t){
+        .hal = servo->hal,
+        .axes = servo->axis,
+        .values = {(uint8_t *)servo, (uint16_t)offsetof(servo_t, parameter), &servo->configure},
+        .config_status = &servo->config_status,
+        .journal = &servo->journal,
+        .request = (uint16_t)offsetof(servo_t, storage_request),
+    };
+}
+
+bool servo_storage_accept(servo_t *servo, uint16_t offset, bool whole, const uint8_t *data, uint16_t size)
+{
+    const storage_board_t board = storage_board(servo);
+    return storage_accept(&servo->storage, &servo->storage_status, &board, (uint16_t)(offset - board.request), whole,
+                          data, size);
+}
+
+/* Those of the configuration in force. */
+static void default_parameters(servo_t *servo)
+{
+    parameter_block_t *parameter = &servo->parameter;
+    parameter->host_timeout = servo_config.host_timeout;
+    parameter->command_timeout = servo_config.command_timeout;
+    parameter->brake = servo_config.brake.fitted ? 1U : 0U;
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        const axis_config_t *config = configure_block(&servo->configure, i);
+        parameter->speed_limit[i] = config->speed_limit;
+        parameter->acceleration_limit[i] = config->acceleration_limit;
+        parameter->i_q_limit[i] = config->i_q_limit;
+        parameter->features[i] = config->features;
+        parameter->feedback[i] = config->feedback;
+        parameter->on_disable[i] = config->stop.disable;
+        parameter->on_quick_stop[i] = config->stop.quick_stop;
+        parameter->faults_enabled[i] = (fault_set_t)PARAM_FAULTS_ENABLED_MAX;
+        parameter->position_min[i] = -config->position_limit;
+        parameter->position_max[i] = config->position_limit;
+        parameter->following_error[i] = config->following_error;
+        parameter->over_speed[i] = config->over_speed;
+    }
+    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+        parameter->monitor[i] = MONITOR_NONE;
+    }
+}
+
+void servo_restore(servo_t *servo)
+{
+    default_parameters(servo);
+    servo->storage_request = (storage_request_t){{0}};
+    const storage_board_t board = storage_board(servo);
+    storage_begin(&servo->storage, &servo->storage_status, &board);
+}
+
+void servo_storage_step(servo_t *servo)
+{
+    const storage_board_t board = storage_board(servo);
+    storage_step(&servo->storage, &servo->storage_status, &board);
+}

@@ -1,0 +1,545 @@
+"""Parameters and configuration in the data flash: kept whole or not at all, whenever power fails."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pytest
+from block_bench import BlockBench
+from core_library import Core, load_core
+from firmware_compiler import CompileC
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from servo_bench import RUN, STOP
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
+from servo_msgs_py.board_parameters import layout, parameters
+from servo_msgs_py.catalogue import Catalogue
+
+CATALOGUE = Catalogue.load()
+TABLE = AxisConfigTable.load()
+MEMBERS = list(TABLE.members.values())
+PARAMETERS = parameters(CATALOGUE)
+SAVE, FACTORY = CATALOGUE.bits["storage_request"]["SAVE"], CATALOGUE.bits["storage_request"]["FACTORY"]
+
+SECTOR: Final = 256
+ROOM: Final = 2 * SECTOR  # of a copy
+HEAD: Final = 5
+VALUES: Final = sum(v.count for v in PARAMETERS)
+SEAL: Final = HEAD + VALUES + 2 * len(TABLE)
+COMMANDS: Final = 2 + SEAL + 1  # of a save: two sectors, every word
+
+Words = NDArray[Any]
+Values = tuple[Any, ...]
+
+
+class Command(NamedTuple):
+    """A command of the flash, and what was in it before."""
+
+    erases: bool
+    at: int
+    value: int
+    before: Words
+
+    def torn(self, changed: Words) -> Words:
+        """What is left when only the bits under `changed` (of a sector) had changed when power failed."""
+        words: Words = self.before.copy()
+        if self.erases:
+            words[SECTOR * self.at : SECTOR * (self.at + 1)] |= changed
+        else:
+            words[self.at] &= self.value | ~changed[0]
+        return words
+
+
+class StorageBench(BlockBench):
+    """A board whose data flash a test reads and writes, and that may be switched off and on."""
+
+    def __init__(self, core: Core, flash: Words | None = None) -> None:
+        super().__init__(core)
+        self.tokens = iter(range(1, 1 << 16))
+        if flash is not None:
+            self.start(flash)
+
+    def start(self, flash: Words) -> None:
+        """Power on with this in the flash."""
+        ffi, lib = self.core.ffi, self.core.lib
+        ffi.memmove(self.servo, bytes(ffi.sizeof("servo_t")), ffi.sizeof("servo_t"))
+        lib.fake_hal_init(self.hal)
+        ffi.memmove(self.hal.flash, flash.tobytes(), flash.nbytes)
+        lib.servo_init(self.servo, self.hal)
+
+    @property
+    def flash(self) -> Words:
+        words: Words = np.frombuffer(self.core.ffi.buffer(self.hal.flash), np.uint32).copy()
+        return words
+
+    def values(self) -> Values:
+        """All that is kept."""
+        named = tuple(tuple(self.read_words(v.name)) for v in PARAMETERS)
+        return (*named, *(tuple(read_block(self, axis).values()) for axis in range(2)))
+
+    def request(self, kind: int, token: int | None = None) -> bool:
+        return self.write_words("storage.request", [kind, next(self.tokens) if token is None else token])
+
+    def finish(self) -> str:
+        """Run the background until the request is done; why it had no effect."""
+        for _ in range(20_000):
+            if self.servo.storage_status.state == 0:
+                return self.refusal()
+            self.core.lib.servo_background(self.servo)
+        raise AssertionError("the request never ends")
+
+    def commands(self, kind: int) -> Iterator[Command]:
+        """Carry out a request, and hand out each command before it has any effect."""
+        assert self.request(kind)
+        seen = self.hal.flash_commands
+        while self.servo.storage_status.state != 0:
+            self.core.lib.servo_background(self.servo)
+            if self.hal.flash_commands != seen:
+                seen = self.hal.flash_commands
+                yield Command(self.hal.flash_erases, self.hal.flash_at, self.hal.flash_value, self.flash)
+        assert self.refusal() == "NONE"
+
+    def begin(self, kind: int, command: int) -> None:
+        """Carry out a request up to the beginning of its `command` (from 1)."""
+        first = self.hal.flash_commands
+        assert self.request(kind)
+        while self.hal.flash_commands < first + command:
+            self.core.lib.servo_background(self.servo)
+
+    def keep(self) -> None:
+        assert self.request(SAVE)
+        assert self.finish() == "NONE"
+
+    def label(self, name: str) -> str:
+        (raw,) = self.read_words(name)
+        return CATALOGUE.label(CATALOGUE[name].enum or "", raw)
+
+    def refusal(self) -> str:
+        return self.label("storage.refusal")
+
+    def source(self) -> str:
+        return self.label("storage.source")
+
+    def copies(self) -> list[str]:
+        return [CATALOGUE.label("stored_copy_t", raw) for raw in self.read_words("storage.copy")]
+
+    def change(self, speed: float, gain: int) -> None:
+        """Another parameter and another member."""
+        self.set_parameter("speed_limit", speed)
+        block = read_block(self, 1)
+        send_block(self, 1, {**block, "position_gain": block["position_gain"] + gain})
+        self.waits = 0
+        take_blocks(self, [1], self.tick)
+
+
+@pytest.fixture(scope="module")
+def core(compile_c: CompileC) -> Core:
+    return load_core(compile_c)
+
+
+@pytest.fixture
+def bench(core: Core) -> StorageBench:
+    board = StorageBench(core)
+    board.start(erased())
+    board.to_stop()
+    return board
+
+
+def erased() -> Words:
+    return np.full(2 * ROOM, 0xFFFF_FFFF, np.uint32)
+
+
+def two_sets(bench: StorageBench) -> tuple[Values, Values, Words]:
+    """An older set in copy A and a newer one in copy B."""
+    bench.change(100.0, 1)
+    older = bench.values()
+    bench.keep()
+    bench.change(120.0, 2)
+    newer = bench.values()
+    bench.keep()
+    return older, newer, bench.flash
+
+
+def seal(words: Words, copy: int) -> None:
+    """Sign a set anew."""
+    first = ROOM * copy
+    end = first + int(words[first + 1]) - 1
+    words[end] = zlib.crc32(words[first:end].tobytes())
+
+
+# ---- what is kept ---------------------------------------------------------------------------------------------------
+
+
+def test_an_erased_flash_brings_the_built_in_values(bench: StorageBench) -> None:
+    assert (bench.source(), bench.copies()) == ("BUILT_IN", ["EMPTY", "EMPTY"])
+    assert bench.read_words("storage.sequence") == [0]
+
+
+@settings(max_examples=25)
+@given(data=st.data())
+def test_all_values_come_back_after_a_reset(core: Core, data: st.DataObject) -> None:
+    bench = StorageBench(core, erased())
+    bench.to_stop()
+    blocks = [
+        {m.path: data.draw(st.integers(m.minimum, m.maximum)) & (m.maximum if m.bits else -1) for m in MEMBERS}
+        for _ in range(2)
+    ]
+    for axis, block in enumerate(blocks):
+        send_block(bench, axis, block)
+    take_blocks(bench, [0, 1], bench.tick)
+    for v in PARAMETERS:
+        assert bench.write_words(v.name, [data.draw(st.integers(*v.raw_range)) for _ in range(v.count)])
+    values = bench.values()
+    bench.keep()
+    bench.start(bench.flash)
+    assert bench.values() == values
+    assert bench.source() == "COPY_A"
+    assert [read_block(bench, axis) for axis in range(2)] == blocks
+    bench.slow(2)
+    assert bench.read_words("config.taken_count") == [0]
+
+
+def test_the_set_in_the_flash_is_what_the_document_says(bench: StorageBench) -> None:
+    bench.keep()
+    words = bench.flash[:ROOM]
+    raw = [word & 0xFFFF_FFFF for v in PARAMETERS for word in bench.read_words(v.name)]
+    members = [word & 0xFFFF_FFFF for axis in range(2) for word in read_block(bench, axis).values()]
+    narrow = [
+        word & (0xFFFF if v.element_size == 2 else 0xFFFF_FFFF) for v in PARAMETERS for word in bench.read_words(v.name)
+    ]
+    assert len(raw) == VALUES
+    assert list(words[:HEAD]) == [0x31535653, SEAL + 1, 1, layout(CATALOGUE), TABLE.layout]
+    assert list(words[HEAD:SEAL]) == [*narrow, *members]
+    assert words[SEAL] == zlib.crc32(words[:SEAL].tobytes())
+    assert set(words[SEAL + 1 :]) == {0xFFFF_FFFF}
+
+
+def test_copies_are_written_in_turn(bench: StorageBench) -> None:
+    for number in range(1, 6):
+        bench.change(100.0 + number, number)
+        bench.keep()
+        assert bench.read_words("storage.sequence") == [number]
+        assert bench.read_words("storage.saves") == [number]
+        assert bench.flash[ROOM * ((number - 1) % 2) + 2] == number
+        assert bench.copies() == ["INTACT", "INTACT" if number > 1 else "EMPTY"]
+        assert bench.hal.flash_commands == number * COMMANDS
+    values = bench.values()
+    bench.start(bench.flash)
+    assert (bench.source(), bench.values()) == ("COPY_A", values)
+
+
+def test_a_stored_set_moves_and_enables_nothing(bench: StorageBench) -> None:
+    bench.write_raw("param.features", [0x1FFF, 0x1FFF])
+    bench.keep()
+    bench.start(bench.flash)
+    bench.slow(2000)
+    assert [state for state, _, _ in bench.states()] == [STOP, STOP]
+    assert [bench.hal.axis[i].times_on for i in range(2)] == [0, 0]
+    assert bench.read_words("applied_count") == [0]
+
+
+def test_after_the_built_in_values_are_asked_for_they_come_with_the_next_reset(bench: StorageBench) -> None:
+    built_in = bench.values()
+    _, newer, _ = two_sets(bench)
+    assert bench.request(FACTORY)
+    assert bench.finish() == "NONE"
+    assert bench.values() == newer, "not before"
+    assert (bench.copies(), bench.read_words("storage.sequence")) == (["EMPTY", "EMPTY"], [0])
+    bench.start(bench.flash)
+    assert (bench.values(), bench.source()) == (built_in, "BUILT_IN")
+    bench.to_stop()
+    bench.keep()
+    assert bench.read_words("storage.sequence") == [1]
+
+
+# ---- power fails ----------------------------------------------------------------------------------------------------
+
+
+def tears(command: Command, random: np.random.Generator) -> Iterator[Words]:
+    """What may be left of a command: nothing of it, some of it, all of it, and what has half the bits of each word."""
+    yield command.before
+    for part in (0.03, 0.5, 0.97):
+        bits = random.random((SECTOR, 32)) < part
+        yield command.torn(np.packbits(bits, axis=1, bitorder="little").view("<u4")[:, 0])
+    yield command.torn(np.full(SECTOR, 0x0000_FFFF, np.uint32))
+    yield command.torn(np.full(SECTOR, 0xFFFF_FFFF, np.uint32))
+
+
+@pytest.mark.parametrize("earlier", [0, 1, 2])
+def test_a_save_that_power_cuts_leaves_the_old_set_or_the_new_one(
+    core: Core, bench: StorageBench, earlier: int
+) -> None:
+    for number in range(earlier):
+        bench.change(90.0 + number, 1)
+        bench.keep()
+    before = bench.values()
+    bench.change(150.0, 3)
+    after = bench.values()
+    random = np.random.default_rng(earlier)
+    other, seen, steps = StorageBench(core), set(), 0
+    for command in bench.commands(SAVE):
+        steps += 1
+        for image in tears(command, random):
+            other.start(image)
+            values = other.values()
+            assert values in (before, after), f"command {steps} of {COMMANDS}"
+            assert (other.source() == "BUILT_IN") == (earlier == 0 and values == before)
+            seen.add((values == after, steps == COMMANDS))
+    assert steps == COMMANDS
+    assert seen == {(False, False), (False, True), (True, True)}, "new only with the seal, which is the last word"
+
+
+def test_an_erase_of_both_copies_that_power_cuts_leaves_the_old_set_or_the_built_in_one(
+    core: Core, bench: StorageBench
+) -> None:
+    built_in = bench.values()
+    _, newer, _ = two_sets(bench)
+    random = np.random.default_rng(0)
+    other, steps, seen = StorageBench(core), 0, set()
+    for command in bench.commands(FACTORY):
+        steps += 1
+        assert command.erases
+        for image in tears(command, random):
+            other.start(image)
+            assert other.values() in (built_in, newer)
+            seen.add((steps, other.values() == newer))
+    assert steps == 4
+    assert {number for number, kept in seen if kept} == {1, 2, 3}
+    assert {number for number, kept in seen if not kept} == {3, 4}
+
+
+def test_after_a_cut_the_next_save_works(core: Core, bench: StorageBench) -> None:
+    _, newer, _ = two_sets(bench)
+    for command in bench.commands(SAVE):
+        if command.at == 40 and not command.erases:
+            break
+    bench.start(command.before)
+    assert (bench.copies(), bench.source(), bench.values()) == (["DAMAGED", "INTACT"], "COPY_B", newer)
+    bench.to_stop()
+    bench.change(77.0, 5)
+    values = bench.values()
+    bench.keep()
+    bench.start(bench.flash)
+    assert (bench.copies(), bench.source(), bench.values()) == (["INTACT", "INTACT"], "COPY_A", values)
+
+
+# ---- damage ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("word", range(SEAL + 1))
+def test_a_damaged_word_makes_the_older_set_come_back(core: Core, word: int) -> None:
+    older, _, flash = kept_sets(core)
+    random = np.random.default_rng(word)
+    bench = StorageBench(core)
+    for change in (0x0000_0001, 0x8000_0000, int(random.integers(1, 1 << 32)), int(flash[ROOM + word]) or 1):
+        damaged = flash.copy()
+        damaged[ROOM + word] ^= change
+        bench.start(damaged)
+        assert (bench.copies(), bench.source()) == (["INTACT", "DAMAGED"], "COPY_A")
+        assert bench.values() == older
+        damaged[word] ^= change
+        bench.start(damaged)
+        assert (bench.copies(), bench.source()) == (["DAMAGED", "DAMAGED"], "BUILT_IN")
+
+
+_kept: dict[int, tuple[Values, Values, Words]] = {}
+
+
+def kept_sets(core: Core) -> tuple[Values, Values, Words]:
+    if not _kept:
+        bench = StorageBench(core, erased())
+        bench.to_stop()
+        _kept[0] = two_sets(bench)
+    return _kept[0]
+
+
+@settings(max_examples=200)
+@given(data=st.data())
+def test_random_contents_are_never_taken_for_a_set(core: Core, data: st.DataObject) -> None:
+    bench = StorageBench(core)
+    words = erased()
+    built_in = None
+    for place, word in data.draw(st.dictionaries(st.integers(0, 2 * ROOM - 1), st.integers(0, 2**32 - 1))).items():
+        words[place] = word
+    if data.draw(st.booleans()):
+        words[0], words[1] = 0x31535653, data.draw(st.integers(0, 2**32 - 1))
+    bench.start(words)
+    built_in = StorageBench(core, erased()).values()
+    assert (bench.source(), bench.values()) == ("BUILT_IN", built_in)
+
+
+@pytest.mark.parametrize(("word", "value"), [(1, SEAL), (3, 1), (4, 1)])
+def test_a_set_of_another_firmware_is_named_and_kept_to_the_last(core: Core, word: int, value: int) -> None:
+    older, _, flash = kept_sets(core)
+    flash = flash.copy()
+    flash[ROOM + word] = value
+    seal(flash, 1)
+    bench = StorageBench(core, flash)
+    assert (bench.copies(), bench.source(), bench.values()) == (["INTACT", "OTHER_LAYOUT"], "COPY_A", older)
+    flash[0] = 0
+    bench.start(flash)
+    assert (bench.copies(), bench.source()) == (["DAMAGED", "OTHER_LAYOUT"], "BUILT_IN")
+    bench.to_stop()
+    bench.keep()
+    assert bench.copies() == ["INTACT", "OTHER_LAYOUT"]
+    assert bench.read_words("storage.sequence") == [3]
+    bench.start(bench.flash)
+    assert bench.source() == "COPY_A"
+
+
+def test_a_value_that_a_host_may_not_write_is_not_taken_from_the_flash_either(core: Core) -> None:
+    older, _, kept = kept_sets(core)
+    bench = StorageBench(core)
+    place = HEAD
+    limits = [v.raw_range for v in PARAMETERS for _ in range(v.count)]
+    limits += [(m.minimum, m.maximum) for _ in range(2) for m in MEMBERS]
+    refused = 0
+    for place, (low, high) in enumerate(limits, HEAD):
+        for wrong in (low - 1, high + 1):
+            if not -(1 << 31) <= wrong < 1 << 31:
+                continue
+            flash = kept.copy()
+            flash[ROOM + place] = wrong & 0xFFFF_FFFF
+            seal(flash, 1)
+            bench.start(flash)
+            if bench.source() == "COPY_B":  # 16 bits that are all in range
+                assert low - high in (-0xFFFF, 0xFFFF), place
+                continue
+            assert (bench.copies(), bench.source()) == (["INTACT", "OUT_OF_RANGE"], "COPY_A")
+            assert bench.values() == older
+            refused += 1
+    assert refused > len(limits) / 2
+
+
+def test_what_is_wrong_with_a_copy_stands_in_the_log(core: Core) -> None:
+    _, _, flash = kept_sets(core)
+    flash = flash.copy()
+    flash[ROOM + 9] ^= 1
+    bench = StorageBench(core, flash)
+    events = [bench.servo.journal.event[k].value for k in range(bench.servo.journal.count)]
+    assert events == [0, 1 << 8 | CATALOGUE.enums["stored_copy_t"]["DAMAGED"]]
+
+
+# ---- requests -------------------------------------------------------------------------------------------------------
+
+
+def test_a_request_that_is_repeated_is_carried_out_once(bench: StorageBench) -> None:
+    """Its answer may have been lost, whether it is still under way or done."""
+    assert bench.request(SAVE, 7)
+    bench.core.lib.servo_background(bench.servo)
+    assert bench.request(SAVE, 7)
+    assert bench.finish() == "NONE"
+    for _ in range(3):
+        assert bench.request(SAVE, 7)
+        assert bench.finish() == "NONE"
+    assert bench.read_words("storage.saves") == [1]
+    assert bench.read_words("storage.sequence") == [1]
+    assert bench.read_words("storage.answered") == [7]
+    assert not bench.request(FACTORY, 7)
+    assert bench.refusal() == "FORM"
+    assert bench.request(SAVE, 8)
+    assert bench.finish() == "NONE"
+    assert bench.read_words("storage.saves") == [2]
+
+
+@pytest.mark.parametrize("words", [[0, 1], [3, 1], [1, 0], [1]])
+def test_a_request_without_form_is_refused(bench: StorageBench, words: Sequence[int]) -> None:
+    assert not bench.write_words("storage.request", words)
+    assert bench.refusal() == "FORM"
+    assert bench.hal.flash_commands == 0
+
+
+def test_one_request_at_a_time(bench: StorageBench) -> None:
+    assert bench.request(SAVE)
+    assert not bench.request(FACTORY)
+    assert bench.refusal() == "BUSY"
+    assert bench.finish() == "NONE"
+    assert bench.copies() == ["INTACT", "EMPTY"]
+
+
+def test_nothing_is_written_while_an_axis_is_not_at_rest(bench: StorageBench) -> None:
+    bench.to_spin(1)
+    assert not bench.request(SAVE)
+    assert bench.refusal() == "MOTION"
+    bench.write(1, enable=0)
+    bench.until(lambda: bench.view(1).state == STOP, 5000)
+    bench.keep()
+    bench.turn(0, 20.0)
+    bench.slow(100)
+    assert not bench.request(FACTORY)
+    assert bench.hal.flash_commands == COMMANDS
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 100, COMMANDS])
+def test_an_axis_that_is_enabled_meanwhile_starts_and_the_old_set_stays(bench: StorageBench, step: int) -> None:
+    _, newer, _ = two_sets(bench)
+    bench.hal.flash_polls = 40
+    bench.change(60.0, 9)
+    bench.begin(SAVE, step)
+    bench.write(0, enable=1)
+    bench.until(lambda: bench.view(0).state == RUN, 10)
+    assert bench.finish() in ("MOTION", "NONE")
+    bench.start(bench.flash)
+    assert bench.copies()[1] == "INTACT"
+    assert (bench.values() == newer) == (step < COMMANDS)
+
+
+@pytest.mark.parametrize("what", ["parameter", "block"])
+def test_values_that_change_meanwhile_are_not_kept_in_part(bench: StorageBench, what: str) -> None:
+    _, newer, _ = two_sets(bench)
+    bench.begin(SAVE, 100)
+    if what == "parameter":
+        bench.set_parameter("i_q_limit", 0.5)
+    else:
+        block = read_block(bench, 0)
+        send_block(bench, 0, {**block, "position_gain": block["position_gain"] + 1})
+        take_blocks(bench, [0], bench.tick)
+    assert bench.finish() == "CHANGED"
+    assert bench.copies() == ["DAMAGED", "INTACT"]
+    bench.start(bench.flash)
+    assert bench.values() == newer
+
+
+@pytest.mark.parametrize("wrong", ["controller", "bit"])
+def test_a_flash_that_does_not_keep_what_is_written_is_named(bench: StorageBench, wrong: str) -> None:
+    _, newer, _ = two_sets(bench)
+    bench.begin(SAVE, 60)
+    if wrong == "controller":
+        bench.hal.flash_fails = True
+    else:
+        bench.hal.flash_stuck = 0x10
+    assert bench.finish() == "FLASH"
+    bench.start(bench.flash)
+    assert bench.values() == newer
+
+
+def test_a_board_without_data_flash_says_so(bench: StorageBench) -> None:
+    bench.hal.flash_absent = True
+    bench.core.lib.servo_init(bench.servo, bench.hal)
+    bench.to_stop()
+    assert (bench.copies(), bench.source()) == (["ABSENT", "ABSENT"], "BUILT_IN")
+    assert not bench.request(SAVE)
+    assert bench.refusal() == "ABSENT"
+
+
+def test_the_server_waits_while_a_command_is_under_way(bench: StorageBench) -> None:
+    """Its tables lie in the data flash. It takes bytes, and has its turn between two commands; the loops go on."""
+    bench.hal.flash_polls = 10
+    assert bench.request(SAVE)
+    bench.core.lib.servo_background(bench.servo)
+    bench.read_arrives()
+    for _ in range(9):
+        bench.core.lib.servo_background(bench.servo)
+        assert bench.hal.serial_out_size == 0
+    assert bench.hal.serial_in_taken == bench.hal.serial_in_size > 0, "all of it has been fetched"
+    tick = bench.servo.snapshot.tick
+    bench.slow(2)
+    assert bench.hal.serial_out_size > 0
+    assert bench.servo.snapshot.tick == tick + 16
+    assert bench.finish() == "NONE"
+    assert bench.hal.flash_reads == 0

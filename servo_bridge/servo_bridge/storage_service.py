@@ -1,0 +1,139 @@
+"""The services ``save_to_board`` and ``restore_factory``, and what the data flash of the board has for /diagnostics.
+
+Each look at the board is a job of the link of its own, so that set-points and telemetry go on in between.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import partial
+from typing import Final, TypeVar
+
+from rclpy.node import Node
+from servo_msgs_py.board_storage import (
+    Kind,
+    Storage,
+    StorageRefusedError,
+    begin_request,
+    read_storage,
+    request_result,
+    success_text,
+)
+from std_srvs.srv import Trigger
+
+from servo_bridge.services import DeferredService, Outcome
+from servo_bridge.tuning.block_session import BlockSession
+from servo_bridge.wire.session import Call
+from servo_msgs_py import topics
+
+__all__ = ["StorageService"]
+
+_PATIENCE: Final = 5.0
+"""Longest time for a request [s]; the flash takes half a second at most."""
+
+T = TypeVar("T")
+
+
+class StorageService:
+    """Stores when it is asked to. In the thread of the node.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the services.
+    call : Call
+        Way to the board.
+    post : callable
+        Runs a function in the thread of the node.
+    say, warn : callable
+        Get a sentence for the log.
+    clock : callable
+        Time [s].
+
+    Attributes
+    ----------
+    storage : Storage or None
+        What the data flash has; None while it is not known.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        call: Call,
+        post: Callable[[Callable[[], None]], None],
+        *,
+        say: Callable[[str], None],
+        warn: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.storage: Storage | None = None
+        self._call, self._post = call, post
+        self._say, self._warn = say, warn
+        self._clock = clock
+        self._busy = False
+        self._services = [
+            DeferredService(node, Trigger, topics.SAVE_TO_BOARD, lambda _: self._asked("SAVE")),
+            DeferredService(node, Trigger, topics.RESTORE_FACTORY, lambda _: self._asked("FACTORY")),
+        ]
+
+    def connected(self) -> None:
+        """The link is up, maybe to a board that was reset."""
+        self._job(lambda memory: read_storage(memory), self._seen, lambda _: None)
+
+    def link_lost(self) -> None:
+        """Nothing is known any more."""
+        self.storage = None
+
+    def _seen(self, storage: Storage) -> None:
+        if storage.trouble and storage != self.storage:
+            self._warn(f"data flash of the board: {storage.trouble}")
+        self.storage = storage
+
+    def _asked(self, kind: Kind) -> Future[Outcome]:
+        answer: Future[Outcome] = Future()
+        if self._busy:
+            answer.set_result((False, "a request is under way already; call again when that is answered"))
+            return answer
+        self._busy = True
+        until = self._clock() + _PATIENCE
+        failed = partial(self._failed, kind, answer)
+        self._job(lambda memory: begin_request(memory, kind), partial(self._look, kind, answer, until), failed)
+        return answer
+
+    def _look(self, kind: Kind, answer: Future[Outcome], until: float, token: int) -> None:
+        def seen(storage: Storage | None) -> None:
+            if storage is not None:
+                self._seen(storage)
+                self._done(answer, (True, success_text(kind, storage)))
+            elif self._clock() > until:
+                self._failed(kind, answer, StorageRefusedError("", f"the board is not done within {_PATIENCE:g} s"))
+            else:
+                self._look(kind, answer, until, token)
+
+        self._job(lambda memory: request_result(memory, token), seen, partial(self._failed, kind, answer))
+
+    def _failed(self, kind: Kind, answer: Future[Outcome], error: BaseException) -> None:
+        self._done(answer, (False, str(error) or type(error).__name__))
+        self.connected()
+
+    def _done(self, answer: Future[Outcome], outcome: Outcome) -> None:
+        self._busy = False
+        success, message = outcome
+        (self._say if success else self._warn)(message)
+        answer.set_result(outcome)
+
+    def _job(
+        self,
+        work: Callable[[BlockSession], T],
+        then: Callable[[T], None],
+        failed: Callable[[BaseException], None],
+    ) -> None:
+        """Do something with the board in the thread of the link, and go on with its result in that of the node."""
+
+        def done(future: Future[T]) -> None:
+            error = future.exception()
+            self._post(partial(then, future.result()) if error is None else partial(failed, error))
+
+        self._call(lambda session: work(BlockSession(session))).add_done_callback(done)

@@ -1,0 +1,45 @@
+"""``servo-tool save --to-board`` and ``servo-tool factory``: what the board keeps in its data flash."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from servo_msgs_py.board_storage import Kind, StorageRefusedError, carry_out, read_storage, success_text
+
+from servo_bridge.tuning.block_session import BlockSession
+
+if TYPE_CHECKING:
+    from servo_bridge.tool_commands import Context
+
+__all__ = ["factory", "save_to_board", "storage_row"]
+
+
+def save_to_board(context: Context) -> int:
+    """Keep parameters and configuration in the data flash."""
+    return _carry_out(context, "SAVE")
+
+
+def factory(context: Context) -> int:
+    """Erase what the data flash keeps."""
+    return _carry_out(context, "FACTORY")
+
+
+def storage_row(context: Context) -> tuple[str, str]:
+    """Row of ``servo-tool info``; empty for a board of another kind."""
+    known = context.session.mismatch is None
+    return "storage", read_storage(BlockSession(context.session)).text if known else ""
+
+
+def _carry_out(context: Context, kind: Kind) -> int:
+    if context.session.mismatch is not None:
+        print(f"servo-tool: {context.session.mismatch}", file=sys.stderr)
+        return 1
+    memory = BlockSession(context.session)
+    try:
+        storage = carry_out(memory, kind, memory.wait)
+    except StorageRefusedError as error:
+        print(f"servo-tool: {error}", file=sys.stderr)
+        return 1
+    print(success_text(kind, storage))
+    return 0

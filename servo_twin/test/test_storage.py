@@ -1,0 +1,184 @@
+"""The data flash of a virtual board at both levels: power fails at random instants, and what a save costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
+from servo_msgs_py.board_parameters import parameters
+from servo_msgs_py.board_storage import Kind, Storage, begin_request, read_storage, request_result
+from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_twin.board import Board
+from servo_twin.lockstep.replica import Replica
+
+pytestmark = pytest.mark.usefixtures("level")
+
+CATALOGUE: Final = Catalogue.load()
+WORDS: Final = 4 * 256  # of both copies, at the end of the flash
+COMMANDS: Final = 3 + 5 + sum(v.count for v in parameters(CATALOGUE)) + 2 * len(AxisConfigTable.load())
+"""Of a save: two sectors, every word, the seal."""
+
+Values = tuple[tuple[int, ...], ...]
+
+
+class Kept:
+    """A board, and whatever it keeps in its flash."""
+
+    def __init__(self, flash: bytes | None = None, seed: int = 0) -> None:
+        self.board = Board(seed=seed, flash=flash)
+        self.memory = Replica(self.board)
+        self.run(0.06)
+
+    def __enter__(self) -> Kept:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.board.close()
+
+    def run(self, seconds: float) -> None:
+        self.board.run(seconds)
+
+    def wait(self) -> bool:
+        self.run(0.001)
+        return True
+
+    def values(self) -> Values:
+        named = tuple(tuple(self.memory.read_words(v.name)) for v in parameters(CATALOGUE))
+        return (*named, *(tuple(read_block(self.memory, axis).values()) for axis in range(AXES)))
+
+    def change(self, number: int) -> None:
+        """Another parameter and another member."""
+        self.board.write("param.speed_limit", [100.0 + number, 90.0])
+        block = read_block(self.memory, 1)
+        send_block(self.memory, 1, {**block, "position_gain": block["position_gain"] + number})
+        take_blocks(self.memory, [1], self.wait)
+
+    def carry_out(self, kind: Kind) -> Storage:
+        token = begin_request(self.memory, kind)
+        for _ in range(1000):
+            if (result := request_result(self.memory, token)) is not None:
+                return result
+            self.run(0.0005)
+        raise AssertionError("the request never ends")
+
+    def words(self) -> NDArray[np.uint32]:
+        return np.frombuffer(self.board.flash_image(), "<u4")
+
+
+@pytest.fixture
+def kept() -> Iterator[Kept]:
+    with Kept() as kept:
+        yield kept
+
+
+def test_a_save_comes_back_after_power_was_off(kept: Kept) -> None:
+    kept.change(1)
+    values = kept.values()
+    before = kept.board.time_ns
+    storage = kept.carry_out("SAVE")
+    took = (kept.board.time_ns - before) * 1e-6
+    assert storage == (1, "BUILT_IN", ("INTACT", "EMPTY"))
+    assert kept.board.flash_state().commands == COMMANDS
+    assert 45.0 < took < 80.0, "two erases of 14 ms, a word in 65 us, and the turns of the background"
+    assert kept.board.read("late_loops") == kept.board.read("receiver_overruns") == 0
+    with Kept(kept.board.cut_power()) as after:
+        assert after.values() == values
+        assert read_storage(after.memory) == (1, "COPY_A", ("INTACT", "EMPTY"))
+        assert [after.board.read(f"axis{n}.state") for n in (1, 2)] == [CATALOGUE.enums["state_t"]["STOP"]] * 2
+
+
+def test_each_sector_is_erased_by_every_second_save(kept: Kept) -> None:
+    for number in range(5):
+        kept.change(number)
+        kept.carry_out("SAVE")
+    assert list(kept.words()[-8:]) == [0, 0, 0, 0, 3, 3, 2, 2]
+    assert set(kept.words()[: -32 - WORDS]) == {0xFFFF_FFFF}, "the tables of the chip lie there"
+
+
+def test_power_may_fail_at_any_instant_of_a_save(kept: Kept) -> None:
+    """At random parts of random commands, and at the instants beside the seal."""
+    random = np.random.default_rng(1)
+    kept.change(1)
+    kept.carry_out("SAVE")
+    before = kept.values()
+    kept.change(2)
+    after = kept.values()
+    image = kept.board.flash_image()
+    cuts = [(1, 0.0), (1, 0.001), (2, 0.999), (3, 0.5), (COMMANDS - 1, 1.0), (COMMANDS, 0.0), (COMMANDS, 0.5)]
+    cuts += [(int(random.integers(1, COMMANDS + 1)), float(random.random())) for _ in range(25)]
+    cuts += [(COMMANDS, 1.0)]
+    seen = []
+    for number, part in cuts:
+        with Kept(image, seed=number) as board:
+            board.change(2)
+            assert board.values() == after
+            board.board.cut_flash(number, part)
+            begin_request(board.memory, "SAVE")
+            board.run(0.1)
+            assert board.board.flash_state().dead
+            left = board.board.flash_image()
+        with Kept(left) as board:
+            assert board.values() in (before, after), (number, part)
+            seen.append(board.values() == after)
+            state = read_storage(board.memory)
+            assert state.source == ("COPY_B" if seen[-1] else "COPY_A")
+            assert bool(state.trouble) == (state.copies[1] == "DAMAGED")
+    assert seen[-1], "with the whole seal"
+    assert not any(seen[:-1]), "a seal in part fits by one chance in 2^32"
+
+
+def test_power_may_fail_at_any_instant_of_an_erase_of_both(kept: Kept) -> None:
+    built_in = kept.values()
+    for number in (1, 2):
+        kept.change(number)
+        kept.carry_out("SAVE")
+    newest = kept.values()
+    image = kept.board.flash_image()
+    for number in range(1, 5):
+        for part in (0.0, 0.01, 0.4, 0.99, 1.0):
+            with Kept(image, seed=number) as board:
+                board.board.cut_flash(number, part)
+                begin_request(board.memory, "FACTORY")
+                board.run(0.1)
+                left = board.board.flash_image()
+            with Kept(left) as board:
+                assert board.values() in (built_in, newest)
+                if number < 3:
+                    assert board.values() == newest
+
+
+def test_a_cut_at_any_moment_is_the_end_of_the_command_under_way(kept: Kept) -> None:
+    random = np.random.default_rng(2)
+    for _ in range(12):
+        with Kept() as board:
+            begin_request(board.memory, "SAVE")
+            board.run(float(random.uniform(0.0, 0.05)))
+            left = board.board.cut_power()
+            assert board.board.flash_image() == left
+            board.run(0.1)
+            assert board.board.flash_image() == left, "power is off"
+        with Kept(left) as board:
+            assert read_storage(board.memory).source == "BUILT_IN"
+
+
+def test_the_loops_go_on_while_the_flash_is_written(kept: Kept) -> None:
+    """A shaft that is turned by nobody, an axis that is enabled meanwhile."""
+    token = begin_request(kept.memory, "SAVE")
+    kept.run(0.02)
+    kept.board.write("cmd.enable", [1, 1])
+    rows = kept.board.record(kept.board.time_ns + 30_000_000)
+    assert list(np.diff(rows["tick"])) == [8] * (len(rows) - 1)
+    assert kept.board.read("late_loops") == 0
+    assert [kept.board.read(f"axis{n}.state") for n in (1, 2)] == [CATALOGUE.enums["state_t"]["RUN"]] * 2
+    with pytest.raises(ValueError, match="at rest"):
+        request_result(kept.memory, token)
+
+
+def test_an_image_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="an image of the flash has 32896 bytes, not 5"):
+        Board(flash=bytes(5))

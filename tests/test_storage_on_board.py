@@ -1,0 +1,276 @@
+"""What a board keeps without power, from the command line and over ROS, and the twin of such a board."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pytest
+from chain import Chain, User, user, wait_for
+from diagnostic_msgs.msg import DiagnosticStatus
+from line_world import SimulatedLine
+from sensor_msgs.msg import JointState
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.commands import write_memory
+from servo_bridge.freemaster.line import Line
+from servo_bridge.tuning.block_session import BlockSession
+from servo_bridge.wire.session import connect
+from servo_msgs_py.board_storage import StorageRefusedError, begin_request, carry_out
+from servo_msgs_py.catalogue import Catalogue
+from servo_twin.board import Board
+from servo_twin.level import Level
+from servo_twin.lockstep.replica import Replica
+from std_srvs.srv import Trigger
+from test_tune_on_board import BAUD, Desk, edited
+
+from servo_msgs_py import topics
+
+COPY_B: Final = 4 * (28 + 2) * 256
+"""Where copy B begins in an image of the flash [bytes]."""
+
+
+# ---- the tool, in simulated time -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    with Board(level="ideal", baud=BAUD, seed=4) as board:
+        board.run(0.1)
+        yield Desk(board)
+
+
+def test_values_are_stored_named_and_erased(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    assert desk.tool("info") == 0
+    assert "built-in values since the reset; nothing stored" in capsys.readouterr().out
+    for number in (1, 2):
+        assert desk.tool("save", "--to-board") == 0
+        assert f"stored as set {number}: a reset brings" in capsys.readouterr().out
+    assert desk.tool("info") == 0
+    assert "newest set 2" in capsys.readouterr().out
+    assert desk.tool("factory") == 0
+    assert "the built-in values come into force at the next reset" in capsys.readouterr().out
+    assert desk.raw("storage.sequence") == [0]
+
+
+def test_in_motion_nothing_is_stored(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    desk.board.write("cmd.enable", [1, 0])
+    desk.board.run(0.01)
+    for command in (("save", "--to-board"), ("factory",)):
+        assert desk.tool(*command) == 1
+        assert "only at rest with the outputs off: disable both axes" in capsys.readouterr().err
+    assert desk.raw("storage.saves") == [0]
+    assert desk.tool("log") == 0
+    assert "refused storage.request" in capsys.readouterr().out
+
+
+def test_a_damaged_copy_is_named(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    for _ in range(2):
+        desk.tool("save", "--to-board")
+    image = bytearray(desk.board.cut_power())
+    image[COPY_B + 100] ^= 0x40
+    with Board(level="ideal", baud=BAUD, flash=bytes(image)) as board:
+        board.run(0.1)
+        other = Desk(board)
+        capsys.readouterr()
+        assert other.tool("info") == 0
+        assert "copy B is damaged (a save that was cut off, or worn flash): copy A is used" in capsys.readouterr().out
+        assert other.tool("log") == 0
+        assert "0 stored copy B: DAMAGED" in capsys.readouterr().out
+
+
+class Deaf(SimulatedLine):
+    """A line that loses answers when it is told to."""
+
+    lose = 0
+
+    def read(self, deadline: int) -> bytes:
+        data = super().read(deadline)
+        if data and self.lose:
+            self.lose -= 1
+            self.advance(deadline)
+            self.board.serial_out()
+            return b""
+        return data
+
+
+def test_a_request_whose_answer_is_lost_is_carried_out_once() -> None:
+    """The client repeats it; the board knows its token."""
+    with Board(level="ideal", baud=BAUD, seed=4) as board:
+        board.run(0.1)
+        line = Deaf(board)
+        session = connect(Client(Line(line, baud=BAUD, clock=line.clock, retries=3)), Catalogue.load())
+        memory = BlockSession(session)
+        written: list[str] = []
+        write = memory.write_words
+
+        def write_words(name: str, words: list[int]) -> bool:
+            line.lose = 2
+            written.append(name)
+            return write(name, words)
+
+        memory.write_words = write_words  # type: ignore[method-assign,assignment]
+        requests = board.read("storage.saves")
+        for number in (1, 2):
+            assert carry_out(memory, "SAVE", memory.wait).sequence == number
+        assert line.lose == 0
+        assert written == ["storage.request"] * 2
+        assert board.read("storage.saves") == 2
+        assert requests == 0
+        board.write("cmd.enable", [1, 0])
+        board.run(0.01)
+        with pytest.raises(StorageRefusedError, match="at rest"):
+            carry_out(memory, "SAVE", memory.wait)
+
+
+@pytest.mark.parametrize("level", ["ideal", "registers"])
+def test_no_byte_of_a_request_is_lost_while_a_sector_is_erased(level: Level) -> None:
+    """A write as long as the line takes in 14 ms; it is dealt with after the erase."""
+    with Board(level=level) as board:
+        board.run(0.1)
+        begin_request(Replica(board), "SAVE")
+        board.run(0.0005)
+        board.serial_in(write_memory(board.address("cmd.points"), bytes(128)).frame)
+        board.run(0.0134)
+        assert board.serial_out() == b""
+        assert board.read("point_refusal") == 0
+        board.run(0.01)
+        assert board.serial_out()[:1] == b"+"
+        assert board.read("point_refusal") != 0, "points full of zeros are refused, but have been seen"
+        assert board.read("receiver_overruns") == 0
+
+
+def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:
+    from servo_bridge.tool_values import UsageError
+
+    for arguments in (("save",), ("save", "--to-board", str(tmp_path / "a.toml"))):
+        with pytest.raises(UsageError, match="give a FILE"):
+            desk.tool(*arguments)
+
+
+# ---- a board on a real port ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.realtime
+def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path) -> None:
+    chain, flash = Chain(tmp_path), tmp_path / "flash.bin"
+    try:
+        board = chain.board(flash=flash)
+        assert flash.stat().st_size == 32896
+        chain.tool("set", "param.i_q_limit", "1.25,0.75")
+        assert "stored as set 1" in chain.tool("save", "--to-board")
+        chain.tool("set", "param.i_q_limit", "2.0,2.0")
+        board.kill()
+        board = chain.board(flash=flash)
+        assert chain.look("param.i_q_limit", "storage.source") == {
+            "param.i_q_limit": pytest.approx([1.25, 0.75], abs=1e-3),
+            "storage.source": 1,
+        }
+        assert "both copies are erased" in chain.tool("factory")
+        assert board.stop(signal.SIGINT) == 0
+        chain.board(flash=flash)
+        assert chain.look("param.i_q_limit")["param.i_q_limit"] == pytest.approx([4.0, 4.0], abs=0.01)
+    finally:
+        chain.end()
+
+
+# ---- over ROS ------------------------------------------------------------------------------------------------------
+
+
+class Keeper:
+    """A user who stores."""
+
+    def __init__(self, me: User) -> None:
+        self.me = me
+        self._clients = {
+            name: me.node.create_client(Trigger, f"/servo/{name}")
+            for name in (topics.SAVE_TO_BOARD, topics.RESTORE_FACTORY)
+        }
+
+    def call(self, name: str) -> tuple[bool, str]:
+        client = self._clients[name]
+        self.me.until(client.service_is_ready, 20.0)
+        return self.me.call(client, Trigger.Request())
+
+    def storage(self) -> DiagnosticStatus:
+        return self.me.status("servo/servo_bridge: storage")
+
+    def until_storage(self, text: str) -> DiagnosticStatus:
+        self.me.until(lambda: text in self.storage().message, 20.0, text)
+        return self.storage()
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_path: Path) -> None:
+    chain, flash = Chain(tmp_path), tmp_path / "flash.bin"
+    with user() as me:
+        keeper = Keeper(me)
+        try:
+            board = chain.board(flash=flash)
+            gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
+            chain.tool("tune", str(gains))
+            chain.tool("set", "param.speed_limit", "60,80")
+            chain.bridge()
+            me.until(me.connected, 30.0, "the bridge is not connected")
+            keeper.until_storage("built-in values since the reset; nothing stored")
+
+            success, message = keeper.call(topics.SAVE_TO_BOARD)
+            assert success, message
+            assert message.startswith("stored as set 1")
+            board.kill()
+            me.until(lambda: not me.connected(), 20.0, "the board is still there")
+            chain.board(flash=flash)
+            chain.twin()
+            me.until(me.connected, 30.0, "the bridge is not connected again")
+            assert keeper.until_storage("values of copy A since the reset; newest set 1").level == DiagnosticStatus.OK
+            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+
+            me.spinning()
+            assert keeper.call(topics.SAVE_TO_BOARD) == (False, _AT_REST)
+            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy while both hold")
+            start = len(me.messages["/twin/residual"])
+            me.joint_commands.publish(JointState(name=["axis1", "axis2"], position=[30.0, -30.0]))
+            me.until(lambda: abs(me.position_of(0) - 30.0) < 0.01, 20.0, "not there")
+            residuals = [message.position for message in me.messages["/twin/residual"][start:]]
+            assert len(residuals) > 20
+            assert float(np.abs(residuals).max()) < 0.05, "another gain would be apart by more than half a radian"
+            rows = [row["axis1.speed"] for row in me.rows() if "axis1.speed" in row]
+            assert 55.0 < max(rows) < 65.0
+
+            me.enable(False)
+            me.until(lambda: me.last("/servo/state") == "axis1=STOP axis2=STOP", 20.0)
+            success, message = keeper.call(topics.SAVE_TO_BOARD)
+            assert (success, message.startswith("stored as set 2")) == (True, True), message
+        finally:
+            chain.end()
+        image = bytearray(flash.read_bytes())
+        image[COPY_B + 200] ^= 0x01
+        flash.write_bytes(image)
+        chain = Chain(tmp_path)
+        try:
+            chain.board(flash=flash)
+            chain.bridge()
+            status = keeper.until_storage("copy B is damaged")
+            assert status.level == DiagnosticStatus.WARN
+            assert {value.key: value.value for value in status.values} == {
+                "newest set": "1",
+                "values since the reset": "COPY A",
+                "copy A": "INTACT",
+                "copy B": "DAMAGED",
+            }
+            success, message = keeper.call(topics.RESTORE_FACTORY)
+            assert success, message
+            assert keeper.until_storage("nothing stored").level == DiagnosticStatus.OK
+            wait_for(lambda: set(flash.read_bytes()[4 * 28 * 256 : 4 * 32 * 256]) == {0xFF}, 5.0)
+        finally:
+            chain.end()
+            print(chain.logs())
+
+
+_AT_REST: Final = (
+    "only at rest with the outputs off: disable both axes and wait until they stand, then ask again; what was stored "
+    "before is still there"
+)
