@@ -25,7 +25,8 @@ typedef struct {
     uint16_t points_waiting;
     uint16_t points_taken;
     uint16_t points_late;
-    uint16_t unused; /* the size is the same on every machine */
+    uint16_t inputs; /* INPUT_ bits */
+    uint16_t unused[2]; /* the size is the same on every machine */
 } axis_snapshot_t;
 
 /* All of it from one slow tick. */

@@ -10,6 +10,7 @@
  * the eight PWM periods of a slow tick: one slot is short enough that the next fast loop begins with its data. All of it is
  * one interrupt level: a slot sees what the fast loops have left, and no part of it changes under the other's hands. */
 #define SLOT_SLOW 0U      /* slow loops; then the snapshot */
+#define SLOT_PROTECT 1U   /* switches, holding brake */
 #define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
 #define SLOT_CHECK (SLOT_ESTIMATE + 1U)
 #define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
@@ -155,7 +156,8 @@ static void watch_bus(servo_t *servo)
         axis_t *axis = &servo->axis[i];
         axis->diagnosis.bus.u_dc_max = brake->able ? servo_config.brake.u_dc_max_able : axis->config->u_dc_max;
         axis->regen_derating = brake->regen_derating;
-        axis->bus_limits = (brake->on || brake->spent) ? LIMIT_BRAKE : 0U;
+        const uint16_t others = axis->outer_limits & (uint16_t)~LIMIT_BRAKE;
+        axis->outer_limits = (brake->on || brake->spent) ? (uint16_t)(others | LIMIT_BRAKE) : others;
     }
 }
 
@@ -179,6 +181,7 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->points_waiting = trajectory_waiting(&axis->trajectory);
     view->points_taken = axis->trajectory.taken;
     view->points_late = axis->trajectory.late;
+    view->inputs = axis->inputs;
 }
 
 static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
@@ -267,6 +270,9 @@ static void run_axis_slot(axis_t *axis, uint32_t tick)
     switch (period_of(tick)) {
     case SLOT_SLOW:
         axis_slow(axis);
+        break;
+    case SLOT_PROTECT:
+        axis_protect(axis);
         break;
     case SLOT_ESTIMATE:
         axis_estimate(axis);

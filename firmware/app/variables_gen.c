@@ -77,122 +77,126 @@ CHECK(57, SIZE(snapshot.axis[0].limits) == 2);
 CHECK(58, SIZE(snapshot.axis[0].points_waiting) == 2);
 CHECK(59, SIZE(snapshot.axis[0].points_taken) == 2);
 CHECK(60, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(61, SIZE(snapshot.monitor[0]) == 2);
-CHECK(62, SIZE(estimate.axis[0].speed) == 4);
-CHECK(63, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(64, SIZE(estimate.axis[0].emf) == 2);
-CHECK(65, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(66, SIZE(record[0].pending) == 4);
-CHECK(67, SIZE(belief.torque_constant[0]) == 2);
-CHECK(68, SIZE(belief.acceleration_current[0]) == 4);
-CHECK(69, SIZE(snapshot.axis[1].position) == 4);
-CHECK(70, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(71, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(72, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(73, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(74, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(75, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(76, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(77, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(78, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(79, SIZE(snapshot.axis[1].state) == 2);
-CHECK(80, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(81, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(82, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(83, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(84, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(85, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(86, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(87, SIZE(snapshot.monitor[1]) == 2);
-CHECK(88, SIZE(estimate.axis[1].speed) == 4);
-CHECK(89, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(90, SIZE(estimate.axis[1].emf) == 2);
-CHECK(91, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(92, SIZE(record[1].pending) == 4);
-CHECK(93, SIZE(belief.torque_constant[1]) == 2);
-CHECK(94, SIZE(belief.acceleration_current[1]) == 4);
-CHECK(95, SIZE(tick) >= 4);
-CHECK(96, SIZE(applied_tick) >= 4);
-CHECK(97, SIZE(applied_count) >= 2);
-CHECK(98, SIZE(axis[0].u_dc) >= 2);
-CHECK(99, SIZE(late_loops) >= 2);
-CHECK(100, SIZE(points_refused) >= 2);
-CHECK(101, SIZE(point_refusal) >= 2);
-CHECK(102, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(103, SIZE(axis[0].feedback.position) >= 4);
-CHECK(104, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(105, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(106, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(107, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(108, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(109, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(110, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(111, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(112, SIZE(axis[0].latch.captured) >= 4);
-CHECK(113, SIZE(axis[0].latch.first) >= 2);
-CHECK(114, SIZE(axis[0].active_limits) >= 2);
-CHECK(115, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(116, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(117, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(118, SIZE(axis[0].estimate.size) >= 2);
-CHECK(119, SIZE(axis[0].latch.pending) >= 4);
-CHECK(120, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(121, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(122, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(123, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(124, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(125, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(126, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(127, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(128, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(129, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(130, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(131, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(132, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(133, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(134, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(135, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(136, SIZE(axis[0].command.mode) >= 2);
-CHECK(137, SIZE(axis[0].events.command) >= 2);
-CHECK(138, SIZE(axis[0].events.mode) >= 2);
-CHECK(139, SIZE(axis[0].sm.entered) >= 2);
-CHECK(140, SIZE(axis[1].feedback.position) >= 4);
-CHECK(141, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(142, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(143, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(144, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(145, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(146, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(147, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(148, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(149, SIZE(axis[1].latch.captured) >= 4);
-CHECK(150, SIZE(axis[1].latch.first) >= 2);
-CHECK(151, SIZE(axis[1].active_limits) >= 2);
-CHECK(152, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(153, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(154, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(155, SIZE(axis[1].estimate.size) >= 2);
-CHECK(156, SIZE(axis[1].latch.pending) >= 4);
-CHECK(157, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(158, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(159, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(160, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(161, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(162, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(163, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(164, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(165, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(166, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(167, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(168, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(169, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(170, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(171, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(172, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(173, SIZE(axis[1].command.mode) >= 2);
-CHECK(174, SIZE(axis[1].events.command) >= 2);
-CHECK(175, SIZE(axis[1].events.mode) >= 2);
-CHECK(176, SIZE(axis[1].sm.entered) >= 2);
+CHECK(61, SIZE(snapshot.axis[0].inputs) == 2);
+CHECK(62, SIZE(snapshot.monitor[0]) == 2);
+CHECK(63, SIZE(estimate.axis[0].speed) == 4);
+CHECK(64, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(65, SIZE(estimate.axis[0].emf) == 2);
+CHECK(66, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(67, SIZE(record[0].pending) == 4);
+CHECK(68, SIZE(belief.torque_constant[0]) == 2);
+CHECK(69, SIZE(belief.acceleration_current[0]) == 4);
+CHECK(70, SIZE(snapshot.axis[1].position) == 4);
+CHECK(71, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(72, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(73, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(74, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(75, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(76, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(77, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(78, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(79, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(80, SIZE(snapshot.axis[1].state) == 2);
+CHECK(81, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(82, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(83, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(84, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(85, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(86, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(87, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(88, SIZE(snapshot.axis[1].inputs) == 2);
+CHECK(89, SIZE(snapshot.monitor[1]) == 2);
+CHECK(90, SIZE(estimate.axis[1].speed) == 4);
+CHECK(91, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(92, SIZE(estimate.axis[1].emf) == 2);
+CHECK(93, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(94, SIZE(record[1].pending) == 4);
+CHECK(95, SIZE(belief.torque_constant[1]) == 2);
+CHECK(96, SIZE(belief.acceleration_current[1]) == 4);
+CHECK(97, SIZE(tick) >= 4);
+CHECK(98, SIZE(applied_tick) >= 4);
+CHECK(99, SIZE(applied_count) >= 2);
+CHECK(100, SIZE(axis[0].u_dc) >= 2);
+CHECK(101, SIZE(late_loops) >= 2);
+CHECK(102, SIZE(points_refused) >= 2);
+CHECK(103, SIZE(point_refusal) >= 2);
+CHECK(104, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(105, SIZE(axis[0].feedback.position) >= 4);
+CHECK(106, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(107, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(108, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(109, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(110, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(111, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(112, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(113, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(114, SIZE(axis[0].latch.captured) >= 4);
+CHECK(115, SIZE(axis[0].latch.first) >= 2);
+CHECK(116, SIZE(axis[0].active_limits) >= 2);
+CHECK(117, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(118, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(119, SIZE(axis[0].inputs) >= 2);
+CHECK(120, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(121, SIZE(axis[0].estimate.size) >= 2);
+CHECK(122, SIZE(axis[0].latch.pending) >= 4);
+CHECK(123, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(124, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(125, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(126, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(127, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(128, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(129, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(130, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(131, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(132, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(133, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(134, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(135, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(136, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(137, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(138, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(139, SIZE(axis[0].command.mode) >= 2);
+CHECK(140, SIZE(axis[0].events.command) >= 2);
+CHECK(141, SIZE(axis[0].events.mode) >= 2);
+CHECK(142, SIZE(axis[0].sm.entered) >= 2);
+CHECK(143, SIZE(axis[1].feedback.position) >= 4);
+CHECK(144, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(145, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(146, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(147, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(148, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(149, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(150, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(151, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(152, SIZE(axis[1].latch.captured) >= 4);
+CHECK(153, SIZE(axis[1].latch.first) >= 2);
+CHECK(154, SIZE(axis[1].active_limits) >= 2);
+CHECK(155, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(156, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(157, SIZE(axis[1].inputs) >= 2);
+CHECK(158, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(159, SIZE(axis[1].estimate.size) >= 2);
+CHECK(160, SIZE(axis[1].latch.pending) >= 4);
+CHECK(161, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(162, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(163, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(164, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(165, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(166, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(167, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(168, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(169, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(170, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(171, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(172, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(173, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(174, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(175, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(176, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(177, SIZE(axis[1].command.mode) >= 2);
+CHECK(178, SIZE(axis[1].events.command) >= 2);
+CHECK(179, SIZE(axis[1].events.mode) >= 2);
+CHECK(180, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -298,6 +302,7 @@ static const char strings[] TABLE_MEMORY =
     "points_waiting\0"
     "points_taken\0"
     "points_late\0"
+    "inputs\0"
     "fault_record_t\0"
     "pending\0"
     "code\0"
@@ -358,6 +363,7 @@ static const char strings[] TABLE_MEMORY =
     "axis1.points_waiting\0"
     "axis1.points_taken\0"
     "axis1.points_late\0"
+    "axis1.inputs\0"
     "axis1.monitor\0"
     "axis1.estimate_speed\0"
     "axis1.estimate_theta_e\0"
@@ -405,6 +411,7 @@ static const char strings[] TABLE_MEMORY =
     "axis2.points_waiting\0"
     "axis2.points_taken\0"
     "axis2.points_late\0"
+    "axis2.inputs\0"
     "axis2.monitor\0"
     "axis2.estimate_speed\0"
     "axis2.estimate_theta_e\0"
@@ -453,7 +460,11 @@ static const char strings[] TABLE_MEMORY =
     "PHASE_LOST\0"
     "CURRENT_SENSE\0"
     "LATE_LOOP\0"
-    "WATCHDOG\0";
+    "WATCHDOG\0"
+    "MOTOR_TEMPERATURE\0"
+    "HOMING\0"
+    "ENABLE_INPUT\0"
+    "LIMIT_SWITCH\0";
 
 static const tsa_entry_t entries[] TABLE_MEMORY = {
     {0, 8, 0, 2, TSA_KIND_NONE}, /* state_t */
@@ -540,21 +551,22 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {728, 517, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
     {743, 517, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
     {756, 517, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
-    {768, 474, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {783, 488, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {768, 517, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
+    {775, 474, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {790, 488, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
     {483, 488, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {791, 517, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {798, 517, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
     {687, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
     {693, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {796, 517, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {801, 517, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {803, 517, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {808, 517, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
     {659, 524, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
     {655, 524, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
     {679, 524, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
     {519, 524, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
     {637, 524, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {806, 488, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {821, 463, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {813, 488, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {828, 463, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
     {483, 488, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
     {490, 488, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
     {503, 517, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
@@ -563,135 +575,137 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {537, 517, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
     {555, 517, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
     {570, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {830, 622, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {843, 643, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {853, 524, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {861, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {870, 517, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {881, 517, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {896, 517, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {913, 622, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {924, 622, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {938, 622, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {952, 517, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {964, 488, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {978, 488, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {994, 488, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1012, 517, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1031, 517, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1046, 517, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1061, 517, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1083, 643, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1101, 643, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1126, 524, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1142, 517, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1157, 622, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1176, 622, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {1195, 622, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {1217, 643, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {1234, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1249, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1266, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1286, 488, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {1307, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {1321, 517, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {1340, 517, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {1362, 517, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {1374, 643, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {1383, 622, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {1398, 622, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {1417, 643, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {1429, 643, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {1445, 524, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {1455, 524, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {1465, 524, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {1479, 524, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {1489, 524, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {1499, 524, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {1513, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {1525, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {1540, 488, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {1553, 517, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {1571, 517, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {1584, 517, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {1605, 517, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {1624, 517, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {1642, 524, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {1656, 643, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {1677, 524, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {1700, 524, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {1719, 517, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {1743, 488, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {1757, 768, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {1776, 524, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {1798, 622, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {1825, 524, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {1835, 524, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {1845, 524, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {1855, 524, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {1869, 524, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {1882, 524, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {1895, 524, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {1908, 622, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {1919, 622, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {1930, 622, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {1945, 643, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {1961, 643, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {1980, 643, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {1996, 622, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2012, 622, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2028, 622, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2043, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2054, 517, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2074, 517, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2091, 517, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2109, 622, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2124, 622, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {2143, 643, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {2155, 643, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {2171, 524, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {2181, 524, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {2191, 524, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {2205, 524, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {2215, 524, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {2225, 524, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {2239, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {2251, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2266, 488, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2279, 517, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2297, 517, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {2310, 517, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {2331, 517, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {2350, 517, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {2368, 524, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {2382, 643, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {2403, 524, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {2426, 524, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {2445, 517, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {2469, 488, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {2483, 768, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {2502, 524, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {2524, 622, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {2551, 524, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {2561, 524, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {2571, 524, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {2581, 524, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {2595, 524, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {2608, 524, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {2621, 524, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {2634, 622, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {2645, 622, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {2656, 622, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {2671, 643, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {2687, 643, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {2706, 643, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {2722, 622, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {2738, 622, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {2754, 622, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {2769, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
-    {2780, 517, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {2800, 517, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {2817, 517, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {837, 622, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {850, 643, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {860, 524, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {868, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {877, 517, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {888, 517, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {903, 517, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {920, 622, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {931, 622, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {945, 622, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {959, 517, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {971, 488, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {985, 488, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1001, 488, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1019, 517, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1038, 517, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1053, 517, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1068, 517, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1090, 643, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1108, 643, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1133, 524, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1149, 517, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1164, 622, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1183, 622, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {1202, 622, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {1224, 643, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {1241, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1256, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1273, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1293, 488, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {1314, 288, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {1328, 517, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {1347, 517, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {1369, 517, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {1381, 643, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {1390, 622, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {1405, 622, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {1424, 643, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {1436, 643, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {1452, 524, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {1462, 524, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {1472, 524, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {1486, 524, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {1496, 524, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {1506, 524, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {1520, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {1532, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {1547, 488, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {1560, 517, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {1578, 517, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {1591, 517, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {1612, 517, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {1631, 517, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {1649, 517, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
+    {1662, 524, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {1676, 643, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {1697, 524, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {1720, 524, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {1739, 517, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {1763, 488, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {1777, 775, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {1796, 524, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {1818, 622, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {1845, 524, LIVE(1), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {1855, 524, LIVE(2), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {1865, 524, LIVE(3), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {1875, 524, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {1889, 524, LIVE(5), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {1902, 524, LIVE(6), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {1915, 524, LIVE(7), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {1928, 622, LIVE(8), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {1939, 622, LIVE(9), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {1950, 622, LIVE(10), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {1965, 643, LIVE(11), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {1981, 643, LIVE(12), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2000, 643, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2016, 622, LIVE(14), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2032, 622, LIVE(15), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2048, 622, LIVE(16), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2063, 95, LIVE(17), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2074, 517, LIVE(18), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2094, 517, LIVE(19), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2111, 517, LIVE(20), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2129, 622, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2144, 622, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {2163, 643, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {2175, 643, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {2191, 524, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {2201, 524, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {2211, 524, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {2225, 524, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {2235, 524, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {2245, 524, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {2259, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {2271, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2286, 488, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2299, 517, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2317, 517, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {2330, 517, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {2351, 517, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {2370, 517, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {2388, 517, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
+    {2401, 524, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {2415, 643, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {2436, 524, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {2459, 524, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {2478, 517, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {2502, 488, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {2516, 775, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {2535, 524, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {2557, 622, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {2584, 524, LIVE(21), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {2594, 524, LIVE(22), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {2604, 524, LIVE(23), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {2614, 524, LIVE(24), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {2628, 524, LIVE(25), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {2641, 524, LIVE(26), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {2654, 524, LIVE(27), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {2667, 622, LIVE(28), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {2678, 622, LIVE(29), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {2689, 622, LIVE(30), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {2704, 643, LIVE(31), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {2720, 643, LIVE(32), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {2739, 643, LIVE(33), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {2755, 622, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {2771, 622, LIVE(35), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {2787, 622, LIVE(36), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {2802, 95, LIVE(37), 2, TSA_KIND_RO}, /* axis2.mode */
+    {2813, 517, LIVE(38), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {2833, 517, LIVE(39), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {2850, 517, LIVE(40), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -717,6 +731,7 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[0].limits), OFFSET(axis[0].active_limits), 2}, /* axis1.limits */
     {AT(snapshot.axis[0].points_taken), OFFSET(axis[0].trajectory.taken), 2}, /* axis1.points_taken */
     {AT(snapshot.axis[0].points_late), OFFSET(axis[0].trajectory.late), 2}, /* axis1.points_late */
+    {AT(snapshot.axis[0].inputs), OFFSET(axis[0].inputs), 2}, /* axis1.inputs */
     {AT(estimate.axis[0].speed), OFFSET(axis[0].estimate.speed), 4}, /* axis1.estimate_speed */
     {AT(estimate.axis[0].emf), OFFSET(axis[0].estimate.size), 2}, /* axis1.estimate_emf */
     {AT(record[0].pending), OFFSET(axis[0].latch.pending), 4}, /* axis1.pending */
@@ -754,6 +769,7 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[1].limits), OFFSET(axis[1].active_limits), 2}, /* axis2.limits */
     {AT(snapshot.axis[1].points_taken), OFFSET(axis[1].trajectory.taken), 2}, /* axis2.points_taken */
     {AT(snapshot.axis[1].points_late), OFFSET(axis[1].trajectory.late), 2}, /* axis2.points_late */
+    {AT(snapshot.axis[1].inputs), OFFSET(axis[1].inputs), 2}, /* axis2.inputs */
     {AT(estimate.axis[1].speed), OFFSET(axis[1].estimate.speed), 4}, /* axis2.estimate_speed */
     {AT(estimate.axis[1].emf), OFFSET(axis[1].estimate.size), 2}, /* axis2.estimate_emf */
     {AT(record[1].pending), OFFSET(axis[1].latch.pending), 4}, /* axis2.pending */
@@ -790,8 +806,8 @@ static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87};
 const name_list_t servo_substate_names = {substate_offsets, 6};
 static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 119, 265, 278, 283};
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
-static const uint16_t fault_offsets[] = {2835, 2848, 2862, 2875, 2890, 159, 2903, 2915, 2923, 2931, 2944, 2960, 2971, 2988, 3005, 3014, 3029, 3044, 3055, 3069, 3079};
-const name_list_t servo_fault_names = {fault_offsets, 21};
+static const uint16_t fault_offsets[] = {2868, 2881, 2895, 2908, 2923, 159, 2936, 2948, 2956, 2964, 2977, 2993, 3004, 3021, 3038, 3047, 3062, 3077, 3088, 3102, 3112, 3121, 3139, 3146, 3159};
+const name_list_t servo_fault_names = {fault_offsets, 25};
 
 const variable_range_t servo_ranges[] = {
     {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */

@@ -17,6 +17,7 @@
 #include "diagnosis/observation.h"
 #include "diagnosis/shaft_monitor.h"
 #include "drive/brake.h"
+#include "drive/inputs_data.h"
 #include "drive/startup_data.h"
 #include "drive/stop_data.h"
 #include "hal/hal.h"
@@ -79,6 +80,8 @@ typedef struct {
     frac32_t regeneration_speed; /* up to it the full current burns in the winding all that braking returns */
     /* i_d at most against the flux while braking current is folded back: its losses brake too. */
     frac16_t copper_current;
+
+    pins_config_t pins;
 } axis_config_t;
 
 typedef struct {

@@ -150,6 +150,9 @@ CHECK(134, SIZE(stop.ticks_max) == 2);
 CHECK(135, SIZE(stop.hold_ticks) == 2);
 CHECK(136, SIZE(regeneration_speed) == 4);
 CHECK(137, SIZE(copper_current) == 2);
+CHECK(138, SIZE(pins.fitted) == 2);
+CHECK(139, SIZE(pins.open_ticks) == 2);
+CHECK(140, SIZE(pins.close_ticks) == 2);
 
 const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
@@ -199,9 +202,10 @@ const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {0U, INT32_C(0), INT32_C(2047)},
     {0U, INT32_C(0), INT32_C(4095)},
     {0U, INT32_C(0), INT32_C(3)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(77121)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(11328)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(3136)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(23145793)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(23080000)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(23071808)},
+    {0U, INT32_C(0), INT32_C(31)},
 };
 
 const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
@@ -343,4 +347,7 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(stop.hold_ticks), 17U},
     {OFFSET(regeneration_speed), 25U},
     {OFFSET(copper_current), 4U},
+    {OFFSET(pins.fitted), 50U},
+    {OFFSET(pins.open_ticks), 17U},
+    {OFFSET(pins.close_ticks), 17U},
 };

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xC5242643)
+#define CATALOGUE_HASH UINT32_C(0xA82FEB28)
 
 typedef enum {
     STATE_FAULT = 0,
@@ -96,8 +96,12 @@ typedef enum {
 #define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the code of a current converter is stuck or off scale */
 #define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop came late or has left out a period */
 #define FAULT_WATCHDOG UINT32_C(0x00100000) /* the watchdog has reset the board: the control loops had stopped */
+#define FAULT_MOTOR_TEMPERATURE UINT32_C(0x00200000) /* the winding is hotter than its limit, by the estimate from its currents */
+#define FAULT_HOMING UINT32_C(0x00400000) /* a homing has failed: axisN.home_result says why */
+#define FAULT_ENABLE_INPUT UINT32_C(0x00800000) /* the enable input has opened while the axis was enabled; the hardware has opened the switches */
+#define FAULT_LIMIT_SWITCH UINT32_C(0x01000000) /* a limit switch was reached in motion, or its wire is cut */
 
-#define FAULTS_ALWAYS UINT32_C(0x0018701F) /* nobody can switch them off */
+#define FAULTS_ALWAYS UINT32_C(0x00D8701F) /* nobody can switch them off */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */
@@ -108,6 +112,13 @@ typedef enum {
 #define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
 #define LIMIT_SENSORLESS UINT16_C(0x0080) /* without an encoder there is no position, no standstill and no torque from rest */
 #define LIMIT_STARVED UINT16_C(0x0100) /* no point followed one with a speed: the axis has stopped */
+#define LIMIT_INPUT UINT16_C(0x1000) /* the enable input is open, or a limit switch is active: the axis is not enabled, or does not move that way */
+
+#define INPUT_HOME UINT16_C(0x0001) /* the home switch is active */
+#define INPUT_LIMIT_MIN UINT16_C(0x0002) /* the limit switch at the lower end of the way is active */
+#define INPUT_LIMIT_MAX UINT16_C(0x0004) /* the limit switch at the upper end of the way is active */
+#define INPUT_ENABLE UINT16_C(0x0008) /* the enable input is closed */
+#define INPUT_BRAKE_OPEN UINT16_C(0x0010) /* the holding brake is open */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */

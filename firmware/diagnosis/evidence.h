@@ -12,11 +12,11 @@
 typedef uint32_t fault_set_t;
 
 /* Number of the lowest bit of a set that is not empty. */
-static inline uint16_t fault_lowest(uint32_t set)
+static inline uint16_t fault_lowest(uint64_t set)
 {
     uint16_t number = 0;
-    for (uint16_t width = 16; width != 0U; width >>= 1) {
-        if ((set & ((UINT32_C(1) << width) - 1U)) == 0U) {
+    for (uint16_t width = 32; width != 0U; width >>= 1) {
+        if ((set & ((UINT64_C(1) << width) - 1U)) == 0U) {
             set >>= width;
             number = (uint16_t)(number + width);
         }
@@ -58,12 +58,16 @@ typedef enum {
     FINDING_CONVERTER_BROKEN,
     FINDING_LOOPS_LATE,
     FINDING_WATCHDOG_RESET,
+    FINDING_WINDING_HOT,
+    FINDING_HOMING_FAILED,
+    FINDING_ENABLE_OPEN,
+    FINDING_LIMIT_SWITCH,
     FINDINGS,
 } finding_t;
 
 /* A bit per finding. */
-typedef uint32_t finding_set_t;
-#define FOUND(finding) (UINT32_C(1) << (finding))
+typedef uint64_t finding_set_t;
+#define FOUND(finding) (UINT64_C(1) << (finding))
 
 /* What may be the cause of something else. */
 #define SUSPECT_SENSOR UINT16_C(0x01)  /* a current converter looks wrong */

@@ -69,7 +69,7 @@ finding_set_t fault_wanted(finding_set_t findings, fault_set_t enabled)
     finding_set_t wanted = 0;
     for (; findings != 0U; findings &= findings - 1U) {
         const uint16_t lowest = fault_lowest(findings);
-        wanted |= ((fault_rules[lowest].fault & enabled) != 0U) ? UINT32_C(1) << lowest : 0U;
+        wanted |= ((fault_rules[lowest].fault & enabled) != 0U) ? FOUND(lowest) : 0U;
     }
     return wanted;
 }

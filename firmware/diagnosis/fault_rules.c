@@ -48,6 +48,10 @@ const fault_rule_t fault_rules[FINDINGS] = {
     [FINDING_CONVERTER_BROKEN] = {FAULT_CURRENT_SENSE, 0, 0}, /* code off its offset without current, or stuck among noisy ones */
     [FINDING_LOOPS_LATE] = {FAULT_LATE_LOOP, 0, 0}, /* more than two control loops late or left out within 32 ms */
     [FINDING_WATCHDOG_RESET] = {FAULT_WATCHDOG, 0, 0}, /* the watchdog has reset the board */
+    [FINDING_WINDING_HOT] = {FAULT_MOTOR_TEMPERATURE, 0, 0}, /* not built in yet */
+    [FINDING_HOMING_FAILED] = {FAULT_HOMING, 0, 0}, /* not built in yet */
+    [FINDING_ENABLE_OPEN] = {FAULT_ENABLE_INPUT, 0, 0}, /* the enable input has opened in RUN, or while it was asked for */
+    [FINDING_LIMIT_SWITCH] = {FAULT_LIMIT_SWITCH, 0, 0}, /* in motion: a limit switch is reached, or its wire is cut */
 };
 
 /* What explains other findings, the strongest first. */

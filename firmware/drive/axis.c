@@ -6,6 +6,8 @@
 #include "diagnosis/fault_isolate.h"
 #include "drive/axis_states.h"
 #include "drive/feedback.h"
+#include "drive/holding_brake.h"
+#include "drive/inputs.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/run_step.h"
@@ -48,6 +50,8 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->feedback_wanted = config->feedback;
     axis->source->reset(axis);
     axis_states_init(axis);
+    inputs_configure(axis);
+    hal_holding_brake(hal, index, false);
 }
 
 /* Angle and speed come from somewhere else: never in motion, and never from an observer that has no constants. */
@@ -58,6 +62,7 @@ static void choose_source(axis_t *axis)
         axis->sensorless = sensorless;
         axis->source = sensorless ? &observer_feedback : &encoder_feedback;
         axis->source->reset(axis);
+        axis->aligned = false;
     }
 }
 
@@ -119,7 +124,7 @@ static void take_requests(axis_t *axis)
         axis->stop_faults = 0;
     } else if ((command->fresh & FRESH_ENABLE) != 0U) {
         if (command->enable) {
-            axis->requested = axis->stop_faults == 0U;
+            axis->requested = axis->stop_faults == 0U && inputs_permit(axis);
         } else {
             stop_begin(axis, axis->on_disable);
         }
@@ -149,7 +154,7 @@ static void age_set_point(axis_command_t *command)
 void axis_slow(axis_t *axis)
 {
     age_set_point(&axis->command);
-    axis->active_limits = axis->bus_limits;
+    axis->active_limits = axis->outer_limits;
     if (!axis->source->slow(axis)) {
         axis_raise(axis, FOUND(FINDING_COUNT_CONTRADICTS_INDEX));
     }
@@ -187,6 +192,15 @@ void axis_check(axis_t *axis)
     if (axis->path_limits.stale) {
         limits_retune(axis);
     }
+}
+
+void axis_protect(axis_t *axis)
+{
+    inputs_step(axis);
+    holding_brake_step(axis);
+    const bool held = !inputs_permit(axis) || (axis->inputs & INPUT_LIMITS) != 0U;
+    const uint16_t others = axis->outer_limits & (uint16_t)~LIMIT_INPUT;
+    axis->outer_limits = held ? (uint16_t)(others | LIMIT_INPUT) : others;
 }
 
 void axis_edge(axis_t *axis) { axis->source->edge(axis); }

@@ -23,6 +23,9 @@ void axis_estimate(axis_t *axis);
  * limits of the path are taken in here. */
 void axis_check(axis_t *axis);
 
+/* Once per slow tick, in the period after axis_slow: the optional parts that protect the machine. */
+void axis_protect(axis_t *axis);
+
 /* Once per slow tick, but in other periods than axis_slow, one right after the other: is everything as it should be? */
 void axis_watch_currents(axis_t *axis);
 void axis_watch_encoder(axis_t *axis);

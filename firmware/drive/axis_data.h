@@ -9,6 +9,7 @@
 #include "drive/current_sense.h"
 #include "drive/estimate_data.h"
 #include "drive/feedback_data.h"
+#include "drive/inputs_data.h"
 #include "drive/startup_data.h"
 #include "drive/state_machine.h"
 #include "drive/stop_data.h"
@@ -33,6 +34,7 @@ typedef enum {
 #define FRESH_I_Q UINT16_C(0x04)
 #define FRESH_POINTS UINT16_C(0x08)
 #define FRESH_MODE UINT16_C(0x10)
+#define FRESH_MOTION UINT16_C(0x1f) /* all of these */
 #define FRESH_ENABLE UINT16_C(0x20)
 #define FRESH_QUICK_STOP UINT16_C(0x40)
 #define FRESH_CLEAR_FAULTS UINT16_C(0x80) /* a 1 */
@@ -157,7 +159,11 @@ typedef struct axis {
     frac32_t u_dc_filter;
     frac16_t u_dc; /* filtered bus voltage */
     frac16_t regen_derating; /* part of the braking current that the bus takes */
-    uint16_t bus_limits; /* LIMIT_ bits that the bus sets on every axis */
+    uint16_t outer_limits; /* LIMIT_ bits from outside the axis: of the bus, and of its inputs */
+    uint16_t inputs; /* INPUT_ bits: of the pins that are fitted */
+    inputs_state_t inputs_state;
+    holding_brake_t brake;
+    bool aligned; /* the angle found by the last search still holds */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;

@@ -7,6 +7,7 @@
 #include "drive/axis_faults.h"
 #include "drive/current_drive.h"
 #include "drive/estimate.h"
+#include "drive/holding_brake.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/outputs.h"
@@ -70,10 +71,8 @@ static void ready_align(axis_t *axis)
     enter(axis, SUBSTATE_ALIGN);
 }
 
-static void align_spin(axis_t *axis)
+static void to_spin(axis_t *axis)
 {
-    axis_zero_voltage(axis, true);
-    axis->source->align(axis, rotor_search_angle(&axis->search));
     encoder_monitor_start(&axis->diagnosis.encoder, axis->feedback.position);
     angle_monitor_start(&axis->diagnosis.angle);
     axis->test_current = (dq_t){0, 0};
@@ -81,6 +80,14 @@ static void align_spin(axis_t *axis)
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);
     enter(axis, SUBSTATE_SPIN);
+}
+
+static void align_spin(axis_t *axis)
+{
+    axis_zero_voltage(axis, true);
+    axis->source->align(axis, rotor_search_angle(&axis->search));
+    axis->aligned = true;
+    to_spin(axis);
 }
 
 /* What the stall test looks at. */
@@ -178,10 +185,22 @@ static void ready_slow(axis_t *axis)
     if (!axis->requested) {
         return;
     }
-    if (!axis->sensorless) {
-        ready_align(axis);
-    } else if (motion_wanted_speed(axis) != 0) {
+    if (axis->sensorless && motion_wanted_speed(axis) == 0) {
+        holding_brake_ask(axis, false);
+        return;
+    }
+    if (holding_brake_fitted(axis) && axis->aligned && !axis->sensorless) {
+        to_spin(axis); /* the brake opens when the position is controlled */
+        return;
+    }
+    holding_brake_ask(axis, true); /* a search, or a start, has to turn the shaft: meanwhile the shorted windings brake it */
+    if (!holding_brake_open(axis)) {
+        return;
+    }
+    if (axis->sensorless) {
         ready_startup(axis);
+    } else {
+        ready_align(axis);
     }
 }
 
@@ -464,7 +483,7 @@ static void freewheel_slow(axis_t *axis)
         wait_for_rest(axis);
         return;
     }
-    if (axis->requested && !axis->sensorless) {
+    if (axis->requested && !axis->sensorless && !holding_brake_fitted(axis)) {
         freewheel_align(axis);
     } else {
         to_ready(axis);

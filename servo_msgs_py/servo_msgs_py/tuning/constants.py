@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from servo_msgs_py.tuning.braking import stop_constants
+from servo_msgs_py.tuning.braking import pin_constants, stop_constants
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration
 from servo_msgs_py.tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q16, UINT16, Format
@@ -52,6 +52,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **_supervision(to),
         **_watches(to),
         **stop_constants(to),
+        **pin_constants(to),
     }
 
 

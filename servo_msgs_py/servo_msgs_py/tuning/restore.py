@@ -15,7 +15,7 @@ from typing import Any, Final
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.tuning.block import block_of
-from servo_msgs_py.tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.configuration import FEEDBACKS, PINS, Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.schema import AXIS_GROUPS
@@ -198,6 +198,7 @@ class _Restorer:
             stops=Stops(commands, {key: value for key, value in stop.items() if key not in COMMANDS}),
             inherited=frozenset(),
             feedback=FEEDBACKS[self._block["feedback"]],
+            pins={pin: bool(self._block["pins.fitted"] >> bit & 1) for bit, pin in enumerate(PINS)},
         )
         for found in _FOUND:
             axis = self._find(axis, found)
@@ -207,6 +208,7 @@ class _Restorer:
         result: dict[str, Any] = {"feedback": axis.feedback, **{group: dict(v) for group, v in axis.groups.items()}}
         result["stop"] = {**axis.groups["stop"], **stop}
         result["features"] = features
+        result["pins"] = {**axis.groups["pins"], **axis.pins}
         got = self._computed(axis)
         exact = {path: raw for path, raw in self._block.items() if got is None or got.get(path) != raw}
         if exact:
@@ -319,6 +321,7 @@ class _Restorer:
                 "short_current": at("stop.short_current", 1.0 / (1.0 - 2.0**-15)),
                 "copper_use": min(at("copper_current") / current, 1.0),
             },
+            "pins": {"open_time": at("pins.open_ticks"), "close_time": at("pins.close_ticks")},
             "sensing": {
                 "sign_current": s.i / _value("current_loop.dead_time.slope", b),
                 "offset_tolerance": b["offset_tolerance"],

@@ -240,6 +240,10 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
             "", "part of the current limit for i_d while braking current is folded back", zero=True, most=1.0
         ),
     },
+    "pins": {
+        "open_time": Entry("s", "until the holding brake holds nothing", zero=True),
+        "close_time": Entry("s", "until the holding brake holds", zero=True),
+    },
     "sensing": {
         "sign_current": Entry("A", "above it the direction of a phase current is certain"),
         "offset_tolerance": Entry("", "ADC codes that an offset may lie off mid-scale", whole=True),

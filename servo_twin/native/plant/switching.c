@@ -55,6 +55,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
         axis->i_noise = c->i_noise;
         memcpy(axis->i_offset, c->i_offset, sizeof axis->i_offset);
         axis->r_s = c->r_s;
+        axis->friction = c->friction;
     }
 }
 
@@ -628,6 +629,12 @@ static switching_t here(const switching_t *plant, int axis)
     return copy;
 }
 
+double switching_theta(const switching_t *plant, int i)
+{
+    const switching_axis_t *axis = &plant->axis[i];
+    return axis->bridge.theta + axis->bridge.omega * seconds(axis->clock, plant->now);
+}
+
 void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
 {
     switching_t copy = here(plant, i);
@@ -682,6 +689,14 @@ static bridge_t *touch(switching_t *plant, int i)
 }
 
 void switching_set_load(switching_t *plant, int axis, double torque) { touch(plant, axis)->load = torque; }
+
+void switching_hold(switching_t *plant, int i, double torque)
+{
+    const double friction = plant->axis[i].friction + torque;
+    if (friction != plant->axis[i].bridge.friction) {
+        touch(plant, i)->friction = friction;
+    }
+}
 
 void switching_lock(switching_t *plant, int axis, bool locked)
 {
