@@ -832,7 +832,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(parameter.feedback), 2, 2, INT32_C(0), INT32_C(1)}, /* param.feedback */
     {OFFSET(parameter.on_disable), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_disable */
     {OFFSET(parameter.on_quick_stop), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_quick_stop */
-    {OFFSET(parameter.faults_enabled), 4, 2, INT32_C(0), INT32_C(2097151)}, /* param.faults_enabled */
+    {OFFSET(parameter.faults_enabled), 4, 2, INT32_C(0), INT32_C(33554431)}, /* param.faults_enabled */
     {OFFSET(parameter.monitor), 2, 2, INT32_C(0), INT32_C(15)}, /* param.monitor */
     {OFFSET(parameter.host_timeout), 2, 1, INT32_C(100), INT32_C(60000)}, /* param.host_timeout */
     {OFFSET(parameter.command_timeout), 2, 1, INT32_C(0), INT32_C(60000)}, /* param.command_timeout */

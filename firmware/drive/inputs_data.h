@@ -6,6 +6,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "math/frac.h"
+
 typedef struct {
     uint16_t fitted;      /* INPUT_ bits of the pins that are wired; INPUT_BRAKE_OPEN: a holding brake */
     uint16_t open_ticks;  /* slow ticks from its current until the brake holds nothing .. */
@@ -21,6 +23,8 @@ typedef struct {
     bool wanted;    /* open */
     bool powered;   /* its coil has current */
     uint16_t ticks; /* slow ticks until it has followed */
+    frac16_t load;  /* current that held the shaft at rest before it closed */
+    int32_t origin; /* position where it was closed last */
 } holding_brake_t;
 
 #endif

@@ -190,7 +190,8 @@ static void ready_slow(axis_t *axis)
         return;
     }
     if (holding_brake_fitted(axis) && axis->aligned && !axis->sensorless) {
-        to_spin(axis); /* the brake opens when the position is controlled */
+        to_spin(axis); /* the brake opens when the position is controlled, with the torque that the load took last */
+        pi_reset(&axis->motion.speed_pi, f32_from_f16(axis->brake.load));
         return;
     }
     holding_brake_ask(axis, true); /* a search, or a start, has to turn the shaft: meanwhile the shorted windings brake it */
@@ -249,7 +250,7 @@ static finding_t search_end(const axis_t *axis, finding_t failure)
     case ROTOR_SEARCH_HELD:
         return failure;
     default:
-        return (axis->ticks > axis->config->search_ticks_max) ? failure : FINDINGS;
+        return (axis->ticks > axis->config->search_ticks_max || holding_brake_shaft_drops(axis)) ? failure : FINDINGS;
     }
 }
 
