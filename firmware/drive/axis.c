@@ -51,7 +51,6 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->source->reset(axis);
     axis_states_init(axis);
     inputs_configure(axis);
-    hal_holding_brake(hal, index, false);
 }
 
 /* Angle and speed come from somewhere else: never in motion, and never from an observer that has no constants. */
@@ -62,7 +61,6 @@ static void choose_source(axis_t *axis)
         axis->sensorless = sensorless;
         axis->source = sensorless ? &observer_feedback : &encoder_feedback;
         axis->source->reset(axis);
-        axis->aligned = false;
     }
 }
 
@@ -198,9 +196,6 @@ void axis_protect(axis_t *axis)
 {
     inputs_step(axis);
     holding_brake_step(axis);
-    const bool held = !inputs_permit(axis) || (axis->inputs & INPUT_LIMITS) != 0U;
-    const uint16_t others = axis->outer_limits & (uint16_t)~LIMIT_INPUT;
-    axis->outer_limits = held ? (uint16_t)(others | LIMIT_INPUT) : others;
 }
 
 void axis_edge(axis_t *axis) { axis->source->edge(axis); }

@@ -71,9 +71,12 @@ void inputs_step(axis_t *axis)
     const uint16_t before = axis->inputs;
     if (fitted == 0U) {
         axis->inputs = 0;
-        return;
+    } else {
+        axis->inputs = filtered(axis, hal_inputs(axis->hal, axis->index) & fitted);
+        watch_enable(axis);
+        watch_limits(axis, before);
     }
-    axis->inputs = filtered(axis, hal_inputs(axis->hal, axis->index) & fitted);
-    watch_enable(axis);
-    watch_limits(axis, before);
+    const bool held = !inputs_permit(axis) || (axis->inputs & INPUT_LIMITS) != 0U;
+    const uint16_t others = axis->outer_limits & (uint16_t)~LIMIT_INPUT;
+    axis->outer_limits = held ? (uint16_t)(others | LIMIT_INPUT) : others;
 }

@@ -14,6 +14,7 @@
 #include "drive/run_step.h"
 #include "drive/startup.h"
 #include "drive/stop.h"
+#include "sensing/rotor_hold.h"
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
 
@@ -66,7 +67,12 @@ static void to_ready(axis_t *axis)
 static void ready_align(axis_t *axis)
 {
     choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search looks at voltages */
-    rotor_search_start(&axis->search, axis->feedback.position);
+    if (holding_brake_fitted(axis)) {
+        rotor_hold_start(&axis->search, &axis->config->rotor_search, axis->feedback.position,
+                         axis->config->speed_observer.acceleration_per_current);
+    } else {
+        rotor_search_start(&axis->search, axis->feedback.position);
+    }
     axis->diagnosis.stall.runs = false;
     enter(axis, SUBSTATE_ALIGN);
 }
@@ -82,12 +88,22 @@ static void to_spin(axis_t *axis)
     enter(axis, SUBSTATE_SPIN);
 }
 
+/* The torque that the load took last is there at once. */
+static void to_loaded_spin(axis_t *axis)
+{
+    to_spin(axis);
+    if (holding_brake_fitted(axis)) {
+        pi_reset(&axis->motion.speed_pi, f32_from_f16(axis->brake.load));
+    }
+}
+
 static void align_spin(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
     axis->source->align(axis, rotor_search_angle(&axis->search));
     axis->aligned = true;
-    to_spin(axis);
+    axis->brake.load = f16_from_f32(axis->search.current);
+    to_loaded_spin(axis);
 }
 
 /* What the stall test looks at. */
@@ -190,18 +206,14 @@ static void ready_slow(axis_t *axis)
         return;
     }
     if (holding_brake_fitted(axis) && axis->aligned && !axis->sensorless) {
-        to_spin(axis); /* the brake opens when the position is controlled, with the torque that the load took last */
-        pi_reset(&axis->motion.speed_pi, f32_from_f16(axis->brake.load));
-        return;
-    }
-    holding_brake_ask(axis, true); /* a search, or a start, has to turn the shaft: meanwhile the shorted windings brake it */
-    if (!holding_brake_open(axis)) {
-        return;
-    }
-    if (axis->sensorless) {
-        ready_startup(axis);
-    } else {
+        to_loaded_spin(axis); /* the brake opens when the position is controlled */
+    } else if (!axis->sensorless) {
         ready_align(axis);
+    } else {
+        holding_brake_ask(axis, true); /* the start has to turn the shaft: meanwhile the shorted windings brake it */
+        if (holding_brake_open(axis)) {
+            ready_startup(axis);
+        }
     }
 }
 
@@ -262,6 +274,10 @@ static void align_slow(axis_t *axis)
     }
     const bool driven = rotor_search_drives(&axis->search);
     const finding_t failure = search_failure(axis);
+    if (rotor_hold_holds(&axis->search)) {
+        holding_brake_ask(axis, true);
+        axis->search.released = holding_brake_open(axis);
+    }
     rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};

@@ -1,5 +1,7 @@
 #include "sensing/rotor_search.h"
 
+#include "sensing/rotor_hold.h"
+
 #define HALF_TURN UINT16_C(32768)
 #define QUARTER_TURN UINT16_C(16384)
 #define GROWTH_MAX UINT16_C(4)
@@ -348,6 +350,9 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
     case ROTOR_SEARCH_TURN:
         turn_step(search, config, position);
         break;
+    case ROTOR_SEARCH_HOLD:
+        rotor_hold_step(search, config, position);
+        break;
     default:
         break;
     }
@@ -357,7 +362,7 @@ bool rotor_search_drives(const rotor_search_t *search)
 {
     return search->phase == ROTOR_SEARCH_PULL || search->phase == ROTOR_SEARCH_BRAKE ||
            search->phase == ROTOR_SEARCH_VERIFY || search->phase == ROTOR_SEARCH_TURN ||
-           (search->phase == ROTOR_SEARCH_REST && search->fade);
+           search->phase == ROTOR_SEARCH_HOLD || (search->phase == ROTOR_SEARCH_REST && search->fade);
 }
 
 frac16_t rotor_search_angle(const rotor_search_t *search) { return search->vector; }
