@@ -156,8 +156,7 @@ static void watch_bus(servo_t *servo)
         axis_t *axis = &servo->axis[i];
         axis->diagnosis.bus.u_dc_max = brake->able ? servo_config.brake.u_dc_max_able : axis->config->u_dc_max;
         axis->regen_derating = brake->regen_derating;
-        const uint16_t others = axis->outer_limits & (uint16_t)~LIMIT_BRAKE;
-        axis->outer_limits = (brake->on || brake->spent) ? (uint16_t)(others | LIMIT_BRAKE) : others;
+        axis->bus_limits = (brake->on || brake->spent) ? LIMIT_BRAKE : 0U;
     }
 }
 

@@ -152,7 +152,7 @@ static void age_set_point(axis_command_t *command)
 void axis_slow(axis_t *axis)
 {
     age_set_point(&axis->command);
-    axis->active_limits = axis->outer_limits;
+    axis->active_limits = axis->bus_limits | axis->input_limits;
     if (!axis->source->slow(axis)) {
         axis_raise(axis, FOUND(FINDING_COUNT_CONTRADICTS_INDEX));
     }

@@ -159,7 +159,8 @@ typedef struct axis {
     frac32_t u_dc_filter;
     frac16_t u_dc; /* filtered bus voltage */
     frac16_t regen_derating; /* part of the braking current that the bus takes */
-    uint16_t outer_limits; /* LIMIT_ bits from outside the axis: of the bus, and of its inputs */
+    uint16_t bus_limits; /* LIMIT_ bits that the bus sets on every axis .. */
+    uint16_t input_limits; /* .. and those of its inputs */
     uint16_t inputs; /* INPUT_ bits: of the pins that are fitted */
     inputs_state_t inputs_state;
     holding_brake_t brake;

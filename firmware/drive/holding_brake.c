@@ -32,9 +32,7 @@ void holding_brake_step(axis_t *axis)
         axis->brake.wanted = true; /* also when the drive is wanted again while a stop closes the brake */
     }
     follow(axis, axis->brake.wanted);
-    if (holding_brake_closed(axis)) {
-        axis->brake.origin = axis->feedback.position;
-    } else if (axis->motion.resting && holding_brake_open(axis)) {
+    if (axis->motion.resting && holding_brake_open(axis)) {
         axis->brake.load = axis->current_ref.q;
     }
     if (holding_brake_open(axis)) {

@@ -25,17 +25,14 @@ static inline bool holding_brake_closed(const axis_t *axis)
     return !axis->brake.powered && axis->brake.ticks == 0U;
 }
 
+/* True if a stop ends with the position held until the brake has closed: without an encoder there is none to hold. */
+static inline bool holding_brake_takes_over(const axis_t *axis)
+{
+    return holding_brake_fitted(axis) && !axis->sensorless;
+}
+
 /* Ask for it; it takes its time. */
 static inline void holding_brake_ask(axis_t *axis, bool open) { axis->brake.wanted = open; }
-
-/* Farther from where the brake held it than any search moves a shaft that is not driven by a load: half an electrical turn. */
-static inline bool holding_brake_shaft_drops(const axis_t *axis)
-{
-    const int32_t moved = i32_sub_wrap(axis->feedback.position, axis->brake.origin);
-    const int64_t angle = (int64_t)moved * axis->config->rotor_search.angle_per_count;
-    const int64_t half_turn = INT64_C(0x8000) << 16;
-    return holding_brake_fitted(axis) && (angle > half_turn || angle < -half_turn);
-}
 
 /* One slow tick. */
 void holding_brake_step(axis_t *axis);

@@ -77,6 +77,5 @@ void inputs_step(axis_t *axis)
         watch_limits(axis, before);
     }
     const bool held = !inputs_permit(axis) || (axis->inputs & INPUT_LIMITS) != 0U;
-    const uint16_t others = axis->outer_limits & (uint16_t)~LIMIT_INPUT;
-    axis->outer_limits = held ? (uint16_t)(others | LIMIT_INPUT) : others;
+    axis->input_limits = held ? LIMIT_INPUT : 0U;
 }

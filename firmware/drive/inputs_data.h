@@ -24,7 +24,6 @@ typedef struct {
     bool powered;   /* its coil has current */
     uint16_t ticks; /* slow ticks until it has followed */
     frac16_t load;  /* current that held the shaft at rest before it closed */
-    int32_t origin; /* position where it was closed last */
 } holding_brake_t;
 
 #endif

@@ -5,7 +5,6 @@
 #include "drive/path_units.h"
 #include "drive/soft_limits.h"
 #include "drive/speed_control.h"
-#include "drive/stop.h"
 
 /* A shaft that comes to rest this close to its target is left alone until it is farther off than that. Closer than the
  * encoder can tell, the integral part of the speed controller would hunt against the friction for ever. */
@@ -129,7 +128,7 @@ static void expire(motion_state_t *m)
 /* A stop ends by holding the position: of a drive that is wanted, or for some time. */
 static bool stop_holds(const axis_t *axis)
 {
-    return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD || stop_ends_held(axis);
+    return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD || holding_brake_takes_over(axis);
 }
 
 static void take_stop(axis_t *axis)

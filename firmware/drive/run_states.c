@@ -262,8 +262,22 @@ static finding_t search_end(const axis_t *axis, finding_t failure)
     case ROTOR_SEARCH_HELD:
         return failure;
     default:
-        return (axis->ticks > axis->config->search_ticks_max || holding_brake_shaft_drops(axis)) ? failure : FINDINGS;
+        return (axis->ticks > axis->config->search_ticks_max) ? failure : FINDINGS;
     }
+}
+
+static void search_step(axis_t *axis)
+{
+    rotor_search_t *search = &axis->search;
+    if (search->phase != ROTOR_SEARCH_HOLD) {
+        rotor_search_step(search, &axis->config->rotor_search, axis->feedback.position);
+        return;
+    }
+    if (rotor_hold_holds(search)) {
+        holding_brake_ask(axis, true);
+        search->released = holding_brake_open(axis);
+    }
+    rotor_hold_step(search, &axis->config->rotor_search, axis->feedback.position);
 }
 
 static void align_slow(axis_t *axis)
@@ -274,11 +288,7 @@ static void align_slow(axis_t *axis)
     }
     const bool driven = rotor_search_drives(&axis->search);
     const finding_t failure = search_failure(axis);
-    if (rotor_hold_holds(&axis->search)) {
-        holding_brake_ask(axis, true);
-        axis->search.released = holding_brake_open(axis);
-    }
-    rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
+    search_step(axis);
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
     const finding_t end = search_end(axis, failure);

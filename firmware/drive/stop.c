@@ -45,8 +45,6 @@ static bool held_long_enough(axis_t *axis)
     return axis->stop.held > axis->config->stop.hold_ticks;
 }
 
-bool stop_ends_held(const axis_t *axis) { return holding_brake_fitted(axis) && !axis->sensorless; }
-
 /* The position is held until the brake holds it. One that cannot be held is left to the brake as it is. */
 static bool handed_to_brake(axis_t *axis, bool long_enough)
 {
@@ -62,7 +60,7 @@ static bool over(axis_t *axis, stop_category_t category)
     if (motion_stopped(axis)) {
         return true;
     }
-    return stop_ends_held(axis) ? handed_to_brake(axis, long_enough || category == STOP_CATEGORY_RAMP) : long_enough;
+    return holding_brake_takes_over(axis) ? handed_to_brake(axis, long_enough || category == STOP_CATEGORY_RAMP) : long_enough;
 }
 
 stop_category_t stop_step(axis_t *axis)

@@ -20,9 +20,6 @@ bool stop_in_hand(const axis_t *axis);
 /* True if the windings may be shorted at this speed. */
 bool stop_may_short(const axis_t *axis);
 
-/* True if the position is held at the end of a stop: an axis with a holding brake does, until that has closed. */
-bool stop_ends_held(const axis_t *axis);
-
 /* One slow tick of a spinning axis without a drive: how it goes on. STOP_CATEGORY_COAST: outputs off now; STOP_CATEGORY_SHORT: short the
  * windings now; else go on decelerating or holding. */
 stop_category_t stop_step(axis_t *axis);

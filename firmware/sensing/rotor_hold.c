@@ -19,7 +19,9 @@ typedef enum {
 #define INTEGRAL_SHIFT 3 /* of P, per slow tick */
 
 #define AWAY_OVER_MOVE 4 /* the small way, in counts that are a twitch */
-#define ASTRAY (INT64_C(1) << 29) /* an eighth of a turn: the shaft does not obey, 2^32 is a turn */
+/* The shaft does not obey: half a turn from where it was, and once it has been caught an eighth; 2^32 is a turn. */
+#define ASTRAY (INT64_C(1) << 31)
+#define ASTRAY_CAUGHT (INT64_C(1) << 29)
 #define SOLVE_BITS 12
 
 void rotor_hold_start(rotor_search_t *search, const rotor_search_config_t *config, int32_t position,
@@ -117,8 +119,13 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
 {
     const frac32_t limit = f32_from_f16(config->current_limit);
     const int64_t way = (int64_t)i32_sub_wrap(position, search->origin) * config->angle_per_count;
-    if (search->stage > (uint16_t)STAGE_CATCH && (way > ASTRAY || way < -ASTRAY)) {
+    const int64_t astray = (search->stage > (uint16_t)STAGE_CATCH) ? ASTRAY_CAUGHT : ASTRAY;
+    if (way > astray || way < -astray) {
         search->phase = ROTOR_SEARCH_HELD;
+        return;
+    }
+    if (search->starved >= ROTOR_SEARCH_STARVED_MAX) {
+        search->phase = ROTOR_SEARCH_STARVED;
         return;
     }
     const uint16_t calm = balance(search, config, position);

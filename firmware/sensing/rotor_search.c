@@ -1,13 +1,10 @@
 #include "sensing/rotor_search.h"
 
-#include "sensing/rotor_hold.h"
-
 #define HALF_TURN UINT16_C(32768)
 #define QUARTER_TURN UINT16_C(16384)
 #define GROWTH_MAX UINT16_C(4)
 #define HELD_OVER_HOLD UINT16_C(4)  /* an edge that dithers is no reason to pull for ever */
 #define CALM_OVER_REST UINT16_C(10) /* nor to wait; so dithers an encoder with a dead line, too */
-#define STARVED_MAX UINT16_C(64)   /* PWM periods: 4 ms */
 
 /* The first count comes after one count of movement at most, the twitch after two or more. With a torque that is constant
  * or grows from zero, the time in between is more than a quarter of the movement's; the brake takes no longer than that,
@@ -330,7 +327,7 @@ void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *con
 
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->starved >= STARVED_MAX) {
+    if (search->starved >= ROTOR_SEARCH_STARVED_MAX) {
         finish(search, ROTOR_SEARCH_STARVED);
         return;
     }
@@ -349,9 +346,6 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
         break;
     case ROTOR_SEARCH_TURN:
         turn_step(search, config, position);
-        break;
-    case ROTOR_SEARCH_HOLD:
-        rotor_hold_step(search, config, position);
         break;
     default:
         break;

@@ -32,6 +32,8 @@ typedef struct {
     rotor_follow_config_t follow;
 } rotor_search_config_t;
 
+#define ROTOR_SEARCH_STARVED_MAX UINT16_C(64) /* PWM periods: 4 ms */
+
 typedef enum {
     ROTOR_SEARCH_PULL,     /* the current at theta_M grows */
     ROTOR_SEARCH_BRAKE,    /* reversed, it shrinks */

@@ -134,7 +134,7 @@ def test_one_beyond_either_end_is_refused_and_changes_nothing(bench: Bench, name
         ("param.host_timeout", 60001),
         ("param.brake", 2),
         ("param.features", 0x2000),
-        ("param.faults_enabled", 1 << 21),
+        ("param.faults_enabled", 1 << 25),
         ("param.faults_enabled", 1 << 31),
         ("cmd.speed", -(2**31)),
         ("cmd.speed", 2**31 - 1),

@@ -62,6 +62,10 @@ RULES: Final = {
     "CONVERTER_BROKEN": Rule("CURRENT_SENSE"),
     "LOOPS_LATE": Rule("LATE_LOOP"),
     "WATCHDOG_RESET": Rule("WATCHDOG"),
+    "WINDING_HOT": Rule("MOTOR_TEMPERATURE"),
+    "HOMING_FAILED": Rule("HOMING"),
+    "ENABLE_OPEN": Rule("ENABLE_INPUT"),
+    "LIMIT_SWITCH": Rule("LIMIT_SWITCH"),
 }
 """In the order of their priority."""
 
