@@ -5,20 +5,21 @@
 typedef enum {
     STAGE_RISE,   /* the brake holds, the current grows */
     STAGE_CATCH,  /* the brake opens */
-    STAGE_AWAY,   /* does the shaft follow? */
-    STAGE_BACK,
+    STAGE_AWAY,   /* does the shaft follow a vector that turns a little? */
+    STAGE_BACK,   /* where it was */
     STAGE_WEAKEN, /* half of the current */
 } rotor_hold_stage_t;
 
 /* With a the largest acceleration of the electrical angle per slow tick squared, and the vector at -(P x + D dx), the shaft
- * is a second-order system with omega^2 = a (1 + P) and 2 zeta omega = a D. D a = 0.28 is zeta 0.7 at 0.2 per tick, beyond
- * which the samples are too rare; larger D than 32 makes too much of a count. */
+ * is a second-order system with omega^2 = a (1 + P) and 2 zeta omega = D a. A rotor that is opposite to the vector at first is
+ * driven until that has turned by half a turn: the more damping, the sooner. D a = 0.7 leaves room for an inertia half as
+ * large as believed; larger D than 80 makes too much of a count. */
 #define GAIN 2
-#define DAMPING_TIMES_ACCELERATION UINT32_C(2920) /* 0.28 / 2 pi x 2^16 */
-#define DAMPING_MAX UINT32_C(32)
+#define DAMPING_TIMES_ACCELERATION UINT32_C(7301) /* 0.7 / 2 pi x 2^16 */
+#define DAMPING_MAX UINT32_C(80)
 #define INTEGRAL_SHIFT 3 /* of P, per slow tick */
 
-#define AWAY_OVER_MOVE 4 /* the small way, in counts that are a twitch */
+#define AWAY_OVER_MOVE 8 /* the small turn, in counts that are a twitch */
 /* The shaft does not obey: half a turn from where it was, and once it has been caught an eighth; 2^32 is a turn. */
 #define ASTRAY (INT64_C(1) << 31)
 #define ASTRAY_CAUGHT (INT64_C(1) << 29)
@@ -76,16 +77,10 @@ static void next(rotor_search_t *search, rotor_hold_stage_t stage)
     search->calm = 0;
 }
 
-/* Counts from where the shaft was to where it shall be. */
-static int32_t target(const rotor_search_t *search, const rotor_search_config_t *config)
-{
-    return (search->stage == (uint16_t)STAGE_AWAY) ? AWAY_OVER_MOVE * (int32_t)config->move_counts : 0;
-}
-
-/* The vector turns against what moves the shaft. Returns slow ticks for which it has been where it shall be. */
+/* The vector turns against what moves the shaft. Returns slow ticks for which that has been where it was. */
 static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    const int32_t off = i32_sub_wrap(position, search->origin) - target(search, config);
+    const int32_t off = i32_sub_wrap(position, search->origin);
     const int32_t moved = i32_sub_wrap(position, search->last);
     const uint32_t per_count = (uint32_t)config->angle_per_count;
     const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, as the vector */
@@ -94,6 +89,28 @@ static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *con
     search->timer = (off >= -1 && off <= 1 && moved == 0) ? (uint16_t)(search->timer + 1U) : 0U;
     search->last = position;
     return search->timer;
+}
+
+/* The vector turns until the shaft has followed. Two balances are none: the rotor opposite to the vector, held by friction
+ * alone, moves the other way, and begins anew from there; that of a reversed encoder runs away without the control. */
+static void away(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+{
+    const int32_t counts = AWAY_OVER_MOVE * (int32_t)config->move_counts;
+    const int32_t moved = i32_sub_wrap(position, search->origin);
+    search->last = position;
+    if (moved < -counts && search->escapes == 0U) {
+        search->escapes++;
+        search->ahead = 0;
+        next(search, STAGE_CATCH);
+    } else if (moved > 3 * counts || moved < -counts) {
+        search->phase = ROTOR_SEARCH_REVERSED;
+    } else if (search->timer == 0U && moved < counts && search->ahead < (int32_t)config->verify_angle) {
+        search->ahead = f16_add(search->ahead, (frac16_t)config->verify_step);
+        search->vector = f16_add_wrap(upper(search->balance), search->ahead);
+    } else if (++search->timer >= config->hold_ticks) {
+        search->phase = (moved >= counts / 2) ? ROTOR_SEARCH_HOLD : ROTOR_SEARCH_HELD;
+        next(search, STAGE_BACK);
+    }
 }
 
 static void rise(rotor_search_t *search, const rotor_search_config_t *config, frac32_t limit)
@@ -128,6 +145,10 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
         search->phase = ROTOR_SEARCH_STARVED;
         return;
     }
+    if (search->stage == (uint16_t)STAGE_AWAY) {
+        away(search, config, position);
+        return;
+    }
     const uint16_t calm = balance(search, config, position);
     switch ((rotor_hold_stage_t)search->stage) {
     case STAGE_RISE:
@@ -138,11 +159,6 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
             search->timer = 0;
         } else if (calm >= config->hold_ticks) {
             next(search, STAGE_AWAY);
-        }
-        break;
-    case STAGE_AWAY:
-        if (calm >= config->rest_ticks) {
-            next(search, STAGE_BACK);
         }
         break;
     case STAGE_BACK:
