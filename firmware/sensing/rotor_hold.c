@@ -17,6 +17,7 @@ typedef enum {
 #define GAIN 2
 #define DAMPING_TIMES_ACCELERATION UINT32_C(7301) /* 0.7 / 2 pi x 2^16 */
 #define DAMPING_MAX UINT32_C(80)
+#define DAMPED_PARTS 3 /* of D, one for the first count */
 #define INTEGRAL_SHIFT 3 /* of P, per slow tick */
 
 #define AWAY_OVER_MOVE 8 /* the small turn, in counts that are a twitch */
@@ -85,7 +86,10 @@ static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *con
     const uint32_t per_count = (uint32_t)config->angle_per_count;
     const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, as the vector */
     search->balance -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* less than a turn: see ASTRAY */
-    search->vector = upper(search->balance - GAIN * angle - (uint32_t)search->damping * (uint32_t)moved * per_count);
+    const int32_t first = (moved > 0) - (moved < 0); /* count of this tick: less for it, or the shaft would dither about it */
+    const int32_t rate = DAMPED_PARTS * moved - (DAMPED_PARTS - 1) * first;
+    const uint32_t damped = (uint32_t)(rate * (int32_t)search->damping) * (per_count / DAMPED_PARTS);
+    search->vector = upper(search->balance - GAIN * angle - damped);
     search->timer = (off >= -1 && off <= 1 && moved == 0) ? (uint16_t)(search->timer + 1U) : 0U;
     search->last = position;
     return search->timer;

@@ -19,9 +19,7 @@ def board(compile_c: CompileC) -> FakeBoard:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize(
-    ("pin", "bit", "active_high"), [(0, HOME, False), (1, LIMIT_MIN, True), (2, LIMIT_MAX, True)]
-)
+@pytest.mark.parametrize(("pin", "bit", "active_high"), [(0, HOME, False), (1, LIMIT_MIN, True), (2, LIMIT_MAX, True)])
 def test_a_switch_has_its_pin_and_its_safe_level(
     board: FakeBoard, axis: int, pin: int, bit: int, active_high: bool
 ) -> None:
