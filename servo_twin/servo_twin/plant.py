@@ -213,6 +213,10 @@ class AxisPlant:
             _check("i_offset", value, _ANY)
         object.__setattr__(self, "i_offset", tuple(map(float, offsets)))
 
+    def members(self) -> dict[str, Any]:
+        """Values by the names of the C structure ``plant_axis_t``."""
+        return {name: value for name, value in (vars(self) | vars(self.pins)).items() if name != "pins"}
+
     @property
     def torque_constant(self) -> float:
         """Torque per q current at ``i_d = 0`` [N m/A]."""
@@ -331,9 +335,8 @@ class PlantConfig:
     def fill(self, config: Any) -> None:
         """Write everything into a C ``board_config_t``; random start angles have to be drawn before."""
         for target, axis in zip(config.axis, self.axes, strict=True):
-            for name, value in (vars(axis) | vars(axis.pins)).items():
-                if name != "pins":
-                    setattr(target, name, value)
+            for name, value in axis.members().items():
+                setattr(target, name, value)
         for name, value in vars(self.bus).items():
             setattr(config.bus, name, value)
         config.pwm_frequency, config.ambient = self.pwm_frequency, self.ambient

@@ -1,4 +1,4 @@
-"""The integers of braking and stopping: brake resistor, fold-back of braking current, shorted windings, categories, pins."""
+"""The integers of braking and stopping: brake resistor, fold-back, shorted windings, stop categories, pins."""
 
 from __future__ import annotations
 

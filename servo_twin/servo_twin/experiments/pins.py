@@ -131,7 +131,7 @@ def _ready(board: Board, axis: int) -> bool:
     return _in(board, axis, "RUN", "SPIN") and brake
 
 
-# ---- a load that hangs ------------------------------------------------------------------------------------------------
+# ---- a load that hangs ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ def load_of(plant: PlantConfig, axis: int) -> float:
 
 
 def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
-    """Loads on both shafts from the start on; rotors `angle` electrical off the first vector of their searches [rad]."""
+    """Loads on both shafts from the start on; rotors `angle` off the vector of their searches, electrical [rad]."""
     for axis, entry in enumerate(plant.axes):
         pins = replace(
             entry.pins,
@@ -212,7 +212,7 @@ def fault_drop(plant: PlantConfig, axis: int) -> float:
     return 0.5 * speed * falling + speed**2 / (2.0 * held)
 
 
-# ---- the enable input at speed -------------------------------------------------------------------------------------------
+# ---- the enable input at speed -------------------------------------------------------------------------------------
 
 
 _TRACE_GATES: Final = 3  # chip/trace.h
@@ -246,7 +246,7 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
         return periods, _word(board, 0, "faults") == {"ENABLE_INPUT"}
 
 
-# ---- a limit switch at speed ------------------------------------------------------------------------------------------------
+# ---- a limit switch at speed ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
     return [Overrun(beyond[k], named[k], ways[0][k], ways[1][k]) for k in range(AXES)]
 
 
-# ---- cut wires ------------------------------------------------------------------------------------------------------------------
+# ---- cut wires -----------------------------------------------------------------------------------------------------
 
 
 def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
@@ -343,7 +343,7 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
     return said
 
 
-# ---- the experiment --------------------------------------------------------------------------------------------------------------
+# ---- the experiment ------------------------------------------------------------------------------------------------
 
 
 def run(plant: PlantConfig, seed: int) -> Outcome:
@@ -383,11 +383,8 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         for axis in range(AXES)
     )
     panel = Panel("a load hangs on the shaft: first enabling", "time [s]", "shaft [deg]", curves)
-    notes = (
-        f"brake: opens in {OPEN_TIME * 1e3:.0f} ms, closes in {CLOSE_TIME * 1e3:.0f} ms; drops are the largest of"
-        f" {ANGLES} angles of the rotor",
-    )
-    return Outcome(NAME, tuple(rows), (panel,), notes)
+    times = f"brake: opens in {OPEN_TIME * 1e3:.0f} ms, closes in {CLOSE_TIME * 1e3:.0f} ms"
+    return Outcome(NAME, tuple(rows), (panel,), (times, f"drops: the largest of {ANGLES} angles of the rotor"))
 
 
 def _row(name: str, drops: Sequence[float], most: float, apart: float | None = None) -> Row:

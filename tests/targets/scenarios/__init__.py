@@ -12,7 +12,7 @@ from typing import Final
 from targets import server_requests
 from targets.recording import Scenario
 from targets.rig import Rig
-from targets.scenarios import faults, moves, observers, stops, tuning
+from targets.scenarios import faults, moves, observers, pins, stops, tuning
 from targets.scenarios.parts import plant, ready
 
 
@@ -58,5 +58,7 @@ SCENARIOS: Final = (
     Scenario("broken-phases", plant(), faults.broken_phases),
     Scenario("broken-encoders", plant(), faults.broken_encoders),
     Scenario("tuning", plant(), tuning.tuning),
+    Scenario("pins", pins.wired(), pins.pins),
+    Scenario("held-searches", pins.wired(), pins.lost),
     Scenario("server", plant(), server),
 )

@@ -16,7 +16,7 @@ from targets.scenarios.parts import POSITION, SPEED, features, ready, spin, stop
 _TABLE: Final = AxisConfigTable.load()
 
 
-class _Blocks:
+class Blocks:
     """The board as `BlockMemory` wants it: writes go over the line, reads past it."""
 
     def __init__(self, rig: Rig) -> None:
@@ -46,7 +46,7 @@ class _Blocks:
         return True
 
 
-def _take(blocks: _Blocks, changed: dict[int, dict[str, float]]) -> None:
+def _take(blocks: Blocks, changed: dict[int, dict[str, float]]) -> None:
     """Let axes take their blocks with some members times a factor."""
     for axis, factors in changed.items():
         block = read_block(blocks, axis)
@@ -56,7 +56,7 @@ def _take(blocks: _Blocks, changed: dict[int, dict[str, float]]) -> None:
 
 def tuning(rig: Rig) -> None:
     """Blocks of both axes at rest, gains in motion with every estimator, and every refusal."""
-    blocks = _Blocks(rig)
+    blocks = Blocks(rig)
     ready(rig)
     defaults = dict.fromkeys(("speed_limit", "acceleration_limit", "i_q_limit", "following_error", "over_speed"), 0.9)
     defaults |= {"position_limit": 0.5, "features": 0.5, "stop.disable": 0.5, "stop.quick_stop": 0.4}
@@ -85,7 +85,7 @@ def tuning(rig: Rig) -> None:
     stop(rig)
 
 
-def _refusals(blocks: _Blocks, block: dict[str, int]) -> None:
+def _refusals(blocks: Blocks, block: dict[str, int]) -> None:
     words = _TABLE.words(block)
     header = [1, _TABLE.layout - (1 << 32) * (_TABLE.layout >> 31), len(_TABLE), 0]
     for part in (
