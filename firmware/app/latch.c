@@ -65,7 +65,8 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
     block->clear_faults[i] = 0;
 
     if (axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !holding_brake_open(axis)) {
-        fresh = (uint16_t)(fresh & (uint16_t)~FRESH_MOTION); /* nothing moves against a closed brake, nor later by itself */
+        fresh =
+            (uint16_t)(fresh & (uint16_t)~FRESH_MOTION); /* nothing moves against a closed brake, nor later by itself */
     }
     command->position = block->position[i];
     command->speed = block->speed[i];

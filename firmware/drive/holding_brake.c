@@ -20,24 +20,16 @@ static void follow(axis_t *axis, bool open)
 
 void holding_brake_step(axis_t *axis)
 {
-    if (!holding_brake_fitted(axis)) {
-        if (axis->brake.powered) {
-            follow(axis, false);
-        }
-        return;
-    }
-    if (!held_by_drive(axis)) {
-        axis->brake.wanted = false;
+    holding_brake_t *brake = &axis->brake;
+    if (!holding_brake_fitted(axis) || !held_by_drive(axis)) {
+        brake->wanted = false;
     } else if (axis->substate == SUBSTATE_SPIN && axis->requested) {
-        axis->brake.wanted = true; /* also when the drive is wanted again while a stop closes the brake */
+        brake->wanted = true; /* also when the drive is wanted again while a stop closes the brake */
     }
-    follow(axis, axis->brake.wanted);
-    if (axis->motion.resting && holding_brake_open(axis)) {
-        axis->brake.load = axis->current_ref.q;
+    follow(axis, brake->wanted);
+    const bool open = brake->powered && brake->ticks == 0U;
+    if (open && axis->motion.resting) {
+        brake->load = axis->current_ref.q;
     }
-    if (holding_brake_open(axis)) {
-        axis->inputs = (uint16_t)(axis->inputs | INPUT_BRAKE_OPEN);
-    } else {
-        axis->inputs = (uint16_t)(axis->inputs & (uint16_t)~INPUT_BRAKE_OPEN);
-    }
+    axis->inputs = (uint16_t)((axis->inputs & (uint16_t)~INPUT_BRAKE_OPEN) | (open ? INPUT_BRAKE_OPEN : 0U));
 }

@@ -20,10 +20,7 @@ static inline bool holding_brake_open(const axis_t *axis)
 }
 
 /* True once it holds. */
-static inline bool holding_brake_closed(const axis_t *axis)
-{
-    return !axis->brake.powered && axis->brake.ticks == 0U;
-}
+static inline bool holding_brake_closed(const axis_t *axis) { return !axis->brake.powered && axis->brake.ticks == 0U; }
 
 /* True if a stop ends with the position held until the brake has closed: without an encoder there is none to hold. */
 static inline bool holding_brake_takes_over(const axis_t *axis)

@@ -60,7 +60,8 @@ static bool over(axis_t *axis, stop_category_t category)
     if (motion_stopped(axis)) {
         return true;
     }
-    return holding_brake_takes_over(axis) ? handed_to_brake(axis, long_enough || category == STOP_CATEGORY_RAMP) : long_enough;
+    return holding_brake_takes_over(axis) ? handed_to_brake(axis, long_enough || category == STOP_CATEGORY_RAMP)
+                                          : long_enough;
 }
 
 stop_category_t stop_step(axis_t *axis)

@@ -90,7 +90,7 @@ typedef struct {
     /* Mean voltages of the motor's terminals against the midpoint of u_dc [V]: over the last half cycle at the ideal level,
      * over the last full window at register level (a PWM period; windows follow each other from power-on). */
     double u_a, u_b, u_c;
-    double brake_holds;    /* 1: the holding brake is closed (and holds its torque), 0: open */
+    double brake_holds; /* 1: the holding brake is closed (and holds its torque), 0: open */
 } board_truth_t;
 
 board_t *board_new(const board_config_t *config); /* NULL when memory is short */
@@ -138,7 +138,13 @@ void board_reverse_encoder(board_t *board, int axis); /* swap the lines A and B 
 void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
 
 /* Wires of an axis. */
-typedef enum { BOARD_PIN_HOME, BOARD_PIN_LIMIT_MIN, BOARD_PIN_LIMIT_MAX, BOARD_PIN_ENABLE, BOARD_PIN_BRAKE } board_pin_t;
+typedef enum {
+    BOARD_PIN_HOME,
+    BOARD_PIN_LIMIT_MIN,
+    BOARD_PIN_LIMIT_MAX,
+    BOARD_PIN_ENABLE,
+    BOARD_PIN_BRAKE
+} board_pin_t;
 
 /* What can go wrong with the hardware. `part` is a phase (0, 1, 2) or an encoder line (0: A, 1: B). */
 typedef enum {

@@ -386,8 +386,7 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
      SIM_GPSEL_E7(SIM_E7_PWMB_2A))
 #define SET_GPSEH (SIM_GPSEH_E8(SIM_E8_PWMA_FAULT0) | SIM_GPSEH_E9(SIM_E9_PWMA_FAULT1))
 #define SET_GPSFL 0U
-#define SET_GPSFH                                                                                                      \
-    (SIM_GPSFH_F8(SIM_F8_TB1) | SIM_GPSFH_F13(SIM_F13_PWMB_FAULT1) | SIM_GPSFH_F14(SIM_F14_PWMB_FAULT0))
+#define SET_GPSFH (SIM_GPSFH_F8(SIM_F8_TB1) | SIM_GPSFH_F13(SIM_F13_PWMB_FAULT1) | SIM_GPSFH_F14(SIM_F14_PWMB_FAULT0))
 #define SET_GPSGL                                                                                                      \
     (SIM_GPSGL_G0(SIM_G0_PWMB_1B) | SIM_GPSGL_G1(SIM_G1_PWMB_1A) | SIM_GPSGL_G2(SIM_G2_PWMB_0B) |                      \
      SIM_GPSGL_G3(SIM_G3_PWMB_0A) | SIM_GPSGL_G4(SIM_G4_PWMB_3B) | SIM_GPSGL_G5(SIM_G5_PWMB_3A))

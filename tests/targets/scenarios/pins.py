@@ -19,7 +19,7 @@ _TICKS = 8
 
 def wired() -> PlantConfig:
     """Limit switches a turn to both sides, home switches in between, quick brakes."""
-    both = plant((0.5 * math.pi, math.pi / 4))
+    both = plant((math.pi / 4, 0.5 * math.pi))  # the second opposite to the first vector
     for axis, entry in enumerate(both.axes):
         pins = replace(
             entry.pins, home_from=1.0, home_to=3.0, limit_min=-5.0, limit_max=7.0, brake_torque=0.1,
@@ -61,6 +61,8 @@ def pins(rig: Rig) -> None:
     rig.until("axis 1 in STOP", lambda: rig.places()[0] == "STOP")
     rig.run(0.09)
     rig.set("cmd.enable", 1)
+    rig.until("axis 1 in SPIN again", lambda: rig.places()[0] == "SPIN")
+    rig.set("cmd.speed", -30.0, 0.0)  # its brake is still closed
     rig.until("both in SPIN", lambda: rig.places() == ["SPIN", "SPIN"])
     rig.run(0.01)
     rig.set("cmd.speed", -30.0, 0.0)
@@ -78,10 +80,19 @@ def pins(rig: Rig) -> None:
 
 
 def lost(rig: Rig) -> None:
-    """Searches that fail: an encoder that counts nothing, one the wrong way round."""
+    """Searches that fail: an encoder that counts nothing, one the wrong way round, a load that is too large."""
     ready(rig)
     _fit(rig)
     rig.plug(0, False)
     rig.reverse(1)
     rig.set("cmd.enable", 1)
     rig.until("both failed", lambda: rig.places() == ["FAULT", "FAULT"])
+    rig.plug(0, True)
+    rig.reverse(1)
+    rig.load(0, 0.15)
+    rig.set("cmd.clear_faults", 1)
+    rig.until("both cleared", lambda: rig.places() == ["STOP", "STOP"])
+    rig.run(0.09)
+    rig.set("cmd.enable", 1, 0)
+    rig.until("dropped", lambda: rig.places()[0] == "FAULT")
+    rig.run(0.01)
