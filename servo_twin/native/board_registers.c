@@ -178,7 +178,7 @@ static void look_at_pins(board_t *board)
         plant_pins_t *pins = &board->pins[axis];
         if (plant_pins_follow(pins, seconds_of(board))) {
             switching_advance(&board->plant, board->chip.now);
-            switching_hold(&board->plant, axis, plant_pins_friction(pins));
+            switching_set_friction(&board->plant, axis, plant_pins_friction(pins));
             board->chip.core.horizon = 0;
         }
         show_contacts(board, axis);
@@ -258,7 +258,7 @@ board_t *board_new(const board_config_t *config)
             chip_pin(&board->chip, encoder_pin[axis][line], switching_line(&board->plant, axis, line));
         }
         plant_pins_init(&board->pins[axis], &config->axis[axis]);
-        switching_hold(&board->plant, axis, plant_pins_friction(&board->pins[axis]));
+        switching_set_friction(&board->plant, axis, plant_pins_friction(&board->pins[axis]));
         board->closed[axis] = ~0u; /* the levels at the pins so far */
         show_contacts(board, axis);
     }

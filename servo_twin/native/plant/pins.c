@@ -10,6 +10,7 @@ void plant_pins_init(plant_pins_t *pins, const plant_axis_t *config)
         .limit_min = config->limit_min,
         .limit_max = config->limit_max,
         .enabled = config->enable_closed != 0.0,
+        .friction = config->friction,
         .torque = config->brake_torque,
         .open_time = config->brake_open_time,
         .close_time = config->brake_close_time,

@@ -10,6 +10,7 @@ typedef struct {
     double home_from, home_to;   /* the home switch is closed between these angles [rad] */
     double limit_min, limit_max; /* the limit switches are open from there on [rad] */
     bool enabled;                /* the enable circuit is closed */
+    double friction;             /* of the shaft [N m] */
     double torque;               /* that the brake holds; 0: there is none [N m] */
     double open_time, close_time; /* [s] */
     unsigned cut;                /* wires, a bit per board_pin_t */
@@ -31,7 +32,10 @@ void plant_pins_cut(plant_pins_t *pins, int pin, bool cut, double now);
 /* True if the brake has followed its coil by now. */
 bool plant_pins_follow(plant_pins_t *pins, double now);
 
-/* Friction of the brake [N m]. */
-static inline double plant_pins_friction(const plant_pins_t *pins) { return pins->holds ? pins->torque : 0.0; }
+/* Friction of the shaft with its brake [N m]. */
+static inline double plant_pins_friction(const plant_pins_t *pins)
+{
+    return pins->friction + (pins->holds ? pins->torque : 0.0);
+}
 
 #endif

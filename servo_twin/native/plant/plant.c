@@ -22,7 +22,7 @@ void plant_init(plant_t *plant, const board_config_t *config)
         axis->codes_per_ampere = 2048.0 / config->axis[i].i_full_scale;
         plant_harm_init(&axis->harm, &config->axis[i], config->seed, (uint64_t)i + 5u);
         plant_pins_init(&axis->pins, &config->axis[i]);
-        axis->motor.friction += plant_pins_friction(&axis->pins);
+        axis->motor.friction = plant_pins_friction(&axis->pins);
         thermal_init(&axis->sink, config->axis[i].sink_capacity, config->axis[i].sink_resistance, config->ambient);
     }
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
@@ -149,7 +149,7 @@ void plant_hold(plant_t *plant, double now)
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
         if (plant_pins_follow(&axis->pins, now)) {
-            axis->motor.friction = axis->config.friction + plant_pins_friction(&axis->pins);
+            axis->motor.friction = plant_pins_friction(&axis->pins);
         }
     }
 }

@@ -55,7 +55,6 @@ void switching_init(switching_t *plant, const board_config_t *config)
         axis->i_noise = c->i_noise;
         memcpy(axis->i_offset, c->i_offset, sizeof axis->i_offset);
         axis->r_s = c->r_s;
-        axis->friction = c->friction;
     }
 }
 
@@ -690,9 +689,8 @@ static bridge_t *touch(switching_t *plant, int i)
 
 void switching_set_load(switching_t *plant, int axis, double torque) { touch(plant, axis)->load = torque; }
 
-void switching_hold(switching_t *plant, int i, double torque)
+void switching_set_friction(switching_t *plant, int i, double friction)
 {
-    const double friction = plant->axis[i].friction + torque;
     if (friction != plant->axis[i].bridge.friction) {
         touch(plant, i)->friction = friction;
     }

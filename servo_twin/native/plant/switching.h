@@ -92,7 +92,6 @@ typedef struct {
     /* Of a current vector below which no phase is beyond the threshold, or can get there within the horizon [A^2]. */
     double square_break, square_far;
     double codes_per_ampere, i_offset[3], i_noise;
-    double friction; /* without a holding brake [N m] */
     double r_s; /* at the reference temperature [ohm] */
     double e_copper, e_switch; /* that the temperatures have seen already [J] */
     bridge_integral_t window; /* of the terminals, where the present window began */
@@ -219,7 +218,7 @@ void switching_lock(switching_t *plant, int axis, bool locked);
 void switching_obstruct(switching_t *plant, int axis, double below, double above);
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level); /* encoder line stuck at a level */
-void switching_hold(switching_t *plant, int axis, double torque); /* friction of a holding brake [N m] */
+void switching_set_friction(switching_t *plant, int axis, double friction); /* Coulomb's [N m] */
 void switching_brake(switching_t *plant, bool on); /* brake resistor across the bus */
 
 /* Something breaks, or is whole again. */

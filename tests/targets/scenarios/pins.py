@@ -80,7 +80,7 @@ def pins(rig: Rig) -> None:
 
 
 def lost(rig: Rig) -> None:
-    """Searches that fail: an encoder that counts nothing, one the wrong way round, a load that is too large."""
+    """Searches that fail: an encoder that counts nothing, one the wrong way round, a load that is too large, no cable."""
     ready(rig)
     _fit(rig)
     rig.plug(0, False)
@@ -89,10 +89,11 @@ def lost(rig: Rig) -> None:
     rig.until("both failed", lambda: rig.places() == ["FAULT", "FAULT"])
     rig.plug(0, True)
     rig.reverse(1)
-    rig.load(0, 0.15)
+    rig.load(0, 0.1)
+    rig.motor(1, False)
     rig.set("cmd.clear_faults", 1)
     rig.until("both cleared", lambda: rig.places() == ["STOP", "STOP"])
     rig.run(0.09)
-    rig.set("cmd.enable", 1, 0)
-    rig.until("dropped", lambda: rig.places()[0] == "FAULT")
+    rig.set("cmd.enable", 1)
+    rig.until("dropped, and without current", lambda: rig.places() == ["FAULT", "FAULT"])
     rig.run(0.01)
