@@ -153,6 +153,8 @@ class Health:
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
+        if (pins := frame.values.get(f"{prefix}.inputs")) is not None:
+            values["inputs"] = ", ".join(f.name for f in self._catalogue.active("inputs", int(pins))) or "none"
         if record is not None and record.fault is not None:
             values["first fault"] = record.summary().removeprefix("first fault ")
             values["first fault tick"] = record.tick

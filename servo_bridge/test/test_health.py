@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from servo_bridge.arbiter import AxisStatus
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health
 from servo_bridge.telemetry import Frame
@@ -36,3 +37,17 @@ def test_counters_wrap() -> None:
     health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
     status(health, 0xFFFF, 0)
     assert status(health, 1, 0).message == "in the last second: 2 late loops"
+
+
+def test_the_inputs_of_an_axis_are_named_where_they_are_in_the_telemetry() -> None:
+    health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
+    values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 0.0}
+    axes = (AxisStatus("STOP", spinning=False), AxisStatus("STOP", spinning=False))
+
+    def said(**more: float) -> str | None:
+        frame = Frame(8, 0, 0, values | {f"axis1.{name}": value for name, value in more.items()}, 0, 0, axes, (0, 0))
+        return {value.key: value.value for value in health.axis(0, frame).values}.get("inputs")
+
+    assert said() is None
+    assert said(inputs=0.0) == "none"
+    assert said(inputs=9.0) == "HOME, ENABLE"

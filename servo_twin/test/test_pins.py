@@ -72,7 +72,7 @@ def test_switches_are_where_the_plant_has_them(level: Level) -> None:
         enable(board)
         board.write_raw("cmd.mode", [1, 1])
         board.write("cmd.speed", [20.0, 20.0])
-        seen = {}
+        seen: dict[int, float] = {}
         for _ in range(700):
             board.run(0.001)
             seen.setdefault(inputs(board), board.truth(0).theta_m)

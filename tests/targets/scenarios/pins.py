@@ -80,7 +80,7 @@ def pins(rig: Rig) -> None:
 
 
 def lost(rig: Rig) -> None:
-    """Searches that fail: an encoder that counts nothing, one the wrong way round, a load that is too large, no cable."""
+    """Searches that fail: a dead encoder, one the wrong way round, a load that is too large, no cable."""
     ready(rig)
     _fit(rig)
     rig.plug(0, False)
