@@ -64,14 +64,18 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
     }
     block->clear_faults[i] = 0;
 
-    if (axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !holding_brake_open(axis)) {
-        fresh =
-            (uint16_t)(fresh & (uint16_t)~FRESH_MOTION); /* nothing moves against a closed brake, nor later by itself */
-    }
     command->position = block->position[i];
     command->speed = block->speed[i];
     command->i_q = block->i_q[i];
     command->fresh = fresh;
+}
+
+/* Nothing moves against a closed brake: set-points wait while it opens, unless something else is asked for meanwhile. */
+static uint16_t deferred(const axis_t *axis, uint16_t fresh)
+{
+    const bool opening = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !holding_brake_open(axis);
+    const bool overruled = !axis->requested || (fresh & (FRESH_ENABLE | FRESH_QUICK_STOP)) != 0U;
+    return (opening && !overruled) ? (uint16_t)(fresh & FRESH_MOTION) : 0U;
 }
 
 static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
@@ -115,7 +119,8 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
             axes[i].events.command = EVENT_TICKS;
         }
         if (written.fresh[i] != 0U) {
-            apply_command(written.fresh[i], block, &axes[i]);
+            marks->fresh[i] = deferred(&axes[i], written.fresh[i]);
+            apply_command((uint16_t)(written.fresh[i] & (uint16_t)~marks->fresh[i]), block, &axes[i]);
         }
         if ((queued >> i & 1U) != 0U) {
             axes[i].command.fresh = (uint16_t)(axes[i].command.fresh | FRESH_POINTS);

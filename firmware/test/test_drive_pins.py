@@ -218,7 +218,7 @@ class TestHoldingBrake:
         bench.slow(OPEN + 2)
         assert bench.view(0).inputs == BRAKE
 
-    def test_nothing_moves_against_it_nor_later_by_itself(self, bench: Bench) -> None:
+    def test_set_points_wait_for_it(self, bench: Bench) -> None:
         fit(bench, BRAKE)
         bench.to_stop()
         bench.axis(0).aligned = True
@@ -226,11 +226,37 @@ class TestHoldingBrake:
         bench.until(lambda: bench.hal.axis[0].holding_released, 100)
         start = bench.view(0).position
         bench.write(0, mode=POSITION, position=start + 4000)
-        bench.slow(OPEN + 30)
-        assert (bench.view(0).inputs, bench.view(0).position_ref) == (BRAKE, start)
-        bench.write(0, position=start + 4000)
+        while bench.view(0).inputs != BRAKE:
+            bench.slow()
+            assert bench.view(0).position_ref == start
         bench.slow(30)
         assert bench.view(0).position_ref > start
+
+    @pytest.mark.parametrize("stop", ["enable", "quick_stop", "fault"])
+    def test_a_set_point_that_waits_does_not_outlive_a_stop(self, bench: Bench, stop: str) -> None:
+        fit(bench, BRAKE)
+        bench.to_stop()
+        bench.axis(0).aligned = True
+        bench.write(0, enable=1)
+        bench.until(lambda: bench.hal.axis[0].holding_released, 100)
+        start = bench.view(0).position
+        bench.write(0, mode=POSITION, position=start + 4000)
+        bench.slow(2)
+        if stop == "fault":
+            bench.hal.bus_code = bus_code(36.0)
+            bench.slow(30)
+            bench.hal.bus_code = bus_code(24.0)
+            bench.slow(60)
+            bench.clear(0)
+        else:
+            bench.write(0, **{stop: int(stop == "quick_stop")})
+            bench.slow(OPEN + CLOSE + 30)
+        bench.axis(0).aligned = True
+        bench.until(lambda: stop == "quick_stop" or bench.view(0).state == STOP, 200)
+        bench.write(0, enable=1)
+        bench.to_substate(0, SPIN)
+        bench.slow(OPEN + 60)
+        assert (bench.view(0).inputs, bench.view(0).position_ref) == (BRAKE, start)
 
     @pytest.mark.parametrize("category", [RAMP, HOLD])
     def test_a_stop_ends_in_holding_until_it_is_closed(self, bench: Bench, category: int) -> None:
