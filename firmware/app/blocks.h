@@ -27,7 +27,7 @@ typedef struct {
     uint16_t points_late;
     frac16_t winding_temperature;
     uint16_t home_state;
-    uint16_t unused; /* the size is the same on every machine */
+    uint16_t inputs; /* INPUT_ bits */
 } axis_snapshot_t;
 
 /* All of it from one slow tick. */

@@ -1,6 +1,7 @@
 #include "app/latch.h"
 
 #include "app/points.h"
+#include "drive/holding_brake.h"
 #include "drive/homing.h"
 #include "drive/limits.h"
 
@@ -70,13 +71,21 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
     fresh = homing_filter(axis, fresh, block->position[i]);
     if ((fresh & FRESH_HOME) != 0U) {
         homing_request(axis, block->home[i], block->home_position[i]);
+        block->home[i] = HOME_METHOD_NONE;
     }
-    block->home[i] = HOME_METHOD_NONE;
 
     command->position = block->position[i];
     command->speed = block->speed[i];
     command->i_q = block->i_q[i];
     command->fresh = fresh;
+}
+
+/* Nothing moves against a closed brake: set-points wait while it opens, unless something else is asked for meanwhile. */
+static uint16_t deferred(const axis_t *axis, uint16_t fresh)
+{
+    const bool opening = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !holding_brake_open(axis);
+    const bool overruled = !axis->requested || (fresh & (FRESH_ENABLE | FRESH_QUICK_STOP)) != 0U;
+    return (opening && !overruled) ? (uint16_t)(fresh & FRESH_MOTION) : 0U;
 }
 
 static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
@@ -121,7 +130,8 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
             axes[i].events.command = EVENT_TICKS;
         }
         if (written.fresh[i] != 0U) {
-            apply_command(written.fresh[i], block, &axes[i]);
+            marks->fresh[i] = deferred(&axes[i], written.fresh[i]);
+            apply_command((uint16_t)(written.fresh[i] & (uint16_t)~marks->fresh[i]), block, &axes[i]);
         }
         if ((queued >> i & 1U) != 0U) {
             axes[i].command.fresh = (uint16_t)(axes[i].command.fresh | FRESH_POINTS);

@@ -10,7 +10,7 @@
  * the eight PWM periods of a slow tick: one slot is short enough that the next fast loop begins with its data. All of it is
  * one interrupt level: a slot sees what the fast loops have left, and no part of it changes under the other's hands. */
 #define SLOT_SLOW 0U      /* slow loops; then the snapshot */
-#define SLOT_PROTECT 1U
+#define SLOT_PROTECT 1U   /* pins, homing, winding, field */
 #define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
 #define SLOT_CHECK (SLOT_ESTIMATE + 1U)
 #define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
@@ -170,6 +170,7 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
     view->points_late = axis->trajectory.late;
     view->winding_temperature = winding_model_shown(&axis->diagnosis.winding);
     view->home_state = axis->home.state;
+    view->inputs = axis->inputs;
 }
 
 static void publish_estimate(const axis_t *axis, axis_estimate_t *view)

@@ -25,7 +25,7 @@
 
 /* Bytes of the samples of one of them, a multiple of four. */
 #ifndef SERVO_SAMPLES
-#define SERVO_SAMPLES 8192
+#define SERVO_SAMPLES 7680
 #endif
 
 typedef struct servo {

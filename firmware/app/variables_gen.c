@@ -89,134 +89,138 @@ CHECK(69, SIZE(snapshot.axis[0].points_taken) == 2);
 CHECK(70, SIZE(snapshot.axis[0].points_late) == 2);
 CHECK(71, SIZE(snapshot.axis[0].winding_temperature) == 2);
 CHECK(72, SIZE(snapshot.axis[0].home_state) == 2);
-CHECK(73, SIZE(snapshot.monitor[0]) == 2);
-CHECK(74, SIZE(estimate.axis[0].speed) == 4);
-CHECK(75, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(76, SIZE(estimate.axis[0].emf) == 2);
-CHECK(77, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(78, SIZE(record[0].pending) == 4);
-CHECK(79, SIZE(belief.torque_constant[0]) == 2);
-CHECK(80, SIZE(belief.acceleration_current[0]) == 4);
-CHECK(81, SIZE(snapshot.axis[1].position) == 4);
-CHECK(82, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(83, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(84, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(85, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(86, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(87, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(88, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(89, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(90, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(91, SIZE(snapshot.axis[1].state) == 2);
-CHECK(92, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(93, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(94, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(95, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(96, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(97, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(98, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(99, SIZE(snapshot.axis[1].winding_temperature) == 2);
-CHECK(100, SIZE(snapshot.axis[1].home_state) == 2);
-CHECK(101, SIZE(snapshot.monitor[1]) == 2);
-CHECK(102, SIZE(estimate.axis[1].speed) == 4);
-CHECK(103, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(104, SIZE(estimate.axis[1].emf) == 2);
-CHECK(105, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(106, SIZE(record[1].pending) == 4);
-CHECK(107, SIZE(belief.torque_constant[1]) == 2);
-CHECK(108, SIZE(belief.acceleration_current[1]) == 4);
-CHECK(109, SIZE(tick) >= 4);
-CHECK(110, SIZE(applied_tick) >= 4);
-CHECK(111, SIZE(applied_count) >= 2);
-CHECK(112, SIZE(axis[0].u_dc) >= 2);
-CHECK(113, SIZE(late_loops) >= 2);
-CHECK(114, SIZE(points_refused) >= 2);
-CHECK(115, SIZE(point_refusal) >= 2);
-CHECK(116, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(117, SIZE(axis[0].feedback.position) >= 4);
-CHECK(118, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(119, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(120, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(121, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(122, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(123, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(124, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(125, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(126, SIZE(axis[0].latch.captured) >= 4);
-CHECK(127, SIZE(axis[0].latch.first) >= 2);
-CHECK(128, SIZE(axis[0].active_limits) >= 2);
-CHECK(129, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(130, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(131, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(132, SIZE(axis[0].current_max.winding) >= 2);
-CHECK(133, SIZE(axis[0].home.state) >= 2);
-CHECK(134, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(135, SIZE(axis[0].estimate.size) >= 2);
-CHECK(136, SIZE(axis[0].latch.pending) >= 4);
-CHECK(137, SIZE(axis[0].home.result) >= 2);
-CHECK(138, SIZE(axis[0].home.spread) >= 2);
-CHECK(139, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(140, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(141, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(142, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(143, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(144, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(145, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(146, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(147, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(148, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(149, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(150, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(151, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(152, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(153, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(154, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(155, SIZE(axis[0].command.mode) >= 2);
-CHECK(156, SIZE(axis[0].events.command) >= 2);
-CHECK(157, SIZE(axis[0].events.mode) >= 2);
-CHECK(158, SIZE(axis[0].sm.entered) >= 2);
-CHECK(159, SIZE(axis[1].feedback.position) >= 4);
-CHECK(160, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(161, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(162, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(163, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(164, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(165, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(166, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(167, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(168, SIZE(axis[1].latch.captured) >= 4);
-CHECK(169, SIZE(axis[1].latch.first) >= 2);
-CHECK(170, SIZE(axis[1].active_limits) >= 2);
-CHECK(171, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(172, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(173, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(174, SIZE(axis[1].current_max.winding) >= 2);
-CHECK(175, SIZE(axis[1].home.state) >= 2);
-CHECK(176, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(177, SIZE(axis[1].estimate.size) >= 2);
-CHECK(178, SIZE(axis[1].latch.pending) >= 4);
-CHECK(179, SIZE(axis[1].home.result) >= 2);
-CHECK(180, SIZE(axis[1].home.spread) >= 2);
-CHECK(181, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(182, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(183, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(184, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(185, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(186, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(187, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(188, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(189, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(190, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(191, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(192, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(193, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(194, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(195, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(196, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(197, SIZE(axis[1].command.mode) >= 2);
-CHECK(198, SIZE(axis[1].events.command) >= 2);
-CHECK(199, SIZE(axis[1].events.mode) >= 2);
-CHECK(200, SIZE(axis[1].sm.entered) >= 2);
+CHECK(73, SIZE(snapshot.axis[0].inputs) == 2);
+CHECK(74, SIZE(snapshot.monitor[0]) == 2);
+CHECK(75, SIZE(estimate.axis[0].speed) == 4);
+CHECK(76, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(77, SIZE(estimate.axis[0].emf) == 2);
+CHECK(78, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(79, SIZE(record[0].pending) == 4);
+CHECK(80, SIZE(belief.torque_constant[0]) == 2);
+CHECK(81, SIZE(belief.acceleration_current[0]) == 4);
+CHECK(82, SIZE(snapshot.axis[1].position) == 4);
+CHECK(83, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(84, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(85, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(86, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(87, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(88, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(89, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(90, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(91, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(92, SIZE(snapshot.axis[1].state) == 2);
+CHECK(93, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(94, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(95, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(96, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(97, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(98, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(99, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(100, SIZE(snapshot.axis[1].winding_temperature) == 2);
+CHECK(101, SIZE(snapshot.axis[1].home_state) == 2);
+CHECK(102, SIZE(snapshot.axis[1].inputs) == 2);
+CHECK(103, SIZE(snapshot.monitor[1]) == 2);
+CHECK(104, SIZE(estimate.axis[1].speed) == 4);
+CHECK(105, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(106, SIZE(estimate.axis[1].emf) == 2);
+CHECK(107, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(108, SIZE(record[1].pending) == 4);
+CHECK(109, SIZE(belief.torque_constant[1]) == 2);
+CHECK(110, SIZE(belief.acceleration_current[1]) == 4);
+CHECK(111, SIZE(tick) >= 4);
+CHECK(112, SIZE(applied_tick) >= 4);
+CHECK(113, SIZE(applied_count) >= 2);
+CHECK(114, SIZE(axis[0].u_dc) >= 2);
+CHECK(115, SIZE(late_loops) >= 2);
+CHECK(116, SIZE(points_refused) >= 2);
+CHECK(117, SIZE(point_refusal) >= 2);
+CHECK(118, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(119, SIZE(axis[0].feedback.position) >= 4);
+CHECK(120, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(121, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(122, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(123, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(124, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(125, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(126, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(127, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(128, SIZE(axis[0].latch.captured) >= 4);
+CHECK(129, SIZE(axis[0].latch.first) >= 2);
+CHECK(130, SIZE(axis[0].active_limits) >= 2);
+CHECK(131, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(132, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(133, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
+CHECK(134, SIZE(axis[0].current_max.winding) >= 2);
+CHECK(135, SIZE(axis[0].home.state) >= 2);
+CHECK(136, SIZE(axis[0].inputs) >= 2);
+CHECK(137, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(138, SIZE(axis[0].estimate.size) >= 2);
+CHECK(139, SIZE(axis[0].latch.pending) >= 4);
+CHECK(140, SIZE(axis[0].home.result) >= 2);
+CHECK(141, SIZE(axis[0].home.spread) >= 2);
+CHECK(142, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(143, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(144, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(145, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(146, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(147, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(148, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(149, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(150, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(151, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(152, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(153, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(154, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(155, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(156, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(157, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(158, SIZE(axis[0].command.mode) >= 2);
+CHECK(159, SIZE(axis[0].events.command) >= 2);
+CHECK(160, SIZE(axis[0].events.mode) >= 2);
+CHECK(161, SIZE(axis[0].sm.entered) >= 2);
+CHECK(162, SIZE(axis[1].feedback.position) >= 4);
+CHECK(163, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(164, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(165, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(166, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(167, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(168, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(169, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(170, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(171, SIZE(axis[1].latch.captured) >= 4);
+CHECK(172, SIZE(axis[1].latch.first) >= 2);
+CHECK(173, SIZE(axis[1].active_limits) >= 2);
+CHECK(174, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(175, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(176, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
+CHECK(177, SIZE(axis[1].current_max.winding) >= 2);
+CHECK(178, SIZE(axis[1].home.state) >= 2);
+CHECK(179, SIZE(axis[1].inputs) >= 2);
+CHECK(180, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(181, SIZE(axis[1].estimate.size) >= 2);
+CHECK(182, SIZE(axis[1].latch.pending) >= 4);
+CHECK(183, SIZE(axis[1].home.result) >= 2);
+CHECK(184, SIZE(axis[1].home.spread) >= 2);
+CHECK(185, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(186, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(187, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(188, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(189, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(190, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(191, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(192, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(193, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(194, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(195, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(196, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(197, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(198, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(199, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(200, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(201, SIZE(axis[1].command.mode) >= 2);
+CHECK(202, SIZE(axis[1].events.command) >= 2);
+CHECK(203, SIZE(axis[1].events.mode) >= 2);
+CHECK(204, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -365,6 +369,7 @@ static const char strings[] TABLE_MEMORY =
     "points_late\0"
     "winding_temperature\0"
     "home_state\0"
+    "inputs\0"
     "fault_record_t\0"
     "pending\0"
     "code\0"
@@ -438,6 +443,7 @@ static const char strings[] TABLE_MEMORY =
     "axis1.winding_temperature\0"
     "axis1.winding_current\0"
     "axis1.home_state\0"
+    "axis1.inputs\0"
     "axis1.monitor\0"
     "axis1.estimate_speed\0"
     "axis1.estimate_theta_e\0"
@@ -490,6 +496,7 @@ static const char strings[] TABLE_MEMORY =
     "axis2.winding_temperature\0"
     "axis2.winding_current\0"
     "axis2.home_state\0"
+    "axis2.inputs\0"
     "axis2.monitor\0"
     "axis2.estimate_speed\0"
     "axis2.estimate_theta_e\0"
@@ -541,7 +548,9 @@ static const char strings[] TABLE_MEMORY =
     "CURRENT_SENSE\0"
     "LATE_LOOP\0"
     "WATCHDOG\0"
-    "MOTOR_TEMPERATURE\0";
+    "MOTOR_TEMPERATURE\0"
+    "ENABLE_INPUT\0"
+    "LIMIT_SWITCH\0";
 
 static const tsa_entry_t entries[] TABLE_MEMORY = {
     {0, 8, 0, 2, TSA_KIND_NONE}, /* state_t */
@@ -679,21 +688,22 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {1152, 913, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
     {1164, 920, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
     {1184, 288, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
-    {1195, 870, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {1210, 884, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {1195, 913, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
+    {1202, 870, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {1217, 884, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
     {879, 884, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {1218, 913, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {1225, 913, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
     {1083, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
     {1089, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {1223, 913, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {1228, 913, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {1230, 913, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {1235, 913, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
     {1055, 920, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
     {1051, 920, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
     {1075, 920, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
     {915, 920, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
     {1033, 920, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {1233, 884, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {1248, 859, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {1240, 884, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {1255, 859, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
     {879, 884, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
     {886, 884, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
     {899, 913, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
@@ -702,155 +712,157 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {933, 913, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
     {951, 913, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
     {966, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {1257, 1018, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {1270, 1039, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {1280, 920, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {1288, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {1297, 913, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {1308, 913, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {1323, 913, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {1340, 1018, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
-    {1358, 330, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
-    {1367, 1018, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {1378, 1018, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {1392, 1018, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {1406, 913, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {1418, 884, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {1432, 884, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1448, 884, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1466, 913, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1485, 913, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1500, 913, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1515, 913, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1537, 913, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
-    {1553, 884, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
-    {1570, 683, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
-    {1584, 913, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
-    {1601, 827, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
-    {1617, 719, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
-    {1632, 759, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
-    {1645, 913, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
-    {1659, 1039, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1677, 1039, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1702, 920, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1718, 913, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1733, 1018, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1752, 1018, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {1771, 1018, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {1793, 1039, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {1810, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1825, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1842, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1862, 884, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {1883, 508, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {1897, 913, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {1916, 913, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {1938, 913, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {1950, 1039, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {1959, 1018, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {1974, 1018, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {1993, 1039, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {2005, 1039, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {2021, 920, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {2031, 920, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {2041, 920, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {2055, 920, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {2065, 920, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {2075, 920, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {2089, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {2101, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {2116, 884, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {2129, 913, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {2147, 913, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {2160, 913, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {2181, 913, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {2200, 913, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {2218, 920, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {2244, 920, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {2266, 288, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
-    {2283, 920, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {2297, 1039, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {2318, 920, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {2341, 920, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {2360, 913, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {2384, 884, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {2398, 1195, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {2417, 416, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
-    {2435, 913, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2453, 920, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2475, 1018, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {2502, 920, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {2512, 920, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {2522, 920, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {2532, 920, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {2546, 920, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {2559, 920, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {2572, 920, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {2585, 1018, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {2596, 1018, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {2607, 1018, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2622, 1039, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2638, 1039, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2657, 1039, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2673, 1018, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2689, 1018, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2705, 1018, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2720, 95, LIVE(20), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2731, 913, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2751, 913, LIVE(22), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2768, 913, LIVE(23), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2786, 1018, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2801, 1018, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {2820, 1039, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {2832, 1039, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {2848, 920, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {2858, 920, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {2868, 920, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {2882, 920, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {2892, 920, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {2902, 920, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {2916, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {2928, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2943, 884, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2956, 913, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2974, 913, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {2987, 913, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {3008, 913, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {3027, 913, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {3045, 920, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {3071, 920, LIVE(24), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {3093, 288, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
-    {3110, 920, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {3124, 1039, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {3145, 920, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {3168, 920, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {3187, 913, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {3211, 884, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {3225, 1195, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {3244, 416, LIVE(25), 2, TSA_KIND_RO}, /* axis2.home_result */
-    {3262, 913, LIVE(26), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {3280, 920, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3302, 1018, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {3329, 920, LIVE(27), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {3339, 920, LIVE(28), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {3349, 920, LIVE(29), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {3359, 920, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {3373, 920, LIVE(31), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {3386, 920, LIVE(32), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {3399, 920, LIVE(33), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {3412, 1018, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {3423, 1018, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {3434, 1018, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {3449, 1039, LIVE(37), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {3465, 1039, LIVE(38), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {3484, 1039, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {3500, 1018, LIVE(40), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {3516, 1018, LIVE(41), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {3532, 1018, LIVE(42), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {3547, 95, LIVE(43), 2, TSA_KIND_RO}, /* axis2.mode */
-    {3558, 913, LIVE(44), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {3578, 913, LIVE(45), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {3595, 913, LIVE(46), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {1264, 1018, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1277, 1039, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1287, 920, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1295, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1304, 913, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1315, 913, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1330, 913, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1347, 1018, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
+    {1365, 330, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
+    {1374, 1018, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {1385, 1018, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1399, 1018, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {1413, 913, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1425, 884, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1439, 884, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1455, 884, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1473, 913, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1492, 913, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1507, 913, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1522, 913, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1544, 913, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1560, 884, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1577, 683, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1591, 913, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1608, 827, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1624, 719, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1639, 759, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1652, 913, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1666, 1039, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1684, 1039, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1709, 920, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1725, 913, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1740, 1018, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1759, 1018, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {1778, 1018, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {1800, 1039, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {1817, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1832, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1849, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1869, 884, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {1890, 508, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {1904, 913, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {1923, 913, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {1945, 913, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {1957, 1039, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {1966, 1018, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {1981, 1018, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {2000, 1039, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {2012, 1039, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {2028, 920, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {2038, 920, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {2048, 920, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {2062, 920, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {2072, 920, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {2082, 920, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {2096, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {2108, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {2123, 884, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {2136, 913, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {2154, 913, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {2167, 913, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {2188, 913, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {2207, 913, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {2225, 920, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {2251, 920, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {2273, 288, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {2290, 913, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
+    {2303, 920, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {2317, 1039, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2338, 920, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2361, 920, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2380, 913, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2404, 884, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2418, 1202, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2437, 416, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2455, 913, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2473, 920, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2495, 1018, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2522, 920, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2532, 920, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2542, 920, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2552, 920, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2566, 920, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2579, 920, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2592, 920, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2605, 1018, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2616, 1018, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2627, 1018, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2642, 1039, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2658, 1039, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2677, 1039, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2693, 1018, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2709, 1018, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2725, 1018, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2740, 95, LIVE(20), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2751, 913, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2771, 913, LIVE(22), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2788, 913, LIVE(23), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2806, 1018, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2821, 1018, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {2840, 1039, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {2852, 1039, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {2868, 920, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {2878, 920, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {2888, 920, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {2902, 920, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {2912, 920, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {2922, 920, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {2936, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {2948, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {2963, 884, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {2976, 913, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {2994, 913, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {3007, 913, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {3028, 913, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {3047, 913, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {3065, 920, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {3091, 920, LIVE(24), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {3113, 288, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {3130, 913, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
+    {3143, 920, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {3157, 1039, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {3178, 920, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {3201, 920, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {3220, 913, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {3244, 884, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {3258, 1202, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {3277, 416, LIVE(25), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {3295, 913, LIVE(26), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {3313, 920, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3335, 1018, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3362, 920, LIVE(27), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3372, 920, LIVE(28), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3382, 920, LIVE(29), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3392, 920, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3406, 920, LIVE(31), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3419, 920, LIVE(32), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3432, 920, LIVE(33), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3445, 1018, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3456, 1018, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3467, 1018, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3482, 1039, LIVE(37), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3498, 1039, LIVE(38), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3517, 1039, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3533, 1018, LIVE(40), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3549, 1018, LIVE(41), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3565, 1018, LIVE(42), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3580, 95, LIVE(43), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3591, 913, LIVE(44), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3611, 913, LIVE(45), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3628, 913, LIVE(46), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -879,6 +891,7 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[0].winding_temperature), OFFSET(axis[0].diagnosis.winding.temperature) + 2, 2}, /* axis1.winding_temperature */
     {LIVE(1), OFFSET(axis[0].current_max.winding), 2}, /* axis1.winding_current */
     {AT(snapshot.axis[0].home_state), OFFSET(axis[0].home.state), 2}, /* axis1.home_state */
+    {AT(snapshot.axis[0].inputs), OFFSET(axis[0].inputs), 2}, /* axis1.inputs */
     {AT(estimate.axis[0].speed), OFFSET(axis[0].estimate.speed), 4}, /* axis1.estimate_speed */
     {AT(estimate.axis[0].emf), OFFSET(axis[0].estimate.size), 2}, /* axis1.estimate_emf */
     {AT(record[0].pending), OFFSET(axis[0].latch.pending), 4}, /* axis1.pending */
@@ -921,6 +934,7 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[1].winding_temperature), OFFSET(axis[1].diagnosis.winding.temperature) + 2, 2}, /* axis2.winding_temperature */
     {LIVE(24), OFFSET(axis[1].current_max.winding), 2}, /* axis2.winding_current */
     {AT(snapshot.axis[1].home_state), OFFSET(axis[1].home.state), 2}, /* axis2.home_state */
+    {AT(snapshot.axis[1].inputs), OFFSET(axis[1].inputs), 2}, /* axis2.inputs */
     {AT(estimate.axis[1].speed), OFFSET(axis[1].estimate.speed), 4}, /* axis2.estimate_speed */
     {AT(estimate.axis[1].emf), OFFSET(axis[1].estimate.size), 2}, /* axis2.estimate_emf */
     {AT(record[1].pending), OFFSET(axis[1].latch.pending), 4}, /* axis2.pending */
@@ -961,8 +975,8 @@ static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 11
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
 static const uint16_t copy_offsets[] = {773, 779, 786, 794, 807, 820};
 const name_list_t servo_copy_names = {copy_offsets, 6};
-static const uint16_t fault_offsets[] = {3613, 3626, 3640, 3653, 3668, 159, 3681, 3693, 3701, 3709, 3722, 3738, 3749, 3766, 3783, 3792, 3807, 3822, 3833, 3847, 3857, 3866, 317};
-const name_list_t servo_fault_names = {fault_offsets, 23};
+static const uint16_t fault_offsets[] = {3646, 3659, 3673, 3686, 3701, 159, 3714, 3726, 3734, 3742, 3755, 3771, 3782, 3799, 3816, 3825, 3840, 3855, 3866, 3880, 3890, 3899, 317, 3917, 3930};
+const name_list_t servo_fault_names = {fault_offsets, 25};
 
 const variable_range_t servo_ranges[] = {
     {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */
@@ -990,7 +1004,7 @@ const variable_range_t servo_ranges[] = {
     {OFFSET(parameter.feedback), 2, 2, INT32_C(0), INT32_C(1)}, /* param.feedback */
     {OFFSET(parameter.on_disable), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_disable */
     {OFFSET(parameter.on_quick_stop), 2, 2, INT32_C(0), INT32_C(3)}, /* param.on_quick_stop */
-    {OFFSET(parameter.faults_enabled), 4, 2, INT32_C(0), INT32_C(8388607)}, /* param.faults_enabled */
+    {OFFSET(parameter.faults_enabled), 4, 2, INT32_C(0), INT32_C(33554431)}, /* param.faults_enabled */
     {OFFSET(parameter.monitor), 2, 2, INT32_C(0), INT32_C(15)}, /* param.monitor */
     {OFFSET(parameter.host_timeout), 2, 1, INT32_C(100), INT32_C(60000)}, /* param.host_timeout */
     {OFFSET(parameter.command_timeout), 2, 1, INT32_C(0), INT32_C(60000)}, /* param.command_timeout */

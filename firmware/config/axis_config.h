@@ -20,6 +20,7 @@
 #include "diagnosis/winding_model.h"
 #include "drive/brake.h"
 #include "drive/home_data.h"
+#include "drive/inputs_data.h"
 #include "drive/startup_data.h"
 #include "drive/stop_data.h"
 #include "hal/hal.h"
@@ -85,6 +86,7 @@ typedef struct {
     frac16_t copper_current;
     field_weakening_config_t field_weakening;
     home_config_t home;
+    pins_config_t pins;
 } axis_config_t;
 
 typedef struct {

@@ -168,6 +168,9 @@ CHECK(152, SIZE(home.back_off) == 2);
 CHECK(153, SIZE(home.spread_max) == 2);
 CHECK(154, SIZE(home.turns_max) == 2);
 CHECK(155, SIZE(home.reach) == 2);
+CHECK(156, SIZE(pins.fitted) == 2);
+CHECK(157, SIZE(pins.open_ticks) == 2);
+CHECK(158, SIZE(pins.close_ticks) == 2);
 
 const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_WIDE | MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(2130706432)},
@@ -220,12 +223,13 @@ const axis_range_t axis_ranges[] TABLE_MEMORY = {
     {MEMBER_SIGNED | MEMBER_LIVE, INT32_C(0), INT32_C(32767)},
     {MEMBER_SIGNED | MEMBER_LIVE, INT32_C(1), INT32_C(32767)},
     {0U, INT32_C(0), INT32_C(3)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(6368577)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(6302784)},
-    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(4197440)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(23145793)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(23080000)},
+    {MEMBER_WIDE | MEMBER_BITS, INT32_C(0), INT32_C(20974656)},
     {MEMBER_LIVE, INT32_C(2), INT32_C(65535)},
     {MEMBER_LIVE, INT32_C(0), INT32_C(65535)},
     {MEMBER_LIVE, INT32_C(1), INT32_C(65535)},
+    {0U, INT32_C(0), INT32_C(31)},
 };
 
 const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
@@ -385,4 +389,7 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(home.spread_max), 54U},
     {OFFSET(home.turns_max), 55U},
     {OFFSET(home.reach), 54U},
+    {OFFSET(pins.fitted), 56U},
+    {OFFSET(pins.open_ticks), 17U},
+    {OFFSET(pins.close_ticks), 17U},
 };

@@ -5,9 +5,9 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0xC9222710)
+#define CATALOGUE_HASH UINT32_C(0x7F4D9E4A)
 
-#define PARAMETER_LAYOUT UINT32_C(0x632423D4)
+#define PARAMETER_LAYOUT UINT32_C(0xC4DA1EDC)
 #define PARAMETER_VALUES 29U
 
 typedef enum {
@@ -164,8 +164,10 @@ typedef enum {
 #define FAULT_WATCHDOG UINT32_C(0x00100000) /* the watchdog has reset the board: the control loops had stopped */
 #define FAULT_MOTOR_TEMPERATURE UINT32_C(0x00200000) /* the winding is hotter than its limit, by the estimate from its currents */
 #define FAULT_HOMING UINT32_C(0x00400000) /* a homing has failed: axisN.home_result says why */
+#define FAULT_ENABLE_INPUT UINT32_C(0x00800000) /* the enable input has opened while the axis was enabled; the hardware has opened the switches */
+#define FAULT_LIMIT_SWITCH UINT32_C(0x01000000) /* a limit switch was reached in motion, or its wire is cut */
 
-#define FAULTS_ALWAYS UINT32_C(0x0058701F) /* nobody can switch them off */
+#define FAULTS_ALWAYS UINT32_C(0x00D8701F) /* nobody can switch them off */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */
@@ -179,6 +181,13 @@ typedef enum {
 #define LIMIT_TEMPERATURE UINT16_C(0x0200) /* less than the current limit, because the winding is hot */
 #define LIMIT_FIELD_WEAKENING UINT16_C(0x0400) /* current against the flux of the magnets, because the voltage of the bus does not suffice for this speed otherwise */
 #define LIMIT_NOT_HOMED UINT16_C(0x0800) /* the position is not known: the shaft stays near where it was enabled, and farther set-points are refused */
+#define LIMIT_INPUT UINT16_C(0x1000) /* the enable input is open, or a limit switch is active: the axis is not enabled, or does not move that way */
+
+#define INPUT_HOME UINT16_C(0x0001) /* the home switch is active */
+#define INPUT_LIMIT_MIN UINT16_C(0x0002) /* the limit switch at the lower end of the way is active */
+#define INPUT_LIMIT_MAX UINT16_C(0x0004) /* the limit switch at the upper end of the way is active */
+#define INPUT_ENABLE UINT16_C(0x0008) /* the enable input is closed */
+#define INPUT_BRAKE_OPEN UINT16_C(0x0010) /* the holding brake is open */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
 #define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
@@ -220,6 +229,6 @@ typedef enum {
 #define STORAGE_REQUEST_FACTORY 2
 
 #define PARAM_FEATURES_MAX INT32_C(65535)
-#define PARAM_FAULTS_ENABLED_MAX INT32_C(8388607)
+#define PARAM_FAULTS_ENABLED_MAX INT32_C(33554431)
 
 #endif

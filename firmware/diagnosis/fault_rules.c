@@ -50,6 +50,8 @@ PROGRAM_TABLE fault_rule_t fault_rules[FINDINGS] = {
     [FINDING_LOOPS_LATE] = {FAULT_LATE_LOOP, 0, 0}, /* more than two control loops late or left out within 32 ms */
     [FINDING_WATCHDOG_RESET] = {FAULT_WATCHDOG, 0, 0}, /* the watchdog has reset the board */
     [FINDING_HOMING_FAILED] = {FAULT_HOMING, 0, 0}, /* no stop or switch in time, at several places, or one that holds the shaft */
+    [FINDING_ENABLE_OPEN] = {FAULT_ENABLE_INPUT, 0, 0}, /* the enable input has opened in RUN, or while it was asked for */
+    [FINDING_LIMIT_SWITCH] = {FAULT_LIMIT_SWITCH, 0, 0}, /* in motion: a limit switch is reached, or its wire is cut */
 };
 
 /* What explains other findings, the strongest first. */

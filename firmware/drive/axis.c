@@ -6,15 +6,17 @@
 #include "diagnosis/fault_isolate.h"
 #include "drive/axis_states.h"
 #include "drive/feedback.h"
+#include "drive/holding_brake.h"
 #include "drive/homing.h"
+#include "drive/inputs.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/run_step.h"
 #include "drive/soft_limits.h"
 #include "drive/stop.h"
 #include "drive/watch.h"
-#include "drive/winding.h"
 #include "drive/weakening.h"
+#include "drive/winding.h"
 
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
@@ -53,6 +55,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     homing_init(axis);
     axis->source->reset(axis);
     axis_states_init(axis);
+    inputs_configure(axis);
 }
 
 /* Angle and speed come from somewhere else: never in motion, and never from an observer that has no constants. */
@@ -126,7 +129,7 @@ static void take_requests(axis_t *axis)
         axis->stop_faults = 0;
     } else if ((command->fresh & FRESH_ENABLE) != 0U) {
         if (command->enable) {
-            axis->requested = axis->stop_faults == 0U;
+            axis->requested = axis->stop_faults == 0U && inputs_permit(axis);
         } else {
             stop_begin(axis, axis->on_disable);
         }
@@ -156,7 +159,7 @@ static void age_set_point(axis_command_t *command)
 void axis_slow(axis_t *axis)
 {
     age_set_point(&axis->command);
-    axis->active_limits = axis->bus_limits;
+    axis->active_limits = axis->bus_limits | axis->input_limits;
     if (!axis->source->slow(axis)) {
         axis_raise(axis, FOUND(FINDING_COUNT_CONTRADICTS_INDEX));
     }
@@ -198,6 +201,8 @@ void axis_check(axis_t *axis)
 
 void axis_protect(axis_t *axis)
 {
+    inputs_step(axis);
+    holding_brake_step(axis);
     homing_step(axis);
     winding_protect(axis);
     weakening_step(axis); /* within what the winding bears */

@@ -11,6 +11,7 @@
 #include "drive/estimate_data.h"
 #include "drive/feedback_data.h"
 #include "drive/home_data.h"
+#include "drive/inputs_data.h"
 #include "drive/startup_data.h"
 #include "drive/state_machine.h"
 #include "drive/stop_data.h"
@@ -35,6 +36,7 @@ typedef enum {
 #define FRESH_I_Q UINT16_C(0x04)
 #define FRESH_POINTS UINT16_C(0x08)
 #define FRESH_MODE UINT16_C(0x10)
+#define FRESH_MOTION UINT16_C(0x11f) /* all of these, and a homing */
 #define FRESH_ENABLE UINT16_C(0x20)
 #define FRESH_QUICK_STOP UINT16_C(0x40)
 #define FRESH_CLEAR_FAULTS UINT16_C(0x80) /* a 1 */
@@ -171,6 +173,11 @@ typedef struct axis {
     frac16_t u_dc; /* filtered bus voltage */
     frac16_t regen_derating; /* part of the braking current that the bus takes */
     uint16_t bus_limits; /* LIMIT_ bits that stand: of the bus, of the field, and of a set-point that was refused */
+    uint16_t input_limits; /* .. those of the inputs */
+    uint16_t inputs; /* INPUT_ bits: of the pins that are fitted */
+    inputs_state_t inputs_state;
+    holding_brake_t brake;
+    bool aligned; /* the angle found by the last search still holds */
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;
@@ -179,7 +186,6 @@ typedef struct axis {
     motion_state_t motion;
     trajectory_t trajectory;
     home_t home;
-    uint16_t inputs; /* INPUT_ bits (drive/inputs.h) */
     observation_t observation;
     diagnosis_t diagnosis;
     dq_t test_current; /* that a monitor asks for on top of the set-point */

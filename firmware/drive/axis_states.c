@@ -43,10 +43,16 @@ static void state_run(axis_t *axis)
 
 /* ---- transitions ---------------------------------------------------------------------------------------------- */
 
+/* Faults of the supply, the host or the machine: what the encoder counts is still true. */
+#define ANGLE_HOLDS                                                                                                    \
+    (FAULT_OVER_VOLTAGE | FAULT_UNDER_VOLTAGE | FAULT_HOST_SILENT | FAULT_FOLLOWING_ERROR | FAULT_OVER_SPEED |         \
+     FAULT_OVER_TEMPERATURE | FAULT_MOTOR_TEMPERATURE | FAULT_HOMING | FAULT_ENABLE_INPUT | FAULT_LIMIT_SWITCH)
+
 static void off(axis_t *axis)
 {
     axis_zero_voltage(axis, false);
     axis->requested = false;
+    axis->aligned = axis->aligned && (axis->latch.captured & ~(fault_set_t)ANGLE_HOLDS) == 0U;
 }
 
 static void fault_init(axis_t *axis)

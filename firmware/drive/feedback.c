@@ -13,6 +13,7 @@ static void encoder_source_reset(axis_t *axis)
     axis->encoder.edge_waits = false;
     axis->encoder.skip_edge = false;
     axis->encoder.found = false;
+    axis->aligned = false;
     axis->encoder.observes = false;
     hal_capture_arm(axis->hal, axis->index);
 }

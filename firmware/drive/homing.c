@@ -1,6 +1,7 @@
 #include "drive/homing.h"
 
 #include "drive/axis_faults.h"
+#include "drive/holding_brake.h"
 #include "drive/inputs.h"
 #include "drive/motion.h"
 #include "drive/path_units.h"
@@ -292,7 +293,7 @@ static void run_leg(axis_t *axis)
 static bool held(const axis_t *axis)
 {
     return axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && axis->requested &&
-           axis->latch.captured == 0U;
+           axis->latch.captured == 0U && holding_brake_open(axis);
 }
 
 static home_result_t refusal(const axis_t *axis)

@@ -36,21 +36,35 @@ void limits_current(axis_t *axis)
     axis->current_max.q = lesser(axis->limits.i_q, axis->current_max.winding);
 }
 
-/* Limits from now on. */
-static void apply(axis_t *axis, const axis_limits_t *limits)
+static int32_t lower(int32_t a, int32_t b) { return (a < b) ? a : b; }
+static int32_t higher(int32_t a, int32_t b) { return (a > b) ? a : b; }
+
+/* A limit switch that is active forbids to go on: as a soft limit where the shaft is. */
+static axis_limits_t at_switches(const axis_t *axis, axis_limits_t limits)
 {
-    if (same(limits, &axis->limits)) {
+    const int32_t here = axis->feedback.position;
+    if ((axis->inputs & INPUT_LIMIT_MIN) != 0U) {
+        limits.position_min = higher(limits.position_min, here);
+    }
+    if ((axis->inputs & INPUT_LIMIT_MAX) != 0U) {
+        limits.position_max = lower(limits.position_max, here);
+    }
+    return limits;
+}
+
+/* Limits from now on. */
+static void apply(axis_t *axis, const axis_limits_t *written)
+{
+    const axis_limits_t limits = at_switches(axis, *written);
+    if (same(&limits, &axis->limits)) {
         return; /* almost always */
     }
-    axis->limits = *limits;
-    axis->path_limits.step = path_step_of(axis->config, limits->speed);
-    axis->path_limits.acceleration = path_step_of(axis->config, limits->acceleration);
+    axis->limits = limits;
+    axis->path_limits.step = path_step_of(axis->config, limits.speed);
+    axis->path_limits.acceleration = path_step_of(axis->config, limits.acceleration);
     axis->path_limits.stale = true;
     limits_current(axis);
 }
-
-static int32_t lower(int32_t a, int32_t b) { return (a < b) ? a : b; }
-static int32_t higher(int32_t a, int32_t b) { return (a > b) ? a : b; }
 
 void limits_tighten(axis_t *axis)
 {

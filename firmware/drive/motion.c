@@ -1,5 +1,6 @@
 #include "drive/motion.h"
 
+#include "drive/holding_brake.h"
 #include "drive/limits.h"
 #include "drive/path_units.h"
 #include "drive/soft_limits.h"
@@ -125,7 +126,10 @@ static void expire(motion_state_t *m)
 }
 
 /* A stop ends by holding the position: of a drive that is wanted, or for some time. */
-static bool stop_holds(const axis_t *axis) { return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD; }
+static bool stop_holds(const axis_t *axis)
+{
+    return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD || holding_brake_takes_over(axis);
+}
 
 static void take_stop(axis_t *axis)
 {
@@ -296,7 +300,8 @@ bool motion_takes_points(const axis_t *axis)
 {
     const bool spins = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN;
     const bool wanted = axis->requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TRAJECTORY;
-    return spins && wanted && !axis->sensorless && follows_position(&axis->motion);
+    const bool free = holding_brake_open(axis) && !axis->sensorless;
+    return spins && wanted && free && follows_position(&axis->motion);
 }
 
 void motion_plan(axis_t *axis, uint32_t tick)

@@ -7,6 +7,7 @@
 #include "drive/axis_faults.h"
 #include "drive/current_drive.h"
 #include "drive/estimate.h"
+#include "drive/holding_brake.h"
 #include "drive/homing.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
@@ -14,6 +15,7 @@
 #include "drive/run_step.h"
 #include "drive/startup.h"
 #include "drive/stop.h"
+#include "sensing/rotor_hold.h"
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
 
@@ -66,15 +68,18 @@ static void to_ready(axis_t *axis)
 static void ready_align(axis_t *axis)
 {
     choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search looks at voltages */
-    rotor_search_start(&axis->search, axis->feedback.position);
+    if (holding_brake_fitted(axis)) {
+        rotor_hold_start(&axis->search, &axis->config->rotor_search, axis->feedback.position,
+                         axis->config->speed_observer.acceleration_per_current);
+    } else {
+        rotor_search_start(&axis->search, axis->feedback.position);
+    }
     axis->diagnosis.stall.runs = false;
     enter(axis, SUBSTATE_ALIGN);
 }
 
-static void align_spin(axis_t *axis)
+static void to_spin(axis_t *axis)
 {
-    axis_zero_voltage(axis, true);
-    axis->source->align(axis, rotor_search_angle(&axis->search));
     encoder_monitor_start(&axis->diagnosis.encoder, axis->feedback.position);
     angle_monitor_start(&axis->diagnosis.angle);
     axis->test_current = (dq_t){0, 0};
@@ -83,6 +88,24 @@ static void align_spin(axis_t *axis)
     choose_dead_time(axis, axis->features);
     angle_check_start(axis);
     enter(axis, SUBSTATE_SPIN);
+}
+
+/* The torque that the load took last is there at once. */
+static void to_loaded_spin(axis_t *axis)
+{
+    to_spin(axis);
+    if (holding_brake_fitted(axis)) {
+        pi_reset(&axis->motion.speed_pi, f32_from_f16(axis->brake.load));
+    }
+}
+
+static void align_spin(axis_t *axis)
+{
+    axis_zero_voltage(axis, true);
+    axis->source->align(axis, rotor_search_angle(&axis->search));
+    axis->aligned = true;
+    axis->brake.load = f16_from_f32(axis->search.current);
+    to_loaded_spin(axis);
 }
 
 /* What the stall test looks at. */
@@ -180,10 +203,19 @@ static void ready_slow(axis_t *axis)
     if (!axis->requested) {
         return;
     }
-    if (!axis->sensorless) {
+    if (axis->sensorless && motion_wanted_speed(axis) == 0) {
+        holding_brake_ask(axis, false);
+        return;
+    }
+    if (holding_brake_fitted(axis) && axis->aligned && !axis->sensorless) {
+        to_loaded_spin(axis); /* the brake opens when the position is controlled */
+    } else if (!axis->sensorless) {
         ready_align(axis);
-    } else if (motion_wanted_speed(axis) != 0) {
-        ready_startup(axis);
+    } else {
+        holding_brake_ask(axis, true); /* the start has to turn the shaft: meanwhile the shorted windings brake it */
+        if (holding_brake_open(axis)) {
+            ready_startup(axis);
+        }
     }
 }
 
@@ -236,6 +268,20 @@ static finding_t search_end(const axis_t *axis, finding_t failure)
     }
 }
 
+static void search_step(axis_t *axis)
+{
+    rotor_search_t *search = &axis->search;
+    if (search->phase != ROTOR_SEARCH_HOLD) {
+        rotor_search_step(search, &axis->config->rotor_search, axis->feedback.position);
+        return;
+    }
+    if (rotor_hold_holds(search)) {
+        holding_brake_ask(axis, true);
+        search->released = holding_brake_open(axis);
+    }
+    rotor_hold_step(search, &axis->config->rotor_search, axis->feedback.position);
+}
+
 static void align_slow(axis_t *axis)
 {
     if (axis->diagnosis.stall.runs && axis->requested) {
@@ -244,7 +290,7 @@ static void align_slow(axis_t *axis)
     }
     const bool driven = rotor_search_drives(&axis->search);
     const finding_t failure = search_failure(axis);
-    rotor_search_step(&axis->search, &axis->config->rotor_search, axis->feedback.position);
+    search_step(axis);
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
     const finding_t end = search_end(axis, failure);
@@ -464,7 +510,7 @@ static void freewheel_slow(axis_t *axis)
         wait_for_rest(axis);
         return;
     }
-    if (axis->requested && !axis->sensorless) {
+    if (axis->requested && !axis->sensorless && !holding_brake_fitted(axis)) {
         freewheel_align(axis);
     } else {
         to_ready(axis);

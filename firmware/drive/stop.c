@@ -1,5 +1,6 @@
 #include "drive/stop.h"
 
+#include "drive/holding_brake.h"
 #include "drive/motion.h"
 
 void stop_begin(axis_t *axis, stop_category_t category)
@@ -44,6 +45,25 @@ static bool held_long_enough(axis_t *axis)
     return axis->stop.held > axis->config->stop.hold_ticks;
 }
 
+/* The position is held until the brake holds it. One that cannot be held is left to the brake as it is. */
+static bool handed_to_brake(axis_t *axis, bool long_enough)
+{
+    if (axis->motion.motion != MOTION_STOP && long_enough) {
+        holding_brake_ask(axis, false);
+    }
+    return axis->motion.motion != MOTION_STOP && !axis->brake.wanted && holding_brake_closed(axis);
+}
+
+static bool over(axis_t *axis, stop_category_t category)
+{
+    const bool long_enough = category == STOP_CATEGORY_HOLD && held_long_enough(axis);
+    if (motion_stopped(axis)) {
+        return true;
+    }
+    return holding_brake_takes_over(axis) ? handed_to_brake(axis, long_enough || category == STOP_CATEGORY_RAMP)
+                                          : long_enough;
+}
+
 stop_category_t stop_step(axis_t *axis)
 {
     const stop_category_t category = axis->stop.category;
@@ -53,8 +73,7 @@ stop_category_t stop_step(axis_t *axis)
     if (category == STOP_CATEGORY_SHORT) {
         return STOP_CATEGORY_SHORT;
     }
-    const bool at_end = motion_stopped(axis) || (category == STOP_CATEGORY_HOLD && held_long_enough(axis));
-    return (out_of_time(axis) || at_end) ? STOP_CATEGORY_COAST : category;
+    return (out_of_time(axis) || over(axis, category)) ? STOP_CATEGORY_COAST : category;
 }
 
 bool stop_short_over(axis_t *axis) { return out_of_time(axis) || axis->feedback.still; }

@@ -1,5 +1,6 @@
 #include "drive/take_config.h"
 
+#include "drive/inputs.h"
 #include "drive/limits.h"
 #include "drive/speed_control.h"
 
@@ -29,8 +30,12 @@ void axis_take_config(axis_t *axis, const axis_config_t *config)
         keep_estimates(axis, config);
     } else {
         axis->motion.position_gain = config->position_gain;
+        axis->aligned = false;
     }
     axis->config = config;
+    if (axis->sm.state != STATE_RUN) {
+        inputs_configure(axis);
+    }
     axis->diagnosis.bus.u_dc_max = config->u_dc_max;
     axis->diagnosis.bus.u_dc_min = config->u_dc_min;
     axis->path_limits.stale = true; /* the path filter */

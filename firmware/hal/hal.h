@@ -72,6 +72,23 @@ bool hal_break_active(hal_t *hal, uint16_t axis);
 /* Release the latch; it latches again at once if the current is still too high. */
 void hal_break_clear(hal_t *hal, uint16_t axis);
 
+/* ---- switches and holding brake ---------------------------------------------------------------------------------- */
+
+/* Digital inputs of an axis, after their polarity: 1 is active. A cut wire reads as the safe state: limit switches and the
+ * enable input are closed in normal operation. */
+#define HAL_INPUT_HOME UINT16_C(1)      /* closed: the shaft is in the range of the home switch */
+#define HAL_INPUT_LIMIT_MIN UINT16_C(2) /* open: the end of the way is reached */
+#define HAL_INPUT_LIMIT_MAX UINT16_C(4)
+#define HAL_INPUT_ENABLE UINT16_C(8) /* closed, and without a gap since the last hal_enable_input */
+uint16_t hal_inputs(hal_t *hal, uint16_t axis);
+
+/* With `used`, an open enable input of `axis` opens the six switches without software, and they stay open until this is called
+ * again with a closed input. Not in RUN. */
+void hal_enable_input(hal_t *hal, uint16_t axis, bool used);
+
+/* The coil of the holding brake of `axis`; without current it is closed, also in reset. */
+void hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
+
 /* ---- DC bus and monitor outputs --------------------------------------------------------------------------------- */
 
 /* The switch of the brake resistor between the bus voltage and ground. */

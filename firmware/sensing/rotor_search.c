@@ -5,7 +5,6 @@
 #define GROWTH_MAX UINT16_C(4)
 #define HELD_OVER_HOLD UINT16_C(4)  /* an edge that dithers is no reason to pull for ever */
 #define CALM_OVER_REST UINT16_C(10) /* nor to wait; so dithers an encoder with a dead line, too */
-#define STARVED_MAX UINT16_C(64)   /* PWM periods: 4 ms */
 
 /* The first count comes after one count of movement at most, the twitch after two or more. With a torque that is constant
  * or grows from zero, the time in between is more than a quarter of the movement's; the brake takes no longer than that,
@@ -328,7 +327,7 @@ void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *con
 
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->starved >= STARVED_MAX) {
+    if (search->starved >= ROTOR_SEARCH_STARVED_MAX) {
         finish(search, ROTOR_SEARCH_STARVED);
         return;
     }
@@ -357,7 +356,7 @@ bool rotor_search_drives(const rotor_search_t *search)
 {
     return search->phase == ROTOR_SEARCH_PULL || search->phase == ROTOR_SEARCH_BRAKE ||
            search->phase == ROTOR_SEARCH_VERIFY || search->phase == ROTOR_SEARCH_TURN ||
-           (search->phase == ROTOR_SEARCH_REST && search->fade);
+           search->phase == ROTOR_SEARCH_HOLD || (search->phase == ROTOR_SEARCH_REST && search->fade);
 }
 
 frac16_t rotor_search_angle(const rotor_search_t *search) { return search->vector; }

@@ -32,6 +32,8 @@ typedef struct {
     rotor_follow_config_t follow;
 } rotor_search_config_t;
 
+#define ROTOR_SEARCH_STARVED_MAX UINT16_C(64) /* PWM periods: 4 ms */
+
 typedef enum {
     ROTOR_SEARCH_PULL,     /* the current at theta_M grows */
     ROTOR_SEARCH_BRAKE,    /* reversed, it shrinks */
@@ -43,6 +45,7 @@ typedef enum {
     ROTOR_SEARCH_BLIND,    /* the rotor moves, the encoder does not count */
     ROTOR_SEARCH_REVERSED, /* the encoder counts the wrong way: the shaft runs away from where it was found */
     ROTOR_SEARCH_STARVED,  /* no current flows */
+    ROTOR_SEARCH_HOLD,     /* the other way to search: rotor_hold.h */
 } rotor_search_phase_t;
 
 typedef struct {
@@ -69,6 +72,10 @@ typedef struct {
     bool verified; /* it has come back: found, once it rests */
     uint16_t escapes; /* times that the shaft ran away from where it was found */
     uint16_t refusals; /* times that it did not follow there, or came free only in TURN */
+    uint32_t balance; /* HOLD: angle of the vector at which the shaft stays where it was, 2^32 is a turn */
+    uint16_t damping; /* HOLD: turn of the vector against a turn of the rotor per slow tick */
+    uint16_t stage;   /* HOLD: rotor_hold_stage_t */
+    bool released;    /* HOLD: nothing but the current holds the shaft */
     uint16_t starved; /* PWM periods with less than a quarter of the current asked for */
     rotor_follow_t follow;
 } rotor_search_t;

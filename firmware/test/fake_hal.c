@@ -28,6 +28,7 @@ void fake_hal_init(hal_t *hal)
             axis->offset_code[phase] = 2048;
         }
         axis->age = HAL_EDGE_AGE_OVERFLOW;
+        axis->inputs = HAL_INPUT_ENABLE;
     }
 }
 
@@ -208,6 +209,12 @@ bool hal_serial_put(hal_t *hal, uint8_t byte)
 uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return hal->axis[axis].temperature_code; }
 
 void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
+
+uint16_t hal_inputs(hal_t *hal, uint16_t axis) { return hal->axis[axis].inputs; }
+
+void hal_enable_input(hal_t *hal, uint16_t axis, bool used) { hal->axis[axis].enable_used = used; }
+
+void hal_holding_brake(hal_t *hal, uint16_t axis, bool release) { hal->axis[axis].holding_released = release; }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 

@@ -43,6 +43,9 @@ typedef struct {
     bool edge_waits;
     bool over_current; /* as long as it lasts, the latch cannot be released */
     bool break_latched;
+    uint16_t inputs; /* HAL_INPUT_ bits */
+    bool enable_used;
+    bool holding_released;
     /* what the firmware has done */
     phase_pair_t pair;
     int16_t duty[3];

@@ -27,6 +27,8 @@ class Shaft:
         The encoder counts the other way.
     stops : tuple of float
         End stops, mechanical, from the angle at time 0 [rad].
+    load : float
+        External torque against positive motion [N m].
     """
 
     theta_e: float
@@ -39,6 +41,7 @@ class Shaft:
     seen: bool = True
     backwards: bool = False
     stops: tuple[float, float] = (-math.inf, math.inf)
+    load: float = 0.0
     speed: float = field(default=0.0, init=False)  # mechanical [rad/s]
     moved: float = field(default=0.0, init=False)  # mechanical [rad]
     missed: float = field(default=0.0, init=False)  # by the encoder [rad]
@@ -67,6 +70,7 @@ class Shaft:
                 torque = -k_t * self.pole_pairs * self.psi * self.speed / self.resistance
             else:
                 torque = k_t * current * math.sin(vector - self.angle)
+            torque -= self.load
             if self.locked:
                 self.speed = 0.0
             if self.locked or (self.speed == 0.0 and abs(torque) <= self.friction):

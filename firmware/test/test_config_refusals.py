@@ -410,7 +410,7 @@ def test_stops_reach_the_c_file() -> None:
     axis1 = text.split("},\n        {")[0]
     assert ".stop.disable = STOP_CATEGORY_COAST," in axis1
     assert ".stop.shorted = FAULT_FOLLOWING_ERROR," in axis1
-    assert ".stop.ramp = FAULT_HOMING | FAULT_HOST_SILENT | FAULT_OVER_SPEED," in axis1
+    assert ".stop.ramp = FAULT_HOMING | FAULT_HOST_SILENT | FAULT_LIMIT_SWITCH | FAULT_OVER_SPEED," in axis1
     assert ".stop.hold = 0," in axis1
 
 

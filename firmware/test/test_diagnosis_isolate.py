@@ -64,6 +64,8 @@ RULES: Final = {
     "LOOPS_LATE": Rule("LATE_LOOP"),
     "WATCHDOG_RESET": Rule("WATCHDOG"),
     "HOMING_FAILED": Rule("HOMING"),
+    "ENABLE_OPEN": Rule("ENABLE_INPUT"),
+    "LIMIT_SWITCH": Rule("LIMIT_SWITCH"),
 }
 """In the order of their priority."""
 

@@ -300,12 +300,12 @@ def test_break(board: FakeBoard, axis: int) -> None:
     board[module + 0xC7] = 0x0111  # flag, pin
     board.isr(FAULT[axis])
     assert servo_calls(board) == [(BREAK, axis)]
-    assert board[module + 0xC6] == 0x1010  # does not ask again
+    assert board[module + 0xC6] == 0x3030  # does not ask again
     assert board.lib.hal_break_active(board.hal, axis)
     assert not board.lib.hal_break_active(board.hal, 1 - axis)
 
     board.lib.hal_break_clear(board.hal, axis)
-    assert board[module + 0xC6] == 0x1011
+    assert board[module + 0xC6] == 0x3031
     board[module + 0xC7] = 0x0110
     assert board.lib.hal_break_active(board.hal, axis)  # the comparator still says so
     board[module + 0xC7] = 0x0010
@@ -315,7 +315,7 @@ def test_break(board: FakeBoard, axis: int) -> None:
 def test_clearing_a_break_keeps_the_way_back(board: FakeBoard) -> None:
     """FFULL stays: without it the outputs would never come back."""
     board.lib.hal_break_clear(board.hal, 0)
-    assert board.writes[0] == (0xE6C7, 0x0011)
+    assert board.writes[0] == (0xE6C7, 0x0031)
 
 
 # ---- the rest -------------------------------------------------------------------------------------------------------

@@ -67,8 +67,8 @@ def test_pwm_module(board: FakeBoard, axis: int) -> None:
     module = PWM[axis]
     assert board[module + 0xC0] == 0  # the application switches the outputs on
     assert board[module + 0xC4] & 0x0F00 == 0x0700
-    assert board[module + 0xC6] == 0x1011
-    assert board[module + 0xC7] & 0x00F0 == 0x0010
+    assert board[module + 0xC6] == 0x3031
+    assert board[module + 0xC7] & 0x00F0 == 0x0030
     assert board[module + 0xC8] == 0x0202
     assert board[module + 0xC1] == board[module + 0xC3] == 0
 
@@ -127,10 +127,10 @@ def test_clock_serial_watchdog(board: FakeBoard) -> None:
 
 def test_pins(board: FakeBoard) -> None:
     per = {port: board[base + 3] for port, base in GPIO.items()}
-    assert per == {"A": 0x73, "B": 0xF3, "C": 0x019F, "D": 0x5A5A, "E": 0x01FF, "F": 0x4100, "G": 0x003F}
+    assert per == {"A": 0x73, "B": 0xF3, "C": 0x019F, "D": 0x5A5A, "E": 0x03FF, "F": 0x6100, "G": 0x003F}
     assert board[GPIO["F"] + 2] == 0x00C0  # scope pins are outputs
     selects = [board[address] for address in range(0xE417, 0xE422) if address not in (0xE418, 0xE41B, 0xE421)]
-    assert selects == [0, 0x4010, 0x0001, 0xA000, 0x0001, 0, 0x1001, 0]
+    assert selects == [0, 0x4010, 0x0001, 0xA000, 0x0005, 0, 0x1401, 0]
 
 
 # ---- order ----------------------------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ def test_pwm_order(board: FakeBoard, axis: int) -> None:
     force = first(board, module + 0x02, board[module + 0x02])
     values = max(last(board, module + 0x30 * sm + offset) for sm in range(3) for offset in (1, 5, 7, 9, 0xB, 0xD))
     mctrl = [first(board, module + 0xC4, value) for value in (0, 0x0007, 0x0707)]
-    faults = [first(board, module + 0xC6, 0x1010), first(board, module + 0xC7), first(board, module + 0xC6, 0x1011)]
+    faults = [first(board, module + 0xC6, 0x3030), first(board, module + 0xC7), first(board, module + 0xC6, 0x3031)]
     assert mctrl[0] < values
     assert first(board, module + 0xC0) < values < mctrl[1] < force < faults[0] < faults[1] < faults[2] < mctrl[2]
     assert board[module + 0x02] & 0x40 == 0x40

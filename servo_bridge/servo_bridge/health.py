@@ -198,6 +198,8 @@ class Health:
         values["position known"] = self._catalogue.label(
             "home_state_t", int(frame.values[f"{prefix}.home_state"])
         ).lower()
+        if (pins := frame.values.get(f"{prefix}.inputs")) is not None:
+            values["inputs"] = ", ".join(f.name for f in self._catalogue.active("inputs", int(pins))) or "none"
         if record is not None and record.fault is not None:
             values["first fault"] = record.summary().removeprefix("first fault ")
             values["first fault tick"] = record.tick

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
-from servo_msgs_py.catalogue import AXES, Catalogue
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.units import SLOW_PERIODS
 
@@ -49,6 +49,7 @@ class MotionServices:
         on_event: Callable[[str], None],
     ) -> None:
         self._catalogue = catalogue
+        self._input = next(flag.mask for flag in catalogue.flags["limits"] if flag.name == "INPUT")
         self._joints = list(joints)
         self._arbiter = arbiter
         self._dispatcher = dispatcher
@@ -123,6 +124,8 @@ class MotionServices:
             outcome = True, "both axes are on; set-points are let through"
         elif any(axis.faulted for axis in frame.axes):
             outcome = False, f"{self._faults(frame) or 'an axis is in FAULT'}; then call clear_faults and enable again"
+        elif frame.tick >= last_tick and (held := self._held(frame)):
+            outcome = False, f"{held}; then call enable again"
         elif frame.tick >= last_tick:
             labels = ", ".join(
                 f"{joint} is in {axis.label}" for joint, axis in zip(self._joints, frame.axes, strict=True)
@@ -184,6 +187,16 @@ class MotionServices:
             f"{joint}: {text}"
             for joint, word in zip(self._joints, frame.faults, strict=True)
             for text in flag_texts(self._catalogue, "faults", word)
+        )
+
+    def _held(self, frame: Frame) -> str:
+        """What the inputs of axes say that have stayed in STOP, empty when there are none."""
+        word = (int(frame.values.get(f"{axis_name(axis)}.limits", 0)) & self._input for axis in range(AXES))
+        return "; ".join(
+            f"{joint}: {text}"
+            for joint, axis, limits in zip(self._joints, frame.axes, word, strict=True)
+            if axis.label == "STOP"
+            for text in flag_texts(self._catalogue, "limits", limits)
         )
 
     def _not_connected(self) -> str:

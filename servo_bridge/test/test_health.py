@@ -62,3 +62,17 @@ def test_a_winding_that_has_not_been_read_is_not_shown() -> None:
     status = axis_status(None, None)
     assert status.level == DiagnosticStatus.OK
     assert "winding [deg C]" not in {value.key for value in status.values}
+
+
+def test_the_inputs_of_an_axis_are_named_where_they_are_in_the_telemetry() -> None:
+    health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
+    values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 0.0}
+    axes = (AxisStatus("STOP", spinning=False), AxisStatus("STOP", spinning=False))
+
+    def said(**more: float) -> str | None:
+        frame = Frame(8, 0, 0, values | {f"axis1.{name}": value for name, value in more.items()}, 0, 0, axes, (0, 0))
+        return {value.key: value.value for value in health.axis(0, frame).values}.get("inputs")
+
+    assert said() is None
+    assert said(inputs=0.0) == "none"
+    assert said(inputs=9.0) == "HOME, ENABLE"

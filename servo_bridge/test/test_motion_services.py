@@ -27,6 +27,7 @@ class Rig:
         self.dispatcher = Dispatcher(self.sent.append, self.arbiter, lambda _: None)
         self.events: list[str] = []
         self.services = MotionServices(CATALOGUE, JOINTS, self.arbiter, self.dispatcher, self.events.append)
+        self.values: dict[str, float] = {}
         self.tick = 0
         self.count = 0
 
@@ -34,7 +35,7 @@ class Rig:
         self.tick += 16
         self.count += applied
         axes = axes or (SPINNING, SPINNING)
-        frame = Frame(self.tick, 0, 0, {}, self.tick, self.count, axes, faults)
+        frame = Frame(self.tick, 0, 0, self.values, self.tick, self.count, axes, faults)
         self.arbiter.board_seen(axes)
         self.dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
         self.services.on_frame(frame)
@@ -83,6 +84,21 @@ def test_enable_does_not_wait_for_ever() -> None:
     success, text = answer.result(0)
     assert success
     assert "not ready yet: axis1 is in RUN/SPIN, axis2 is in STOP; set-points are let through when armed is" in text
+
+
+def test_enable_says_what_the_inputs_hold_back() -> None:
+    rig = Rig().connected()
+    limits = {flag.name: flag.mask for flag in CATALOGUE.flags["limits"]}
+    rig.values = {"axis1.limits": float(limits["CURRENT"]), "axis2.limits": float(limits["INPUT"])}
+    answer = rig.services.enable(True)
+    rig.dispatcher.acknowledged(rig.sent[-1], None)
+    rig.sample(STOPPED, STOPPED, applied=True)
+    rig.tick += 40_000
+    rig.sample(SPINNING, STOPPED)
+    success, text = answer.result(0)
+    assert not success
+    assert text.startswith("axis2: INPUT: the enable input is open, or a limit switch is active")
+    assert "CURRENT" not in text
 
 
 @pytest.mark.parametrize("end", ["fault", "stop", "link"])

@@ -45,6 +45,12 @@ typedef struct {
     double encoder_hysteresis; /* an edge comes back so far behind where it was passed [counts] */
     double winding_capacity, winding_resistance; /* to the ambient air [J/K], [K/W] */
     double sink_capacity, sink_resistance; /* heatsink of the inverter [J/K], [K/W] */
+    /* pins: what is wired to them */
+    double home_from, home_to;   /* mechanical angles between which the home switch is closed [rad] */
+    double limit_min, limit_max; /* the limit switches open there [rad] */
+    double enable_closed;        /* 1: the enable circuit is closed, 0: open */
+    double brake_torque;         /* of the holding brake; 0: there is none [N m] */
+    double brake_open_time, brake_close_time; /* after its coil [s] */
 } plant_axis_t;
 
 typedef struct {
@@ -89,6 +95,7 @@ typedef struct {
     /* Mean voltages of the motor's terminals against the midpoint of u_dc [V]: over the last half cycle at the ideal level,
      * over the last full window at register level (a PWM period; windows follow each other from power-on). */
     double u_a, u_b, u_c;
+    double brake_holds; /* 1: the holding brake is closed (and holds its torque), 0: open */
 } board_truth_t;
 
 board_t *board_new(const board_config_t *config); /* NULL when memory is short */
@@ -137,6 +144,15 @@ void board_reverse_encoder(board_t *board, int axis); /* swap the lines A and B 
 void board_set_winding(board_t *board, int axis, double celsius);
 void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
 
+/* Wires of an axis. */
+typedef enum {
+    BOARD_PIN_HOME,
+    BOARD_PIN_LIMIT_MIN,
+    BOARD_PIN_LIMIT_MAX,
+    BOARD_PIN_ENABLE,
+    BOARD_PIN_BRAKE
+} board_pin_t;
+
 /* What can go wrong with the hardware. `part` is a phase (0, 1, 2) or an encoder line (0: A, 1: B). */
 typedef enum {
     BOARD_OPEN_PHASE, /* part: the phase whose wire is broken */
@@ -150,7 +166,8 @@ typedef enum {
     BOARD_ENCODER_GLITCHES, /* part: an encoder line; value: pulses per second, at random moments */
     BOARD_STALLED_CORE, /* seconds: the software stands still so long, or until the watchdog resets the board */
     BOARD_HEAT, /* value: temperature of the power stage from now on [deg C] */
-    BOARD_SLIPPED_ENCODER /* value: counts by which the encoder's disc turns on the shaft, now; stays so when healed */
+    BOARD_SLIPPED_ENCODER, /* value: counts by which the encoder's disc turns on the shaft, now; stays so when healed */
+    BOARD_CUT_WIRE /* part: a board_pin_t; a contact reads as open, the brake's coil has no current */
 } board_harm_kind_t;
 
 typedef struct {

@@ -88,6 +88,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .u_c = voltage[2],
         .t_sink = drive->sink.t,
         .t_winding = drive->winding.t,
+        .brake_holds = drive->pins.holds ? 1.0 : 0.0,
         .u_dc = board->chip.plant.bus.u,
         .e_brake = board->chip.plant.bus.e_brake,
         .t_brake = board->chip.plant.bus.brake.t,
@@ -145,14 +146,23 @@ void board_set_motor(board_t *board, int axis, int connected)
 
 void board_inject(board_t *board, const board_harm_t *harm)
 {
-    if (harm->kind == BOARD_STALLED_CORE) {
+    if (harm->kind == BOARD_CUT_WIRE) {
+        chip_cut_wire(&board->chip, harm->axis, harm->part, true);
+    } else if (harm->kind == BOARD_STALLED_CORE) {
         board->chip.stalled_ns = board->chip.now_ns + (uint64_t)(harm->seconds * 1e9);
     } else {
         plant_harm(&board->chip.plant, harm, false);
     }
 }
 
-void board_heal(board_t *board, const board_harm_t *harm) { plant_harm(&board->chip.plant, harm, true); }
+void board_heal(board_t *board, const board_harm_t *harm)
+{
+    if (harm->kind == BOARD_CUT_WIRE) {
+        chip_cut_wire(&board->chip, harm->axis, harm->part, false);
+    } else {
+        plant_harm(&board->chip.plant, harm, true);
+    }
+}
 
 /* ---- registers: there are none ------------------------------------------------------------------------------------ */
 

@@ -4,6 +4,7 @@
 
 #include "board_parts.h"
 #include "chip/chip.h"
+#include "plant/pins.h"
 #include "plant/switching.h"
 #include "port/mc56f84789/port.h"
 
@@ -26,6 +27,8 @@ struct board {
     uint32_t stall_clocks; /* that the next control loop takes: it would interrupt any other handler */
     bool tripped[BOARD_AXES];
     bool swapped[BOARD_AXES]; /* lines A and B of the encoder */
+    plant_pins_t pins[BOARD_AXES];
+    unsigned closed[BOARD_AXES]; /* contacts that the chip has been shown as closed, a bit per board_pin_t */
     bool up;        /* the port has started: there is a servo to run */
     bool recording; /* stop after each slow tick */
 };
@@ -47,6 +50,12 @@ static const unsigned encoder_pin[BOARD_AXES][2] = {{CHIP_PIN('C', 3), CHIP_PIN(
                                                     {CHIP_PIN('C', 2), CHIP_PIN('F', 8)}};
 static const unsigned comparator_pin[BOARD_AXES] = {CHIP_PIN('E', 8), CHIP_PIN('F', 14)};
 static const unsigned brake_pin = CHIP_PIN('G', 6);
+#define CONTACTS 4 /* by board_pin_t; all to ground, pulled up */
+static const unsigned contact_pin[BOARD_AXES][CONTACTS] = {
+    {CHIP_PIN('F', 0), CHIP_PIN('F', 1), CHIP_PIN('F', 2), CHIP_PIN('E', 9)},
+    {CHIP_PIN('F', 3), CHIP_PIN('F', 4), CHIP_PIN('F', 5), CHIP_PIN('F', 13)},
+};
+static const unsigned holding_pin[BOARD_AXES] = {CHIP_PIN('D', 5), CHIP_PIN('D', 6)};
 
 /* Analogue pins ANA0-7, ANB0-7. Phase b is on both converters, so that any two phases can be sampled together. */
 typedef enum { NOTHING, CURRENT, BUS, SINK } analog_kind_t;
@@ -148,6 +157,34 @@ uint16_t world_convert(void *world, unsigned channel)
     }
 }
 
+static double seconds_of(const board_t *board) { return (double)board->chip.now * (CLOCK_NS * 1e-9); }
+
+static void show_contacts(board_t *board, int axis)
+{
+    const unsigned closed = plant_pins_closed(&board->pins[axis], switching_theta(&board->plant, axis));
+    const unsigned changed = closed ^ board->closed[axis];
+    board->closed[axis] = closed;
+    for (unsigned pin = 0; changed != 0u && pin < CONTACTS; pin++) {
+        if ((changed >> pin & 1u) != 0u) {
+            chip_pin(&board->chip, contact_pin[axis][pin], (closed >> pin & 1u) == 0u);
+        }
+    }
+}
+
+/* Contacts and holding brakes are looked at before every loop: they are slower than that by far. */
+static void look_at_pins(board_t *board)
+{
+    for (int axis = 0; axis < BOARD_AXES; axis++) {
+        plant_pins_t *pins = &board->pins[axis];
+        if (plant_pins_follow(pins, seconds_of(board))) {
+            switching_advance(&board->plant, board->chip.now);
+            switching_set_friction(&board->plant, axis, plant_pins_friction(pins));
+            board->chip.core.horizon = 0;
+        }
+        show_contacts(board, axis);
+    }
+}
+
 /* The switch of the brake resistor follows its pin, as software has left it. */
 void world_outputs(void *world)
 {
@@ -157,6 +194,9 @@ void world_outputs(void *world)
     if (on != board->plant.supply.braking) {
         switching_advance(&board->plant, board->chip.now); /* the plant stands where the chip met it last */
         switching_brake(&board->plant, on);
+    }
+    for (int axis = 0; axis < BOARD_AXES; axis++) {
+        plant_pins_power(&board->pins[axis], chip_pin_level(&board->chip, holding_pin[axis]), seconds_of(board));
     }
 }
 
@@ -174,6 +214,7 @@ uint32_t world_interrupt(void *world, unsigned vector)
 {
     board_t *board = (board_t *)world;
     const uint32_t tick = board->servo.snapshot.tick;
+    look_at_pins(board);
     port_isr(&board->hal, (uint16_t)vector);
     const bool second = vector == VECTOR_ADC_CC0;
     const bool loop = vector == VECTOR_M1 || second;
@@ -224,6 +265,10 @@ board_t *board_new(const board_config_t *config)
         for (int line = 0; line < 2; line++) {
             chip_pin(&board->chip, encoder_pin[axis][line], switching_line(&board->plant, axis, line));
         }
+        plant_pins_init(&board->pins[axis], &config->axis[axis]);
+        switching_set_friction(&board->plant, axis, plant_pins_friction(&board->pins[axis]));
+        board->closed[axis] = ~0u; /* the levels at the pins so far */
+        show_contacts(board, axis);
     }
     return board;
 }
@@ -355,6 +400,7 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .u_dc = bus.u_dc,
         .e_brake = bus.e_brake,
         .t_brake = bus.t_brake,
+        .brake_holds = board->pins[axis].holds ? 1.0 : 0.0,
     };
 }
 
@@ -403,14 +449,29 @@ void board_warm_winding(board_t *board, int axis, double celsius)
 
 void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }
 
+static void cut_wire(board_t *board, const board_harm_t *harm, bool cut)
+{
+    plant_pins_cut(&board->pins[harm->axis], harm->part, cut, seconds_of(board));
+    show_contacts(board, harm->axis);
+}
+
 void board_inject(board_t *board, const board_harm_t *harm)
 {
     boot_once(board);
-    if (harm->kind == BOARD_STALLED_CORE) {
+    if (harm->kind == BOARD_CUT_WIRE) {
+        cut_wire(board, harm, true);
+    } else if (harm->kind == BOARD_STALLED_CORE) {
         board->stall_clocks = (uint32_t)(harm->seconds * 1e9 / CLOCK_NS);
     } else {
         switching_harm(&board->plant, harm, false);
     }
 }
 
-void board_heal(board_t *board, const board_harm_t *harm) { switching_harm(&board->plant, harm, true); }
+void board_heal(board_t *board, const board_harm_t *harm)
+{
+    if (harm->kind == BOARD_CUT_WIRE) {
+        cut_wire(board, harm, false);
+    } else {
+        switching_harm(&board->plant, harm, true);
+    }
+}

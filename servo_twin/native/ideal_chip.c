@@ -45,7 +45,31 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
 
 static void follow_enable(hal_t *chip, int i)
 {
-    chip->plant.axis[i].inverter.on = chip->axis[i].enabled && !chip->axis[i].broken;
+    const chip_axis_t *axis = &chip->axis[i];
+    const bool released = !axis->enable_used || !axis->enable_open;
+    chip->plant.axis[i].inverter.on = axis->enabled && !axis->broken && released;
+}
+
+static double seconds(const hal_t *chip) { return 1e-9 * (double)chip->now_ns; }
+
+static unsigned closed_contacts(const hal_t *chip, int i)
+{
+    return plant_pins_closed(&chip->plant.axis[i].pins, chip->plant.axis[i].motor.theta);
+}
+
+/* An open enable circuit opens the switches without software. */
+static void check_enable(hal_t *chip, int i)
+{
+    if ((closed_contacts(chip, i) & (1u << BOARD_PIN_ENABLE)) == 0u) {
+        chip->axis[i].enable_open = true;
+        follow_enable(chip, i);
+    }
+}
+
+void chip_cut_wire(hal_t *chip, int axis, int pin, bool cut)
+{
+    plant_pins_cut(&chip->plant.axis[axis].pins, pin, cut, seconds(chip));
+    check_enable(chip, axis);
 }
 
 /* The comparator opens the switches without software. */
@@ -85,6 +109,7 @@ static void watch_dog(hal_t *chip)
         const bool broken = chip->axis[i].broken;
         chip->axis[i] = at_reset;
         chip->axis[i].broken = broken;
+        plant_pins_power(&chip->plant.axis[i].pins, false, seconds(chip));
         plant_encoder_restart(&chip->plant.axis[i].encoder);
         follow_enable(chip, i);
     }
@@ -151,6 +176,7 @@ static void grid(hal_t *chip)
     plant_t *plant = &chip->plant;
     if (chip->grid_ns > 0) { /* time zero is the beginning of the first step */
         plant_step(plant, chip->grid_ns - plant->step_ns);
+        plant_hold(plant, seconds(chip));
         for (int i = 0; i < HAL_AXES; i++) {
             if (check_current(chip, i) && awake(chip)) {
                 servo_break_isr(chip->servo, (uint16_t)i);
@@ -256,6 +282,27 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis) { return plant_sink_code(&hal->plant, axis); }
 
 void hal_brake(hal_t *hal, bool on) { supply_switch(&hal->plant.bus, on); }
+
+uint16_t hal_inputs(hal_t *hal, uint16_t axis)
+{
+    const unsigned open = ~closed_contacts(hal, axis);
+    const unsigned limits = open & (1u << BOARD_PIN_LIMIT_MIN | 1u << BOARD_PIN_LIMIT_MAX);
+    const unsigned home = ~open & (1u << BOARD_PIN_HOME);
+    return (uint16_t)(home | limits | (hal->axis[axis].enable_open ? 0u : HAL_INPUT_ENABLE));
+}
+
+void hal_enable_input(hal_t *hal, uint16_t axis, bool used)
+{
+    hal->axis[axis].enable_used = used;
+    hal->axis[axis].enable_open = false;
+    check_enable(hal, axis);
+    follow_enable(hal, axis);
+}
+
+void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
+{
+    plant_pins_power(&hal->plant.axis[axis].pins, release, seconds(hal));
+}
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 

@@ -24,6 +24,8 @@ typedef struct {
     bool written;       /* not loaded yet */
     bool enabled;
     bool broken;        /* over-current latch */
+    bool enable_used;
+    bool enable_open;   /* its latch */
     phase_pair_t pair;
     adc_pair_t currents;
     plant_samples_t offsets;
@@ -52,6 +54,9 @@ struct hal {
 
 /* The chip after reset; the firmware is initialised by the caller afterwards. */
 void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo);
+
+/* The wire of a pin is cut, or whole again. */
+void chip_cut_wire(hal_t *chip, int axis, int pin, bool cut);
 
 /* Everything that happens up to and including `until_ns`; with `stop_after_scan` no further than the next M2 interrupt.
  * Returns true if it stopped for that. */

@@ -107,6 +107,8 @@ class Truth:
         Burnt in the brake resistor since power-on [J].
     t_brake : float
         Temperature of the brake resistor [deg C].
+    brake_holds : float
+        1: the holding brake is closed, 0: it is open.
     """
 
     theta_m: float
@@ -122,6 +124,7 @@ class Truth:
     u_dc: float
     e_brake: float
     t_brake: float
+    brake_holds: float
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
 from servo_msgs_py.catalogue import AXES
 
 __all__ = [
     "BusNoise",
     "CurrentNoise",
+    "CutWire",
     "EncoderGlitches",
     "Harm",
     "HotPowerStage",
@@ -33,9 +34,11 @@ __all__ = [
 
 Phase = Literal["a", "b", "c"]
 Line = Literal["A", "B"]
+Pin = Literal["home", "limit_min", "limit_max", "enable", "brake"]
 
 _PHASES: Final = "abc"
 _LINES: Final = "AB"
+_PINS: Final = get_args(Pin)
 _SLIP_MOST: Final = 1_000_000
 
 
@@ -201,6 +204,19 @@ class SlippedEncoder:
 
 
 @dataclass(frozen=True)
+class CutWire:
+    """The wire of a switch, of the enable circuit or of the holding brake's coil is cut: the contact reads as open."""
+
+    axis: int
+    pin: Pin
+
+    def raw(self) -> RawHarm:
+        if self.pin not in _PINS:
+            raise ValueError(f"pin {self.pin!r} is none of {', '.join(_PINS)}")
+        return RawHarm("BOARD_CUT_WIRE", _axis(self.axis), _PINS.index(self.pin))
+
+
+@dataclass(frozen=True)
 class HotPowerStage:
     """The power stage of an axis is at a temperature and stays there [deg C]."""
 
@@ -223,6 +239,7 @@ Harm = (
     | EncoderGlitches
     | HotPowerStage
     | SlippedEncoder
+    | CutWire
     | StalledCore
 )
 """Anything that can go wrong."""

@@ -7,7 +7,7 @@ import math
 import random
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -17,7 +17,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["STIFFEST", "AxisPlant", "BusPlant", "PlantConfig", "PlantError"]
+__all__ = ["STIFFEST", "AxisPlant", "BusPlant", "PinsPlant", "PlantConfig", "PlantError"]
 
 STIFFEST: Final = 0.06
 """Of an end stop, over inertia and the square of the PWM frequency: it swings in 25 periods, and its torque is worked
@@ -90,6 +90,43 @@ def _check(where: str, value: object, rule: _Rule) -> None:
 
 
 @dataclass(frozen=True)
+class PinsPlant:
+    """What is wired to the pins of one axis.
+
+    Attributes
+    ----------
+    home_from, home_to : float
+        Mechanical angles between which the home switch is closed [rad].
+    limit_min, limit_max : float
+        Mechanical angles at which the limit switches open [rad]; infinite: never.
+    enable_closed : float
+        1: the enable circuit is closed; 0: it is open.
+    brake_torque : float
+        Of the holding brake; 0: there is none [N m].
+    brake_open_time, brake_close_time : float
+        From its coil to the brake [s].
+    """
+
+    home_from: float = math.inf
+    home_to: float = -math.inf
+    limit_min: float = -math.inf
+    limit_max: float = math.inf
+    enable_closed: float = 1.0
+    brake_torque: float = 0.0
+    brake_open_time: float = 0.0
+    brake_close_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("home_from", "home_to", "limit_min", "limit_max"):
+            value: object = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value):
+                raise PlantError(f"{name}: {value!r} is not an angle, finite or infinite")
+        for name in ("brake_torque", "brake_open_time", "brake_close_time"):
+            _check(name, getattr(self, name), _NOT_NEGATIVE)
+        _check("enable_closed", self.enable_closed, ("0 or 1", lambda x: x in (0.0, 1.0)))
+
+
+@dataclass(frozen=True)
 class AxisPlant:
     """Motor, shaft, encoder, inverter and current sensors of one axis.
 
@@ -142,6 +179,8 @@ class AxisPlant:
         Thermal capacity [J/K] of the winding, its resistance to the air [K/W].
     sink_capacity, sink_resistance : float
         The same for the inverter's heatsink.
+    pins : PinsPlant
+        What is wired to the pins.
     """
 
     r_s: float
@@ -174,8 +213,12 @@ class AxisPlant:
     winding_resistance: float
     sink_capacity: float
     sink_resistance: float
+    pins: PinsPlant = field(default_factory=PinsPlant)
 
     def __post_init__(self) -> None:
+        pins: object = self.pins
+        if isinstance(pins, Mapping):
+            object.__setattr__(self, "pins", _part(PinsPlant, "pins", {"pins": pins}))
         for name, rule in _AXIS_RULES.items():
             _check(name, getattr(self, name), rule)
         if self.stop_min > self.stop_max:
@@ -188,6 +231,10 @@ class AxisPlant:
         for value in offsets:
             _check("i_offset", value, _ANY)
         object.__setattr__(self, "i_offset", tuple(map(float, offsets)))
+
+    def members(self) -> dict[str, Any]:
+        """Values by the names of the C structure ``plant_axis_t``."""
+        return {name: value for name, value in (vars(self) | vars(self.pins)).items() if name != "pins"}
 
     @property
     def torque_constant(self) -> float:
@@ -313,7 +360,7 @@ class PlantConfig:
     def fill(self, config: Any) -> None:
         """Write everything into a C ``board_config_t``; random start angles have to be drawn before."""
         for target, axis in zip(config.axis, self.axes, strict=True):
-            for name, value in vars(axis).items():
+            for name, value in axis.members().items():
                 setattr(target, name, value)
         for name, value in vars(self.bus).items():
             setattr(config.bus, name, value)

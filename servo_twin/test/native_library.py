@@ -33,6 +33,7 @@ typedef struct {
     double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, dead_time_min, i_settle;
     double encoder_jitter, encoder_duty_error, encoder_hysteresis;
     double winding_capacity, winding_resistance, sink_capacity, sink_resistance;
+    double home_from, home_to, limit_min, limit_max, enable_closed, brake_torque, brake_open_time, brake_close_time;
 } plant_axis_t;
 typedef struct {
     double u_source, r_source, capacitance, u_full_scale, u_noise, r_brake, brake_capacity, brake_resistance;
@@ -111,6 +112,9 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo);
 bool chip_run(hal_t *chip, uint64_t until_ns, bool stop_after_scan);
 bool hal_break_active(hal_t *hal, uint16_t axis);
 void hal_break_clear(hal_t *hal, uint16_t axis);
+uint16_t hal_inputs(hal_t *hal, uint16_t axis);
+void hal_enable_input(hal_t *hal, uint16_t axis, bool used);
+void hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
 void hal_capture_arm(hal_t *hal, uint16_t axis);
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture);
 uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
@@ -154,7 +158,7 @@ def build(
 def c_axis(native: Native, axis: AxisPlant) -> Any:
     """``plant_axis_t *`` of one axis."""
     start = 0.35 if axis.theta_start == "random" else axis.theta_start
-    return native.ffi.new("plant_axis_t *", {**vars(axis), "theta_start": start})
+    return native.ffi.new("plant_axis_t *", {**axis.members(), "theta_start": start})
 
 
 def c_bus(native: Native, bus: BusPlant) -> Any:

@@ -30,6 +30,7 @@ RUN_TRANSITIONS: Final = frozenset(
     {
         ("CALIB", "READY"),
         ("READY", "ALIGN"),
+        ("READY", "SPIN"),  # behind a holding brake, where the angle is known
         ("ALIGN", "READY"),
         ("ALIGN", "SPIN"),
         ("SPIN", "FREEWHEEL"),

@@ -58,6 +58,16 @@ void pwm_init(hal_t *hal)
     module_finish(hal, PWMB_BASE);
 }
 
+/* The flag holds the outputs off as the over-current's does; here it is cleared, and an open input sets it again. */
+void hal_enable_input(hal_t *hal, uint16_t axis, bool used)
+{
+    const uint16_t module = hal->axis[axis].pwm;
+    for (uint16_t sm = 0; sm < PWM_SM_USED; sm++) {
+        pwm_write(hal, module, sm, PWM_DISMAP0, used ? SET_PWM_DISMAP0_ENABLE : SET_PWM_DISMAP0);
+    }
+    REG_WRITE(hal, module + PWM_FSTS0, SET_PWM_FSTS0 | PWM_FSTS_FFLAG(ENABLE_INPUT));
+}
+
 /* The follower first: the master's first VAL0 already finds it running. */
 void pwm_run(hal_t *hal)
 {

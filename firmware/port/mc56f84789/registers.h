@@ -654,7 +654,9 @@
 #define SIM_GPSEL_E6(v) FIELD(12, v)
 #define SIM_GPSEL_E7(v) FIELD(14, v)
 #define SIM_GPSEH_E8(v) FIELD(0, v)
+#define SIM_GPSEH_E9(v) FIELD(2, v)
 #define SIM_GPSFH_F8(v) FIELD(0, v)
+#define SIM_GPSFH_F13(v) FIELD(10, v)
 #define SIM_GPSFH_F14(v) FIELD(12, v)
 #define SIM_GPSGL_G0(v) FIELD(0, v)
 #define SIM_GPSGL_G1(v) FIELD(2, v)
@@ -674,7 +676,9 @@
 #define SIM_E6_PWMB_2B 2U
 #define SIM_E7_PWMB_2A 2U
 #define SIM_E8_PWMA_FAULT0 1U
+#define SIM_E9_PWMA_FAULT1 1U
 #define SIM_F8_TB1 1U
+#define SIM_F13_PWMB_FAULT1 1U
 #define SIM_F14_PWMB_FAULT0 1U
 #define SIM_G0_PWMB_1B 0U
 #define SIM_G1_PWMB_1A 0U

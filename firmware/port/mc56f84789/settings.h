@@ -170,12 +170,16 @@ SETTINGS_CHECK(shortest_pulse_is_swallowed,
 
 /* The comparator is fault 0 of its module and switches A and B off without software; PWMX is not in use. */
 #define FAULT_INPUT BIT(0)
-#define SET_PWM_DISMAP0 (PWM_DISMAP_ONES | PWM_DISMAP_X_MASK | PWM_DISMAP_B(FAULT_INPUT) | PWM_DISMAP_A(FAULT_INPUT))
+#define ENABLE_INPUT BIT(1) /* and the enable input fault 1, where it is fitted; open it is high */
+#define PWM_DISMAP0_OF(faults) (PWM_DISMAP_ONES | PWM_DISMAP_X_MASK | PWM_DISMAP_B(faults) | PWM_DISMAP_A(faults))
+#define SET_PWM_DISMAP0 PWM_DISMAP0_OF(FAULT_INPUT)
+#define SET_PWM_DISMAP0_ENABLE PWM_DISMAP0_OF(FAULT_INPUT | ENABLE_INPUT)
 #define SET_PWM_DISMAP1 (PWM_DISMAP_ONES | PWM_DISMAP_X_MASK)
 /* Safe mode: the outputs come back at a cycle's start when software has cleared the flag and the pin agrees. */
-#define SET_PWM_FCTRL0_SILENT (PWM_FCTRL_FLVL(FAULT_HIGH ? FAULT_INPUT : 0U) | PWM_FCTRL_FSAFE(FAULT_INPUT))
+#define SET_PWM_FCTRL0_SILENT                                                                                          \
+    (PWM_FCTRL_FLVL((FAULT_HIGH ? FAULT_INPUT : 0U) | ENABLE_INPUT) | PWM_FCTRL_FSAFE(FAULT_INPUT | ENABLE_INPUT))
 #define SET_PWM_FCTRL0 (SET_PWM_FCTRL0_SILENT | PWM_FCTRL_FIE(FAULT_INPUT))
-#define SET_PWM_FSTS0 PWM_FSTS_FFULL(FAULT_INPUT)
+#define SET_PWM_FSTS0 PWM_FSTS_FFULL(FAULT_INPUT | ENABLE_INPUT)
 #define FAULT_FILTER_PERIOD (CLOCKS_OF_NS(FAULT_FILTER_NS) / FAULT_FILTER_SAMPLES)
 #define SET_PWM_FFILT0 (PWM_FFILT_FILT_CNT(FAULT_FILTER_SAMPLES - 3UL) | PWM_FFILT_FILT_PER(FAULT_FILTER_PERIOD))
 
@@ -362,7 +366,13 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
  *   host       C7 transmit, C8 receive    C0, C1 crystal
  *   monitor    G5, G4 PWMB 3A, 3B: two variables as filtered pulses
  *   brake      G6 high switches the resistor on
- *   scope      F6, F7 high while M1, M2 runs (DRM F38) */
+ *   scope      F6, F7 high while M1, M2 runs (DRM F38)
+ *   switches   F0 F1 F2 home, lower and upper limit of motor 1, F3 F4 F5 of motor 2: to ground, pulled up
+ *   enable     E9 (PWMA FAULT1), F13 (PWMB FAULT1): to ground, pulled up
+ *   holding    D5, D6 high gives the coil of the holding brake its current */
+#define PIN_HOLDING(axis) BIT(5U + (axis))
+#define SWITCHES_SHIFT(axis) (3U * (axis))
+#define SWITCHES_MASK 7U
 #define PIN_BRAKE BIT(6)
 #define PIN_SCOPE_M1 BIT(6)
 #define PIN_SCOPE_M2 BIT(7)
@@ -374,9 +384,9 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
 #define SET_GPSEL                                                                                                      \
     (SIM_GPSEL_E4(SIM_E4_PWMA_2B) | SIM_GPSEL_E5(SIM_E5_PWMA_2A) | SIM_GPSEL_E6(SIM_E6_PWMB_2B) |                      \
      SIM_GPSEL_E7(SIM_E7_PWMB_2A))
-#define SET_GPSEH SIM_GPSEH_E8(SIM_E8_PWMA_FAULT0)
+#define SET_GPSEH (SIM_GPSEH_E8(SIM_E8_PWMA_FAULT0) | SIM_GPSEH_E9(SIM_E9_PWMA_FAULT1))
 #define SET_GPSFL 0U
-#define SET_GPSFH (SIM_GPSFH_F8(SIM_F8_TB1) | SIM_GPSFH_F14(SIM_F14_PWMB_FAULT0))
+#define SET_GPSFH (SIM_GPSFH_F8(SIM_F8_TB1) | SIM_GPSFH_F13(SIM_F13_PWMB_FAULT1) | SIM_GPSFH_F14(SIM_F14_PWMB_FAULT0))
 #define SET_GPSGL                                                                                                      \
     (SIM_GPSGL_G0(SIM_G0_PWMB_1B) | SIM_GPSGL_G1(SIM_G1_PWMB_1A) | SIM_GPSGL_G2(SIM_G2_PWMB_0B) |                      \
      SIM_GPSGL_G3(SIM_G3_PWMB_0A) | SIM_GPSGL_G4(SIM_G4_PWMB_3B) | SIM_GPSGL_G5(SIM_G5_PWMB_3A))
@@ -389,14 +399,15 @@ SETTINGS_CHECK(watchdog_time_fits, WATCHDOG_COUNTS >= 1UL && WATCHDOG_COUNTS <= 
     (CHANNEL_PIN(CHANNEL_M1_B2) | CHANNEL_PIN(CHANNEL_M1_C) | CHANNEL_PIN(CHANNEL_M2_B2) | CHANNEL_PIN(CHANNEL_M2_C) | \
      CHANNEL_PIN(CHANNEL_SINK_1) | CHANNEL_PIN(CHANNEL_SINK_2))
 #define SET_GPIOC_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(7) | BIT(8))
-#define SET_GPIOE_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(5) | BIT(6) | BIT(7) | BIT(8))
-#define SET_GPIOF_PER (BIT(8) | BIT(14))
+#define SET_GPIOE_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(5) | BIT(6) | BIT(7) | BIT(8) | BIT(9))
+#define SET_GPIOF_PER (BIT(8) | BIT(13) | BIT(14))
 #define SET_GPIOG_PER (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(5))
+#define SET_GPIOD_DDR (PIN_HOLDING(0U) | PIN_HOLDING(1U))
 #define SET_GPIOF_DDR (PIN_SCOPE_M1 | PIN_SCOPE_M2)
 #define SET_GPIOG_DDR PIN_BRAKE
 /* Pulled up: an unplugged encoder or host is quiet, a torn over-current line is an over-current. */
 #define SET_GPIOC_PULL (BIT(2) | BIT(3) | BIT(4) | BIT(8))
-#define SET_GPIOE_PULL BIT(8)
-#define SET_GPIOF_PULL (BIT(8) | BIT(14))
+#define SET_GPIOE_PULL (BIT(8) | BIT(9))
+#define SET_GPIOF_PULL (BIT(0) | BIT(1) | BIT(2) | BIT(3) | BIT(4) | BIT(5) | BIT(8) | BIT(13) | BIT(14))
 
 #endif

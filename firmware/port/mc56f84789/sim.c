@@ -19,6 +19,21 @@ static void pull_up(hal_t *hal, uint16_t port, uint16_t pins)
 
 void hal_brake(hal_t *hal, bool on) { REG_WRITE(hal, GPIO(GPIO_G) + GPIO_DR, on ? PIN_BRAKE : 0U); }
 
+void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
+{
+    const uint16_t others = REG_READ(hal, GPIO(GPIO_D) + GPIO_DR) & (uint16_t)~PIN_HOLDING(axis);
+    REG_WRITE(hal, GPIO(GPIO_D) + GPIO_DR, release ? others | PIN_HOLDING(axis) : others);
+}
+
+/* An open contact is high: a home switch is closed within its range, a limit switch opens at the end of the way. */
+uint16_t hal_inputs(hal_t *hal, uint16_t axis)
+{
+    const uint16_t levels = REG_READ(hal, GPIO(GPIO_F) + GPIO_RAWDATA) >> SWITCHES_SHIFT(axis) & SWITCHES_MASK;
+    const uint16_t fsts = REG_READ(hal, hal->axis[axis].pwm + PWM_FSTS0);
+    const bool open = (fsts & (PWM_FSTS_FFLAG(ENABLE_INPUT) | PWM_FSTS_FFPIN(ENABLE_INPUT))) != 0U;
+    return (uint16_t)((levels ^ HAL_INPUT_HOME) | (open ? 0U : HAL_INPUT_ENABLE));
+}
+
 /* The function of a pin first, then the peripheral gets it. */
 void pins_init(hal_t *hal)
 {
@@ -38,6 +53,10 @@ void pins_init(hal_t *hal)
     REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DR, 0U);
     REG_WRITE(hal, GPIO(GPIO_F) + GPIO_PPMODE, SET_GPIOF_DDR);
     REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DDR, SET_GPIOF_DDR);
+
+    REG_WRITE(hal, GPIO(GPIO_D) + GPIO_DR, 0U);
+    REG_WRITE(hal, GPIO(GPIO_D) + GPIO_PPMODE, SET_GPIOD_DDR);
+    REG_WRITE(hal, GPIO(GPIO_D) + GPIO_DDR, SET_GPIOD_DDR);
 
     hal_brake(hal, false);
     REG_WRITE(hal, GPIO(GPIO_G) + GPIO_PPMODE, SET_GPIOG_DDR);

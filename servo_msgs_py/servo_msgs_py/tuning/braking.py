@@ -1,4 +1,4 @@
-"""The integers of braking and stopping: brake resistor, fold-back of braking current, shorted windings, categories."""
+"""The integers of braking and stopping: brake resistor, fold-back, shorted windings, stop categories, pins."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from servo_msgs_py.tuning.configuration import Axis, Configuration
+from servo_msgs_py.tuning.configuration import PINS, Axis, Configuration
 from servo_msgs_py.tuning.conversion import Category, Converter, FaultSet, Field
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN
 
-__all__ = ["BUS_END", "brake_constants", "regeneration_speed", "short_speed", "stop_constants"]
+__all__ = ["BUS_END", "brake_constants", "pin_constants", "regeneration_speed", "short_speed", "stop_constants"]
 
 BUS_END: Final = 0.98
 """Part of the bus converter's range that can still be told from its end."""
@@ -53,6 +53,15 @@ def stop_constants(to: Converter) -> dict[str, Field]:
             FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, most), _MOTOR
         ),
         "copper_current": to.at(FRAC16, "stop.copper_use", axis("limits.current") / s.i),
+    }
+
+
+def pin_constants(to: Converter) -> dict[str, Field]:
+    """Fields of ``axis_config_t`` that say which pins are fitted, and how fast the holding brake is."""
+    return {
+        "pins.fitted": sum(to.axis.pins[pin] << bit for bit, pin in enumerate(PINS)),
+        "pins.open_ticks": to.ticks("pins.open_time"),
+        "pins.close_ticks": to.ticks("pins.close_time"),
     }
 
 

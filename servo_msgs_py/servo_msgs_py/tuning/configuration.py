@@ -22,10 +22,13 @@ from servo_msgs_py.tuning.schema import (
 from servo_msgs_py.tuning.stops import Stops
 from servo_msgs_py.tuning.temperature import Temperature
 
-__all__ = ["FEEDBACKS", "Axis", "Board", "Configuration", "Scales"]
+__all__ = ["FEEDBACKS", "PINS", "Axis", "Board", "Configuration", "Scales"]
 
 FEEDBACKS: Final = ("encoder", "observer")
 """Where an axis may take its angle and speed from; the first one unless the file says otherwise."""
+
+PINS: Final = ("home", "limit_min", "limit_max", "enable", "brake")
+"""Pins that an axis may have, in the order of the bits of ``pins.fitted``."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,8 @@ class Axis:
         Entries that come from [defaults].
     feedback : str
         Where angle and speed come from after reset, ``encoder`` or ``observer``.
+    pins : mapping
+        Which of `PINS` are fitted.
     exact : mapping
         Raw numbers of members of the configuration block, by C path, in the place of what is computed.
     """
@@ -161,6 +166,7 @@ class Axis:
     stops: Stops
     inherited: frozenset[str]
     feedback: str
+    pins: Mapping[str, bool]
     exact: Mapping[str, int] = field(default_factory=dict)
 
     def __call__(self, path: str) -> float:
@@ -226,13 +232,15 @@ class Axis:
         stops = Stops.taken_from(
             groups["stop"], fault_names, lambda key: _place(name, f"stop.{key}", origin), AXIS_GROUPS["stop"]
         )
+        switches = {key: groups["pins"].pop(key) for key in PINS if key in groups["pins"]}
+        pins = check_switches(f"{name}.pins", switches, PINS)
         checked = {
             group: check_group(
                 f"{name}.{group}", group, entries, {key: _place(name, f"{group}.{key}", origin) for key in entries}
             )
             for group, entries in groups.items()
         }
-        return cls(name, checked, features, stops, origin, feedback, exact)
+        return cls(name, checked, features, stops, origin, feedback, pins, exact)
 
 
 def _exact(where: str, value: object) -> dict[str, int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from servo_msgs_py.tuning.braking import stop_constants
+from servo_msgs_py.tuning.braking import pin_constants, stop_constants
 from servo_msgs_py.tuning.configuration import Axis, Board, Configuration
 from servo_msgs_py.tuning.conversion import AxisConstants, Converter, Field, Switches, pi_raw
 from servo_msgs_py.tuning.field_weakening import field_weakening_constants
@@ -57,6 +57,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **stop_constants(to),
         **field_weakening_constants(to),
         **_home(to),
+        **pin_constants(to),
     }
 
 

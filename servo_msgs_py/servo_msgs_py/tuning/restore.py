@@ -15,7 +15,7 @@ from typing import Any, Final
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.tuning.block import block_of
-from servo_msgs_py.tuning.configuration import FEEDBACKS, Axis, Board, Configuration, Scales
+from servo_msgs_py.tuning.configuration import FEEDBACKS, PINS, Axis, Board, Configuration, Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.schema import AXIS_GROUPS
@@ -200,6 +200,7 @@ class _Restorer:
             stops=Stops(commands, {key: value for key, value in stop.items() if key not in COMMANDS}),
             inherited=frozenset(),
             feedback=FEEDBACKS[self._block["feedback"]],
+            pins={pin: bool(self._block["pins.fitted"] >> bit & 1) for bit, pin in enumerate(PINS)},
         )
         for found in _FOUND:
             axis = self._find(axis, found)
@@ -209,6 +210,7 @@ class _Restorer:
         result: dict[str, Any] = {"feedback": axis.feedback, **{group: dict(v) for group, v in axis.groups.items()}}
         result["stop"] = {**axis.groups["stop"], **stop}
         result["features"] = features
+        result["pins"] = {**axis.groups["pins"], **axis.pins}
         got = self._computed(axis)
         exact = {path: raw for path, raw in self._block.items() if got is None or got.get(path) != raw}
         if exact:
@@ -337,6 +339,7 @@ class _Restorer:
                 "turns_max": b["home.turns_max"],
                 "reach": at("home.reach"),
             },
+            "pins": {"open_time": at("pins.open_ticks"), "close_time": at("pins.close_ticks")},
             "sensing": {
                 "sign_current": s.i / _value("current_loop.dead_time.slope", b),
                 "offset_tolerance": b["offset_tolerance"],

@@ -265,6 +265,10 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "turns_max": Entry("", "turns within which it has to be found", whole=True),
         "reach": Entry("rad", "distance from where an axis was enabled, until its position is known"),
     },
+    "pins": {
+        "open_time": Entry("s", "until the holding brake holds nothing", zero=True),
+        "close_time": Entry("s", "until the holding brake holds", zero=True),
+    },
     "sensing": {
         "sign_current": Entry("A", "above it the direction of a phase current is certain"),
         "offset_tolerance": Entry("", "ADC codes that an offset may lie off mid-scale", whole=True),

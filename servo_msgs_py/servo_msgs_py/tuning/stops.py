@@ -54,6 +54,7 @@ REFUSED: Final[Mapping[str, Mapping[str, str]]] = {
     "angle_mismatch": _because(_ANGLE, _CONTROLLED),
     "phase_lost": _because(_CURRENT, _BRAKING),
     "current_sense": _because(_CURRENT, _BRAKING),
+    "enable_input": _because(_SWITCHES, _BRAKING),
     "late_loop": _because(_LATE, _BRAKING),
     "watchdog": _because(_LATE, _BRAKING),
 }

@@ -22,6 +22,8 @@ void plant_init(plant_t *plant, const board_config_t *config)
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
         axis->codes_per_ampere = 2048.0 / config->axis[i].i_full_scale;
         plant_harm_init(&axis->harm, &config->axis[i], config->seed, (uint64_t)i + 5u);
+        plant_pins_init(&axis->pins, &config->axis[i]);
+        axis->motor.friction = plant_pins_friction(&axis->pins);
         thermal_init(&axis->sink, config->axis[i].sink_capacity, config->axis[i].sink_resistance, config->ambient);
         thermal_init(&axis->winding, config->axis[i].winding_capacity, config->axis[i].winding_resistance,
                      config->ambient);
@@ -160,6 +162,16 @@ uint16_t plant_sink_code(const plant_t *plant, int axis)
     return plant_code_unipolar(plant->axis[axis].sink.t, PLANT_SINK_FULL_SCALE);
 }
 
+void plant_hold(plant_t *plant, double now)
+{
+    for (int i = 0; i < BOARD_AXES; i++) {
+        plant_drive_t *axis = &plant->axis[i];
+        if (plant_pins_follow(&axis->pins, now)) {
+            axis->motor.friction = plant_pins_friction(&axis->pins);
+        }
+    }
+}
+
 static void harm_converter(plant_drive_t *axis, const board_harm_t *harm, bool healed)
 {
     axis->harm.stuck[harm->part] = !healed;
@@ -213,6 +225,8 @@ void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed)
         axis->harm.heated = !healed;
         axis->sink.t = healed ? axis->sink.t : harm->value;
         break;
+    case BOARD_CUT_WIRE:
+        break; /* the board's, which knows the time */
     case BOARD_SLIPPED_ENCODER:
         plant_encoder_slip(&axis->encoder, healed ? 0 : (int)harm->value);
         break;

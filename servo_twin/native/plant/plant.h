@@ -12,6 +12,7 @@
 #include "plant/inverter.h"
 #include "plant/motor.h"
 #include "plant/pair.h"
+#include "plant/pins.h"
 #include "plant/sensors.h"
 #include "plant/supply.h"
 #include "plant/thermal.h"
@@ -29,6 +30,7 @@ typedef struct {
     plant_harm_t harm;
     thermal_t sink;        /* heatsink of the inverter */
     thermal_t winding; /* its resistance grows in its losses only: the averaged motor keeps that of the ambient air */
+    plant_pins_t pins;
 } plant_drive_t;
 
 typedef struct {
@@ -97,6 +99,9 @@ uint16_t plant_bus_code(plant_t *plant);
 
 /* Converter code of a power stage's thermistor, linearised: 0 deg C at 0, PLANT_SINK_FULL_SCALE at 4096. */
 uint16_t plant_sink_code(const plant_t *plant, int axis);
+
+/* The holding brakes follow their coils. */
+void plant_hold(plant_t *plant, double now);
 
 /* Something breaks, or is whole again. */
 void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed);

@@ -642,6 +642,12 @@ static switching_t here(const switching_t *plant, int axis)
     return copy;
 }
 
+double switching_theta(const switching_t *plant, int i)
+{
+    const switching_axis_t *axis = &plant->axis[i];
+    return axis->bridge.theta + axis->bridge.omega * seconds(axis->clock, plant->now);
+}
+
 void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
 {
     switching_t copy = here(plant, i);
@@ -699,6 +705,13 @@ void switching_set_load(switching_t *plant, int axis, double torque)
 {
     plant->stop[axis].load = torque;
     touch(plant, axis)->load = torque; /* the next period adds what a stop takes */
+}
+
+void switching_set_friction(switching_t *plant, int i, double friction)
+{
+    if (friction != plant->axis[i].bridge.friction) {
+        touch(plant, i)->friction = friction;
+    }
 }
 
 void switching_lock(switching_t *plant, int axis, bool locked)

@@ -196,6 +196,9 @@ typedef struct {
     bool over_current;
 } switching_truth_t;
 
+/* Angle of the shaft, straight on from where the axis was advanced last [rad]. */
+double switching_theta(const switching_t *plant, int axis);
+
 /* Present state of one axis. To look changes nothing. */
 void switching_truth(const switching_t *plant, int axis, switching_truth_t *truth);
 
@@ -218,6 +221,7 @@ void switching_obstruct(switching_t *plant, int axis, double below, double above
 void switching_warm_winding(switching_t *plant, int axis, double celsius); /* its temperature from now on [deg C] */
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level); /* encoder line stuck at a level */
+void switching_set_friction(switching_t *plant, int axis, double friction); /* Coulomb's [N m] */
 void switching_brake(switching_t *plant, bool on); /* brake resistor across the bus */
 
 /* Something breaks, or is whole again. */

@@ -235,6 +235,27 @@ uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
 
 void hal_brake(hal_t *hal, bool on) { hal->brake = on; }
 
+uint16_t hal_inputs(hal_t *hal, uint16_t axis)
+{
+    (void)hal;
+    (void)axis;
+    return HAL_INPUT_ENABLE;
+}
+
+void hal_enable_input(hal_t *hal, uint16_t axis, bool used)
+{
+    (void)hal;
+    (void)axis;
+    (void)used;
+}
+
+void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
+{
+    (void)hal;
+    (void)axis;
+    (void)release;
+}
+
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
 void hal_duties_done(hal_t *hal, uint16_t axis)

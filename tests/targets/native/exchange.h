@@ -31,6 +31,8 @@ typedef enum {
     OUT_WATCHDOG,
     OUT_BRAKE,   /* on */
     OUT_MONITOR, /* value */
+    OUT_ENABLE_INPUT, /* used */
+    OUT_HOLDING, /* release */
     OUT_DONE,    /* the fast loop is through */
     OUT_ERASE,   /* sector */
     OUT_PROGRAM, /* word, value: low half, high half */

@@ -277,6 +277,9 @@ bool __real_hal_reset_by_watchdog(hal_t *hal);
 uint16_t __real_hal_late_loops(hal_t *hal);
 uint16_t __real_hal_receiver_overruns(hal_t *hal);
 void __real_hal_brake(hal_t *hal, bool on);
+uint16_t __real_hal_inputs(hal_t *hal, uint16_t axis);
+void __real_hal_enable_input(hal_t *hal, uint16_t axis, bool used);
+void __real_hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
 void __real_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value);
 bool __real_hal_flash_present(hal_t *hal);
 uint32_t __real_hal_flash_read(hal_t *hal, uint16_t word);
@@ -359,6 +362,13 @@ uint16_t __wrap_hal_adc_temperature(hal_t *hal, uint16_t axis)
     const uint16_t code = __real_hal_adc_temperature(hal, axis);
     in(code);
     return code;
+}
+
+uint16_t __wrap_hal_inputs(hal_t *hal, uint16_t axis)
+{
+    const uint16_t inputs = __real_hal_inputs(hal, axis);
+    in(inputs);
+    return inputs;
 }
 
 uint16_t __wrap_hal_late_loops(hal_t *hal)
@@ -508,6 +518,18 @@ void __wrap_hal_brake(hal_t *hal, bool on)
 {
     out1(OUT_BRAKE, 0, on);
     __real_hal_brake(hal, on);
+}
+
+void __wrap_hal_enable_input(hal_t *hal, uint16_t axis, bool used)
+{
+    out1(OUT_ENABLE_INPUT, axis, used);
+    __real_hal_enable_input(hal, axis, used);
+}
+
+void __wrap_hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
+{
+    out1(OUT_HOLDING, axis, release);
+    __real_hal_holding_brake(hal, axis, release);
 }
 
 void __wrap_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)

@@ -175,6 +175,12 @@ uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis)
     return take(hal);
 }
 
+uint16_t hal_inputs(hal_t *hal, uint16_t axis)
+{
+    (void)axis;
+    return take(hal);
+}
+
 uint16_t hal_late_loops(hal_t *hal) { return take(hal); }
 
 uint16_t hal_receiver_overruns(hal_t *hal) { return take(hal); }
@@ -187,6 +193,18 @@ void hal_brake(hal_t *hal, bool on)
 {
     out_head(&hal->out, OUT_BRAKE, 0);
     out_word(&hal->out, on ? 1U : 0U);
+}
+
+void hal_enable_input(hal_t *hal, uint16_t axis, bool used)
+{
+    out_head(&hal->out, OUT_ENABLE_INPUT, axis);
+    out_word(&hal->out, used ? 1U : 0U);
+}
+
+void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
+{
+    out_head(&hal->out, OUT_HOLDING, axis);
+    out_word(&hal->out, release ? 1U : 0U);
 }
 
 void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)

@@ -12,7 +12,7 @@ from typing import Final
 from targets import server_requests
 from targets.recording import Scenario
 from targets.rig import Rig
-from targets.scenarios import faults, homing, moves, observers, stops, storage, tuning
+from targets.scenarios import faults, homing, moves, observers, pins, stops, storage, tuning
 from targets.scenarios.parts import plant, ready
 
 
@@ -64,5 +64,7 @@ SCENARIOS: Final = (
     Scenario("homing", plant(), homing.homing),
     Scenario("blocked", plant(), homing.blocked),
     Scenario("storage", plant(), storage.storage),
+    Scenario("pins", pins.wired(), pins.pins),
+    Scenario("held-searches", pins.wired(), pins.lost),
     Scenario("server", plant(), server),
 )

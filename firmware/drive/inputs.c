@@ -1,0 +1,81 @@
+#include "drive/inputs.h"
+
+#include "drive/axis_faults.h"
+#include "drive/limits.h"
+
+/* A contact that opens and closes again within this time while the shaft leaves the switch has bounced [slow ticks]. */
+#define BOUNCE_TICKS 100U
+
+void inputs_configure(axis_t *axis)
+{
+    hal_enable_input(axis->hal, axis->index, (axis->config->pins.fitted & INPUT_ENABLE) != 0U);
+}
+
+bool inputs_permit(const axis_t *axis)
+{
+    const uint16_t missing = axis->config->pins.fitted & (uint16_t)~axis->inputs;
+    return (missing & INPUT_ENABLE) == 0U && (axis->inputs & INPUT_LIMITS) != INPUT_LIMITS;
+}
+
+/* A level holds from its second slow tick on. */
+static uint16_t filtered(axis_t *axis, uint16_t levels)
+{
+    const uint16_t changing = levels ^ axis->inputs_state.seen;
+    axis->inputs_state.seen = levels;
+    return (uint16_t)((axis->inputs & changing) | (levels & (uint16_t)~changing));
+}
+
+/* The hardware has opened the switches already: not a tick is lost. At rest it is no fault, and a closed input counts again. */
+static void watch_enable(axis_t *axis)
+{
+    if ((axis->config->pins.fitted & INPUT_ENABLE) == 0U || (axis->inputs_state.seen & INPUT_ENABLE) != 0U) {
+        return;
+    }
+    axis->inputs = (uint16_t)(axis->inputs & (uint16_t)~INPUT_ENABLE);
+    if (axis->sm.state == STATE_RUN || axis->requested) {
+        axis_raise(axis, FOUND(FINDING_ENABLE_OPEN));
+    } else {
+        inputs_configure(axis);
+    }
+}
+
+/* A switch in the way of the motion; or one behind the shaft, which cannot be reached: its wire, or the wrong switch. */
+static bool reached(const axis_t *axis, uint16_t fresh)
+{
+    const frac32_t speed = axis->feedback.speed;
+    const bool ahead =
+        ((fresh & INPUT_LIMIT_MAX) != 0U && speed >= 0) || ((fresh & INPUT_LIMIT_MIN) != 0U && speed <= 0);
+    return ahead || axis->inputs_state.clear > BOUNCE_TICKS;
+}
+
+static void watch_limits(axis_t *axis, uint16_t before)
+{
+    const uint16_t fresh = axis->inputs & (uint16_t)~before & INPUT_LIMITS;
+    const bool driven = axis->substate == SUBSTATE_SPIN || axis->substate == SUBSTATE_STARTUP;
+    if (fresh != 0U) {
+        limits_tighten(axis);
+        if (axis->sm.state == STATE_RUN && driven && reached(axis, fresh)) {
+            axis_raise(axis, FOUND(FINDING_LIMIT_SWITCH));
+        }
+    }
+    if ((axis->inputs & INPUT_LIMITS) != 0U) {
+        axis->inputs_state.clear = 0;
+    } else if (axis->inputs_state.clear < UINT16_MAX) {
+        axis->inputs_state.clear++;
+    }
+}
+
+void inputs_step(axis_t *axis)
+{
+    const uint16_t fitted = axis->config->pins.fitted & (INPUT_HOME | INPUT_LIMITS | INPUT_ENABLE);
+    const uint16_t before = axis->inputs;
+    if (fitted == 0U) {
+        axis->inputs = 0;
+    } else {
+        axis->inputs = filtered(axis, hal_inputs(axis->hal, axis->index) & fitted);
+        watch_enable(axis);
+        watch_limits(axis, before);
+    }
+    const bool held = !inputs_permit(axis) || (axis->inputs & INPUT_LIMITS) != 0U;
+    axis->input_limits = held ? LIMIT_INPUT : 0U;
+}

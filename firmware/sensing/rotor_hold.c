@@ -1,0 +1,178 @@
+#include "sensing/rotor_hold.h"
+
+#include "math/trig.h"
+
+typedef enum {
+    STAGE_RISE,   /* the brake holds, the current grows */
+    STAGE_CATCH,  /* the brake opens */
+    STAGE_AWAY,   /* does the shaft follow a vector that turns a little? */
+    STAGE_BACK,   /* where it was */
+    STAGE_WEAKEN, /* half of the current */
+} rotor_hold_stage_t;
+
+/* With a the largest acceleration of the electrical angle per slow tick squared, and the vector at -(P x + D dx), the shaft
+ * is a second-order system with omega^2 = a (1 + P) and 2 zeta omega = D a. A rotor that is opposite to the vector at first is
+ * driven until that has turned by half a turn: the more damping, the sooner. D a = 0.7 leaves room for an inertia half as
+ * large as believed; larger D than 80 makes too much of a count. */
+#define GAIN 2
+#define DAMPING_TIMES_ACCELERATION UINT32_C(7301) /* 0.7 / 2 pi x 2^16 */
+#define DAMPING_MAX UINT32_C(80)
+#define DAMPED_PARTS 3 /* of D, one for the first count */
+#define INTEGRAL_SHIFT 3 /* of P, per slow tick */
+
+#define AWAY_OVER_MOVE 8 /* the small turn, in counts that are a twitch */
+/* The shaft does not obey: half a turn from where it was, and once it has been caught an eighth; 2^32 is a turn. */
+#define ASTRAY (INT64_C(1) << 31)
+#define ASTRAY_CAUGHT (INT64_C(1) << 29)
+#define SOLVE_BITS 12
+
+void rotor_hold_start(rotor_search_t *search, const rotor_search_config_t *config, int32_t position,
+                      int32_t acceleration)
+{
+    const int64_t counts = (int64_t)acceleration * config->current_limit; /* 37 fraction bits */
+    const int64_t angle = asr64(asr64(counts, 16) * config->angle_per_count, 37); /* 2^16 is a turn */
+    const uint32_t a = (angle > 1) ? (uint32_t)angle : 1U;
+    const uint32_t damping = DAMPING_TIMES_ACCELERATION / a;
+    *search = (rotor_search_t){
+        .phase = ROTOR_SEARCH_HOLD,
+        .origin = position,
+        .last = position,
+        .damping = (uint16_t)((damping < DAMPING_MAX) ? damping : DAMPING_MAX),
+        .searches = 1,
+    };
+}
+
+bool rotor_hold_holds(const rotor_search_t *search)
+{
+    return search->phase == ROTOR_SEARCH_HOLD && search->stage != (uint16_t)STAGE_RISE;
+}
+
+static frac16_t upper(uint32_t angle) { return (frac16_t)(uint16_t)(angle >> 16); }
+
+/* phi_1 of sin(phi_1 + turned) = 2 sin(phi_1); a load of more than the largest torque is the end of the range. */
+static frac16_t lead(frac16_t turned)
+{
+    const frac16_t size = f16_abs(turned);
+    int32_t angle = 0;
+    for (int32_t step = INT32_C(1) << SOLVE_BITS; step != 0; step >>= 1) {
+        const frac16_t next = (frac16_t)(angle + step);
+        angle += (sin_cos(f16_add_wrap(next, size)).sin >= 2 * sin_cos(next).sin) ? step : 0;
+    }
+    return (frac16_t)((turned < 0) ? -angle : angle);
+}
+
+static void found(rotor_search_t *search)
+{
+    const frac16_t turned = f16_sub_wrap(search->vector, search->ahead);
+    const frac16_t behind = f16_add_wrap(lead(turned), turned);
+    const frac16_t across = sat16(sin_cos(behind).sin);
+    search->vector = f16_sub_wrap(search->vector, behind);
+    search->current = f32_from_f16(f16_mul(f16_from_f32(search->current), across));
+    search->phase = ROTOR_SEARCH_FOUND;
+}
+
+static void next(rotor_search_t *search, rotor_hold_stage_t stage)
+{
+    search->stage = (uint16_t)stage;
+    search->timer = 0;
+    search->calm = 0;
+}
+
+/* The vector turns against what moves the shaft. Returns slow ticks for which that has been where it was. */
+static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+{
+    const int32_t off = i32_sub_wrap(position, search->origin);
+    const int32_t moved = i32_sub_wrap(position, search->last);
+    const uint32_t per_count = (uint32_t)config->angle_per_count;
+    const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, as the vector */
+    search->balance -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* less than a turn: see ASTRAY */
+    const int32_t first = (moved > 0) - (moved < 0); /* less for this count, or the shaft would dither about it */
+    const int32_t rate = DAMPED_PARTS * moved - (DAMPED_PARTS - 1) * first;
+    const uint32_t damped = (uint32_t)(rate * (int32_t)search->damping) * (per_count / DAMPED_PARTS);
+    search->vector = upper(search->balance - GAIN * angle - damped);
+    search->timer = (off >= -1 && off <= 1 && moved == 0) ? (uint16_t)(search->timer + 1U) : 0U;
+    search->last = position;
+    return search->timer;
+}
+
+/* The vector turns until the shaft has followed. Two balances are none: the rotor opposite to the vector, held by friction
+ * alone, moves the other way, and begins anew from there; that of a reversed encoder runs away without the control. */
+static void away(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+{
+    const int32_t counts = AWAY_OVER_MOVE * (int32_t)config->move_counts;
+    const int32_t moved = i32_sub_wrap(position, search->origin);
+    search->last = position;
+    if (moved < -counts && search->escapes == 0U) {
+        search->escapes++;
+        search->ahead = 0;
+        next(search, STAGE_CATCH);
+    } else if (moved > 3 * counts || moved < -counts) {
+        search->phase = ROTOR_SEARCH_REVERSED;
+    } else if (search->timer == 0U && moved < counts && search->ahead < (int32_t)config->verify_angle) {
+        search->ahead = f16_add(search->ahead, (frac16_t)config->verify_step);
+        search->vector = f16_add_wrap(upper(search->balance), search->ahead);
+    } else if (++search->timer >= config->hold_ticks) {
+        search->phase = (moved >= counts / 2) ? ROTOR_SEARCH_HOLD : ROTOR_SEARCH_HELD;
+        next(search, STAGE_BACK);
+    }
+}
+
+static void rise(rotor_search_t *search, const rotor_search_config_t *config, frac32_t limit)
+{
+    search->current = f32_limit((int64_t)search->current + config->current_step, limit);
+    if (search->current == limit) {
+        next(search, STAGE_CATCH);
+    }
+}
+
+static void weaken(rotor_search_t *search, const rotor_search_config_t *config, frac32_t half)
+{
+    if (search->current > half) {
+        const frac32_t less = search->current - config->current_step;
+        search->current = (less > half) ? less : half;
+        search->timer = 0;
+    } else if (search->timer >= config->hold_ticks) {
+        found(search);
+    }
+}
+
+void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+{
+    const frac32_t limit = f32_from_f16(config->current_limit);
+    const int64_t way = (int64_t)i32_sub_wrap(position, search->origin) * config->angle_per_count;
+    const int64_t astray = (search->stage > (uint16_t)STAGE_CATCH) ? ASTRAY_CAUGHT : ASTRAY;
+    if (way > astray || way < -astray) {
+        search->phase = ROTOR_SEARCH_HELD;
+        return;
+    }
+    if (search->starved >= ROTOR_SEARCH_STARVED_MAX) {
+        search->phase = ROTOR_SEARCH_STARVED;
+        return;
+    }
+    if (search->stage == (uint16_t)STAGE_AWAY) {
+        away(search, config, position);
+        return;
+    }
+    const uint16_t calm = balance(search, config, position);
+    switch ((rotor_hold_stage_t)search->stage) {
+    case STAGE_RISE:
+        rise(search, config, limit);
+        break;
+    case STAGE_CATCH:
+        if (!search->released) {
+            search->timer = 0;
+        } else if (calm >= config->hold_ticks) {
+            next(search, STAGE_AWAY);
+        }
+        break;
+    case STAGE_BACK:
+        if (calm >= config->rest_ticks) {
+            search->ahead = search->vector;
+            next(search, STAGE_WEAKEN);
+        }
+        break;
+    default:
+        weaken(search, config, limit / 2);
+        break;
+    }
+}

@@ -1,0 +1,391 @@
+"""Switches, enable input and holding brake: a load that must not drop, a switch at speed, wires that are cut."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.board import Board
+from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.rig import (
+    COUNT,
+    TICK,
+    choose_mode,
+    command_position,
+    command_speed,
+    fresh_board,
+    position_of,
+)
+from servo_twin.harm import CutWire, Pin
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+
+NAME: Final = "pins"
+HELP: Final = """\
+Beyond the reference design, which has none of these pins. A load hangs on a shaft with a holding brake: how far it
+drops when the drive is enabled for the first time, which has to find the rotor; later, when its angle is known; when
+it is disabled, and with a fault. The enable input is opened at full speed: PWM periods until the switches are open. A
+limit switch is reached at speed: the way beyond it, and that only the way off it is free. Every wire is cut."""
+
+LOAD: Final = 0.2
+"""That hangs on the shaft, of the rotor search's largest torque."""
+SEARCH_CURRENT: Final = 4.0  # of the configuration [A]
+BRAKE: Final = 0.6  # torque of the brake, of the same
+OPEN_TIME: Final = 0.03  # of the brake [s]
+CLOSE_TIME: Final = 0.02
+OPEN_BELIEF: Final = 0.04  # the configuration waits longer: servo.toml [s]
+CLOSE_BELIEF: Final = 0.03
+ANGLES: Final = 4  # at which a rotor starts
+
+FIRST_DROP: Final = 0.5
+"""While the rotor is searched under load: a rotor opposite to the vector turns until that has come round [rad]."""
+HELD_DROP: Final = 6.0 * COUNT
+"""While the position is controlled and the brake hands over the load [rad]."""
+LATE: Final = 2.0 * TICK  # until the brake's coil is off after a fault [s]
+
+FULL_SPEED: Final = 300.0  # [rad/s]
+ACCELERATION: Final = 4000.0  # of a stop, servo.toml [rad/s^2]
+SEEN: Final = 4.0 * TICK  # a switch is filtered, the stop begins with the next slow loop [s]
+AWAY: Final = 20.0  # from the start to the switch [rad]
+LAG: Final = 0.004  # of the speed loop behind its ramp [s]
+
+_ALL: Final[Mapping[str, int]] = {"home": 1, "limit_min": 2, "limit_max": 4, "enable": 8, "brake": 16}
+
+
+class _Memory:
+    """A board as `servo_msgs_py.axis_config_transfer` wants it."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    def read_words(self, name: str) -> list[int]:
+        return self._board.read_raw(name)
+
+    def write_words(self, name: str, words: Sequence[int]) -> bool:
+        pack = self._board.catalogue[name].raw_type.pack
+        self._board.write_memory(self._board.address(name), b"".join(map(pack, words)))
+        return True
+
+    def wait(self) -> bool:
+        self._board.run(TICK)
+        return True
+
+
+def fit(board: Board, *pins: Pin) -> None:
+    """Tell the firmware which pins both axes of a board at rest have."""
+    memory = _Memory(board)
+    for axis in range(AXES):
+        changed = {
+            "pins.fitted": sum(_ALL[pin] for pin in pins),
+            "pins.open_ticks": round(OPEN_BELIEF / TICK),
+            "pins.close_ticks": round(CLOSE_BELIEF / TICK),
+        }
+        send_block(memory, axis, {**read_block(memory, axis), **changed})
+    take_blocks(memory, range(AXES), memory.wait)
+    board.run(10.0 * TICK)
+
+
+def wired(plant: PlantConfig, **pins: float) -> PlantConfig:
+    """The plant with something at the pins of both axes."""
+    for axis, entry in enumerate(plant.axes):
+        plant = plant.with_axis(axis, pins=replace(entry.pins, **pins))
+    return plant
+
+
+def _word(board: Board, axis: int, flags: str) -> set[str]:
+    raw = board.read_raw(f"{axis_name(axis)}.{flags}")[0]
+    return {flag.name for flag in board.catalogue.active(flags, raw)}
+
+
+def _in(board: Board, axis: int, state: str, substate: str | None = None) -> bool:
+    enums = board.catalogue.enums
+    found = board.read_raw(f"{axis_name(axis)}.state")[0] == enums["state_t"][state]
+    if substate is None:
+        return found
+    return found and board.read_raw(f"{axis_name(axis)}.substate")[0] == enums["substate_t"][substate]
+
+
+def _until(board: Board, what: str, holds: Callable[[int], bool], seconds: float = 3.0) -> None:
+    for _ in range(round(seconds / 0.005)):
+        if all(holds(axis) for axis in range(AXES)):
+            return
+        board.run(0.005)
+    raise SimulationError(f"not within {seconds:g} s: {what}")
+
+
+def _enable(board: Board) -> None:
+    board.write("cmd.enable", [1] * AXES)
+    _until(board, "both axes in SPIN, their brakes open", lambda axis: _ready(board, axis))
+
+
+def _ready(board: Board, axis: int) -> bool:
+    brake = board.truth(axis).brake_holds == 0.0 or board.plant.axes[axis].pins.brake_torque == 0.0
+    return _in(board, axis, "RUN", "SPIN") and brake
+
+
+# ---- a load that hangs ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Hang:
+    """How far loads have dropped, by axis [rad].
+
+    Attributes
+    ----------
+    first, again, off, fault : tuple of float
+        While the drive was enabled for the first time and again, disabled, and switched off by its enable input.
+    time : ndarray
+        Of the first one [s].
+    course : tuple of ndarray
+        Shafts meanwhile [rad].
+    """
+
+    first: tuple[float, ...]
+    again: tuple[float, ...]
+    off: tuple[float, ...]
+    fault: tuple[float, ...]
+    time: NDArray[np.float64]
+    course: tuple[NDArray[np.float64], ...]
+
+
+def _largest(board: Board, seconds: float) -> tuple[tuple[float, ...], NDArray[np.float64]]:
+    """Farthest from where the shafts are now, and their ways, one row per axis, every millisecond [rad]."""
+    start = [board.truth(axis).theta_m for axis in range(AXES)]
+    ways = []
+    for _ in range(round(seconds / 0.001)):
+        board.run(0.001)
+        ways.append([board.truth(axis).theta_m - start[axis] for axis in range(AXES)])
+    way = np.array(ways).T
+    return tuple(float(np.abs(row).max()) for row in way), way
+
+
+def load_of(plant: PlantConfig, axis: int) -> float:
+    """What hangs on a shaft [N m]."""
+    return LOAD * SEARCH_CURRENT * plant.axes[axis].torque_constant
+
+
+def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
+    """Loads on both shafts from the start on; rotors `angle` off the vector of their searches, electrical [rad]."""
+    for axis, entry in enumerate(plant.axes):
+        pins = replace(
+            entry.pins,
+            brake_torque=BRAKE * SEARCH_CURRENT * entry.torque_constant,
+            brake_open_time=OPEN_TIME,
+            brake_close_time=CLOSE_TIME,
+        )
+        plant = plant.with_axis(axis, theta_start=angle / entry.pole_pairs, pins=pins)
+    with fresh_board(plant, seed) as board:
+        board.run(0.03)
+        fit(board, "brake", "enable")
+        for axis in range(AXES):
+            board.set_load(axis, load_of(plant, axis))
+        board.write("cmd.enable", [1] * AXES)
+        first, course = _largest(board, 1.2)
+        _until(board, "SPIN after the search", lambda axis: _ready(board, axis))
+        board.write("cmd.enable", [0] * AXES)
+        off, _ = _largest(board, 0.3)
+        _until(board, "STOP", lambda axis: _in(board, axis, "STOP"))
+        board.run(0.3)  # an axis waits for a shaft that rests
+        board.write("cmd.enable", [1] * AXES)
+        again, _ = _largest(board, 0.4)
+        _until(board, "SPIN again", lambda axis: _ready(board, axis))
+        for axis in range(AXES):
+            board.inject(CutWire(axis, "enable"))
+        fault, _ = _largest(board, 0.2)
+    return Hang(first, again, off, fault, 0.001 * np.arange(1, course.shape[1] + 1), tuple(course))
+
+
+def fault_drop(plant: PlantConfig, axis: int) -> float:
+    """Bound of the drop with a fault: free fall until the brake holds, then against it [rad]."""
+    entry, load = plant.axes[axis], load_of(plant, axis)
+    falling = CLOSE_TIME + LATE
+    speed = load / entry.inertia * falling
+    held = (BRAKE - LOAD) * SEARCH_CURRENT * entry.torque_constant / entry.inertia
+    return 0.5 * speed * falling + speed**2 / (2.0 * held)
+
+
+# ---- the enable input at speed -------------------------------------------------------------------------------------
+
+
+_TRACE_GATES: Final = 3  # chip/trace.h
+_CLOCK_NS: Final = 10
+
+
+def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
+    """Cut the wire of the enable circuit of axis 1 at full speed.
+
+    Returns
+    -------
+    switches : float
+        PWM periods until the last switch of its inverter changes; 0 where there is no chip to look at.
+    named : bool
+        ENABLE_INPUT, and nothing else, 5 ms later.
+    """
+    with fresh_board(plant, seed) as board:
+        board.run(0.03)
+        fit(board, "enable")
+        _enable(board)
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, FULL_SPEED)
+        board.run(0.4)
+        now = board.time_ns + PERIOD_NS
+        before = board.trace(now)["clock"]
+        board.inject(CutWire(0, "enable"))
+        log = board.trace(now + 80 * PERIOD_NS)
+        gates = log["clock"][(log["kind"] == _TRACE_GATES) & (log["a"] < 3)]
+        board.run(0.001)
+        periods = (int(gates[-1]) - int(before[-1])) * _CLOCK_NS / PERIOD_NS if gates.size else 0.0
+        return periods, _word(board, 0, "faults") == {"ENABLE_INPUT"}
+
+
+# ---- a limit switch at speed ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Overrun:
+    """A switch that both axes reach at speed.
+
+    Attributes
+    ----------
+    beyond : float
+        Way past the switch [rad].
+    named : bool
+        LIMIT_SWITCH, and nothing else.
+    into, off : float
+        Way after a set-point beyond the switch, and after one back [counts].
+    """
+
+    beyond: float
+    named: bool
+    into: float
+    off: float
+
+
+def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
+    """Both axes run into their upper limit switches, and are sent on, and back."""
+    start = [entry.theta_start if entry.theta_start != "random" else 0.0 for entry in plant.drawn(seed).axes]
+    at = [angle + AWAY for angle in start]
+    for axis, entry in enumerate(plant.axes):
+        pins = replace(entry.pins, limit_max=at[axis])
+        plant = plant.with_axis(axis, theta_start=start[axis], pins=pins)
+    with fresh_board(plant, seed) as board:
+        board.run(0.03)
+        fit(board, "limit_min", "limit_max")
+        _enable(board)
+        for axis in range(AXES):
+            choose_mode(board, axis, "SPEED")
+            command_speed(board, axis, FULL_SPEED)
+        _until(board, "the stop at the switches", lambda axis: _in(board, axis, "FAULT"))
+        beyond = [board.truth(axis).theta_m - at[axis] for axis in range(AXES)]
+        named = [_word(board, axis, "faults") == {"LIMIT_SWITCH"} for axis in range(AXES)]
+        board.run(0.2)
+        board.write("cmd.clear_faults", [1] * AXES)
+        board.run(0.1)
+        _enable(board)
+        board.run(0.2)
+        ways = []
+        for turns in (1.0, -1.0):
+            here = [position_of(board, axis) for axis in range(AXES)]
+            for axis in range(AXES):
+                choose_mode(board, axis, "POSITION")
+                command_position(board, axis, here[axis] + round(turns * 4000))
+            board.run(0.8)
+            ways.append([abs(position_of(board, axis) - here[axis]) for axis in range(AXES)])
+    return [Overrun(beyond[k], named[k], ways[0][k], ways[1][k]) for k in range(AXES)]
+
+
+# ---- cut wires -----------------------------------------------------------------------------------------------------
+
+
+def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
+    """What the board says of each wire that is cut while axis 1 holds, and of the enable circuit's at rest."""
+    said: dict[str, bool] = {}
+    plant = wired(plant, home_from=-1e6, home_to=1e6)
+    wanted: dict[Pin, set[str]] = {
+        "home": set(),
+        "limit_min": {"LIMIT_SWITCH"},
+        "limit_max": {"LIMIT_SWITCH"},
+        "enable": {"ENABLE_INPUT"},
+    }
+    for pin, faults in wanted.items():
+        with fresh_board(plant, seed) as board:
+            board.run(0.03)
+            fit(board, "home", "limit_min", "limit_max", "enable")
+            _enable(board)
+            board.run(0.1)
+            board.inject(CutWire(0, pin))
+            board.run(0.1)
+            inputs = {"home": "HOME", "enable": "ENABLE"}.get(pin, pin.upper())
+            seen = (inputs in _word(board, 0, "inputs")) == pin.startswith("limit")
+            said[f"{pin}, holding"] = _word(board, 0, "faults") == faults and seen and not _word(board, 1, "faults")
+    with fresh_board(plant, seed) as board:
+        board.run(0.03)
+        fit(board, "enable")
+        board.inject(CutWire(0, "enable"))
+        board.run(0.01)
+        board.write("cmd.enable", [1, 0])
+        board.run(0.1)
+        refused = _in(board, 0, "STOP") and not _word(board, 0, "faults") and "INPUT" in _word(board, 0, "limits")
+        board.heal()
+        board.run(0.1)
+        said["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")
+        board.write("cmd.enable", [1, 0])
+        board.run(0.05)
+        said["enable, whole again: enabled by a new command"] = _in(board, 0, "RUN")
+    return said
+
+
+# ---- the experiment ------------------------------------------------------------------------------------------------
+
+
+def run(plant: PlantConfig, seed: int) -> Outcome:
+    """Hanging loads from several angles, the enable input and a limit switch at speed, cut wires."""
+    hangs = [hang(plant, seed, 2.0 * math.pi * (k + 0.5) / ANGLES) for k in range(ANGLES)]
+    rows: list[Row] = []
+    for axis in range(AXES):
+        name = f"{axis_name(axis)}, load of {load_of(plant, axis) * 1e3:.0f} mN m"
+        fault = fault_drop(plant, axis)
+        rows += [
+            _row(f"{name}: drop, first enabling", [h.first[axis] for h in hangs], FIRST_DROP, apart=0.1),
+            _row(f"{name}: drop, enabled again", [h.again[axis] for h in hangs], HELD_DROP),
+            _row(f"{name}: drop, disabled", [h.off[axis] for h in hangs], HELD_DROP),
+            _row(f"{name}: drop, enable input opened", [h.fault[axis] for h in hangs], fault),
+        ]
+    switches, named = open_enable(plant, seed)
+    rows += [
+        Row("enable input at full speed: switches open after", BEYOND, switches, "PWM periods", Bound(0.0, 1.0)),
+        Row("enable input at full speed: named", BEYOND, float(named), "", Bound(1.0, 1.0)),
+    ]
+    most = FULL_SPEED**2 / (2.0 * ACCELERATION) + FULL_SPEED * (SEEN + LAG)
+    for axis, found in enumerate(overrun(plant, seed)):
+        what = f"{axis_name(axis)}, limit switch at {FULL_SPEED:.0f} rad/s"
+        rows += [
+            Row(f"{what}: beyond", BEYOND, found.beyond, "rad", Bound(0.0, most)),
+            Row(f"{what}: named", BEYOND, float(found.named), "", Bound(1.0, 1.0)),
+            Row(f"{what}: sent on, moves", BEYOND, found.into, "counts", Bound(most=2.0)),
+            Row(f"{what}: sent back, moves", BEYOND, found.off, "counts", Bound(3990.0, 4010.0)),
+        ]
+    rows += [
+        Row(f"wire cut: {what}", BEYOND, float(right), "", Bound(1.0, 1.0))
+        for what, right in cut_wires(plant, seed).items()
+    ]
+    curves = tuple(
+        Curve(f"{axis_name(axis)}, {360.0 * (k + 0.5) / ANGLES:.0f} deg", h.time, np.degrees(h.course[axis]))
+        for k, h in enumerate(hangs)
+        for axis in range(AXES)
+    )
+    panel = Panel("a load hangs on the shaft: first enabling", "time [s]", "shaft [deg]", curves)
+    times = f"brake: opens in {OPEN_TIME * 1e3:.0f} ms, closes in {CLOSE_TIME * 1e3:.0f} ms"
+    return Outcome(NAME, tuple(rows), (panel,), (times, f"drops: the largest of {ANGLES} angles of the rotor"))
+
+
+def _row(name: str, drops: Sequence[float], most: float, apart: float | None = None) -> Row:
+    return Row(name, BEYOND, max(drops), "rad", Bound(most=most), apart=apart)

@@ -1,0 +1,40 @@
+"""Loads do not drop, inputs stop what they should; what is missing is noticed."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from servo_twin.experiments import pins
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import SimulationError
+
+
+def test_agrees() -> None:
+    assert {row.name for row in pins.run(PlantConfig.load(), seed=2).rows if not row.agrees} == set()
+
+
+def test_a_load_without_a_brake_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pins, "BRAKE", 0.0)
+    with pytest.raises(SimulationError, match="after the search"):
+        pins.hang(PlantConfig.load(), 2, 1.0)
+
+
+def test_a_firmware_that_knows_nothing_of_its_pins_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pins, "fit", lambda board, *names: None)
+    plant = PlantConfig.load()
+    with pytest.raises(SimulationError, match=r"in SPIN|after the search"):
+        pins.hang(plant, 2, 1.0)  # the brake stays closed
+    assert not pins.open_enable(plant, 2)[1]
+    with pytest.raises(SimulationError, match="switches"):
+        pins.overrun(plant, 2)
+    said = pins.cut_wires(plant, 2)
+    assert not said["limit_max, holding"]
+    assert not said["enable, at rest: refused without a fault"]
+
+
+def test_a_brake_that_is_slower_than_believed_lets_the_load_drop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time that the configuration waits matters: 30 ms of it are too little for a brake that takes 90 ms."""
+    monkeypatch.setattr(pins, "CLOSE_TIME", 0.09)
+    found = pins.hang(PlantConfig.load(), 2, math.pi / 3)
+    assert min(found.off) > pins.HELD_DROP

@@ -1,0 +1,99 @@
+"""Switches, enable input and holding brake of both axes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
+from servo_twin.harm import CutWire
+from servo_twin.plant import PlantConfig
+
+from targets.rig import Rig
+from targets.scenarios.parts import HOLD, POSITION, SPEED, plant, ready
+from targets.scenarios.tuning import Blocks
+
+_EVERYTHING = 31
+_TICKS = 8
+
+
+def wired() -> PlantConfig:
+    """Limit switches a turn to both sides, home switches in between, quick brakes."""
+    both = plant((math.pi / 4, 0.5 * math.pi))  # the second opposite to the first vector
+    for axis, entry in enumerate(both.axes):
+        pins = replace(
+            entry.pins, home_from=1.0, home_to=3.0, limit_min=-5.0, limit_max=7.0, brake_torque=0.1,
+            brake_open_time=0.002, brake_close_time=0.002,
+        )  # fmt: skip
+        both = both.with_axis(axis, pins=pins)
+    return both
+
+
+def _fit(rig: Rig) -> None:
+    blocks = Blocks(rig)
+    for axis in (0, 1):
+        block = read_block(blocks, axis)
+        fitted = {"pins.fitted": _EVERYTHING, "pins.open_ticks": _TICKS, "pins.close_ticks": _TICKS}
+        send_block(
+            blocks, axis, {**block, **fitted, "rotor_search.current_step": 4 * block["rotor_search.current_step"]}
+        )
+    take_blocks(blocks, [0, 1], blocks.wait)
+    rig.run(0.005)
+
+
+def pins(rig: Rig) -> None:
+    """A search under load, a switch reached in motion, stops that end in the brake, an enable input that opens."""
+    ready(rig)
+    _fit(rig)
+    rig.inject(CutWire(1, "enable"))
+    rig.run(0.002)
+    rig.load(0, 0.02)
+    rig.set("cmd.enable", 1)  # axis 2 refuses
+    rig.until("axis 1 in SPIN", lambda: rig.places() == ["SPIN", "STOP"])
+    rig.heal(CutWire(1, "enable"))
+    rig.set("cmd.mode", SPEED, POSITION)
+    rig.set("cmd.speed", 100.0, 0.0)  # its brake may still be closed
+    rig.run(0.01)
+    rig.set("cmd.speed", 100.0, 0.0)
+    rig.until("the limit switch", lambda: "LIMIT_SWITCH" in rig.faults(0))
+    rig.until("its stop", lambda: rig.places()[0] == "FAULT")
+    rig.set("cmd.clear_faults", 1)
+    rig.until("axis 1 in STOP", lambda: rig.places()[0] == "STOP")
+    rig.run(0.09)
+    rig.set("cmd.enable", 1)
+    rig.until("axis 1 in SPIN again", lambda: rig.places()[0] == "SPIN")
+    rig.set("cmd.speed", -30.0, 0.0)  # its brake is still closed
+    rig.until("both in SPIN", lambda: rig.places() == ["SPIN", "SPIN"])
+    rig.run(0.01)
+    rig.set("cmd.speed", -30.0, 0.0)
+    rig.run(0.02)
+    rig.set("param.on_disable", HOLD)
+    rig.set("cmd.enable", 0, 0)
+    rig.run(0.02)
+    rig.set("cmd.enable", 0, 1)  # axis 2 is wanted again
+    rig.run(0.02)
+    rig.inject(CutWire(1, "enable"))
+    rig.until("enable input", lambda: "ENABLE_INPUT" in rig.faults(1))
+    rig.inject(CutWire(0, "limit_min"))
+    rig.inject(CutWire(0, "limit_max"))
+    rig.run(0.01)
+
+
+def lost(rig: Rig) -> None:
+    """Searches that fail: a dead encoder, one the wrong way round, a load that is too large, no cable."""
+    ready(rig)
+    _fit(rig)
+    rig.plug(0, False)
+    rig.reverse(1)
+    rig.set("cmd.enable", 1)
+    rig.until("both failed", lambda: rig.places() == ["FAULT", "FAULT"])
+    rig.plug(0, True)
+    rig.reverse(1)
+    rig.load(0, 0.1)
+    rig.motor(1, False)
+    rig.set("cmd.clear_faults", 1)
+    rig.until("both cleared", lambda: rig.places() == ["STOP", "STOP"])
+    rig.run(0.09)
+    rig.set("cmd.enable", 1)
+    rig.until("dropped, and without current", lambda: rig.places() == ["FAULT", "FAULT"])
+    rig.run(0.01)
