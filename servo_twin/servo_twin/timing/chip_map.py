@@ -19,6 +19,7 @@ VECTOR_START: Final = 87
 
 SLOTS: Final = {
     0: "with slow loop",
+    1: "with protection",
     2: "with estimates",
     3: "with checks",
     4: "with current watches",
