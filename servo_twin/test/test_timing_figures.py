@@ -130,12 +130,12 @@ def rooms(entries: list[Entry]) -> dict[str, float | None]:
 
 
 def test_room_is_what_is_left_from_sample_to_load() -> None:
-    """Every kind of handler: alone, with slow loop, watches, supervision, latch, in both loops."""
+    """Every kind of handler: with slow loop, protection, watches, supervision, latch, in both loops."""
     due = HALF - 60 - FIRST
     for name, begin in (("M1", M1_BEGIN), ("M2", 232)):
         left = HALF - begin - RELEASE
-        for kind in ("", *(f" {what}" for what in SLOTS.values())):
-            assert rooms(ideal())[f"{name}{kind}, least room"] == pytest.approx(100.0 * left / due), name + kind
+        for kind in SLOTS.values():
+            assert rooms(ideal())[f"{name} {kind}, least room"] == pytest.approx(100.0 * left / due), name + kind
     assert rooms(ideal())["core busy"] == pytest.approx(100.0 * 2 * LENGTH / PERIOD, abs=1.0)
     assert wrong(deadlines.rows(trace(ideal()), M1_BEGIN)) == set()
 
@@ -187,7 +187,7 @@ def test_a_miss_is_a_negative_room_however_soon_the_next_load_comes() -> None:
 def test_a_loop_that_begins_late_has_less_room() -> None:
     marks = {VECTOR_M2, MCTRL[1]}
     entries = [(c + 1400 if a in marks and k != Kind.SAMPLE else c, k, a, b) for c, k, a, b in ideal()]
-    assert "M2, least room" in wrong(deadlines.rows(trace(entries), M1_BEGIN))
+    assert "M2 with protection, least room" in wrong(deadlines.rows(trace(entries), M1_BEGIN))
 
 
 def without_duties(entries: list[Entry]) -> list[Entry]:

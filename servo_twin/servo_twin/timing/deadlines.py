@@ -123,10 +123,9 @@ def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handl
     runs = runs_of(trace, loop)
     # M2 is half a period behind its M1, either may begin a little late, and M1 a few clocks early.
     slots = (1 + (runs.begin - first_m1 + PERIOD // 8) // PERIOD) % SLOW_PERIODS
-    names = np.array([SLOTS.get(int(slot), "") for slot in slots])
     result = []
-    for name in ("", *SLOTS.values()):
-        chosen = names == name
+    for slot, name in SLOTS.items():
+        chosen = slots == slot
         if not chosen.any():
             continue
         judged = chosen & runs.judged if (chosen & runs.judged).any() else chosen
@@ -134,7 +133,7 @@ def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handl
         due, written = (runs.load - runs.sample)[judged], (runs.released - runs.sample)[judged]
         result.append(
             Handler(
-                f"{loop.name} {name}".strip(),
+                f"{loop.name} {name}",
                 int(chosen.sum()),
                 float((begins - sample).max()) * CLOCK,
                 float(written.max()) * CLOCK,
