@@ -25,7 +25,7 @@ HELD: Final = {"ideal": 3 * 2.0 * np.pi / 4000, "registers": 8 * 2.0 * np.pi / 4
 EXPECTED: Final = {"FAULT", "STOP", "READY", "FREEWHEEL", "HOST_SILENT", "FOLLOWING_ERROR", "OVER_SPEED"}
 """States and faults in which a parameter may end a motion."""
 
-FASTER: Final = 1.5
+FASTER: Final = 1.6
 """A turning one gains no more than this [rad/s]: its ripple."""
 
 FASTER_SENSORLESS: Final = 4.0
