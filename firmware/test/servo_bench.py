@@ -201,6 +201,17 @@ class Bench:
         data = self.catalogue.variables[name].encode_raw(raw)
         assert self.core.lib.servo_write(self.servo, self.address(name), data, len(data)) == 0
 
+    def fit(self, pins: int, axis: int = 0, **times: int) -> Any:
+        """Wire pins of an axis (INPUT_ bits) with the brake's times [slow ticks]; returns its configuration."""
+        config = self.core.ffi.new("axis_config_t *", self.axis(axis).config[0])
+        config.pins.fitted = pins
+        for name, ticks in times.items():
+            setattr(config.pins, name, ticks)
+        self.kept.append(config)
+        self.axis(axis).config = config
+        self.slow(3)
+        return config
+
     def write(self, axis: int, **commands: int) -> None:
         """Write elements of one axis, in this order: ``write(0, mode=SPEED, speed=1000)``; raw numbers."""
         for name, value in commands.items():

@@ -240,7 +240,7 @@ def seek(bench: Bench, edge: int, way: int, ticks: int = 8000) -> list[float]:
     for _ in range(ticks):
         bench.turn(0, rad_s(bench.view(0).speed_ref))
         at = bench.shaft[0].shaft
-        bench.axis(0).inputs = INPUT_HOME if way * (at - edge) >= 0 else 0
+        bench.hal.axis[0].inputs = INPUT_HOME if way * (at - edge) >= 0 else 0
         bench.slow()
         speeds.append(rad_s(bench.view(0).speed_ref))
         if state(bench) != "HOMING" and len(speeds) > 5:
@@ -254,9 +254,11 @@ def test_edge_of_a_switch_becomes_the_position(core: Core, way: int, ahead: int,
     """From before it or from on it, within the way of a slow tick; then the shaft rests off the switch."""
     bench = Bench(core)
     bench.servo.parameter.faults_enabled = [0, 0]
+    bench.fit(INPUT_HOME)
     bench.to_spin(0)
     edge = bench.shaft[0].shaft + way * ahead
-    bench.axis(0).inputs = INPUT_HOME if ahead <= 0 else 0
+    bench.hal.axis[0].inputs = INPUT_HOME if ahead <= 0 else 0
+    bench.slow(3)
     ask(bench, "SWITCH_POSITIVE" if way > 0 else "SWITCH_NEGATIVE", value)
     speeds = seek(bench, edge, way)
     assert (state(bench), result(bench)) == ("KNOWN", "DONE")

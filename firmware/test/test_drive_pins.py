@@ -44,12 +44,7 @@ def bench(core: Core) -> Bench:
 
 def fit(bench: Bench, *pins: int, axis: int = 0) -> Any:
     """Wire pins of an axis; returns its configuration."""
-    config = bench.core.ffi.new("axis_config_t *", bench.axis(axis).config[0])
-    config.pins.fitted, config.pins.open_ticks, config.pins.close_ticks = sum(pins), OPEN, CLOSE
-    bench.kept.append(config)
-    bench.axis(axis).config = config
-    bench.slow(3)
-    return config
+    return bench.fit(sum(pins), axis, open_ticks=OPEN, close_ticks=CLOSE)
 
 
 def spin(bench: Bench) -> None:
