@@ -13,6 +13,12 @@ void freemaster_poll(freemaster_t *server, hal_t *hal)
     (void)hal;
 }
 
+void freemaster_listen(freemaster_t *server, hal_t *hal)
+{
+    (void)server;
+    (void)hal;
+}
+
 uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size)
 {
     (void)server;
