@@ -48,6 +48,7 @@ NOT_ON_A_TARGET = {
     "fill",
     "scope_read",
     # The recorder's board has no switches, and 2 s are too long for a recording.
+    "approach",
     "back_off",
     "run_leg",
     # The recorder's board has a data flash that keeps what is written, and sets of one version of the firmware.
@@ -87,7 +88,6 @@ def test_target_agrees(
     (report,) = check([target], expected, c_sources, tmp_path)
     assert not report.problems, "\n".join(report.problems)
     assert report.agrees
-    assert target.name.startswith("avr") or not report.shortened
 
 
 def test_the_machines_differ() -> None:
@@ -160,19 +160,6 @@ def test_recording_repeats(recorder: Recorder, recordings: list[Recording]) -> N
     assert recorder.record(SCENARIOS[0], seed=2).digest != recordings[0].digest
 
 
-def test_a_beginning_is_as_long_as_the_memory_allows(recordings: list[Recording]) -> None:
-    """In steps of the check values, also where only what comes after the last one is too much."""
-    whole = recordings[0]
-    for number, (size, after) in enumerate(zip(whole.sizes, [*whole.sizes[1:], len(whole.image)], strict=True), 1):
-        for room in (size + 9, after):
-            part = whole.beginning(room)
-            assert part.periods == 160 * number <= whole.periods
-            assert (part.digest, part.checks[-1]) == (whole.checks[number - 1],) * 2
-            assert size < len(part.image) == room
-    with pytest.raises(ValueError, match="nothing of"):
-        whole.beginning(whole.sizes[0])
-
-
 def test_arithmetic_repeats(recorder: Recorder, arithmetic: Arithmetic) -> None:
     assert recorder.arithmetic() == arithmetic
     assert recorder.arithmetic(seed=2).digest != arithmetic.digest
@@ -200,7 +187,7 @@ def test_command_prints_one_line_per_target(
     digest = recorded.split()[4]
     assert [line.split()[:3] for line in targets] == [["gcc", "-O0", digest], ["gcc", "-O3", digest]]
     assert missing.split(maxsplit=3)[:3] == ["avr", "-Os", "skipped"]
-    assert missing.endswith("sudo apt-get install gcc-avr avr-libc simavr")
+    assert missing.endswith("sudo apt-get install gcc-avr avr-libc libsimavr-dev")
     assert summary == "2 targets agree with the recording; 1 skipped"
 
 

@@ -71,8 +71,6 @@ def _print(report: Report) -> bool:
     print(f"{report.target.name:20} {value} {report.seconds:6.1f} s  {report.target.about}{verdict}", flush=True)
     for problem in report.problems:
         print("    " + problem.replace("\n", "\n    "))
-    if report.shortened:
-        print(f"    its memory holds the beginning of {', '.join(report.shortened)}; the digest is of that")
     return report.agrees
 
 

@@ -9,18 +9,14 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from targets.calls import difference, parse_console
 from targets.machines import Program, Target
 from targets.recording import CHECK_PERIODS, Arithmetic, Recording
 from targets.sources import Sources
-from targets.toolchain import JOBS, TargetError, TooLargeError
+from targets.toolchain import JOBS, TargetError
 
 Expectation = Recording | Arithmetic
-
-LINK_SLACK: Final = 64
-"""Bytes by which a program may grow with the place of its image."""
 
 
 @dataclass(frozen=True)
@@ -30,15 +26,13 @@ class Report:
     Attributes
     ----------
     digest : int or None
-        Over all expectations, as far as it holds them; None when one of them did not come to its end.
+        Over all expectations; None when one of them did not come to its end.
     expected : int
         What it should be.
     seconds : float
         Sum of the running times.
     problems : tuple of str
         Differences and failures; empty when the target agrees.
-    shortened : tuple of str
-        Recordings of which its memory holds only the beginning, and how much.
     """
 
     target: Target
@@ -46,7 +40,6 @@ class Report:
     expected: int
     seconds: float
     problems: tuple[str, ...]
-    shortened: tuple[str, ...] = ()
 
     @property
     def agrees(self) -> bool:
@@ -59,7 +52,6 @@ class _Run:
     digest: int | None
     seconds: float
     problem: str | None
-    shortened: str | None = None
 
 
 def combined(digests: Sequence[int]) -> int:
@@ -149,24 +141,12 @@ def _build(target: Target, sources: Sources, place: Path) -> Program | str:
 def _run(program: Program, expected: Expectation) -> _Run:
     begin = time.monotonic()
     digest: int | None = None
-    shortened: str | None = None
     try:
-        whole = 0 if isinstance(expected, Arithmetic) else expected.periods
-        if not isinstance(expected, Arithmetic) and not program.remembers and expected.remembered_from is not None:
-            expected = expected.forgetful()
-            shortened = f"{expected.name} {100 * expected.periods // whole} %"
-        try:
-            digest, text = first_difference(program, expected)
-        except TooLargeError as error:
-            if isinstance(expected, Arithmetic):
-                raise
-            expected = expected.beginning(len(expected.image) - error.excess - LINK_SLACK)
-            shortened = f"{expected.name} {100 * expected.periods // whole} %"
-            digest, text = first_difference(program, expected)
+        digest, text = first_difference(program, expected)
     except (TargetError, ValueError) as error:
         text = str(error)
     problem = None if text is None else f"{expected.name}: {text}"
-    return _Run(expected, digest, time.monotonic() - begin, problem, shortened)
+    return _Run(expected, digest, time.monotonic() - begin, problem)
 
 
 def _report(target: Target, runs: Sequence[_Run]) -> Report:
@@ -177,5 +157,4 @@ def _report(target: Target, runs: Sequence[_Run]) -> Report:
         expected=combined([run.expectation.digest for run in runs]),
         seconds=sum(run.seconds for run in runs),
         problems=tuple(run.problem for run in runs if run.problem is not None),
-        shortened=tuple(run.shortened for run in runs if run.shortened is not None),
     )

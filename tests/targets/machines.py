@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,16 +9,15 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from targets.sources import SAMPLES, STRICT, Sources
-from targets.toolchain import TargetError, TooLargeError, compile_objects, has_library, has_program, run
+from targets.toolchain import compile_objects, has_library, has_program, run
 
-AVR_MCU: Final = "atmega1284p"
-AVR_CLOCK: Final = 16_000_000
-AVR_OPTIONS: Final = (f"-mmcu={AVR_MCU}", "-fwrapv", "-mrelax", "-mcall-prologues", "-mstrict-X", "-fno-inline")
+AVR_MCU: Final = "atmega2560"
+AVR_OPTIONS: Final = (f"-mmcu={AVR_MCU}", "-fwrapv", "-mrelax")
 """A sum that is too large for 16 bits wraps, as on the 56800EX, where the compiler would be free to widen it and hide a
-missing cast. The others make small programs: the flash has to hold a recording as well."""
+missing cast."""
 
-AVR_DATA_MOST: Final = 15 * 1024
-"""Bytes of static data, of 16 kB: the linker does not see that the stack needs the rest."""
+AVR_RAM_END: Final = 0xEFFF
+"""Last address of the memory that the simulator gives it."""
 
 PATIENCE: Final = 300.0
 """How long a simulator may take for one recording [s]; the slowest needs a dozen seconds."""
@@ -36,24 +34,15 @@ QEMU_IMAGE_ADDRESS: Final = 0x21000000
 ARITHMETIC_NAME: Final = b"SRVA"
 """Beginning of an image that asks for the arithmetic; all others are recordings (``trace.h``)."""
 
-_EXCESS: Final = re.compile(r"overflowed by (\d+) bytes")
-_COLOUR: Final = re.compile(r"\x1b\[[0-9;]*m")
-
 
 class Program(Protocol):
     """A built program."""
-
-    @property
-    def remembers(self) -> bool:
-        """Whether it has memory for what the core writes to its data flash."""
 
     def run(self, image: bytes) -> str:
         """Start the program with an image; returns what it printed.
 
         Raises
         ------
-        TooLargeError
-            If the machine has no room for the image.
         TargetError
             If the program fails.
         """
@@ -97,7 +86,6 @@ class HostProgram:
     """An executable of the host; the image goes in through its standard input."""
 
     path: Path
-    remembers: bool = True
 
     def run(self, image: bytes) -> str:
         return run([self.path], data=image)
@@ -158,7 +146,6 @@ class QemuProgram:
 
     path: Path
     options: tuple[str, ...] = ()
-    remembers: bool = True
 
     def run(self, image: bytes) -> str:
         with tempfile.NamedTemporaryFile(dir=self.path.parent, suffix=".image") as file:
@@ -196,47 +183,19 @@ class CortexM3:
 
 @dataclass(frozen=True)
 class AvrProgram:
-    """Programs for the AVR, as one object each; one is linked with each image, which lies behind it in flash.
+    """A program for the AVR, and the simulator with more memory than the processor has (firmware/port/avr/simulator.c)."""
 
-    Attributes
-    ----------
-    replay, arithmetic : Path
-        For recordings, and for images that ask for the arithmetic.
-    image_source : Path
-        Places an image.
-    """
-
-    replay: Path
-    arithmetic: Path
-    image_source: Path
-    remembers: bool = False
+    elf: Path
+    simulator: Path
 
     def run(self, image: bytes) -> str:
-        with tempfile.TemporaryDirectory(dir=self.replay.parent) as name:
-            folder = Path(name)
-            (folder / "image.bin").write_bytes(image)
-            define = f'-DMACHINE_IMAGE="{folder / "image.bin"}"'
-            run(["avr-gcc", *AVR_OPTIONS, define, "-c", self.image_source, "-o", folder / "image.o"])
-            elf = folder / "replay.elf"
-            program = self.arithmetic if image.startswith(ARITHMETIC_NAME) else self.replay
-            link = ["-Wl,--gc-sections", "-Wl,--undefined=machine_image_begin"]
-            try:
-                run(["avr-gcc", f"-mmcu={AVR_MCU}", "-mrelax", *link, program, folder / "image.o", "-o", elf])
-            except TargetError as error:
-                excess = _EXCESS.search(str(error))
-                raise TooLargeError(str(error), int(excess[1])) if excess is not None else error from None
-            _check_data(elf)
-            text = run(["simavr", "-m", AVR_MCU, "-f", str(AVR_CLOCK), elf], merged=True, timeout=PATIENCE)
-        # The simulator colours what the target prints and puts a dot for each line feed.
-        lines = (line.removesuffix(".") for line in _COLOUR.sub("", text).splitlines())
-        return "\n".join(line for line in lines if not line.startswith("Loaded ")) + "\n"
-
-
-def _check_data(elf: Path) -> None:
-    sizes = run(["avr-size", elf]).splitlines()[1].split()
-    used = int(sizes[1]) + int(sizes[2])
-    if used > AVR_DATA_MOST:
-        raise TargetError(f"{used} bytes of static data leave too little for the stack of an {AVR_MCU}")
+        with tempfile.NamedTemporaryFile(dir=self.elf.parent) as file:
+            file.write(image)
+            file.flush()
+            text = run([self.simulator, self.elf, file.name], timeout=PATIENCE)
+        return "".join(
+            line for line in text.splitlines(keepends=True) if not line.startswith("Loaded ")
+        )  # simavr's own
 
 
 @dataclass(frozen=True)
@@ -244,8 +203,8 @@ class Avr:
     """A machine whose `int` has 16 bits, as on the 56800EX."""
 
     optimisation: str = "-Os"
-    about: str = "16-bit int, ATmega1284P, simavr"
-    packages: tuple[str, ...] = ("gcc-avr", "avr-libc", "simavr")
+    about: str = "16-bit int, ATmega2560, simavr"
+    packages: tuple[str, ...] = ("gcc-avr", "avr-libc", "libsimavr-dev")
     weight: float = 200.0
 
     @property
@@ -253,31 +212,20 @@ class Avr:
         return f"avr {self.optimisation}"
 
     def available(self) -> bool:
-        return has_library("avr-gcc", "libc.a") and has_program("simavr")
+        return has_library("avr-gcc", "libc.a") and has_library("gcc", "libsimavr.so")
 
     def build(self, sources: Sources, folder: Path) -> AvrProgram:
         port = sources.port("avr")
-        options = [
-            *AVR_OPTIONS,
-            self.optimisation,
-            "-flto",
-            "-fno-toplevel-reorder",
-            "-ffunction-sections",
-            "-fdata-sections",
-        ]
+        options = [*STRICT, SAMPLES, *AVR_OPTIONS, self.optimisation, "-ffunction-sections", "-fdata-sections"]
         include = [f"-I{path}" for path in (sources.firmware, sources.native, port)]
-
         files = [*sources.core(), *sources.replay(), port / "machine.c"]
-        objects = compile_objects(["avr-gcc", *STRICT, SAMPLES, *options, *include], files, folder)
-        replay, arithmetic = folder / "replay.o", folder / "arithmetic.o"
-        for program, unwanted in ((replay, "native_arithmetic"), (arithmetic, "native_replay")):
-            # Optimised as a whole, which needs a tenth less flash, and once for all images. The linker relaxes calls at
-            # the end only: the assembler has to leave it the distances that this changes. gcc 5.4 makes wrong code
-            # where it may reorder functions and data.
-            needed = [path for path in objects if path.stem != unwanted]
-            whole = [option for option in options if option != "-mrelax"]
-            run(["avr-gcc", *whole, "-Wa,-mlink-relax", "-r", "-nostdlib", *needed, "-o", program])
-        return AvrProgram(replay, arithmetic, port / "image.S")
+        objects = compile_objects(["avr-gcc", *options, *include], files, folder)
+        program = AvrProgram(folder / "replay.elf", folder / "simulator")
+        memory = [f"-Wl,--defsym={name}={AVR_RAM_END:#x}" for name in ("__stack", "__DATA_REGION_LENGTH__")]
+        run(["avr-gcc", f"-mmcu={AVR_MCU}", "-mrelax", "-Wl,--gc-sections", *memory, *objects, "-o", program.elf])
+        host = ["gcc", "-std=gnu99", "-O2", f"-DMACHINE_RAM_END={AVR_RAM_END:#x}"]
+        run([*host, port / "simulator.c", "-lsimavr", "-o", program.simulator])
+        return program
 
 
 def missing_text(target: Target) -> str:

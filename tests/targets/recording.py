@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,9 +29,7 @@ _FUNCTION: Final = re.compile(r"^\w+(?: \*)? (\w+)\(", re.MULTILINE)
 _NOT_AN_ENTRY: Final = ("servo_read", "servo_write", "servo_restore", "servo_host_init")
 """Functions of ``servo.h`` that no port calls."""
 
-_HEADER: Final = struct.Struct("<4sIIII")
-_READ_AHEAD: Final = 8
-"""Bytes that a reader may have fetched beyond the last call."""
+_HEADER: Final = struct.Struct("<4sIII")
 _ARITHMETIC: Final = struct.Struct("<4sII")
 _CRC_FLIP: Final = 0xFFFFFFFF
 """zlib returns the complement of what the targets fold."""
@@ -67,8 +64,6 @@ class Recording:
         What a replay program is fed with.
     digest, checks : int, tuple of int
         Check values of all that the core did.
-    sizes : tuple of int
-        Bytes of the image that lead to each check value.
     periods : int
         PWM periods.
     log : memoryview
@@ -77,20 +72,16 @@ class Recording:
         Names of the entries in the table of variables.
     written : tuple of (str, tuple of int)
         Variables that the host wrote, and the raw numbers.
-    remembered_from : int or None
-        Periods from which on the board may read back what it has written to its data flash.
     """
 
     name: str
     image: bytes
     digest: int
     checks: tuple[int, ...]
-    sizes: tuple[int, ...]
     periods: int
     log: memoryview
     fields: dict[int, str]
     written: tuple[tuple[str, tuple[int, ...]], ...]
-    remembered_from: int | None = None
 
     def calls(self, first: int = 0, last: int | None = None) -> list[Call]:
         """Calls of the periods `first` to `last`, which is included."""
@@ -99,36 +90,8 @@ class Recording:
 
     def printing(self, first: int, last: int) -> bytes:
         """Return the image with the wish to have each call of some periods printed."""
-        name, every, _, _, enough = _HEADER.unpack_from(self.image)
-        return _HEADER.pack(name, every, first, last, enough) + self.image[_HEADER.size :]
-
-    def beginning(self, room: int) -> Recording:
-        """As much of the run as surely fits into `room` bytes."""
-        checks = bisect_left(self.sizes, room - _READ_AHEAD)
-        if checks == 0:
-            raise ValueError(f"{self.name}: nothing of {len(self.image)} bytes fits into {room}")
-        return self._first(checks, room)
-
-    def forgetful(self) -> Recording:
-        """As much of the run as a machine can follow that has no memory for the data flash."""
-        if self.remembered_from is None:
-            return self
-        checks = self.remembered_from // CHECK_PERIODS
-        return self._first(checks, self.sizes[checks - 1] + _READ_AHEAD + 1)
-
-    def _first(self, checks: int, room: int) -> Recording:
-        """So many check values, out of so many bytes."""
-        periods = checks * CHECK_PERIODS
-        name, every, first, last, _ = _HEADER.unpack_from(self.image)
-        header = _HEADER.pack(name, every, first, last, periods)
-        return replace(
-            self,
-            image=header + self.image[_HEADER.size : room],
-            digest=self.checks[checks - 1],
-            checks=self.checks[:checks],
-            sizes=self.sizes[:checks],
-            periods=periods,
-        )
+        name, every, _, _ = _HEADER.unpack_from(self.image)
+        return _HEADER.pack(name, every, first, last) + self.image[_HEADER.size :]
 
 
 @dataclass(frozen=True)
@@ -198,19 +161,17 @@ class Recorder:
             scenario.play(rig)
             if not lib.record_end():
                 raise TargetError(f"{scenario.name}: {ffi.string(lib.record_problem()).decode()}")
-            checks, sizes = lib.record_check_values(), lib.record_check_sizes()
+            checks = lib.record_check_values()
             log = bytes(ffi.buffer(lib.record_log(), 2 * lib.record_log_size()))
             return Recording(
                 name=scenario.name,
                 image=bytes(ffi.buffer(lib.record_bytes(), lib.record_size())),
                 digest=int(lib.record_digest()),
                 checks=tuple(int(checks[i]) for i in range(lib.record_checks())),
-                sizes=tuple(int(sizes[i]) for i in range(lib.record_checks())),
                 periods=int(lib.record_periods()),
                 log=memoryview(log).cast("H"),
                 fields=dict(enumerate(rig.entries)),
                 written=tuple(rig.written),
-                remembered_from=rig.remembered_from,
             )
 
     def arithmetic(self, seed: int = 1, rounds: int = ARITHMETIC_ROUNDS) -> Arithmetic:

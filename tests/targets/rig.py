@@ -51,8 +51,6 @@ class Rig:
         Names of the entries in the table of variables.
     written : list of (str, tuple of int)
         Variables that were written, and the raw numbers.
-    remembered_from : int or None
-        As in `targets.recording.Recording`.
     """
 
     def __init__(self, ffi: Any, lib: Any, plant: PlantConfig, seed: int) -> None:
@@ -66,7 +64,6 @@ class Rig:
         self.entries: Sequence[str] = [entry.name for entry in self._memory.table]
         self._spoken_ns = 0
         self.written: list[tuple[str, tuple[int, ...]]] = []
-        self.remembered_from: int | None = None
 
     def __enter__(self) -> Rig:
         return self
@@ -108,10 +105,6 @@ class Rig:
 
     def _now_ns(self) -> int:
         return int(self._lib.board_time_ns(self._board))
-
-    def remember(self) -> None:
-        """From now on the board may read back what it has written to its data flash."""
-        self.remembered_from = self.remembered_from or int(self._lib.record_periods())
 
     # ---- the serial line --------------------------------------------------------------------------------------------
 

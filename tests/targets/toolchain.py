@@ -18,14 +18,6 @@ class TargetError(RuntimeError):
     """A target could not be built, or its program did not end as it should."""
 
 
-class TooLargeError(TargetError):
-    """An image that the memory of a target does not hold; `excess` is what there is too much of [bytes]."""
-
-    def __init__(self, message: str, excess: int) -> None:
-        super().__init__(message)
-        self.excess = excess
-
-
 def run(
     command: Sequence[str | Path],
     *,

@@ -2,10 +2,9 @@
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
-#include <avr/pgmspace.h>
 #include <avr/sleep.h>
 
-extern const uint8_t machine_image_begin[]; /* image.S */
+#include "registers.h"
 
 void machine_start(void)
 {
@@ -16,8 +15,10 @@ void machine_start(void)
 
 uint8_t machine_image(uint32_t at)
 {
-    const uint32_t begin = pgm_get_far_address(machine_image_begin);
-    return pgm_read_byte_far(begin + at);
+    _SFR_MEM8(IMAGE_LOW) = (uint8_t)at;
+    _SFR_MEM8(IMAGE_MIDDLE) = (uint8_t)(at >> 8);
+    _SFR_MEM8(IMAGE_HIGH) = (uint8_t)(at >> 16);
+    return _SFR_MEM8(IMAGE_HIGH);
 }
 
 void machine_print(const char *text)

@@ -1,6 +1,6 @@
-/* machine.h - an ATmega1284P as a machine for test programs: `int` has 16 bits there, as on the 56800EX core.
+/* machine.h - an ATmega2560 as a machine for test programs: `int` has 16 bits there, as on the 56800EX core.
  *
- * Runs on simavr: `simavr -m atmega1284p -f 16000000 PROGRAM.elf`.
+ * It has more RAM than the real one (simulator.c).
  */
 #ifndef MACHINE_H
 #define MACHINE_H
@@ -9,7 +9,7 @@
 
 void machine_start(void);
 
-/* Data that the program was linked with (image.S); flash is read beyond 64 kB too. */
+/* Data that the simulator was started with. */
 uint8_t machine_image(uint32_t at);
 
 /* Text to USART0. */

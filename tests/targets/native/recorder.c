@@ -33,9 +33,8 @@ typedef struct {
     digest_t digest;
     words_t log;
     uint32_t *check;
-    uint32_t *check_at; /* bytes of the image that lead there */
     size_t checks;
-    size_t check_room, check_at_room;
+    size_t check_room;
 } run_recorder_t;
 
 static run_recorder_t recorder;
@@ -46,7 +45,6 @@ void record_begin(uint32_t check_every)
 {
     trace_writer_free(&recorder.writer);
     free(recorder.check);
-    free(recorder.check_at);
     free(recorder.log.word);
     recorder = (run_recorder_t){.check_every = check_every};
     trace_writer_open(&recorder.writer, check_every);
@@ -80,7 +78,6 @@ uint32_t record_periods(void) { return recorder.digest.periods; }
 uint32_t record_digest(void) { return recorder.digest.value; }
 size_t record_checks(void) { return recorder.checks; }
 const uint32_t *record_check_values(void) { return recorder.check; }
-const uint32_t *record_check_sizes(void) { return recorder.check_at; }
 size_t record_log_size(void) { return recorder.log.size; }
 const uint16_t *record_log(void) { return recorder.log.word; }
 
@@ -204,12 +201,9 @@ static void log_call(uint32_t period, const servo_t *servo, bool fresh)
 static void keep_check(void)
 {
     uint32_t *check = (uint32_t *)grown(recorder.check, recorder.checks, sizeof *check, &recorder.check_room);
-    uint32_t *at = (uint32_t *)grown(recorder.check_at, recorder.checks, sizeof *at, &recorder.check_at_room);
     recorder.check = (check != NULL) ? check : recorder.check;
-    recorder.check_at = (at != NULL) ? at : recorder.check_at;
-    if (check != NULL && at != NULL) {
+    if (check != NULL) {
         recorder.check[recorder.checks] = recorder.digest.value;
-        recorder.check_at[recorder.checks] = (uint32_t)recorder.writer.size;
         recorder.checks++;
     }
 }

@@ -24,7 +24,6 @@ uint32_t record_periods(void);
 uint32_t record_digest(void);
 size_t record_checks(void);
 const uint32_t *record_check_values(void);
-const uint32_t *record_check_sizes(void); /* bytes of the image up to there */
 
 /* All calls with what they did, one after the other: period (low word first), kind, axis, number of words out, words
  * out, number of snapshot scalars (0 without a new snapshot), and for each its index and value (low word first). */

@@ -67,9 +67,6 @@ bool replay_recording(void)
         }
         if (digest.periods != period && digest.periods % reader.check_every == 0U) {
             text_long("=", digest.value, "\n");
-            if (digest.periods == reader.enough) {
-                break;
-            }
         }
     }
     text_long("end ", digest.value, "\n");

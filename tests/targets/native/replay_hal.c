@@ -129,15 +129,12 @@ bool hal_flash_present(hal_t *hal)
 static uint32_t *flash_word(hal_t *hal, uint16_t word)
 {
     const uint16_t index = (uint16_t)(word % STORED_ROOM);
-    return (index < REPLAY_WORDS) ? &hal->flash[word / STORED_ROOM][index] : NULL;
+    return (index < STORED_WORDS) ? &hal->flash[word / STORED_ROOM][index] : NULL;
 }
 
 uint32_t hal_flash_read(hal_t *hal, uint16_t word)
 {
     const uint32_t *at = flash_word(hal, word);
-    if (at == NULL && word == hal->last) {
-        return hal->last_value;
-    }
     return (at != NULL) ? *at : UINT32_MAX;
 }
 
@@ -163,8 +160,6 @@ void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value)
     if (at != NULL) {
         *at &= value;
     }
-    hal->last = word;
-    hal->last_value = value;
 }
 
 hal_flash_t hal_flash_result(hal_t *hal) { return (hal_flash_t)take(hal); }
@@ -217,11 +212,7 @@ void hal_watchdog_service(hal_t *hal) { out_head(&hal->out, OUT_WATCHDOG, 0); }
 
 /* ---- calls ------------------------------------------------------------------------------------------------------ */
 
-void replay_power_on(hal_t *hal)
-{
-    (void)memset(hal->flash, 0xFF, sizeof hal->flash);
-    hal->last_value = UINT32_MAX;
-}
+void replay_power_on(hal_t *hal) { (void)memset(hal->flash, 0xFF, sizeof hal->flash); }
 
 void replay_load(hal_t *hal, const trace_call_t *call)
 {

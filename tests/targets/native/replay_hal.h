@@ -6,21 +6,12 @@
 #include "exchange.h"
 #include "trace.h"
 
-/* Words of a copy in the data flash; those behind a set stay erased. */
-#ifdef __AVR__
-#define REPLAY_WORDS 1U /* no room: what is written is forgotten, but for the last word */
-#else
-#define REPLAY_WORDS STORED_WORDS
-#endif
-
 struct hal {
     const uint16_t *in; /* words of this call that are still to come */
     uint16_t left;
     uint16_t missing; /* words asked for beyond the recorded ones; they read as 0 */
     out_log_t out;
-    uint16_t last; /* word that was programmed .. */
-    uint32_t last_value;
-    uint32_t flash[STORAGE_COPIES][REPLAY_WORDS];
+    uint32_t flash[STORAGE_COPIES][STORED_WORDS]; /* words behind a set stay erased */
 };
 
 /* An erased data flash. */

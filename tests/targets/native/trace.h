@@ -1,7 +1,7 @@
 /* trace.h - a recording as a short stream of bytes: which entry points were called, and the words in of each call.
  *
- *   header   "SRVT", then four 32-bit numbers, low byte first: periods between two check values, first and last period
- *            of which every call is to be printed, periods after which it is enough (0: never)
+ *   header   "SRVT", then three 32-bit numbers, low byte first: periods between two check values, first and last period
+ *            of which every call is to be printed
  *   body     bits, most significant first. Calls of one kind and one number of words form a shape; each call is coded
  *            against the last one of its shape.
  *     shape    0: the one that followed last time; 1 and 6 bits: its number. One more than known so far: a new one, its
@@ -75,7 +75,6 @@ typedef struct {
     trace_fetch_t fetch;
     uint32_t check_every;
     uint32_t print_first, print_last; /* periods */
-    uint32_t enough; /* periods, or 0 */
     uint32_t at;
     uint16_t buffer;
     uint16_t bits; /* in `buffer` */

@@ -20,7 +20,6 @@ bool trace_reader_open(trace_reader_t *reader, trace_fetch_t fetch)
     reader->check_every = number(reader);
     reader->print_first = number(reader);
     reader->print_last = number(reader);
-    reader->enough = number(reader);
     trace_model_init(&reader->model);
     return name == UINT32_C(0x54565253);
 }

@@ -121,7 +121,6 @@ void trace_writer_open(trace_writer_t *writer, uint32_t check_every)
     number(writer, check_every);
     number(writer, UINT32_MAX); /* print nothing */
     number(writer, 0);
-    number(writer, 0); /* and go on to the end */
 }
 
 void trace_writer_put(trace_writer_t *writer, const trace_call_t *call)

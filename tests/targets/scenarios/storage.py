@@ -27,7 +27,6 @@ def storage(rig: Rig) -> None:
     rig.set("param.speed_limit", 90.0, 80.0)
     rig.set_raw("storage.request", SAVE, 1)
     rig.run(0.05)
-    rig.remember()  # the seal is still to come
     _finish(rig)
     rig.set_raw("storage.request", SAVE, 2)
     rig.run(0.04)
