@@ -183,7 +183,7 @@ class CortexM3:
 
 @dataclass(frozen=True)
 class AvrProgram:
-    """A program for the AVR, and the simulator with more memory than the processor has (firmware/port/avr/simulator.c)."""
+    """A program for the AVR, and the simulator that runs it (firmware/port/avr/simulator.c)."""
 
     elf: Path
     simulator: Path
