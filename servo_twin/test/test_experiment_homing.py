@@ -20,6 +20,20 @@ def test_stops_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -
     assert min(first.place, second.place) > homing.PLACE_MOST
 
 
+def test_switches_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    zeros = homing._zeros
+    monkeypatch.setattr(homing, "_zeros", lambda board: [zero - 10 * rig.COUNT for zero in zeros(board)])
+    found = homing.to_switches(PlantConfig.load(), 6, 0)
+    low, high = homing.BEYOND_EDGE
+    assert all(one.done and not low <= one.place <= high for one in found)
+
+
+def test_without_a_switch_that_is_fitted_nothing_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(homing, "fit", lambda board, *pins: None)
+    monkeypatch.setattr(homing, "LONGEST", 3.0)
+    assert not any(one.done for one in homing.to_switches(PlantConfig.load(), 6, 0))
+
+
 def test_an_axis_without_the_feature_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(homing, "features", lambda board, axis, **switches: None)
     axes, _ = homing.unhomed(PlantConfig.load(), 6)

@@ -1,11 +1,11 @@
-"""Homing to hard stops at random places, from rubber to steel; a stop that is missing; an axis that is not homed."""
+"""Homing to hard stops, from rubber to steel, and to switches at random places; no stop; an axis that is not homed."""
 
 from __future__ import annotations
 
 import math
 import random
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,6 +17,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 from servo_twin.board import Board
 from servo_twin.experiments.ability import ripple
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.pins import fit
 from servo_twin.experiments.rig import (
     COUNT,
     TICK_NS,
@@ -26,6 +27,7 @@ from servo_twin.experiments.rig import (
     features,
     flag_mask,
     position_of,
+    prepared,
     set_axis,
     spinning,
     watch,
@@ -37,9 +39,9 @@ NAME: Final = "homing"
 HELP: Final = """\
 Beyond the reference design, whose position counts from where the rotor was first found (E41).
 Shown: both axes turn to hard stops at random places to both sides, of random stiffness and damping, twice each:
-spread, repeatability and place against the true angle of the stop, current and force of the contact. A stop that is
-missing is a named fault within the configured way. With the feature HOMING an axis that is not homed refuses far
-set-points and stays near where it was enabled."""
+spread, repeatability and place against the true angle of the stop, current and force of the contact. The same with home
+switches, from outside and from on the switch. A stop that is missing is a named fault within the configured way. With
+the feature HOMING an axis that is not homed refuses far set-points and stays near where it was enabled."""
 
 KINDS: Final[Mapping[str, tuple[float, float]]] = {"rubber": (0.3, 3.0), "plastic": (3.0, 30.0), "steel": (30.0, 150.0)}
 """Stiffness of a stop [N m/rad]."""
@@ -60,11 +62,21 @@ SPREAD_MOST: Final = 3.0
 PLACE_MOST: Final = 2.0
 """Beyond what friction may hold back: a count at each end [counts]."""
 
+ON_SWITCH: Final = (0.1, 0.6)  # beyond the edge, where a homing may begin [rad]
+WIDE: Final = 30.0  # a switch is closed so far beyond its edge [rad]
+BEYOND_EDGE: Final = (-1.0, 6.0)
+"""Where the edge of a switch is found [counts]: a count of the encoder, and three slow ticks (one until it is read,
+two of the filter) at the speed of the first approach. The others are slower in the mean, but not at every instant."""
+
+SWITCH_SPREAD: Final = BEYOND_EDGE[1] - 1.0
+"""Of three edges, which differ in the speed at each [counts]."""
+
 CURRENT_MOST: Final = 1.25
 """Of the limit, the true current, the largest of some ten thousand instants: dead time and noise."""
 
-OVERSHOOT: Final = 1.1
-"""Speed at the contact, over that of the configuration; and, squared, what a lag of half a tick adds to the force."""
+OVERSHOOT: Final = 1.2
+"""Speed at the contact, over that of the configuration, by the ripple of the M/T method at so low a speed; and, squared,
+what a lag of half a tick adds to the force."""
 
 
 @dataclass(frozen=True)
@@ -230,6 +242,51 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
     return found
 
 
+# ---- home switches ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A homing to a switch: success, place of the reference beyond the switch's edge and spread [counts]."""
+
+    done: bool
+    place: float
+    spread: float
+
+
+def to_switches(plant: PlantConfig, seed: int, trial: int) -> list[Switch]:
+    """Home both axes to switches that are closed from a random angle on, in every second trial from on the switch."""
+    rnd = random.Random(f"{NAME} switch {trial} {seed}")
+    plant, way = plant.drawn(seed), (1.0 if trial // 2 % 2 == 0 else -1.0)
+    edges: list[float] = []
+    for axis, entry in enumerate(plant.axes):
+        assert not isinstance(entry.theta_start, str)
+        away = rnd.uniform(*AWAY) if trial % 2 == 0 else -rnd.uniform(*ON_SWITCH)
+        edges.append(entry.theta_start + way * away)
+        closed = sorted((edges[-1], edges[-1] + way * WIDE))
+        plant = plant.with_axis(axis, pins=replace(entry.pins, home_from=closed[0], home_to=closed[1]))
+    with prepared(lambda board: fit(board, "home")), spinning(plant, seed) as board:
+        for axis in range(AXES):
+            ask(board, axis, "SWITCH_POSITIVE" if way > 0.0 else "SWITCH_NEGATIVE")
+        board.run(0.01)
+        end = board.time_ns + round(LONGEST * 1e9)
+        while board.time_ns < end and any(label(board, axis, "home_state") == "HOMING" for axis in range(AXES)):
+            board.write("cmd.enable", [1.0] * AXES)  # the host is there
+            board.run(0.1)
+        zeros = _zeros(board)
+        return [
+            Switch(
+                label(board, axis, "home_result") == "DONE",
+                way * (zeros[axis] - edges[axis]) / COUNT,
+                float(board.read_raw(f"{axis_name(axis)}.home_spread")[0]),
+            )
+            for axis in range(AXES)
+        ]
+
+
+# ---- what cannot be found --------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Missing:
     """A homing without a stop: result, whether the fault has its name, how far the shaft turned, and may [turns]."""
@@ -323,6 +380,9 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
         rows.extend(_rows_kind(kind, found))
         numbers = np.arange(1.0, len(found) + 1.0)
         curves.append(Curve(kind, numbers, np.array([c.place for c in found]), "o"))
+    switches = [one for trial in range(TRIALS) for one in to_switches(plant, seed, trial)]
+    rows.extend(_rows_switch(switches))
+    curves.append(Curve("switch", np.arange(1.0, len(switches) + 1.0), np.array([s.place for s in switches]), "x"))
     for axis, lost in enumerate(missing(plant, seed)):
         what = f"{axis_name(axis)}, no stop"
         named = Bound(1.0, 1.0)
@@ -337,9 +397,21 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
             Row(f"{what}: turns by a speed", BEYOND, it.turned, "counts", Bound(0.9 * it.reach, it.reach + 4.0))
         )
         rows.append(Row(f"{what}: names itself", BEYOND, float(it.named), "", Bound(1.0, 1.0)))
-    notes = (f"{2 * TRIALS} pairs of homings each; places: beyond what friction over stiffness may hold back",)
+    beyond = "beyond what friction over stiffness may hold back, or beyond the edge of a switch"
+    notes = (f"{2 * TRIALS} pairs of homings each; places: {beyond}",)
     places = Panel("place of the reference", "homing", "off, beyond friction [counts]", tuple(curves))
     return Outcome(NAME, tuple(rows), (places, panel), notes)
+
+
+def _rows_switch(found: list[Switch]) -> list[Row]:
+    failed = float(sum(not s.done for s in found))
+    places = [s.place for s in found]
+    return [
+        Row("switch: homings that fail", BEYOND, failed, "", Bound(0.0, 0.0)),
+        Row("switch: spread", BEYOND, max(s.spread for s in found), "counts", Bound(most=SWITCH_SPREAD)),
+        Row("switch: earliest beyond its edge", BEYOND, min(places), "counts", Bound(*BEYOND_EDGE)),
+        Row("switch: latest beyond its edge", BEYOND, max(places), "counts", Bound(*BEYOND_EDGE)),
+    ]
 
 
 def _rows_kind(kind: str, found: list[Contact]) -> list[Row]:
