@@ -59,16 +59,20 @@ class TestChoice:
 
 
 def test_both_levels_do_the_same_move() -> None:
-    reached = {}
-    for level in LEVELS:
-        with Board(level=level, seed=3) as board:
-            enable(board)
-            results, _ = move(board, {0: 4000, 1: -2000}, 0.6)
-            reached[level] = results
-    for registers, ideal in zip(reached["registers"], reached["ideal"], strict=True):
-        assert abs(registers.reached - registers.target) <= 4
-        assert registers.speed_most == pytest.approx(ideal.speed_most, rel=0.03)
-        assert registers.i_q_most == pytest.approx(ideal.i_q_most, rel=0.1)
+    """The largest current is that of one noisy sample: compared is its mean over some boards."""
+    currents: dict[Level, list[list[float]]] = {level: [] for level in LEVELS}
+    for seed in (1, 2, 3):
+        reached = {}
+        for level in LEVELS:
+            with Board(level=level, seed=seed) as board:
+                enable(board)
+                reached[level], _ = move(board, {0: 4000, 1: -2000}, 0.6)
+            currents[level].append([result.i_q_most for result in reached[level]])
+        for registers, ideal in zip(reached["registers"], reached["ideal"], strict=True):
+            assert abs(registers.reached - registers.target) <= 4
+            assert registers.speed_most == pytest.approx(ideal.speed_most, rel=0.03)
+    mean = {level: np.mean(found, axis=0) for level, found in currents.items()}
+    assert mean["registers"] == pytest.approx(mean["ideal"], rel=0.1)
 
 
 def test_both_levels_heat_the_power_stages_alike() -> None:

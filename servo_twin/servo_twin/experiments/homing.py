@@ -75,7 +75,7 @@ CURRENT_MOST: Final = 1.25
 """Of the limit, the true current, the largest of some ten thousand instants: dead time and noise."""
 
 OVERSHOOT: Final = 1.2
-"""Speed at the contact, over that of the configuration, by the ripple of the M/T method at so low a speed; and, squared,
+"""Speed at the contact over that of the configuration, by the ripple of the M/T method at so low a speed; and, squared,
 what a lag of half a tick adds to the force."""
 
 
