@@ -12,10 +12,10 @@ void machine_start(void);
 /* Data that the simulator was started with. */
 uint8_t machine_image(uint32_t at);
 
-/* Text to USART0. */
+/* Text to the simulator's output. */
 void machine_print(const char *text);
 
-/* Sleep with interrupts off, which ends the simulation. */
+/* End the simulation with this exit status. */
 void machine_stop(int status) __attribute__((noreturn));
 
 #endif

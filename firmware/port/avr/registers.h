@@ -7,4 +7,8 @@
 #define IMAGE_MIDDLE 0x4A
 #define IMAGE_HIGH 0x4B
 
+/* Address and data register of the EEPROM: what is written is printed, or ends the program with an exit status. */
+#define CONSOLE 0x40
+#define STOP 0x41
+
 #endif
