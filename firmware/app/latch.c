@@ -81,11 +81,13 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
 }
 
 /* Nothing moves against a closed brake: set-points wait while it opens, unless something else is asked for meanwhile. */
-static uint16_t deferred(const axis_t *axis, uint16_t fresh)
+static uint16_t deferred(const axis_t *axis, const command_block_t *block, uint16_t fresh)
 {
+    const uint16_t i = axis->index;
     const bool opening = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !holding_brake_open(axis);
-    const bool overruled = !axis->requested || (fresh & (FRESH_ENABLE | FRESH_QUICK_STOP)) != 0U;
-    return (opening && !overruled) ? (uint16_t)(fresh & FRESH_MOTION) : 0U;
+    const bool wanted = ((fresh & FRESH_ENABLE) != 0U) ? block->enable[i] == 1U : axis->requested;
+    const bool stopped = (fresh & FRESH_QUICK_STOP) != 0U && block->quick_stop[i] != 0U;
+    return (opening && wanted && !stopped) ? (uint16_t)(fresh & FRESH_MOTION) : 0U;
 }
 
 static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
@@ -130,7 +132,7 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
             axes[i].events.command = EVENT_TICKS;
         }
         if (written.fresh[i] != 0U) {
-            marks->fresh[i] = deferred(&axes[i], written.fresh[i]);
+            marks->fresh[i] = deferred(&axes[i], block, written.fresh[i]);
             apply_command((uint16_t)(written.fresh[i] & (uint16_t)~marks->fresh[i]), block, &axes[i]);
         }
         if ((queued >> i & 1U) != 0U) {

@@ -3,6 +3,7 @@
 #include <stddef.h>
 
 #include "app/words.h"
+#include "drive/limits.h"
 #include "drive/motion.h"
 
 /* Words of a point: tick; position [counts]; speed; i_q in the low half, then 12 bits of a count, the axis, and whether the
@@ -86,9 +87,10 @@ static point_refusal_t check_segment(const axis_t *axis, const hermite_t *segmen
         return POINT_REFUSAL_ACCELERATION;
     }
     hermite_reach(segment, &min, &max);
-    const bool below = from + min < path_counts(axis->written_limits.position_min);
-    const bool above = from + max > path_counts(axis->written_limits.position_max);
-    const bool given = axis->written_limits.position_min != INT32_MIN || axis->written_limits.position_max != INT32_MAX;
+    const axis_limits_t limits = limits_at_switches(axis, axis->written_limits);
+    const bool below = from + min < path_counts(limits.position_min);
+    const bool above = from + max > path_counts(limits.position_max);
+    const bool given = limits.position_min != INT32_MIN || limits.position_max != INT32_MAX;
     return (given && (below || above)) ? POINT_REFUSAL_POSITION : POINT_REFUSAL_NONE;
 }
 

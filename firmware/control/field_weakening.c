@@ -19,11 +19,19 @@ static frac32_t change_of(const field_weakening_config_t *config, const field_we
 {
     const frac32_t slew = asr32(f32_from_f16(config->i_d_max), SLEW_SHIFT);
     const frac16_t target = (input->u_max > config->margin) ? f16_sub(input->u_max, config->margin) : 0;
-    if (!input->wanted || !emf_matters(input->emf, target)) {
+    if (!emf_matters(input->emf, target)) {
         return -slew;
     }
     const int64_t wanted = -(int64_t)room_of(target, input->demand) * config->gain;
-    return f32_limit(asr64(wanted, FIELD_WEAKENING_GAIN_BITS), slew);
+    const frac32_t change = f32_limit(asr64(wanted, FIELD_WEAKENING_GAIN_BITS), slew);
+    return (input->wanted || change < 0) ? change : 0;
+}
+
+/* Less than the whole circle, also where a hot winding has made that small: half of it is left for a braking i_q. */
+static frac16_t i_d_max(const field_weakening_config_t *config, frac16_t current)
+{
+    const frac16_t part = (frac16_t)(current - asr32(current, 3));
+    return (config->i_d_max < part) ? config->i_d_max : part;
 }
 
 static frac32_t within(frac32_t x, frac32_t max)
@@ -40,7 +48,7 @@ static frac16_t circle(frac16_t current, frac16_t d) { return f16_sqrt(f32_mul16
 void field_weakening_step(field_weakening_t *state, const field_weakening_config_t *config,
                           const field_weakening_input_t *input)
 {
-    const frac32_t end = f32_from_f16((config->i_d_max < input->current) ? config->i_d_max : input->current);
+    const frac32_t end = f32_from_f16(i_d_max(config, input->current));
     const frac32_t change = change_of(config, input);
     const bool q_moves = (change > 0) ? state->d >= end : state->q > 0;
     state->d = within(q_moves ? state->d : f32_add(state->d, change), end);

@@ -36,7 +36,7 @@ typedef enum {
 #define FRESH_I_Q UINT16_C(0x04)
 #define FRESH_POINTS UINT16_C(0x08)
 #define FRESH_MODE UINT16_C(0x10)
-#define FRESH_MOTION UINT16_C(0x11f) /* all of these, and a homing */
+#define FRESH_MOTION UINT16_C(0x1f) /* all of these */
 #define FRESH_ENABLE UINT16_C(0x20)
 #define FRESH_QUICK_STOP UINT16_C(0x40)
 #define FRESH_CLEAR_FAULTS UINT16_C(0x80) /* a 1 */

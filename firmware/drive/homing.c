@@ -22,6 +22,7 @@
 #define TOUCH_COUNTS 4    /* a shaft that stands has not gone where its speed would have taken it .. */
 #define TOUCH_TICKS 8U    /* .. in so many slow ticks at least: then all of the current presses */
 #define STAND_TICKS 100U  /* slow ticks that are a contact */
+#define STREAM_TICKS 200U /* slow ticks since a set-point: the next one of a stream would count from another zero */
 #define LEFT_TICKS 64U    /* slow ticks of home_t.left */
 #define LEFT_MIN 64U      /* 2 s: to speed up, to press, to turn round */
 
@@ -231,9 +232,19 @@ static void note_place(home_t *home, int32_t place)
     }
 }
 
+/* A limit switch is active in the direction of the present leg. */
+static bool at_limit_switch(const axis_t *axis)
+{
+    const uint16_t ahead = (leg_speed(axis) < 0) ? INPUT_LIMIT_MIN : INPUT_LIMIT_MAX;
+    return (axis->inputs & ahead) != 0U;
+}
+
 static home_result_t approach(axis_t *axis, int32_t way)
 {
     home_t *home = &axis->home;
+    if (at_limit_switch(axis)) {
+        return HOME_RESULT_BLOCKED;
+    }
     const bool still = stands(axis);
     if (by_switch(home) ? active(axis) : still) {
         note_place(home, axis->feedback.position);
@@ -252,7 +263,7 @@ static home_result_t approach(axis_t *axis, int32_t way)
 static home_result_t back_off(axis_t *axis, int32_t way)
 {
     home_t *home = &axis->home;
-    if (stands(axis)) {
+    if (at_limit_switch(axis) || stands(axis)) {
         return HOME_RESULT_STUCK;
     }
     if (by_switch(home) && active(axis)) {
@@ -293,7 +304,7 @@ static void run_leg(axis_t *axis)
 static bool held(const axis_t *axis)
 {
     return axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && axis->requested &&
-           axis->latch.captured == 0U && holding_brake_open(axis);
+           axis->latch.captured == 0U && !axis->command.quick_stop && holding_brake_open(axis);
 }
 
 static home_result_t refusal(const axis_t *axis)
@@ -306,7 +317,9 @@ static home_result_t refusal(const axis_t *axis)
         return HOME_RESULT_KNOWN;
     }
     const bool sets = home->method == HOME_METHOD_HERE || home->method == HOME_METHOD_ASSUME;
-    return (zero_may_shift(axis) && (sets || held(axis))) ? HOME_RESULT_RUNNING : HOME_RESULT_MOTION;
+    const bool follows = axis->requested && axis->command.age < STREAM_TICKS;
+    const bool may = zero_may_shift(axis) && (sets ? !follows : held(axis));
+    return may ? HOME_RESULT_RUNNING : HOME_RESULT_MOTION;
 }
 
 static void take_request(axis_t *axis)

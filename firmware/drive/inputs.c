@@ -2,6 +2,7 @@
 
 #include "drive/axis_faults.h"
 #include "drive/limits.h"
+#include "drive/motion.h"
 
 /* A contact that opens and closes again within this time while the shaft leaves the switch has bounced [slow ticks]. */
 #define BOUNCE_TICKS 100U
@@ -56,6 +57,7 @@ static void watch_limits(axis_t *axis, uint16_t before)
         limits_tighten(axis);
         if (axis->sm.state == STATE_RUN && driven && reached(axis, fresh)) {
             axis_raise(axis, FOUND(FINDING_LIMIT_SWITCH));
+            motion_leave_path(axis); /* also where that is no fault */
         }
     }
     if ((axis->inputs & INPUT_LIMITS) != 0U) {

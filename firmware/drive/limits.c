@@ -39,8 +39,7 @@ void limits_current(axis_t *axis)
 static int32_t lower(int32_t a, int32_t b) { return (a < b) ? a : b; }
 static int32_t higher(int32_t a, int32_t b) { return (a > b) ? a : b; }
 
-/* A limit switch that is active forbids to go on: as a soft limit where the shaft is. */
-static axis_limits_t at_switches(const axis_t *axis, axis_limits_t limits)
+axis_limits_t limits_at_switches(const axis_t *axis, axis_limits_t limits)
 {
     const int32_t here = axis->feedback.position;
     if ((axis->inputs & INPUT_LIMIT_MIN) != 0U) {
@@ -55,7 +54,7 @@ static axis_limits_t at_switches(const axis_t *axis, axis_limits_t limits)
 /* Limits from now on. */
 static void apply(axis_t *axis, const axis_limits_t *written)
 {
-    const axis_limits_t limits = at_switches(axis, *written);
+    const axis_limits_t limits = limits_at_switches(axis, *written);
     if (same(&limits, &axis->limits)) {
         return; /* almost always */
     }

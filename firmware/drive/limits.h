@@ -18,6 +18,9 @@ frac16_t limits_vector(const axis_t *axis);
 /* What limits and winding leave of it. */
 void limits_current(axis_t *axis);
 
+/* These, with the limit switches: one that is active forbids to go on, as a soft limit where the shaft is. */
+axis_limits_t limits_at_switches(const axis_t *axis, axis_limits_t limits);
+
 /* The path filter and the soft limits follow the limits: for a path that is yet to begin .. */
 void limits_settle(axis_t *axis);
 

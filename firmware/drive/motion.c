@@ -417,6 +417,13 @@ void motion_press(axis_t *axis, frac16_t i_q)
     axis->motion.i_q_target = i_q;
 }
 
+void motion_leave_path(axis_t *axis)
+{
+    if (axis->motion.motion == MOTION_TRAJECTORY) {
+        begin(axis, MOTION_STOP);
+    }
+}
+
 void motion_rest(axis_t *axis)
 {
     if (axis->motion.motion == MOTION_HOME || axis->motion.motion == MOTION_PRESS) {

@@ -28,6 +28,9 @@ void motion_home(axis_t *axis, frac32_t speed);
 /* Push with a current. A speed controller would chatter there: the M/T method shows every count of dither as a speed. */
 void motion_press(axis_t *axis, frac16_t i_q);
 
+/* A trajectory ends in a stop: a limit switch is in its way. */
+void motion_leave_path(axis_t *axis);
+
 /* End what these two have begun: to rest, then hold. */
 void motion_rest(axis_t *axis);
 

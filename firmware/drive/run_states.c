@@ -275,7 +275,7 @@ static void search_step(axis_t *axis)
         rotor_search_step(search, &axis->config->rotor_search, axis->feedback.position);
         return;
     }
-    if (rotor_hold_holds(search)) {
+    if (axis->requested && rotor_hold_holds(search)) {
         holding_brake_ask(axis, true);
         search->released = holding_brake_open(axis);
     }
@@ -286,6 +286,10 @@ static void align_slow(axis_t *axis)
 {
     if (axis->diagnosis.stall.runs && axis->requested) {
         test_stall(axis);
+        return;
+    }
+    if (!axis->requested && holding_brake_takes_over(axis) && !holding_brake_closed(axis)) {
+        holding_brake_ask(axis, false); /* the vector holds the load until then */
         return;
     }
     const bool driven = rotor_search_drives(&axis->search);

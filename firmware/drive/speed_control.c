@@ -168,7 +168,7 @@ frac16_t torque_control(axis_t *axis)
 frac16_t press_control(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    const frac16_t i_q = f16_limit(m->i_q_target, axis->limits.i_q);
+    const frac16_t i_q = f16_limit(m->i_q_target, axis->current_max.q);
     m->speed_ref = 0;
     m->saturated = false;
     pi_reset(&m->speed_pi, f32_from_f16(i_q));

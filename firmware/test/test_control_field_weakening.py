@@ -73,13 +73,14 @@ class Weakening:
         """The same in integers that do not end."""
         c = self.config
         target = max(given.u_max - c.margin, 0)
-        end = min(c.i_d_max, given.current) * Q16
+        end = min(c.i_d_max, given.current - (given.current >> 3)) * Q16
         slew = slew_of(c)
         change = -slew
-        if given.wanted and 2 * min(abs(given.emf), ONE) > target:
+        if 2 * min(abs(given.emf), ONE) > target:
             squares = sum(min(2 * u * u, 2**31 - 1) for u in (given.d, given.q))
             room = clip32(2 * target * target - squares)
             change = clip(-room * c.gain >> 8, -slew, slew)
+            change = change if given.wanted else min(change, 0)
         q_moves = self.d >= end if change > 0 else self.q > 0
         if not q_moves:
             self.d = self.d + change
@@ -158,7 +159,7 @@ def i_q_of(config: Config, current: int) -> int:
 @pytest.mark.parametrize(
     "given_",
     [
-        pytest.param(Input(q=round(14.0 * VOLT), wanted=False), id="switched off"),
+        pytest.param(Input(wanted=False), id="switched off"),
         pytest.param(Input(q=round(14.0 * VOLT), emf=round(6.0 * VOLT)), id="a transient at a low speed"),
         pytest.param(Input(q=round(14.0 * VOLT), emf=-round(6.0 * VOLT)), id="the same the other way round"),
     ],
@@ -176,6 +177,26 @@ def test_is_given_back_at_the_slew_rate(core: Core, given_: Input) -> None:
     steps = [before - after for before, after in itertools.pairwise(depths)]
     assert set(steps[:-1]) == {slew_of(config)}
     assert (i_d, motoring) == (0, Input().current)
+
+
+def test_is_kept_while_there_is_no_voltage_to_give_it_back(core: Core) -> None:
+    """Switched off where the back-EMF is beyond the voltage: the motor would brake with more than its current limit."""
+    weakening = Weakening(core, Config())
+    for _ in range(3):
+        weakening.step(Input(q=round(14.0 * VOLT)))
+    before = int(weakening.state.d)
+    for _ in range(100):
+        weakening.step(Input(q=round(14.0 * VOLT), wanted=False))
+    assert weakening.state.d == before > 0
+
+
+@given(current=st.integers(0, ONE - 1))
+def test_a_small_circle_leaves_half_of_it_to_brake_with(core: Core, current: int) -> None:
+    """As that of a hot winding, smaller than i_d_max."""
+    weakening = Weakening(core, Config())
+    for _ in range(200):
+        _, i_q_max, _ = weakening.step(Input(q=round(14.0 * VOLT), current=current))
+    assert i_q_max >= 0.48 * current - 2
 
 
 @given(

@@ -87,9 +87,13 @@ def test_the_speed_controller_does_not_wind_up(bench: Bench) -> None:
 
 def test_is_given_back_when_the_feature_is_switched_off(bench: Bench) -> None:
     weakened(bench)
+    before = i_d_ref(bench)
     bench.switch_on(0, 0)
+    bench.slow(30)
+    assert i_d_ref(bench) <= before < 0, "no voltage to give it back"
     way = []
-    for _ in range(30):
+    for _ in range(200):
+        bench.turn(0, 50.0)  # slower: now there is
         bench.slow()
         way.append(i_d_ref(bench))
     steps = [after - before for before, after in itertools.pairwise(way)]

@@ -15,7 +15,7 @@ HOMING_FAULT = next(flag.mask for flag in CATALOGUE.flags["faults"] if flag.name
 NOT_HOMED = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "NOT_HOMED")
 HOMING = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "HOMING")
 POSITION_LIMITS = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "POSITION_LIMITS")
-INPUT_HOME = 1
+INPUT_HOME, INPUT_LIMIT_MIN, INPUT_LIMIT_MAX = 1, 2, 4
 
 
 def ask(bench: Bench, method: str, value: int = 0, axis: int = 0) -> None:
@@ -269,6 +269,32 @@ def test_edge_of_a_switch_becomes_the_position(core: Core, way: int, ahead: int,
     assert max(abs(v) for v in speeds) <= 5.01
     assert way * (bench.shaft[0].shaft - edge) <= -bench.axis(0).config.home.back_off + 10
     assert bench.axis(0).home.spread <= 1
+
+
+@pytest.mark.parametrize("method", ["STOP_POSITIVE", "SWITCH_POSITIVE", "STOP_NEGATIVE", "SWITCH_NEGATIVE"])
+def test_a_limit_switch_ends_the_way(bench: Bench, method: str) -> None:
+    """Nothing presses on into a switch that is active already."""
+    positive = method.endswith("POSITIVE")
+    bench.servo.parameter.faults_enabled = [0, 0]
+    bench.fit(INPUT_LIMIT_MIN | INPUT_LIMIT_MAX)
+    bench.hal.axis[0].inputs = INPUT_LIMIT_MAX if positive else INPUT_LIMIT_MIN
+    bench.slow(3)
+    ask(bench, method)
+    pushed = []
+    for _ in range(400):
+        bench.slow()
+        pushed.append(bench.view(0).i_q_ref if positive else -bench.view(0).i_q_ref)
+    assert (state(bench), result(bench)) == ("UNKNOWN", "BLOCKED")
+    assert max(pushed) < amps(0.2)
+
+
+def test_not_while_a_quick_stop_holds(bench: Bench) -> None:
+    bench.write(0, quick_stop=1)
+    bench.slow(20)
+    ask(bench, "STOP_POSITIVE")
+    bench.slow(20)
+    assert result(bench) == "MOTION"
+    assert bench.view(0).faults == 0
 
 
 def test_missing_switch_is_a_fault(bench: Bench) -> None:

@@ -227,6 +227,23 @@ class TestHoldingBrake:
         bench.slow(30)
         assert bench.view(0).position_ref > start
 
+    @pytest.mark.parametrize("again", [{"enable": 1}, {"quick_stop": 0}], ids=str)
+    def test_set_points_wait_whatever_is_repeated_meanwhile(self, bench: Bench, again: dict[str, int]) -> None:
+        fit(bench, BRAKE)
+        bench.to_stop()
+        bench.axis(0).aligned = True
+        bench.write(0, enable=1)
+        bench.until(lambda: bench.hal.axis[0].holding_released, 100)
+        start = bench.view(0).position
+        bench.write(0, mode=POSITION, position=start + 4000)
+        bench.slow(2)
+        bench.write(0, **again)
+        while bench.view(0).inputs != BRAKE:
+            bench.slow()
+            assert bench.view(0).position_ref == start
+        bench.slow(30)
+        assert bench.view(0).position_ref > start
+
     @pytest.mark.parametrize("stop", ["enable", "quick_stop", "fault"])
     def test_a_set_point_that_waits_does_not_outlive_a_stop(self, bench: Bench, stop: str) -> None:
         fit(bench, BRAKE)

@@ -38,6 +38,9 @@ _LOOK: Final = 4_000
 _LOOK_CLOSELY: Final = 800
 """The same (0.05 s) while something is waited for."""
 
+_AT_REST: Final = 2.0
+"""Speed from which on a shaft will be elsewhere when its board has restarted [rad/s]."""
+
 _COLUMNS: Final = tuple(f"{axis_name(axis)}.home_state" for axis in range(AXES))
 
 _REASONS: Final = {
@@ -72,7 +75,7 @@ class _Job:
 class _Memory:
     """What is known of an axis for the time after a restart of its board."""
 
-    position: int | None = None  # [counts]
+    position: int | None = None  # [counts]; None as well while the shaft turns
     wanted: bool = False  # the feature is on
     until: int | None = None  # tick up to which it may be restored; None: nothing to restore
     next: int = 0  # tick of the next attempt
@@ -231,6 +234,10 @@ class Homing:
             position = self.positions[axis]
             answer.set_result((False, f"home_positions of {joint.name} is {position:g} rad: too far for the board"))
             return answer
+        self._axes[axis].memory.until = None  # what is asked for now counts, not what was restored
+        for job in [job for job in self._jobs if job.axis == axis]:
+            self._jobs.remove(job)
+            job.answer.set_result((False, f"{joint.name} is not homed: {_REASONS['ABORTED']}"))
         self._write(axis, value, self._methods[self._of_motor(joint, method)], answer)
         return answer
 
@@ -297,7 +304,8 @@ class Homing:
             if memory.until is not None:
                 self._say(f"{self.joints[number].name}: the position from before the restart is assumed")
             memory.until = None
-            memory.position = frame.axes[number].position
+            turns = abs(frame.values[f"{axis_name(number)}.speed"]) > _AT_REST
+            memory.position = None if turns else frame.axes[number].position
             if features is not None:
                 memory.wanted = bool(features[number] & self._feature)
             return
@@ -312,5 +320,5 @@ class Homing:
             memory.next = frame.tick + _RETRY
             position = memory.position
             assert position is not None
-            value = unwrap_u32(position & 0xFFFF_FFFF, 0)
+            value = unwrap_u32((position + frame.axes[number].position) & 0xFFFF_FFFF, 0)
             self._write(number, value, self._methods["ASSUME"], Future())

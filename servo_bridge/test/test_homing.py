@@ -45,6 +45,7 @@ class Rig:
         self.features = [features, features]
         self.states = [0, 0]
         self.counts = [0, 0]
+        self.speed = 0.0
         self.label = "RUN/SPIN"
         self.tick = self.applied = self.epoch = 0
         self.dispatcher.open()
@@ -68,7 +69,8 @@ class Rig:
             self.applied += 1
         spins = self.label == "RUN/SPIN"
         axes = tuple(AxisStatus(self.label, spins, position=counts) for counts in self.counts)
-        frame = Frame(self.tick, self.epoch, 0, {}, self.tick, self.applied, axes, (0, 0))
+        speeds = {f"axis{k}.speed": self.speed for k in (1, 2)}
+        frame = Frame(self.tick, self.epoch, 0, speeds, self.tick, self.applied, axes, (0, 0))
         frame = self.homing.completed(frame)
         self.arbiter.board_seen(axes)
         self.dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
@@ -172,7 +174,33 @@ def test_a_restarted_board_gets_its_positions_back() -> None:
     assert len(rig.sent) > 4, "an assumption is kept, too"
 
 
-@pytest.mark.parametrize("how", ["not wanted", "feature off", "unknown before", "lost before"])
+def test_counts_since_the_restart_are_kept() -> None:
+    """A shaft that is turned by hand until the position is restored."""
+    rig = Rig()
+    known(rig)
+    rig.restart()
+    rig.counts = [40, 0]
+    for _ in range(6):
+        rig.sample()
+    values = [raw for name, axis, (raw,) in rig.written() if name == "cmd.home_position" and axis == 0]
+    assert values[0] == 12_345
+    rig.sample(3_200)
+    rig.sample()
+    values = [raw for name, axis, (raw,) in rig.written() if name == "cmd.home_position" and axis == 0]
+    assert values[-1] == 12_345 + 40
+
+
+def test_a_second_call_ends_the_first() -> None:
+    rig = Rig()
+    first = rig.homing.home(0, "here")
+    for _ in range(3):
+        rig.sample()
+    second = rig.homing.home(0, "here")
+    assert first.result() == (False, "arm is not homed: another command, a stop or a fault has ended it")
+    assert not second.done()
+
+
+@pytest.mark.parametrize("how", ["not wanted", "feature off", "unknown before", "lost before", "turned before"])
 def test_nothing_is_restored(how: str) -> None:
     rig = Rig(restores=how != "not wanted", features=0 if how == "feature off" else FEATURE)
     if how != "unknown before":
@@ -180,6 +208,10 @@ def test_nothing_is_restored(how: str) -> None:
     if how == "lost before":
         rig.states = [0, 0]
         rig.look()
+    if how == "turned before":
+        rig.speed = 10.0
+        rig.sample()
+        rig.speed = 0.0
     rig.restart()
     for _ in range(10):
         rig.sample()

@@ -1,0 +1,55 @@
+"""Limit switches and trajectories: no path leads into a switch that is active."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from servo_msgs_py.timed_points import TimedPoint, encode_points
+from servo_twin.board import Board, BoardError
+from servo_twin.experiments.pins import fit, wired
+from servo_twin.experiments.rig import COUNT, choose_mode, position_of, prepared, spinning
+from servo_twin.plant import PlantConfig
+
+FAR = 3.0  # [rad]
+
+
+def sent(board: Board, *points: tuple[float, float, float]) -> None:
+    """Queue points of axis 1: seconds from now, way from where it is [rad], speed [rad/s]."""
+    tick, here = board.read_raw("tick")[0], position_of(board, 0) * COUNT
+    encoded = [TimedPoint(0, tick + round(16000 * at), here + way, speed) for at, way, speed in points]
+    words = encode_points(board.catalogue, encoded)
+    pack = board.catalogue["cmd.points"].raw_type.pack
+    board.write_memory(board.address("cmd.points"), b"".join(map(pack, words)))
+
+
+@pytest.fixture(params=[0.0, 1.0], ids=["on the switch", "before it"])
+def board(request: pytest.FixtureRequest) -> Iterator[Board]:
+    """Axis 1 holds, its upper limit switch so far ahead [rad], and that is no fault."""
+    plant = PlantConfig.load().drawn(1)
+    start = plant.axes[0].theta_start
+    assert not isinstance(start, str)
+    plant = wired(plant, limit_max=start + (request.param or -1.0))
+    with prepared(lambda board: fit(board, "limit_max")), spinning(plant, 1) as found:
+        found.write("param.faults_enabled", [0.0, 0.0])
+        choose_mode(found, 0, "TRAJECTORY")
+        found.run(0.2)
+        yield found
+
+
+def test_no_path_goes_on_into_a_switch(board: Board) -> None:
+    begin = board.truth(0).theta_m
+    ahead = board.plant.axes[0].pins.limit_max - begin
+    if ahead < 0.0:
+        with pytest.raises(BoardError):
+            sent(board, (0.05, 0.0, 0.0), (1.0, FAR, 0.0))
+        board.run(1.2)
+        assert abs(board.truth(0).theta_m - begin) < 4 * COUNT
+        sent(board, (0.05, 0.0, 0.0), (1.0, -FAR, 0.0))  # off it
+        board.run(1.2)
+        assert board.truth(0).theta_m - begin == pytest.approx(-FAR, abs=0.02)
+    else:
+        sent(board, (0.05, 0.0, 0.0), (1.0, FAR, 0.0))
+        board.run(1.2)
+        assert ahead <= board.truth(0).theta_m - begin < ahead + 0.1
+    assert board.read_raw("axis1.faults")[0] == 0
