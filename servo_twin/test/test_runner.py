@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from servo_twin.runner import HERE, Runner, TrialError, WorkerLostError, run_in_order
+from servo_twin.runner import HERE, RunError, Runner, TrialError, WorkerLostError, run_in_order
 
 NUMBERS = range(40)
 
@@ -99,6 +99,21 @@ def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
 def test_a_trial_that_ends_every_worker_is_named() -> None:
     with pytest.raises(WorkerLostError, match=r"trial 5 has ended 3 workers.*-9"):
         run_in_order(Runner(2), DiesAlways(5), NUMBERS, "trials")
+
+
+class _NoStart:
+    """Ends a process that unpacks it."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os._exit, (3,)
+
+    def run(self, number: int) -> int:
+        return number
+
+
+def test_workers_that_cannot_start_are_not_blamed_on_a_trial() -> None:
+    with pytest.raises(RunError, match="exit status 3 before its first trial"):
+        run_in_order(Runner(2), _NoStart(), NUMBERS, "trials")
 
 
 @pytest.mark.parametrize("workers", [1, 2])

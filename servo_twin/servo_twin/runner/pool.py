@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from typing import Final, TypeVar
 
-from servo_twin.runner.work import ATTEMPTS, TrialError, Work, WorkerLostError
+from servo_twin.runner.work import ATTEMPTS, RunError, TrialError, Work, WorkerLostError
 
 __all__ = ["run_on_processes"]
 
@@ -27,6 +27,7 @@ def _serve(pipe: Connection, work: Work[Result]) -> None:
     """Body of a worker: numbers in, results out, until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends its workers
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        pipe.send(None)  # it has come so far
         while True:
             number = pipe.recv()
             try:
@@ -44,6 +45,7 @@ class _Worker:
         self.process = _CONTEXT.Process(target=_serve, args=(theirs, work), daemon=True)
         self.process.start()
         theirs.close()
+        self.ready = False
         self.in_hand: deque[int] = deque()
 
     def give(self, number: int) -> None:
@@ -79,6 +81,8 @@ class _Pool:
     def replace(self, worker: _Worker) -> None:
         """Another worker for one that has died."""
         worker.stop()
+        if not worker.ready:
+            raise RunError(f"a worker ended with exit status {worker.process.exitcode} before its first trial")
         if worker.in_hand:
             suspect = worker.in_hand[0]
             self._deaths[suspect] += 1
@@ -118,10 +122,14 @@ def run_on_processes(work: Work[Result], numbers: Iterable[int], workers: int) -
                 assert isinstance(pipe, Connection)
                 worker = by_pipe[pipe]
                 try:
-                    number, result, problem = pipe.recv()
+                    answer = pipe.recv()
                 except (EOFError, ConnectionResetError):
                     pool.replace(worker)
                     continue
+                if answer is None:
+                    worker.ready = True
+                    continue
+                number, result, problem = answer
                 worker.in_hand.remove(number)
                 if problem is not None:
                     raise TrialError(f"trial {number}:\n{problem}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import traceback
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
@@ -90,7 +91,7 @@ def run_here(work: Work[Result], numbers: Iterable[int]) -> Iterator[tuple[int, 
         try:
             result = work.run(number)
         except Exception as error:
-            raise TrialError(f"trial {number}: {error}") from error
+            raise TrialError(f"trial {number}:\n{traceback.format_exc()}") from error
         yield number, result
 
 

@@ -16,6 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from servo_twin import board as board_module
 from servo_twin.experiments.report import table
 from servo_twin.experiments.rig import positive
 from servo_twin.firmware_build import SERVO_TOML
@@ -135,7 +136,14 @@ def _head(sweep: Sweep) -> dict[str, Any]:
         "space": dataclasses.asdict(sweep.space),
         "plant": hashlib.sha256(plant.encode()).hexdigest(),
         "servo": hashlib.sha256(servo.encode()).hexdigest(),
+        "boards": _boards_digest(),
     }
+
+
+def _boards_digest() -> str:
+    """Of firmware and models as they are compiled: results of other ones do not belong together."""
+    modules = sorted(Path(board_module.__file__).parent.glob("_*.so"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in modules)).hexdigest()
 
 
 def _replay(args: argparse.Namespace, sweep: Sweep) -> str:
