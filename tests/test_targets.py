@@ -47,6 +47,9 @@ NOT_ON_A_TARGET = {
     # Refuse what the table of variables and the number of scope slots rule out.
     "fill",
     "scope_read",
+    # The paths of the recordings meet no limit switch, and none withdraws the drive from a held search.
+    "motion_leave_path",
+    "align_slow",
     # The recorder's board has no switches, and 2 s are too long for a recording.
     "approach",
     "back_off",

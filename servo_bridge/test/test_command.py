@@ -92,9 +92,9 @@ def test_state_names_faults_and_limits(rig: Rig) -> None:
 
 def test_state_tells_what_a_hot_winding_leaves(rig: Rig) -> None:
     rig.up(SPIN, SPIN)
-    rig.link.parameters["param.i_q_limit"] = [rig.link.catalogue["param.i_q_limit"].to_raw(4.0)] * 2
+    assert command(rig, "set", "param.i_q_limit=4,4")[0] == 0
     rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3}
-    rig.until(lambda: rig.diagnosis("axis2").level == b"\x01")
+    rig.until(lambda: "hot winding" in rig.diagnosis("axis2").message)
     status, out, _ = command(rig, "state")
     rig.link.values |= {"axis2.winding_current": 9}
     rig.until(lambda: rig.diagnosis("axis2").level == b"\x00")

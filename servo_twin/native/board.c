@@ -21,6 +21,11 @@ uint8_t board_write(board_t *board, uint32_t address, const uint8_t *data, uint1
 void board_set_winding(board_t *board, int axis, double celsius)
 {
     board_warm_winding(board, axis, celsius);
+    board_set_winding_estimate(board, axis, celsius);
+}
+
+void board_set_winding_estimate(board_t *board, int axis, double celsius)
+{
     board_servo(board)->axis[axis].diagnosis.winding.temperature = (frac32_t)(celsius / 256.0 * 2147483648.0);
 }
 

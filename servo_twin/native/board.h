@@ -142,6 +142,9 @@ void board_cut_encoder(board_t *board, int axis, int line); /* one line dead, 0:
 void board_reverse_encoder(board_t *board, int axis); /* swap the lines A and B */
 /* Temperature of a winding from now on, and with it the firmware's estimate: as if it had been in use [deg C]. */
 void board_set_winding(board_t *board, int axis, double celsius);
+
+/* The same of the firmware's estimate alone. */
+void board_set_winding_estimate(board_t *board, int axis, double celsius);
 void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
 
 /* Wires of an axis. */

@@ -593,10 +593,18 @@ class Board:
         ValueError
             If the firmware has no number for it.
         """
+        self._check_winding(axis, celsius)
+        self._lib.board_set_winding(self._board, _axis_index(axis), celsius)
+
+    def set_winding_estimate(self, axis: int, celsius: float) -> None:
+        """The firmware's estimate of it alone: the motor keeps its temperature. Errors as in `set_winding`."""
+        self._check_winding(axis, celsius)
+        self._lib.board_set_winding_estimate(self._board, _axis_index(axis), celsius)
+
+    def _check_winding(self, axis: int, celsius: float) -> None:
         span = self.catalogue[f"{axis_name(axis)}.winding_temperature"]
         if not span.minimum <= celsius <= span.maximum:
             raise ValueError(f"{celsius:g} deg C is not within {span.minimum:g} .. {span.maximum:g}")
-        self._lib.board_set_winding(self._board, _axis_index(axis), celsius)
 
     def connect_motor(self, axis: int, connected: bool = True) -> None:
         """Plug in the motor cable of an axis, or pull it."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_twin.board import Board, BoardError
-from servo_twin.experiments.pins import fit, wired
+from servo_twin.experiments.pins import FIRST_DROP, fit, load_of, wired
 from servo_twin.experiments.rig import COUNT, choose_mode, position_of, prepared, spinning
 from servo_twin.plant import PlantConfig
 
@@ -53,3 +53,20 @@ def test_no_path_goes_on_into_a_switch(board: Board) -> None:
         board.run(1.2)
         assert ahead <= board.truth(0).theta_m - begin < ahead + 0.1
     assert board.read_raw("axis1.faults")[0] == 0
+
+
+def test_a_drive_that_is_disabled_during_its_first_search_holds_the_load_until_the_brake_does() -> None:
+    plant = wired(PlantConfig.load().drawn(1), brake_torque=0.2, brake_open_time=0.03, brake_close_time=0.02)
+    with Board(plant, seed=1, level="ideal") as board:
+        fit(board, "brake")
+        board.set_load(0, -load_of(plant, 0))
+        begin = board.truth(0).theta_m
+        board.write("cmd.enable", [1.0, 0.0])
+        while board.truth(0).brake_holds:
+            assert board.time_ns < 3_000_000_000
+            board.run(0.001)
+        board.run(0.02)
+        board.write("cmd.enable", [0.0, 0.0])
+        board.run(0.5)
+        assert board.truth(0).brake_holds
+        assert abs(board.truth(0).theta_m - begin) < FIRST_DROP

@@ -232,7 +232,7 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
     assert board[0] == pytest.approx(twin[0], abs=1e-6)
     times, currents = read_scalars(file, burst)
     assert times[0] == pytest.approx(board[0][50], abs=1e-6), "at its tick beside the telemetry"
-    assert np.diff(times) == pytest.approx(np.full(99, PERIOD_NS * 1e-9), abs=1e-9)
+    assert np.diff(times) == pytest.approx(np.full(99, PERIOD_NS * 1e-9), abs=2e-9)
     assert currents == pytest.approx(0.1 * np.arange(100))
     assert read_scalars(file, burst_of_twin)[0] == pytest.approx(times)
     assert read_scalars(file, burst_of_twin)[1] == pytest.approx(currents - 0.5)

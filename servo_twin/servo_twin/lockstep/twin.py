@@ -486,7 +486,7 @@ class Twin:
 
     def _warm(self, replica: Replica, number: int) -> None:
         if self._windings:
-            replica.set_winding(number, self._windings[number])
+            replica.set_winding_estimate(number, self._windings[number])
 
     def _take_over_rest(self, replica: Replica, sample: Sample) -> None:
         """After a stop, let the twin's axes be where the real ones came to rest."""
