@@ -79,6 +79,7 @@ class _Memory:
     wanted: bool = False  # the feature is on
     until: int | None = None  # tick up to which it may be restored; None: nothing to restore
     next: int = 0  # tick of the next attempt
+    tried: int = 0  # tick from which on a look says whether the last one had an effect
 
 
 @dataclass
@@ -310,14 +311,14 @@ class Homing:
                 memory.wanted = bool(features[number] & self._feature)
             return
         if restarted and memory.position is not None and memory.wanted and self.restores:
-            memory.until, memory.next = frame.tick + _PATIENCE, frame.tick
+            memory.until, memory.next, memory.tried = frame.tick + _PATIENCE, frame.tick, self._seen
         if memory.until is None:
             memory.position = None  # lost, or about to be found anew
         elif frame.tick > memory.until or frame.axes[number].spinning:
             memory.until = memory.position = None
             self._warn(f"{self.joints[number].name}: its position was not restored, as it does not rest; home it")
-        elif frame.tick >= memory.next:
-            memory.next = frame.tick + _RETRY
+        elif frame.tick >= memory.next and self._seen >= memory.tried:
+            memory.next, memory.tried = frame.tick + _RETRY, frame.tick + _TAKEN
             position = memory.position
             assert position is not None
             value = unwrap_u32((position + frame.axes[number].position) & 0xFFFF_FFFF, 0)
