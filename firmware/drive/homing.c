@@ -22,7 +22,6 @@
 #define TOUCH_COUNTS 4    /* a shaft that stands has not gone where its speed would have taken it .. */
 #define TOUCH_TICKS 8U    /* .. in so many slow ticks at least: then all of the current presses */
 #define STAND_TICKS 100U  /* slow ticks that are a contact */
-#define STREAM_TICKS 200U /* slow ticks since a set-point: the next one of a stream would count from another zero */
 #define LEFT_TICKS 64U    /* slow ticks of home_t.left */
 #define LEFT_MIN 64U      /* 2 s: to speed up, to press, to turn round */
 
@@ -317,9 +316,7 @@ static home_result_t refusal(const axis_t *axis)
         return HOME_RESULT_KNOWN;
     }
     const bool sets = home->method == HOME_METHOD_HERE || home->method == HOME_METHOD_ASSUME;
-    const bool follows = axis->requested && axis->command.age < STREAM_TICKS;
-    const bool may = zero_may_shift(axis) && (sets ? !follows : held(axis));
-    return may ? HOME_RESULT_RUNNING : HOME_RESULT_MOTION;
+    return (zero_may_shift(axis) && (sets || held(axis))) ? HOME_RESULT_RUNNING : HOME_RESULT_MOTION;
 }
 
 static void take_request(axis_t *axis)
