@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import importlib
 import time
-import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from typing import Any, Final, TypeVar
 
-from servo_twin.runner.work import RunError, TrialError, Work, WorkerLostError
+from servo_twin.runner.work import Answer, RunError, Work, WorkerLostError, attempt
 
 __all__ = ["run_on_cluster"]
 
@@ -20,19 +19,12 @@ CHUNK_MAX: Final = 1000
 AHEAD: Final = 3  # chunks per thread of the cluster that have been handed out
 CONNECT_TIME: Final = 10.0  # [s]
 
-_Chunk = tuple[float, list[tuple[int, Any, str | None]]]
 
-
-def _run_chunk(work: Work[Any], numbers: Sequence[int]) -> _Chunk:
-    """Runs on a worker: seconds that it took, and number, result and problem of each trial."""
+def _run_chunk(work: Work[Any], numbers: Sequence[int]) -> tuple[float, list[Answer]]:
+    """Runs on a worker: seconds that it took, and the answers."""
     begin = time.perf_counter()
-    results: list[tuple[int, Any, str | None]] = []
-    for number in numbers:
-        try:
-            results.append((number, work.run(number), None))
-        except Exception:
-            results.append((number, None, traceback.format_exc()))
-    return time.perf_counter() - begin, results
+    answers = [attempt(work, number) for number in numbers]
+    return time.perf_counter() - begin, answers
 
 
 def run_on_cluster(work: Work[Result], numbers: Iterable[int], address: str) -> Iterator[tuple[int, Result]]:
@@ -80,13 +72,11 @@ def run_on_cluster(work: Work[Result], numbers: Iterable[int], address: str) -> 
             futures.add(future)
         for future in futures:
             try:
-                seconds, results = future.result()
+                seconds, answers = future.result()
             except distributed.KilledWorker as error:
                 raise WorkerLostError(f"trials end the workers that try them: {error}") from None
             if (following := submit()) is not None:
                 futures.add(following)
-            size = min(max(round(len(results) * CHUNK_TIME / max(seconds, 1e-6)), 1), CHUNK_MAX)
-            for number, result, problem in results:
-                if problem is not None:
-                    raise TrialError(f"trial {number}:\n{problem}")
-                yield number, result
+            size = min(max(round(len(answers) * CHUNK_TIME / max(seconds, 1e-6)), 1), CHUNK_MAX)
+            for answer in answers:
+                yield answer.number, answer.result()

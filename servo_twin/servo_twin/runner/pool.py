@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import traceback
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from typing import Final, TypeVar
 
-from servo_twin.runner.work import ATTEMPTS, RunError, TrialError, Work, WorkerLostError
+from servo_twin.runner.work import ATTEMPTS, Answer, RunError, Work, WorkerLostError, attempt
 
 __all__ = ["run_on_processes"]
 
@@ -29,12 +28,7 @@ def _serve(pipe: Connection, work: Work[Result]) -> None:
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         pipe.send(None)  # it has come so far
         while True:
-            number = pipe.recv()
-            try:
-                answer: tuple[int, Result | None, str | None] = (number, work.run(number), None)
-            except Exception:
-                answer = (number, None, traceback.format_exc())
-            pipe.send(answer)
+            pipe.send(attempt(work, pipe.recv()))
 
 
 class _Worker:
@@ -122,18 +116,15 @@ def run_on_processes(work: Work[Result], numbers: Iterable[int], workers: int) -
                 assert isinstance(pipe, Connection)
                 worker = by_pipe[pipe]
                 try:
-                    answer = pipe.recv()
+                    answer: Answer | None = pipe.recv()
                 except (EOFError, ConnectionResetError):
                     pool.replace(worker)
                     continue
                 if answer is None:
                     worker.ready = True
                     continue
-                number, result, problem = answer
-                worker.in_hand.remove(number)
-                if problem is not None:
-                    raise TrialError(f"trial {number}:\n{problem}")
-                yield number, result
+                worker.in_hand.remove(answer.number)
+                yield answer.number, answer.result()
     finally:
         for worker in pool.workers:
             worker.stop()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import traceback
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
@@ -14,7 +13,7 @@ from tqdm import tqdm
 
 from servo_twin.runner.cluster import run_on_cluster
 from servo_twin.runner.pool import run_on_processes
-from servo_twin.runner.work import TrialError, Work
+from servo_twin.runner.work import Work, attempt
 
 __all__ = ["HERE", "Runner", "run_in_order"]
 
@@ -88,11 +87,7 @@ HERE: Final = Runner()
 def run_here(work: Work[Result], numbers: Iterable[int]) -> Iterator[tuple[int, Result]]:
     """Trials one after the other, in this process."""
     for number in numbers:
-        try:
-            result = work.run(number)
-        except Exception as error:
-            raise TrialError(f"trial {number}:\n{traceback.format_exc()}") from error
-        yield number, result
+        yield number, attempt(work, number).result()
 
 
 def run_in_order(runner: Runner, work: Work[Result], numbers: Sequence[int], what: str) -> list[Result]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+import traceback
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from servo_twin.board import SimulationError
 
-__all__ = ["ATTEMPTS", "RunError", "TrialError", "Work", "WorkerLostError"]
+__all__ = ["ATTEMPTS", "Answer", "RunError", "TrialError", "Work", "WorkerLostError", "attempt"]
 
 ATTEMPTS = 3
 """A trial that was running when so many workers died is not tried again."""
@@ -19,6 +20,38 @@ class Work(Protocol[Result_co]):
 
     def run(self, number: int) -> Result_co:
         """Result of a trial; follows from the work and the number alone."""
+
+
+class Answer(NamedTuple):
+    """What a worker answers.
+
+    Attributes
+    ----------
+    number : int
+        Of the trial.
+    value : object
+        Its result.
+    problem : str or None
+        Traceback of the exception that it raised instead.
+    """
+
+    number: int
+    value: Any
+    problem: str | None
+
+    def result(self) -> Any:
+        """The result; raises `TrialError` where there is none."""
+        if self.problem is not None:
+            raise TrialError(f"trial {self.number}:\n{self.problem}")
+        return self.value
+
+
+def attempt(work: Work[Any], number: int) -> Answer:
+    """Run a trial; its exception travels as text, as tracebacks cannot be pickled."""
+    try:
+        return Answer(number, work.run(number), None)
+    except Exception:
+        return Answer(number, None, traceback.format_exc())
 
 
 class RunError(SimulationError):
