@@ -188,9 +188,9 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 	else $(INSTALL) --editable './servo_msgs_py[ros]'; fi
 	@echo "[3/4] servo_bridge"
 	@$(INSTALL) --editable ./servo_bridge
-	@echo "[4/4] servo_twin: rerun, matplotlib, and the C of firmware and virtual board"
+	@echo "[4/4] servo_twin: rerun, matplotlib, Dask, Optuna, and the C of firmware and virtual board"
 	@rm -f servo_twin/servo_twin/*.so # an older one would be taken as it is
-	@SERVO_TWIN_FLAGS='$(ARCH)' $(INSTALL) --editable './servo_twin[viewer]'
+	@SERVO_TWIN_FLAGS='$(ARCH)' $(INSTALL) --editable './servo_twin[viewer,cluster,tune]'
 	@# An editable install leaves data files out: the ament index, launch files and what `ros2 run` starts.
 	@for package in $(PACKAGES); do \
 	  (cd $$package && ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done
