@@ -8,6 +8,7 @@ compiler, as the first build did.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import importlib.machinery
 import importlib.util
@@ -21,7 +22,12 @@ from typing import Any, Final
 from servo_twin.board import Firmware, SimulationError
 from servo_twin.level import Level, chosen_level
 
-__all__ = ["CHECKOUT", "SERVO_TOML", "as_toml", "build_firmware"]
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["CHECKOUT", "SERVO_TOML", "as_toml", "build_firmware", "servo_table"]
 
 CHECKOUT: Final = Path(__file__).resolve().parents[2]
 """Folder with ``firmware`` in it, where there is one."""
@@ -30,6 +36,21 @@ SERVO_TOML: Final = CHECKOUT / "firmware" / "config" / "servo.toml"
 
 _CACHE: Final = CHECKOUT / "build" / "boards"
 _loaded: Final[dict[Path, Firmware]] = {}
+
+
+@functools.cache
+def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
+    """A parsed ``servo.toml``; not to be changed.
+
+    Raises
+    ------
+    SimulationError
+        If it is not there.
+    """
+    if not path.is_file():
+        raise SimulationError(f"{path} is not there")
+    table: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    return table
 
 
 def as_toml(table: Mapping[str, Any], name: str = "") -> str:

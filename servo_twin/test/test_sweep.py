@@ -166,7 +166,7 @@ def test_one_axis_of_servo_toml_is_varied_and_the_other_keeps_the_default() -> N
         ("servo.axis1.limits.curent", "there are current"),
         ("param.i_q_limt[0]", "did you mean param.i_q_limit"),
         ("param.i_q_limit", "of which axis"),
-        ("param.i_q_limit[2]", r"elements 0 \.\. 1"),
+        ("param.i_q_limit[2]", r"elements 0 \.\. 1, not 2"),
     ],
 )
 def test_a_name_that_is_not_there_is_explained(name: str, complaint: str) -> None:

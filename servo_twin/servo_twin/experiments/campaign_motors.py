@@ -14,7 +14,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board, Firmware
 from servo_twin.experiments.rig import fresh_board, level
-from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
+from servo_twin.firmware_build import as_toml, build_firmware, servo_table
 from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
@@ -114,7 +114,7 @@ class Motor:
     @property
     def slowest(self) -> float:
         """Part of the speed limit below which it is asked for nothing without an encoder."""
-        servo = _servo()
+        servo = servo_table()
         own = _TABLES[self.name] if self.group else servo[self.name]
         start_up = {**servo["defaults"]["start_up"], **own.get("start_up", {})}
         return SLOWEST * float(start_up["minimum_speed"])
@@ -135,13 +135,6 @@ def _truth(table: Mapping[str, Any]) -> dict[str, float]:
 
 
 @functools.cache
-def _servo() -> Mapping[str, Any]:
-    """The committed ``servo.toml``; nobody changes it."""
-    table: dict[str, Any] = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
-    return table
-
-
-@functools.cache
 def _firmware(group: str, kind: Level) -> Firmware:
     """Built once: a campaign is of one state of the sources."""
     return build_firmware(_configuration(group), kind)
@@ -150,7 +143,7 @@ def _firmware(group: str, kind: Level) -> Firmware:
 def _configuration(group: str) -> str:
     """Text of the ``servo.toml`` for two motors."""
     motors = {axis_name(axis): {"feedback": "encoder", **_TABLES[name]} for axis, name in enumerate(group.split())}
-    return as_toml({**_servo(), **motors})
+    return as_toml({**servo_table(), **motors})
 
 
 def deviating(plant: PlantConfig, rng: random.Random) -> PlantConfig:

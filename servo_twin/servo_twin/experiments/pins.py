@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -25,6 +25,7 @@ from servo_twin.experiments.rig import (
     position_of,
 )
 from servo_twin.harm import CutWire, Pin
+from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -57,39 +58,24 @@ SEEN: Final = 4.0 * TICK  # a switch is filtered, the stop begins with the next 
 AWAY: Final = 20.0  # from the start to the switch [rad]
 LAG: Final = 0.004  # of the speed loop behind its ramp [s]
 
-_ALL: Final[Mapping[str, int]] = {"home": 1, "limit_min": 2, "limit_max": 4, "enable": 8, "brake": 16}
-
-
-class _Memory:
-    """A board as `servo_msgs_py.axis_config_transfer` wants it."""
-
-    def __init__(self, board: Board) -> None:
-        self._board = board
-
-    def read_words(self, name: str) -> list[int]:
-        return self._board.read_raw(name)
-
-    def write_words(self, name: str, words: Sequence[int]) -> bool:
-        pack = self._board.catalogue[name].raw_type.pack
-        self._board.write_memory(self._board.address(name), b"".join(map(pack, words)))
-        return True
-
-    def wait(self) -> bool:
-        self._board.run(TICK)
-        return True
-
 
 def fit(board: Board, *pins: Pin) -> None:
     """Tell the firmware which pins both axes of a board at rest have."""
-    memory = _Memory(board)
+
+    def wait() -> bool:
+        board.run(TICK)
+        return True
+
+    replica = Replica(board)
+    flags = {flag.name.lower(): flag.mask for flag in board.catalogue.flags["inputs"]}
+    changed = {
+        "pins.fitted": sum(flags["brake_open" if pin == "brake" else pin] for pin in pins),
+        "pins.open_ticks": round(OPEN_BELIEF / TICK),
+        "pins.close_ticks": round(CLOSE_BELIEF / TICK),
+    }
     for axis in range(AXES):
-        changed = {
-            "pins.fitted": sum(_ALL[pin] for pin in pins),
-            "pins.open_ticks": round(OPEN_BELIEF / TICK),
-            "pins.close_ticks": round(CLOSE_BELIEF / TICK),
-        }
-        send_block(memory, axis, {**read_block(memory, axis), **changed})
-    take_blocks(memory, range(AXES), memory.wait)
+        send_block(replica, axis, {**read_block(replica, axis), **changed})
+    take_blocks(replica, range(AXES), wait)
     board.run(10.0 * TICK)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_twin.experiments.outcome import Outcome, Panel
-from servo_twin.simulation import SimulationError
+from servo_twin.figure import new_figure
 
 __all__ = ["SUMMARY", "draw", "summary", "table", "update_summary"]
 
@@ -80,13 +80,9 @@ def draw(outcome: Outcome, path: Path) -> None:
     OSError
         If the picture cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SimulationError("pictures need matplotlib: pip install 'servo_twin[viewer]'") from None
     columns = 1 if len(outcome.panels) <= 1 else 2
     rows = max(math.ceil(len(outcome.panels) / columns), 1)
-    figure = Figure(figsize=(6.8 * columns, 3.6 * rows + 0.6), dpi=110, layout="constrained")
+    figure = new_figure(6.8 * columns, 3.6 * rows + 0.6, 110)
     plots = figure.subplots(rows, columns, squeeze=False)
     for plot, panel in zip(plots.flat, outcome.panels, strict=False):
         _draw_panel(plot, panel)

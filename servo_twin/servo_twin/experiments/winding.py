@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +16,16 @@ from servo_msgs_py.tuning.winding import STEP_TICKS, Winding
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import SETTLED, TICK, choose_mode, command_speed, features, fresh_board
-from servo_twin.firmware_build import SERVO_TOML, as_toml
+from servo_twin.firmware_build import as_toml, servo_table
 from servo_twin.lockstep.blocks import blocks_of_file, bring
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
 
 if sys.version_info >= (3, 11):
-    import tomllib
+    pass
 else:
-    import tomli as tomllib
+    pass
 
 NAME: Final = "winding"
 HELP: Final = """\
@@ -130,19 +129,12 @@ class Course:
         return float(self.time[np.argmax(derated)]) if derated.any() else None
 
 
-@functools.cache
-def _servo() -> Mapping[str, Any]:
-    """The committed ``servo.toml``; nobody changes it."""
-    table: dict[str, Any] = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
-    return table
-
-
 def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig, str, list[Winding], list[Winding]]:
     """The plant with these motors, the configuration for it, and the windings as they are believed and as they are.
 
     The believed thermal resistance is that with which the rated current leads to the maximum in the plant's air.
     """
-    table = {**_servo()}
+    table = {**servo_table()}
     table["defaults"] = {**table["defaults"], "winding": {**table["defaults"]["winding"], "ambient": plant.ambient}}
     for axis, motor in enumerate(motors):
         entry = dict(table[axis_name(axis)])

@@ -9,13 +9,23 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import send_block, take_blocks
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.convert import AppliedCommand
+from servo_msgs_py.tuning.configuration import Configuration
 from servo_msgs_py.tuning.reading import loads
 from servo_msgs_py.tuning.tuned import tuned
 from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_twin.lockstep.replica import Replica
 
-__all__ = ["TAKE", "Blocks", "blocks_of", "blocks_of_file", "bring", "checksums_of", "repeat"]
+__all__ = [
+    "TAKE",
+    "Blocks",
+    "blocks_of",
+    "blocks_of_configuration",
+    "blocks_of_file",
+    "bring",
+    "checksums_of",
+    "repeat",
+]
 
 TAKE: Final = "config.take"
 
@@ -45,7 +55,12 @@ def blocks_of_file(text: str, catalogue: Catalogue) -> dict[int, tuple[int, ...]
     ConfigError
         If the configuration cannot work.
     """
-    table, configuration = AxisConfigTable.load(), loads(text, catalogue)
+    return blocks_of_configuration(loads(text, catalogue))
+
+
+def blocks_of_configuration(configuration: Configuration) -> dict[int, tuple[int, ...]]:
+    """Blocks that the tuning code makes of a configuration; a `ConfigError` says why it cannot work."""
+    table = AxisConfigTable.load()
     return {k: tuple(table.words(tuned(axis, configuration).block)) for k, axis in enumerate(configuration.axes)}
 
 

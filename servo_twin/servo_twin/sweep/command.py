@@ -8,9 +8,8 @@ import dataclasses
 import hashlib
 import json
 import shlex
-import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatch
 from itertools import islice
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any, Final
 from servo_twin import board as board_module
 from servo_twin.experiments.report import table
 from servo_twin.experiments.rig import positive
-from servo_twin.firmware_build import SERVO_TOML
+from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
@@ -30,12 +29,7 @@ from servo_twin.sweep.summary import Summary
 from servo_twin.sweep.trial import MEASURES, Sweep
 from servo_twin.sweep.variant import Base
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-__all__ = ["add_parser", "servo_table", "sweep_of"]
+__all__ = ["add_parser", "sweep_of"]
 
 _HELP: Final = f"""\
 Run an experiment on many boards, each with other values of the plant file (plant.axis1.inertia, plant.bus.u_source), of
@@ -99,31 +93,14 @@ def sweep_of(args: argparse.Namespace) -> Sweep:
 
     Raises
     ------
-    SpaceError, PlantError, OSError
+    SpaceError, PlantError, SimulationError, OSError
         If there is no such thing to vary, or a file cannot be used.
     """
     varied = [Varied.parse(text) for text in args.vary]
     needs_servo = args.config is not None or any(one.name.startswith("servo.") for one in varied)
-    base = Base(PlantConfig.load(args.plant), servo_table(args.config) if needs_servo else {})
+    base = Base(PlantConfig.load(args.plant), servo_table(args.config or SERVO_TOML) if needs_servo else {})
     space = Space.of([base.resolved(one) for one in varied], args.method, args.count, args.seed)
     return Sweep(args.measure, base, space, chosen_level(args.level, default=FAST_LEVEL))
-
-
-def servo_table(path: Path | None) -> Mapping[str, Any]:
-    """A parsed ``servo.toml``; without a path the firmware's.
-
-    Raises
-    ------
-    SpaceError
-        If it is not there.
-    OSError
-        If it cannot be read.
-    """
-    source = path or SERVO_TOML
-    if not source.is_file():
-        raise SpaceError(f"{source} is not there: name the servo.toml with --config")
-    table: Mapping[str, Any] = tomllib.loads(source.read_text(encoding="utf-8"))
-    return table
 
 
 def _head(sweep: Sweep) -> dict[str, Any]:

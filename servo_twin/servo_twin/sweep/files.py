@@ -10,6 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from servo_twin.figure import new_figure
 from servo_twin.simulation import SimulationError
 from servo_twin.sweep.space import Varied
 from servo_twin.sweep.trial import Trial
@@ -92,12 +93,8 @@ def draw(path: Path, trials: Iterable[Trial], varied: Sequence[Varied], figures:
     SimulationError
         If matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SimulationError("pictures need matplotlib: pip install 'servo_twin[viewer]'") from None
     shown = list(trials)
-    drawing = Figure(figsize=(3.2 * len(varied) + 1.0, 2.2 * len(figures) + 0.6), dpi=100, layout="constrained")
+    drawing = new_figure(3.2 * len(varied) + 1.0, 2.2 * len(figures) + 0.6, 100)
     drawing.suptitle(title)
     plots = drawing.subplots(len(figures), len(varied), squeeze=False, sharex="col", sharey="row")
     for column, value in enumerate(varied):

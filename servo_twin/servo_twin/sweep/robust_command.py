@@ -11,12 +11,12 @@ from typing import Any, Final
 from tqdm import tqdm
 
 from servo_twin.experiments.rig import positive
-from servo_twin.firmware_build import as_toml
+from servo_twin.figure import new_figure
+from servo_twin.firmware_build import SERVO_TOML, as_toml, servo_table
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
 from servo_twin.simulation import SimulationError
-from servo_twin.sweep.command import servo_table
 from servo_twin.sweep.robust import Candidates, Objective, Score, front, search
 from servo_twin.sweep.space import SYNTAX, Space, SpaceError, Varied
 from servo_twin.sweep.trial import MEASURES
@@ -81,7 +81,7 @@ def _tuned(base: Base, texts: Sequence[str]) -> list[Varied]:
 
 
 def _run(args: argparse.Namespace) -> int:
-    base = Base(PlantConfig.load(args.plant), servo_table(args.config))
+    base = Base(PlantConfig.load(args.plant), servo_table(args.config or SERVO_TOML))
     tuned = _tuned(base, args.tune)
     objective = Objective(args.minimize or args.maximize, "minimize" if args.minimize else "maximize")
     over = [base.resolved(Varied.parse(text)) for text in args.over]
@@ -142,11 +142,7 @@ def _table(best: Sequence[Score], today: Score) -> list[str]:
 
 
 def _draw(path: Path, found: Sequence[Score], best: Sequence[Score], today: Score, objective: Objective) -> None:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SimulationError("pictures need matplotlib: pip install 'servo_twin[viewer]'") from None
-    drawing = Figure(figsize=(7, 5), dpi=120, layout="constrained")
+    drawing = new_figure(7.0, 5.0, 120)
     plot = drawing.subplots()
     allowed = [score for score in found if score.violations <= today.violations]
     refused = [score for score in found if score.violations > today.violations]

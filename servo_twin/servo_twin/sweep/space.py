@@ -163,7 +163,7 @@ class Space:
 
     @classmethod
     def of(cls, varied: Sequence[Varied], method: Method | None, count: int | None, seed: int) -> Space:
-        """The space that somebody asks for; by default a grid where every value has levels, else a Latin hypercube.
+        """The space as requested; by default a grid where every value has levels, else a Latin hypercube.
 
         Raises
         ------

@@ -15,15 +15,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Final
 
-from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.reading import AXIS_NAMES, parse
-from servo_msgs_py.tuning.tuned import tuned
 
+from servo_msgs_py import board_parameters
 from servo_twin.board import Board
 from servo_twin.experiments.rig import set_axis
-from servo_twin.lockstep.blocks import Blocks, bring
+from servo_twin.lockstep.blocks import Blocks, blocks_of_configuration, bring
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
@@ -33,7 +32,6 @@ __all__ = ["Base", "Variant", "put"]
 
 _PLANT: Final = "plant."
 _SERVO: Final = "servo."
-_PARAMETER: Final = "param."
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ class Base:
         SpaceError
             If there is no such value, or none of which there could be factors.
         """
-        if not varied.name.startswith(_PARAMETER):
+        if not varied.name.startswith(board_parameters.PREFIX):
             nominal = self.nominal(varied.name)
             return varied.times(nominal) if varied.factor else varied
         _parameter(varied.name)
@@ -79,7 +77,7 @@ class Base:
             return _number(name, self.plant)
         if name.startswith(_SERVO):
             return _number(name, _with_defaults(self.servo))
-        raise SpaceError(f"{name}: what is varied begins with {_PLANT}, {_SERVO} or {_PARAMETER}")
+        raise SpaceError(f"{name}: what is varied begins with {_PLANT}, {_SERVO} or {board_parameters.PREFIX}")
 
     def variant(self, point: Mapping[str, float]) -> Variant:
         """Plant and board with these values, by name."""
@@ -132,10 +130,8 @@ class Variant:
                 raise SimulationError(str(error)) from None
 
     def _blocks(self, catalogue: Catalogue) -> Blocks:
-        table = AxisConfigTable.load()
         try:
-            configuration = parse(self.servo, catalogue)
-            return {k: tuple(table.words(tuned(one, configuration).block)) for k, one in enumerate(configuration.axes)}
+            return blocks_of_configuration(parse(self.servo, catalogue))
         except ConfigError as error:
             raise SimulationError(f"servo.toml: {error}") from None
 
@@ -202,14 +198,10 @@ def put(table: dict[str, Any], name: str, value: float) -> None:
 
 def _parameter(name: str) -> tuple[str, int]:
     """Variable and element that a name means."""
-    variable, bracket, rest = name.partition("[")
     try:
-        found = Catalogue.load()[variable]
-    except KeyError as error:
-        raise SpaceError(str(error.args[0])) from None
-    element = rest.removesuffix("]") if bracket else "0"
-    if not element.isdigit() or int(element) >= found.count:
-        raise SpaceError(f"{name}: {variable} has the elements 0 .. {found.count - 1}")
-    if found.count > 1 and not bracket:
-        raise SpaceError(f"{name}: of which axis? {variable}[0] .. {variable}[{found.count - 1}]")
-    return variable, int(element)
+        variable, element = board_parameters.find(name, Catalogue.load())
+    except ValueError as error:
+        raise SpaceError(str(error)) from None
+    if element is None and variable.count > 1:
+        raise SpaceError(f"{name}: of which axis? {name}[0] .. {name}[{variable.count - 1}]")
+    return variable.name, element or 0

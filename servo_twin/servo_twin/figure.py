@@ -1,0 +1,24 @@
+"""Pictures without a window."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from servo_twin.board import SimulationError
+
+__all__ = ["new_figure"]
+
+
+def new_figure(width: float, height: float, dpi: int) -> Any:
+    """A matplotlib figure of this size [inch] that lays itself out.
+
+    Raises
+    ------
+    SimulationError
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise SimulationError("pictures need matplotlib: pip install 'servo_twin[viewer]'") from None
+    return Figure(figsize=(width, height), dpi=dpi, layout="constrained")
