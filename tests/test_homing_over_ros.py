@@ -89,7 +89,7 @@ def test_position_is_set_restored_and_confined(chain: Chain, user: User) -> None
 
     assert user.enable()[0]
     user.until(lambda: user.messages["/servo/armed"][-1].data)
-    home = user.node.create_client(Trigger, "/servo/axis2/home/stop_positive")
+    home = user.node.create_client(Trigger, f"/servo/axis2/{topics.HOME}/stop_positive")
     user.until(home.service_is_ready)
     future = home.call_async(Trigger.Request())
     user.until(lambda: worth(user, 2) == "homing" or future.done(), 5.0)

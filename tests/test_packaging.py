@@ -48,7 +48,7 @@ WITHOUT_KEY = {
 
 HOSTS = {"www.apache.org", "download.ros.org", "www.w3.org", "docs.ros.org", "localhost", "127.0.0.1"}
 UNWANTED = {
-    "a path of one machine": re.compile(r"(?<![\w>}])/(?:[h]ome|[r]oot|[w]ork|[U]sers)/\w"),
+    "a path of one machine": re.compile(r"(?<![>}])/(?:[h]ome|[r]oot|[w]ork|[U]sers)/\w"),
     "a choice of package index": re.compile(r"--(?:extra-)?index[-]url|--find[-]links|--trusted[-]host"),
     "something left open": re.compile(r"\b(?:[T]ODO|[F]IXME|[X]XX|[H]ACK)\b"),
 }

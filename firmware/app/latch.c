@@ -143,7 +143,7 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
         }
         if (axes[i].home.renew) {
             apply_parameter(parameter, &axes[i]);
-            limits_renew(&axes[i]); /* nobody has asked for anything, but nothing is on its way beyond the old ones */
+            limits_renew(&axes[i]); /* without a command: no motion is under way beyond the old limits */
             axes[i].home.renew = false;
         }
     }

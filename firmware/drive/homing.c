@@ -28,11 +28,7 @@
 /* Faults after which the count of the encoder is not what it was. */
 #define COUNT_LOST (FAULT_ENCODER | FAULT_ENCODER_LOST | FAULT_ENCODER_REVERSED | FAULT_ANGLE_MISMATCH)
 
-void homing_init(axis_t *axis)
-{
-    axis->home = (home_t){.limit = LIMIT_POSITION};
-    axis->inputs = 0;
-}
+void homing_init(axis_t *axis) { axis->home = (home_t){.limit = LIMIT_POSITION}; }
 
 static bool trusted(const home_t *home) { return home->state == HOME_STATE_KNOWN || home->state == HOME_STATE_ASSUMED; }
 

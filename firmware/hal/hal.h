@@ -122,8 +122,8 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
 /* ---- data flash ------------------------------------------------------------------------------------------------- */
 
 /* What stays without power: sectors of words of 32 bits. An erase makes ones of a sector; a word is programmed once after
- * that. One command at a time; each ends by itself. While it is under way, and while power fails meanwhile, nobody knows
- * what the sector or the word reads as, and nothing else in the data flash can be read. */
+ * that. One command at a time; each ends by itself. While it is under way, the contents of
+ * the sector or the word are undefined, and stay so if power fails; nothing else in the data flash can be read. */
 #define HAL_FLASH_SECTORS 4U
 #define HAL_FLASH_SECTOR_WORDS 256U
 

@@ -75,7 +75,7 @@ struct hal {
     uint16_t flash_polls; /* for which a command is busy */
     uint16_t flash_left;  /* .. of the present one */
     uint16_t flash_commands; /* begun */
-    uint16_t flash_reads;  /* while one was under way: nobody may */
+    uint16_t flash_reads;  /* while one was under way: not allowed */
     bool flash_erases;     /* the present one is an erase */
     uint16_t flash_at;     /* .. of this sector, or programs this word */
     uint32_t flash_value;

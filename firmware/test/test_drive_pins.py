@@ -56,6 +56,15 @@ def spin(bench: Bench) -> None:
     bench.slow(OPEN + 3)
 
 
+def begin_opening(bench: Bench) -> None:
+    """Enable axis 1, whose angle is known, until the coil of its brake has current."""
+    fit(bench, BRAKE)
+    bench.to_stop()
+    bench.axis(0).aligned = True
+    bench.write(0, enable=1)
+    bench.until(lambda: bench.hal.axis[0].holding_released, 100)
+
+
 class TestSwitches:
     def test_what_is_not_fitted_is_not_read(self, bench: Bench) -> None:
         bench.hal.axis[0].inputs = HOME | LIMIT_MIN | LIMIT_MAX
@@ -190,7 +199,7 @@ class TestEnableInput:
         bench.to_stop()
         assert bench.view(0).faults == 0  # at rest an open input is none
 
-    def test_nobody_switches_this_fault_off(self, bench: Bench) -> None:
+    def test_this_fault_cannot_be_switched_off(self, bench: Bench) -> None:
         fit(bench, ENABLE)
         bench.servo.parameter.faults_enabled[0] = 0
         spin(bench)
@@ -201,11 +210,7 @@ class TestEnableInput:
 
 class TestHoldingBrake:
     def test_closed_until_the_position_is_controlled(self, bench: Bench) -> None:
-        fit(bench, BRAKE)
-        bench.to_stop()
-        bench.axis(0).aligned = True
-        bench.write(0, enable=1)
-        bench.until(lambda: bench.hal.axis[0].holding_released, 100)
+        begin_opening(bench)
         assert (bench.axis(0).sm.state, bench.axis(0).substate) == (RUN, SPIN)
         assert bench.hal.axis[0].outputs_on
         assert bench.view(0).inputs == 0
@@ -214,11 +219,7 @@ class TestHoldingBrake:
         assert bench.view(0).inputs == BRAKE
 
     def test_set_points_wait_for_it(self, bench: Bench) -> None:
-        fit(bench, BRAKE)
-        bench.to_stop()
-        bench.axis(0).aligned = True
-        bench.write(0, enable=1)
-        bench.until(lambda: bench.hal.axis[0].holding_released, 100)
+        begin_opening(bench)
         start = bench.view(0).position
         bench.write(0, mode=POSITION, position=start + 4000)
         while bench.view(0).inputs != BRAKE:
@@ -229,11 +230,7 @@ class TestHoldingBrake:
 
     @pytest.mark.parametrize("again", [{"enable": 1}, {"quick_stop": 0}], ids=str)
     def test_set_points_wait_whatever_is_repeated_meanwhile(self, bench: Bench, again: dict[str, int]) -> None:
-        fit(bench, BRAKE)
-        bench.to_stop()
-        bench.axis(0).aligned = True
-        bench.write(0, enable=1)
-        bench.until(lambda: bench.hal.axis[0].holding_released, 100)
+        begin_opening(bench)
         start = bench.view(0).position
         bench.write(0, mode=POSITION, position=start + 4000)
         bench.slow(2)
@@ -246,11 +243,7 @@ class TestHoldingBrake:
 
     @pytest.mark.parametrize("stop", ["enable", "quick_stop", "fault"])
     def test_a_set_point_that_waits_does_not_outlive_a_stop(self, bench: Bench, stop: str) -> None:
-        fit(bench, BRAKE)
-        bench.to_stop()
-        bench.axis(0).aligned = True
-        bench.write(0, enable=1)
-        bench.until(lambda: bench.hal.axis[0].holding_released, 100)
+        begin_opening(bench)
         start = bench.view(0).position
         bench.write(0, mode=POSITION, position=start + 4000)
         bench.slow(2)

@@ -167,7 +167,7 @@ def test_a_cut_at_any_moment_is_the_end_of_the_command_under_way(kept: Kept) -> 
 
 
 def test_the_loops_go_on_while_the_flash_is_written(kept: Kept) -> None:
-    """A shaft that is turned by nobody, an axis that is enabled meanwhile."""
+    """A free shaft, and an axis that is enabled meanwhile."""
     token = begin_request(kept.memory, "SAVE")
     kept.run(0.02)
     kept.board.write("cmd.enable", [1, 1])

@@ -99,7 +99,7 @@ uint16_t ftfl_data_read(chip_t *chip, uint32_t address)
     ftfl_t *ftfl = &chip->ftfl;
     if (busy(chip)) {
         ftfl->errors |= STAT_RDCOLERR;
-        return 0u; /* no one knows */
+        return 0u; /* undefined */
     }
     const uint32_t index = address - FTFL_DATA_BEGIN;
     return (uint16_t)(ftfl->flash.word[index / 2u] >> (16u * (index % 2u)));

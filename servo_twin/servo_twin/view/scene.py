@@ -110,7 +110,7 @@ EXTRAS: Final = (
     Quantity("winding_temperature", "winding", "deg C", "winding_temperature", "no set-point"),
     Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point"),
 )
-"""Plots of what is not in the telemetry unless somebody puts it there; beside the residuals."""
+"""Plots of optional telemetry, beside the residuals."""
 
 BURST_RESIDUAL: Final = "/burst_residual"
 """Root of what the bursts of board and twin differ by."""

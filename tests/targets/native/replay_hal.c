@@ -118,7 +118,7 @@ bool hal_serial_put(hal_t *hal, uint8_t byte)
     return take(hal) != 0U;
 }
 
-/* A command has its effect at once: nobody reads before it has ended. */
+/* A command has its effect at once: the firmware reads after its end only. */
 bool hal_flash_present(hal_t *hal)
 {
     (void)hal;
