@@ -15,7 +15,7 @@ HOMING_FAULT = next(flag.mask for flag in CATALOGUE.flags["faults"] if flag.name
 NOT_HOMED = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "NOT_HOMED")
 HOMING = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "HOMING")
 POSITION_LIMITS = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "POSITION_LIMITS")
-INPUT_HOME, INPUT_LIMIT_MIN, INPUT_LIMIT_MAX = 1, 2, 4
+INPUT_HOME, INPUT_LIMIT_MIN, INPUT_LIMIT_MAX, INPUT_BRAKE_OPEN = 1, 2, 4, 16
 
 
 def ask(bench: Bench, method: str, value: int = 0, axis: int = 0) -> None:
@@ -286,6 +286,20 @@ def test_a_limit_switch_ends_the_way(bench: Bench, method: str) -> None:
         pushed.append(bench.view(0).i_q_ref if positive else -bench.view(0).i_q_ref)
     assert (state(bench), result(bench)) == ("UNKNOWN", "BLOCKED")
     assert max(pushed) < amps(0.2)
+
+
+def test_not_while_the_brake_opens(core: Core) -> None:
+    """A closed brake would be taken for the stop; and the answer is that of this request."""
+    bench = Bench(core)
+    bench.fit(INPUT_BRAKE_OPEN, open_ticks=12, close_ticks=9)
+    bench.to_stop()
+    bench.axis(0).aligned = True
+    bench.write(0, enable=1)
+    bench.until(lambda: bench.hal.axis[0].holding_released, 100)
+    ask(bench, "STOP_POSITIVE")
+    bench.slow(3)
+    assert result(bench) == "MOTION"
+    assert (state(bench), bench.view(0).faults) == ("UNKNOWN", 0)
 
 
 def test_not_while_a_quick_stop_holds(bench: Bench) -> None:

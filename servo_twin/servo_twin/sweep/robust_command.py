@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +19,7 @@ from servo_twin.simulation import SimulationError
 from servo_twin.sweep.robust import Candidates, Objective, Score, front, search
 from servo_twin.sweep.space import SYNTAX, Space, SpaceError, Varied
 from servo_twin.sweep.trial import MEASURES
-from servo_twin.sweep.variant import Base, put
+from servo_twin.sweep.variant import Base
 
 __all__ = ["add_parser"]
 
@@ -108,10 +107,7 @@ def _run(args: argparse.Namespace) -> int:
         print(f"none of {len(found)} candidates does without more violations than today's gains ({today.violations})")
         return 1
     args.out.mkdir(parents=True, exist_ok=True)
-    servo = copy.deepcopy(dict(base.servo))
-    for name, value in best[0].candidate.items():
-        if name.startswith("servo."):
-            put(servo, name, value)
+    servo = base.variant(best[0].candidate).servo or base.servo
     (args.out / "servo.toml").write_text(as_toml(servo), encoding="utf-8")
     _draw(args.out / "tune-robust.png", found, best, today, objective)
     print(f"{objective.direction} {objective.figure}")

@@ -28,7 +28,7 @@ from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.sweep.space import SpaceError, Varied
 
-__all__ = ["Base", "Variant", "put"]
+__all__ = ["Base", "Variant"]
 
 _PLANT: Final = "plant."
 _SERVO: Final = "servo."
@@ -89,7 +89,7 @@ class Base:
                 plant = _plant_with(plant, name, value)
             elif name.startswith(_SERVO):
                 servo = servo or copy.deepcopy(dict(self.servo))
-                put(servo, name, value)
+                _put(servo, name, value)
             else:
                 parameters[name] = value
         return Variant(plant, servo, parameters)
@@ -187,8 +187,7 @@ def _merged(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def put(table: dict[str, Any], name: str, value: float) -> None:
-    """Set the value of a name in a parsed ``servo.toml``."""
+def _put(table: dict[str, Any], name: str, value: float) -> None:
     _, *path, last = name.split(".")
     place = table
     for key in path:
