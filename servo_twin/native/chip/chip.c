@@ -99,7 +99,7 @@ static inline const block_t *block_of(chip_t *chip, uint32_t address)
     return block;
 }
 
-CHIP_NORETURN CHIP_APART static void fail_waiting(chip_t *chip, uint32_t address)
+CHIP_NORETURN NOINLINE static void fail_waiting(chip_t *chip, uint32_t address)
 {
     char name[64];
     chip_register_name(address, name, sizeof name);
@@ -192,7 +192,7 @@ static inline bool step(chip_t *chip, uint64_t until)
             return stand_still(chip, until);
         }
         chip_pass_time(chip, outside);
-        chip_meet_world(chip);
+        sync_plant(chip);
         world_events(chip->world);
         return true;
     }
