@@ -257,7 +257,7 @@ static void stop(chip_t *chip, unsigned c)
 
 static void begin(chip_t *chip, unsigned c)
 {
-    adc_converter_t *converter = &chip->adc.converter[c];
+    const adc_converter_t *converter = &chip->adc.converter[c];
     if (!powered(chip, c)) {
         chip_fail(chip, "ADC: a scan begins while converter %c is powered down", "AB"[c]);
     }

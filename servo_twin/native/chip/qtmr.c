@@ -573,7 +573,7 @@ static void write_ctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n
 
 static uint16_t read_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint32_t r)
 {
-    qtmr_channel_t *c = &timer->channel[n];
+    const qtmr_channel_t *c = &timer->channel[n];
     switch (r) {
     case COMP1:
         return c->comp1;
