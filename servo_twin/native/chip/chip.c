@@ -229,8 +229,8 @@ bool chip_step(chip_t *chip, uint64_t until)
 /* Where the chip's life begins, with its address in two halves. */
 static void inside(unsigned upper, unsigned lower)
 {
-    chip_t *chip = (chip_t *)(uintptr_t)((uint64_t)upper << 32 |
-                                         lower); /* NOLINT(performance-no-int-to-ptr): a context takes ints */
+    /* NOLINTNEXTLINE(performance-no-int-to-ptr): a context takes ints */
+    chip_t *chip = (chip_t *)(uintptr_t)((uint64_t)upper << 32 | lower);
     core_run(chip);
     while (setjmp(chip->escape) == ESCAPE_FAILURE) {
         leave(chip);
