@@ -39,12 +39,12 @@ class SessionAccess(BoardAccess):
     ----------
     session : Session
         With a board of this contract.
-    keep_alive : callable
-        Sends a keep-alive if it is due.
+    meanwhile : callable
+        Called again and again during a wait; sends a keep-alive if it is due.
     """
 
-    def __init__(self, session: Session, keep_alive: Callable[[], None]) -> None:
-        self._session, self._keep_alive = session, keep_alive
+    def __init__(self, session: Session, meanwhile: Callable[[], None]) -> None:
+        self._session, self._meanwhile = session, meanwhile
         self._line = session.client.line
 
     def _clock(self) -> float:
@@ -72,7 +72,7 @@ class SessionAccess(BoardAccess):
     def wait(self, seconds: float) -> None:
         end = self._clock() + seconds
         while (left := end - self._clock()) > 0.0:
-            self._keep_alive()
+            self._meanwhile()
             self._line.rest(min(left, _PAUSE))
 
     def capacity(self, names: Sequence[str]) -> int:
@@ -115,14 +115,21 @@ class SessionAccess(BoardAccess):
         while (burst := recording.step(self._session)) is None:
             if recording.phase is Phase.WAITING and self._clock() > due:
                 raise RecorderError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")
-            if recording.pause:
-                self.wait(recording.pause)
+            self._meanwhile()
+            self.wait(recording.pause)
         return burst
 
 
 @contextmanager
-def measurement_access(session: Session) -> Iterator[SessionAccess]:
+def measurement_access(session: Session, check: Callable[[], None] = lambda: None) -> Iterator[SessionAccess]:
     """Access to the board of a session, which is kept from missing its host until the end of the block.
+
+    Parameters
+    ----------
+    session : Session
+        The board.
+    check : callable
+        Called again and again while the access waits; may raise to end a measurement.
 
     Raises
     ------
@@ -132,4 +139,9 @@ def measurement_access(session: Session) -> Iterator[SessionAccess]:
     if session.mismatch is not None:
         raise session.mismatch
     with kept_alive(session.client, session.catalogue) as keep_alive:
-        yield SessionAccess(session, keep_alive)
+
+        def meanwhile() -> None:
+            check()
+            keep_alive()
+
+        yield SessionAccess(session, meanwhile)
