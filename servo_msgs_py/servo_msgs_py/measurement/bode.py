@@ -336,8 +336,8 @@ def _way(settings: Settings, band: Band) -> float:
 
 
 def _time_of(band: Band) -> float:
-    """For which the shaft turns in one recording [s]."""
-    return _SETTLE + _START + band.seconds
+    """For which the shaft turns in one recording, which a trigger may only end when the memory was full [s]."""
+    return _SETTLE + _START + 2.0 * band.seconds
 
 
 # ---- motion ----------------------------------------------------------------------------------------------------------
