@@ -11,11 +11,12 @@ import numpy as np
 from servo_msgs_py.measurement.access import Recording
 from servo_msgs_py.measurement.least_squares import Floats, fit_linear, mean_of
 from servo_msgs_py.measurement.motor_values import Estimate
-from servo_msgs_py.units import COUNTS_PER_TURN
+from servo_msgs_py.measurement.standstill import PERIOD, Ohmic, switching_share
 
 __all__ = ["Steady", "balance", "flux", "friction", "steady_of", "torque_of"]
 
-RADIANS: Final = 2.0 * math.pi / COUNTS_PER_TURN
+LOST_OFF: Final = 0.3
+"""Part by which a lost voltage may be off that changes within the band of small currents."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +27,14 @@ class Steady:
     ----------
     speed : float
         Of the shaft, from its way [rad/s].
+    acceleration : float
+        What is left of it [rad/s^2].
     i_d, i_q, u_q : Estimate
         [A], [A], [V].
     """
 
     speed: float
+    acceleration: float
     i_d: Estimate
     i_q: Estimate
     u_q: Estimate
@@ -42,9 +46,9 @@ def steady_of(recording: Recording, axis: str, seconds: float) -> Steady:
     part = {name: recording.columns[f"{axis}.{name}"][-count:] for name in ("position", "i_d", "i_q", "u_q")}
     usable = np.isfinite(part["position"])
     time = recording.step * np.arange(count)[usable]
-    slope = float(np.polyfit(time, part["position"][usable] * RADIANS, 1)[0])
+    bend, slope, _ = np.polyfit(time - time.mean(), part["position"][usable], 2)
     means = {name: Estimate(*mean_of(part[name])) for name in ("i_d", "i_q", "u_q")}
-    return Steady(slope, **means)
+    return Steady(float(slope), 2.0 * float(bend), **means)
 
 
 def torque_of(i_d: Floats, i_q: Floats, pairs: int, psi: float, l_d: float, l_q: float) -> Floats:
@@ -52,17 +56,34 @@ def torque_of(i_d: Floats, i_q: Floats, pairs: int, psi: float, l_d: float, l_q:
     return 1.5 * pairs * (psi + (l_d - l_q) * i_d) * i_q
 
 
-def flux(points: list[Steady], pairs: int, r: Estimate, l_d: float) -> Estimate:
-    """Flux linkage from the voltage over the speed; what dead time and drops take has the sign of the current [V s]."""
+def _lost_fundamental(current: Floats, voltage: Floats, u_dc: float, direct: Ohmic, inductance: float) -> Floats:
+    """Voltage along the current that legs lose while it turns: of the first harmonic [V].
+
+    The ripple of the current, which grows with the modulation, widens the band within which a current changes its sign.
+    """
+    phase = np.linspace(0.0, 2.0 * math.pi, 180, endpoint=False)
+    spread = np.clip(math.sqrt(3.0) * 3.0 / math.pi * np.abs(voltage) / u_dc, 0.0, 1.0)
+    band = direct.band + u_dc * spread * (1.0 - spread) * PERIOD / (6.0 * inductance)
+    wave = switching_share(np.outer(current / band, np.cos(phase)))
+    result: Floats = 2.0 * direct.lost.value * (wave * np.cos(phase)).mean(axis=1)
+    return result
+
+
+def flux(points: list[Steady], pairs: int, direct: Ohmic, u_dc: float, l_d: float, l_q: float) -> Estimate:
+    """Flux linkage from the voltage over the speed [V s]; what dead time and drops take is known from direct current."""
     speed = np.array([point.speed for point in points]) * pairs
     i_d, i_q = (np.array([getattr(point, name).value for point in points]) for name in ("i_d", "i_q"))
     u_q = np.array([point.u_q.value for point in points])
     sigma = np.array([max(point.u_q.sigma, 1e-3) for point in points])
+    lost = _lost_fundamental(i_q, u_q, u_dc, direct, 0.5 * (l_d + l_q))
     columns = np.column_stack([speed, np.sign(speed), np.ones_like(speed)])
-    (psi, _, _), covariance, _ = fit_linear(columns, u_q - r.value * i_q - speed * l_d * i_d, sigma)
-    # an error of the resistance counts as far as the current grows with the speed
+    induced = u_q - direct.resistance.value * i_q - speed * l_d * i_d - lost
+    (psi, _, _), covariance, _ = fit_linear(columns, induced, sigma)
+    # errors of resistance and lost voltage count as far as both grow with the speed
     (grown, _, _), _, _ = fit_linear(columns, i_q)
-    return Estimate(float(psi), math.hypot(float(np.sqrt(covariance[0, 0])), abs(float(grown)) * r.sigma))
+    (lost_grown, _, _), _, _ = fit_linear(columns, lost)
+    parts = (float(np.sqrt(covariance[0, 0])), float(grown) * direct.resistance.sigma, LOST_OFF * float(lost_grown))
+    return Estimate(float(psi), math.hypot(*parts))
 
 
 def friction(points: list[Steady], torque: Floats, torque_sigma: Floats) -> dict[str, Estimate]:
@@ -93,7 +114,7 @@ def balance(
     rows: list[Floats] = []
     values: list[Floats] = []
     for k, recording in enumerate(recordings):
-        position = recording.columns[f"{axis}.position"] * RADIANS
+        position = recording.columns[f"{axis}.position"]
         torque = torque_of(recording.columns[f"{axis}.i_d"], recording.columns[f"{axis}.i_q"], *motor)
         speed = np.diff(position) / recording.step
         middle = torque[1:-1]  # between the middles of two intervals

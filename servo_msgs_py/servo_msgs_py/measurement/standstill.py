@@ -149,7 +149,7 @@ def impedance(
         elif not swings:
             swing = 0.0
         assert late is not None
-        error = i_d - _response(omega, r, inductance, late, max(swing, 0.0)) * u_d
+        error = i_d - _response(omega, r, inductance, late, swing) * u_d
         return np.concatenate([error.real, error.imag])
 
     start, scale = [size], [size]

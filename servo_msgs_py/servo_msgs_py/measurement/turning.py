@@ -11,7 +11,6 @@ import numpy as np
 from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.least_squares import Floats, fit_linear
 from servo_msgs_py.measurement.motor_values import Estimate
-from servo_msgs_py.units import COUNTS_PER_TURN
 
 __all__ = ["Turning", "sensor_errors", "turning"]
 
@@ -51,7 +50,7 @@ def turning(position: Floats, theta_e: Floats) -> Turning:
     Parameters
     ----------
     position : ndarray
-        [counts].
+        Of the shaft [rad].
     theta_e : ndarray
         Angle of the vector [rad].
 
@@ -62,7 +61,7 @@ def turning(position: Floats, theta_e: Floats) -> Turning:
     """
     usable = np.isfinite(position) & np.isfinite(theta_e)
     electrical = np.unwrap(theta_e[usable])
-    shaft = position[usable] * (2.0 * math.pi / COUNTS_PER_TURN)
+    shaft = position[usable]
     (slope, _), covariance, rms = fit_linear(np.column_stack([electrical, np.ones_like(electrical)]), shaft)
     turned = slope * float(np.ptp(electrical))
     if abs(turned) < 0.2 * float(np.ptp(electrical)) / 50.0:
@@ -89,7 +88,7 @@ def sensor_errors(recordings: list[Recording], axis: str, r: float) -> dict[str,
     rows: list[Floats] = []
     values: list[Floats] = []
     for recording in recordings:
-        theta, u_d, i_d = (recording.columns[f"{axis}.{name}"] for name in ("theta_e", "u_d", "i_d"))
+        theta, u_d, i_d = (recording.columns[f"{axis}.{name}"] for name in ("test_angle", "u_d", "i_d"))
         usable = np.isfinite(theta) & np.isfinite(u_d) & np.isfinite(i_d)
         theta, u_d, i_d = theta[usable], u_d[usable], i_d[usable]
         level = np.ones_like(theta)
