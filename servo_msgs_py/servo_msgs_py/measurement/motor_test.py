@@ -50,6 +50,8 @@ TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
 TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
 PULSE: Final = 0.5  # part of the current limit
 SPEEDS: Final = (0.3, 0.6, 1.0)
+SEARCHED: Final = 0.5
+"""Time between the rotor search and the first run [s]: where the test is simulated, the search may take longer."""
 SETTLE: Final = 0.15  # s
 NOMINAL: Final[Mapping[str, float]] = {
     "r_s": 0.5,
@@ -120,7 +122,7 @@ class MotorTest:
         timeout = self.access.read_words("param.command_timeout")
         self._check()
         self.access.write("param.command_timeout", [0.0])
-        self.log.notes["limits"] = {name: getattr(self.limits, name) for name in ("voltage", "current", "speed", "turns", "r_on")}
+        self.log.notes["limits"] = {name: getattr(self.limits, name) for name in ("voltage", "current", "speed", "turns", "energy", "r_on")}
         monitors = saved["param.faults_enabled"]
         try:
             # they judge voltages by a resistance and current controllers that are not known yet
@@ -255,7 +257,8 @@ class MotorTest:
         self._mode("SPEED")
         self._write("cmd.speed", 0.0)
         self._enable("SPIN", 8.0)
-        self._speeds(table[self.name]["limits"])
+        self.access.wait(SEARCHED)
+        self._speeds(table[self.name]["limits"], inertia)
         self._off()
 
     def _pulses(self, motor: Mapping[str, float]) -> tuple[float, float]:
@@ -302,9 +305,11 @@ class MotorTest:
             raise MeasurementError("torque pulses give no inertia: the shaft is held, or something else turns it")
         return found.value, coulomb.value
 
-    def _speeds(self, limits: Mapping[str, float]) -> None:
+    def _speeds(self, limits: Mapping[str, float], inertia: float) -> None:
         acceleration = limits["acceleration"]
         most = min(limits["speed"], self._speed_max())
+        # a reversal returns the energy of the shaft to the bus
+        most = min(most, math.sqrt(2.0 * self.limits.energy / inertia))
         # a run from standstill to one side stays within the turns
         room = 2.0 * math.pi * self.limits.turns
         while most * (HOLD + SETTLE) + most**2 / (2.0 * acceleration) > room:

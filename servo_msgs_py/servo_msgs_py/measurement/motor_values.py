@@ -95,6 +95,8 @@ class Limits:
         Largest speed [rad/s].
     turns : float
         The shaft stays within so many turns to both sides.
+    energy : float
+        What the bus can take from a shaft that brakes [J].
     r_on : float
         Resistance of a switch, which a measurement cannot tell from the winding's [ohm].
     """
@@ -103,10 +105,11 @@ class Limits:
     current: float
     speed: float = 200.0
     turns: float = 20.0
+    energy: float = 0.4
     r_on: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("voltage", "current", "speed", "turns"):
+        for name in ("voltage", "current", "speed", "turns", "energy"):
             value: float = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} is {value!r}; write a number above 0")
