@@ -279,10 +279,8 @@ static void run_axis_slot(axis_t *axis, uint32_t tick)
     case SLOT_EXCITE:
         axis_excite(axis);
         break;
-    case SLOT_LATCH:
+    default: /* SLOT_LATCH: every slot has its work */
         axis_plan(axis, tick + 1U);
-        break;
-    default:
         break;
     }
 }

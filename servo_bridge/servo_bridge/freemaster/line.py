@@ -194,6 +194,12 @@ class Line:
             left -= 1
             self.statistics.retries += 1
 
+    def rest(self, seconds: float) -> None:
+        """Let time pass without a request [s]; what comes meanwhile was not asked for."""
+        deadline = self.clock() + round(seconds * 1e9)
+        while self.clock() < deadline:
+            self.statistics.stray_bytes += len(self._transport.read(deadline))
+
     def work_off(self) -> None:
         """Do now what would be done while the next request is on its way."""
         work, self.meanwhile = self.meanwhile, None
