@@ -31,8 +31,8 @@ __all__ = [
 BAND: Final = {"d": (400.0, 2500.0), "q": (700.0, 2500.0)}
 """Frequencies that inductances are taken from [Hz]; below, the rotor gives way to a current across the vector."""
 
-HOLD: Final = 0.4
-"""At the end of a run the speed is constant for so long [s]."""
+HOLD: Final = 0.31
+"""Time at each speed [s]."""
 
 FLUX_FIRST: Final = 0.1
 """Relative uncertainty of the flux of a turning vector: what dead time and drops do to it is not known."""
@@ -131,11 +131,11 @@ def running_of(log: MeasurementLog, known: dict[str, Estimate], direct: Ohmic) -
     """``psi_m``, friction, ``load`` and ``inertia`` from runs at several speeds."""
     name = axis_name(log.axis)
     runs = log.labelled("speed")
-    points = [steady_of(run, name, HOLD) for run in runs]
+    points = [steady_of(run, name) for run in log.labelled("hold")]
     if len(points) < 4:
         raise MeasurementError(f"{len(points)} runs do not determine flux and friction: measure again")
     pairs, l_d, l_q = round(known["pole_pairs"].value), known["l_d"].value, known["l_q"].value
-    psi = flux(points, pairs, direct, float(log.notes["limits"]["voltage"]), l_d, l_q)
+    psi = flux(points, pairs, direct, float(log.notes["limits"]["voltage"]), l_d, l_q, known["delay"].value)
     i_d, i_q = (np.array([getattr(point, key).value for point in points]) for key in ("i_d", "i_q"))
     torque = torque_of(i_d, i_q, pairs, psi.value, l_d, l_q)
     sigma = 1.5 * pairs * psi.value * np.array([point.i_q.sigma for point in points])

@@ -27,6 +27,8 @@ ACCELERATION_USE: Final = 0.5
 SPEED_BANDWIDTHS: Final = (75.0, 60.0, 45.0, 30.0, 20.0, 12.0, 8.0, 5.0)
 """Tried in this order until the loops are stable and the tool has no warning about them [Hz]."""
 
+GENTLE_SPEED: Final = 12.0  # [Hz]
+GENTLE_CURRENT: Final = 300.0  # [Hz]
 PHASE_MIN: Final = 50.0  # of the speed loop [degrees]
 
 
@@ -111,8 +113,15 @@ def tuned_axis(table: Mapping[str, Any], axis: int) -> Tuned:
     return tuned(configuration.axes[axis], configuration)
 
 
-def fitted(base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[str, float]) -> dict[str, Any]:
+def fitted(
+    base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[str, float], *, gentle: bool = False
+) -> dict[str, Any]:
     """The same with the bandwidths that this motor bears.
+
+    Parameters
+    ----------
+    gentle : bool
+        Slow loops, which turn less of the noise of currents and speed into voltage.
 
     Raises
     ------
@@ -121,8 +130,10 @@ def fitted(base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[st
     """
     problem: ConfigError | None = None
     for bandwidth in SPEED_BANDWIDTHS:
+        if gentle and bandwidth > GENTLE_SPEED:
+            continue
         control = {
-            "current_bandwidth": 1000.0,
+            "current_bandwidth": GENTLE_CURRENT if gentle else 1000.0,
             "speed_bandwidth": bandwidth,
             "position_gain": 0.8 * bandwidth,
             "observer_bandwidth": max(bandwidth, 10.0),
@@ -133,7 +144,6 @@ def fitted(base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[st
         except ConfigError as error:
             problem = error
             continue
-        table_found = table
         phase = it.shaft().speed_margins().phase
         if phase is None or phase >= PHASE_MIN:
             return table

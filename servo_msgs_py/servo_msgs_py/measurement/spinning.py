@@ -29,8 +29,8 @@ class Steady:
         Of the shaft, from its way [rad/s].
     acceleration : float
         What is left of it [rad/s^2].
-    i_d, i_q, u_q : Estimate
-        [A], [A], [V].
+    i_d, i_q, u_q, u_d : Estimate
+        [A], [V].
     """
 
     speed: float
@@ -38,16 +38,16 @@ class Steady:
     i_d: Estimate
     i_q: Estimate
     u_q: Estimate
+    u_d: Estimate
 
 
-def steady_of(recording: Recording, axis: str, seconds: float) -> Steady:
-    """Of the last part of a recording."""
-    count = max(round(seconds / recording.step), 16)
-    part = {name: recording.columns[f"{axis}.{name}"][-count:] for name in ("position", "i_d", "i_q", "u_q")}
+def steady_of(recording: Recording, axis: str) -> Steady:
+    """Of a recording at constant speed."""
+    part = {name: recording.columns[f"{axis}.{name}"] for name in ("position", "i_d", "i_q", "u_q", "u_d")}
     usable = np.isfinite(part["position"])
-    time = recording.step * np.arange(count)[usable]
+    time = recording.time[usable]
     bend, slope, _ = np.polyfit(time - time.mean(), part["position"][usable], 2)
-    means = {name: Estimate(*mean_of(part[name])) for name in ("i_d", "i_q", "u_q")}
+    means = {name: Estimate(*mean_of(part[name])) for name in ("i_d", "i_q", "u_q", "u_d")}
     return Steady(float(slope), 2.0 * float(bend), **means)
 
 
@@ -69,13 +69,21 @@ def _lost_fundamental(current: Floats, voltage: Floats, u_dc: float, direct: Ohm
     return result
 
 
-def flux(points: list[Steady], pairs: int, direct: Ohmic, u_dc: float, l_d: float, l_q: float) -> Estimate:
-    """Flux linkage from the voltage over the speed [V s]; what dead time and drops take is known from direct current."""
+def flux(
+    points: list[Steady], pairs: int, direct: Ohmic, u_dc: float, l_d: float, l_q: float, delay: float
+) -> Estimate:
+    """Flux linkage from the voltage over the speed [V s]; what dead time and drops take is known from direct current.
+
+    A voltage acts when the rotor has turned on, by the delay of its load and half the time that it is held.
+    """
     speed = np.array([point.speed for point in points]) * pairs
     i_d, i_q = (np.array([getattr(point, name).value for point in points]) for name in ("i_d", "i_q"))
-    u_q = np.array([point.u_q.value for point in points])
+    turned = speed * (delay + 0.5 * PERIOD)
+    u_q, u_d = (np.array([getattr(point, name).value for point in points]) for name in ("u_q", "u_d"))
+    u_q = u_q * np.cos(turned) - u_d * np.sin(turned)
     sigma = np.array([max(point.u_q.sigma, 1e-3) for point in points])
-    lost = _lost_fundamental(i_q, u_q, u_dc, direct, 0.5 * (l_d + l_q))
+    size = np.hypot(i_d, i_q) + 1e-9
+    lost = _lost_fundamental(size, u_q, u_dc, direct, 0.5 * (l_d + l_q)) * i_q / size
     columns = np.column_stack([speed, np.sign(speed), np.ones_like(speed)])
     induced = u_q - direct.resistance.value * i_q - speed * l_d * i_d - lost
     (psi, _, _), covariance, _ = fit_linear(columns, induced, sigma)

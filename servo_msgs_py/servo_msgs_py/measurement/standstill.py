@@ -13,7 +13,7 @@ from servo_msgs_py.measurement.least_squares import Floats, fit_linear, fit_nonl
 from servo_msgs_py.measurement.motor_values import Estimate
 from servo_msgs_py.units import PERIOD_NS
 
-__all__ = ["Impedance", "Ohmic", "impedance", "ohmic", "switching_share"]
+__all__ = ["Impedance", "Ohmic", "impedance", "ohmic", "spectra", "switching_share"]
 
 Complex = NDArray[np.complex128]
 
@@ -134,10 +134,10 @@ def impedance(
     delay : float, optional
         Known delay [s].
     """
-    spectra = [_spectra(recording, names, band) for recording in recordings]
-    omega = spectra[0][0]
-    i_d = sum(item[1] for item in spectra)
-    u_d = sum(item[2] for item in spectra)
+    shown = [spectra(recording, names, band) for recording in recordings]
+    omega = shown[0][0]
+    i_d = sum(item[1] for item in shown)
+    u_d = sum(item[2] for item in shown)
     known = None if delay is None else delay / PERIOD
     size = float(np.abs(u_d).mean() / np.abs(i_d).mean() / omega.mean())
 
@@ -166,7 +166,7 @@ def impedance(
     return Impedance(Estimate(abs(float(x[0])), float(errors[0])), found, swing)
 
 
-def _spectra(
+def spectra(
     recording: Recording, names: tuple[str, str, str], band: tuple[float, float]
 ) -> tuple[Floats, Complex, Complex]:
     """Frequencies [rad/s], and current and voltage in terms of the instrument; missing samples are bridged."""

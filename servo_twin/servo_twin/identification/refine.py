@@ -6,6 +6,7 @@ differences of currents, voltages and speeds are minimised over the values of th
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +17,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import MeasurementError, Recording
+from servo_msgs_py.measurement.estimation import BAND, estimates_of
+from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog, repeat
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
+from servo_msgs_py.measurement.standstill import spectra
 
 from servo_twin.board import Board, BoardError
 from servo_twin.board_access import VirtualBoardAccess
@@ -43,22 +47,35 @@ MODEL_ERROR: Final[Mapping[str, float]] = {
 }
 """Relative standard uncertainty that the model leaves, whatever the noise (doc/identify.md)."""
 
-BATCH: Final = 40  # neighbouring samples whose residuals are not independent
-STEP: Final = 0.01  # of a numerical derivative
+BATCH: Final = 4  # neighbouring samples whose residuals are not independent
+STEP: Final = 0.04
+"""Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
+CORRECTIONS: Final = 3
 ITERATIONS: Final = 5
 FARTHEST: Final = 8.0  # a residual counts for no more than about so many times the usual one
 
 _COMPARED: Final[Mapping[str, Sequence[str]]] = {
     "level": ("u_d",),
-    "sweep_d": ("i_d", "u_d"),
-    "sweep_q": ("i_q", "u_q"),
-    "speed": ("i_q", "u_q", "speed"),
+    "speed": ("i_q", "speed"),
+    "hold": ("i_q", "u_q"),
 }
-"""Columns that are compared, by the purpose of a recording."""
+"""Columns that are compared, by the purpose of a recording; of swept sines the spectra are."""
 
-_AVERAGED: Final[Mapping[str, float]] = {"level": math.inf, "speed": 0.02}
+_AVERAGED: Final[Mapping[str, float]] = {"level": 1e3, "speed": 0.02, "hold": 1e3}
 """Means over so many seconds count [s]: dead time makes a ripple of six periods per electrical turn, whose phase says
 nothing about the motor."""
+
+_DEPENDS: Final[Mapping[str, Sequence[str]]] = {
+    "level": ("r_s", "dead_voltage"),
+    "sweep d": ("r_s", "l_d"),
+    "sweep q": ("r_s", "l_q", "psi_m", "inertia"),
+    "speed": ("psi_m", "inertia", "friction", "viscous", "load"),
+    "hold": REFINED,
+}
+"""What a signal depends on; all else in a numerical derivative is roughness."""
+
+_LEAST: Final[Mapping[str, float]] = {"i_q": 1e-3, "u_d": 1e-3, "u_q": 3e-3, "speed": 0.01}
+"""Noise that is assumed at least [SI]."""
 
 
 @dataclass(frozen=True)
@@ -122,64 +139,124 @@ def simulated(
         raise MeasurementError(f"the simulation has failed: {error}") from None
 
 
+@dataclass(frozen=True)
+class _Part:
+    """What is compared of one recording.
+
+    Attributes
+    ----------
+    number : int
+        Of the recording.
+    label, column : str
+    usable : ndarray of bool
+        Samples that are there.
+    group : ndarray of int
+        Of the usable ones: those of one number are averaged.
+    """
+
+    number: int
+    label: str
+    column: str
+    usable: NDArray[np.bool_]
+    group: NDArray[np.int64]
+
+    def means(self, samples: Floats) -> Floats:
+        _, place, counts = np.unique(self.group, return_inverse=True, return_counts=True)
+        result: Floats = np.bincount(place, samples) / counts
+        return result
+
+
 class _Difference:
-    """Differences of two sets of recordings as one vector; weighted, and without missing samples."""
+    """Differences of two sets of recordings as one vector; weighted by their noise, and without missing samples."""
 
     def __init__(self, log: MeasurementLog) -> None:
         self._name = axis_name(log.axis)
         self._log = log
-        self.parts: list[tuple[int, str, NDArray[np.bool_], NDArray[np.int64]]] = []
+        self._parts: list[_Part] = []
         first_run = True
         for k, (label, recording) in enumerate(zip(log.labels, log.recordings, strict=True)):
             if label == "speed" and first_run:
                 first_run = False  # the rotor search before it does not end at the same time
                 continue
             for column in _COMPARED.get(label, ()):
-                values = recording.columns[f"{self._name}.{column}"]
-                usable = np.isfinite(values)
-                every = min(max(round(_AVERAGED.get(label, 0.0) / recording.step), 1) if label != "level" else values.size, values.size)
-                self.parts.append((k, column, usable, np.arange(values.size)[usable] // every))
-        self.weights = [1.0] * len(self.parts)
-        sizes = [np.unique(group).size for _, _, _, group in self.parts]
-        self.batches = np.concatenate(
-            [np.arange(size) // (BATCH if size > 500 else 4) + 1_000_000 * n for n, size in enumerate(sizes)] or [np.zeros(0, dtype=np.int64)]
-        )
+                usable = np.isfinite(recording.columns[f"{self._name}.{column}"])
+                every = max(round(_AVERAGED[label] / recording.step), 1)
+                if usable.any():
+                    self._parts.append(_Part(k, label, column, usable, np.arange(usable.size)[usable] // every))
+        self._sigma: dict[tuple[str, str], float] = {}
 
-    def raw(self, shown: Sequence[Recording]) -> list[Floats]:
+    def _raw(self, shown: Sequence[Recording]) -> list[tuple[_Part, Floats]]:
         result = []
-        for k, column, usable, group in self.parts:
-            key = f"{self._name}.{column}"
-            difference = shown[k].columns[key][usable] - self._log.recordings[k].columns[key][usable]
-            _, place, counts = np.unique(group, return_inverse=True, return_counts=True)
-            result.append(np.bincount(place, difference) / counts)
+        for part in self._parts:
+            key = f"{self._name}.{part.column}"
+            there, here = (recordings[part.number].columns[key] for recordings in (self._log.recordings, shown))
+            result.append((part, part.means((here - there)[part.usable])))
         return result
 
-    def vector(self, shown: Sequence[Recording]) -> Floats:
-        parts = zip(self.raw(shown), self.weights, strict=True)
-        return np.concatenate([part * weight for part, weight in parts])
+    def _sweeps(self, shown: Sequence[Recording]) -> list[tuple[str, Floats]]:
+        """Spectra in terms of the test signal, all sweeps of one kind together."""
+        result = []
+        for point in "dq":
+            names = (f"{self._name}.i_{point}", f"{self._name}.u_{point}", f"{self._name}.test_signal")
+            numbers = [k for k, label in enumerate(self._log.labels) if label == f"sweep_{point}"]
+            there, here = (
+                [spectra(recordings[k], names, BAND[point]) for k in numbers] for recordings in (self._log.recordings, shown)
+            )
+            for quantity in (1, 2):
+                difference = sum(one[quantity] for one in here) - sum(one[quantity] for one in there)
+                difference = np.asarray(difference)
+                result.append((f"{point}{quantity}", np.concatenate([difference.real, difference.imag])))
+        return result
 
     def weigh(self, shown: Sequence[Recording]) -> None:
-        """Weights such that every signal's usual difference counts as 1."""
-        groups: dict[tuple[str, str], list[Floats]] = {}
-        labels = self._log.labels
-        keys = [(labels[k], column) for k, column, _, _ in self.parts]
-        raw = self.raw(shown)
-        for key, part in zip(keys, raw, strict=True):
-            groups.setdefault(key, []).append(part)
-        usual = {key: _usual(np.concatenate(parts)) for key, parts in groups.items()}
-        self.weights = [1.0 / usual[key] for key in keys]
+        """Noise of every signal: of what changes from one mean to the next, or of the one mean."""
+        noise: dict[tuple[str, str], list[float]] = {}
+        for part, values in self._raw(shown):
+            if values.size > 4:
+                sigma = _usual(np.diff(values)) / math.sqrt(2.0)
+            else:
+                _, sigma = mean_of(self._log.recordings[part.number].columns[f"{self._name}.{part.column}"])
+            noise.setdefault((part.label, part.column), []).append(sigma)
+        for key, sigmas in noise.items():
+            self._sigma[key] = max(float(np.median(sigmas)), _LEAST[key[1]])
+        for key_, values in self._sweeps(shown):
+            self._sigma["sweep", key_] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
+
+    def vector(self, shown: Sequence[Recording]) -> Floats:
+        plain = [values / self._sigma[part.label, part.column] for part, values in self._raw(shown)]
+        return np.concatenate(plain + [values / self._sigma["sweep", key] for key, values in self._sweeps(shown)])
+
+    def depends(self, names: Sequence[str]) -> NDArray[np.bool_]:
+        """Whether a residual of `vector` depends on a parameter, shape (residuals, parameters)."""
+        def row(label: str) -> list[bool]:
+            return [name in _DEPENDS[label] for name in names]
+
+        shown = self._log.recordings
+        rows = [row(part.label) for part, values in self._raw(shown) for _ in values]
+        rows += [row(f"sweep {key[0]}") for key, values in self._sweeps(shown) for _ in values]
+        return np.array(rows)
+
+    @property
+    def batches(self) -> NDArray[np.int64]:
+        """Which residuals of `vector` may depend on each other."""
+        sizes = [np.unique(part.group).size for part in self._parts]
+        rest = sum(np.asarray(values).size for _, values in self._sweeps(self._log.recordings))
+        together = [np.arange(size) // BATCH + 10_000 * n for n, size in enumerate(sizes)]
+        return np.concatenate([*together, 1_000_000 + np.arange(rest)])
 
     def rms(self, shown: Sequence[Recording]) -> dict[str, float]:
         """Root mean square of each signal's differences."""
         found: dict[str, list[Floats]] = {}
-        for (_, column, _, _), part in zip(self.parts, self.raw(shown), strict=True):
-            found.setdefault(column, []).append(part)
+        for part, values in self._raw(shown):
+            found.setdefault(part.column, []).append(values)
+        for key, values in self._sweeps(shown):
+            found.setdefault(f"sweep {key}", []).append(values)
         return {column: float(np.sqrt((np.concatenate(parts) ** 2).mean())) for column, parts in found.items()}
 
 
 def _usual(differences: Floats) -> float:
     """Robust standard deviation."""
-    return max(1.4826 * float(np.median(np.abs(differences))), 1e-6)
+    return 1.4826 * float(np.median(np.abs(differences)))
 
 
 def refine(
@@ -213,8 +290,11 @@ def refine(
     scale["viscous"] = max(scale.get("viscous", 0.0), 0.5 * scale["friction"] / top)
     scale["load"] = scale["friction"]
     base = plant.with_bus(u_source=limits["voltage"])
+    start = _corrected(log, start, base, names)
     difference = _Difference(log)
     shown: dict[bytes, list[Recording]] = {}
+
+    depends = difference.depends(names)
 
     def values_of(x: Floats) -> dict[str, float]:
         return {**start, **{name: start[name] + x[k] * scale[name] for k, name in enumerate(names)}}
@@ -237,7 +317,7 @@ def refine(
             moved = x.copy()
             moved[k] += STEP
             columns.append((difference.vector(show(moved)) - middle) / STEP)
-        return np.column_stack(columns)
+        return np.where(depends, np.column_stack(columns), 0.0)
 
     x = np.zeros(len(names))
     before = difference.rms(show(x))
@@ -248,8 +328,6 @@ def refine(
             lambda y: difference.vector(show(y)),
             x,
             jac=jacobian,
-            loss="soft_l1",
-            f_scale=3.0,
             max_nfev=ITERATIONS,
             xtol=1e-4,
             ftol=1e-4,
@@ -265,6 +343,36 @@ def refine(
         found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value))
     after = difference.rms(show(x))
     return Refinement(MotorEstimates(found, first.undetermined), before, after, show(x))
+
+
+def _corrected(
+    log: MeasurementLog, first: Mapping[str, float], plant: PlantConfig, names: Sequence[str]
+) -> dict[str, float]:
+    """Estimates without their bias: what the same estimators make of a simulation with them shows it."""
+    values = dict(first)
+    limits = log.notes["limits"]
+    for _ in range(CORRECTIONS):
+        shown = simulated(log, plant_of(plant, log.axis, values, limits), values.get("load", 0.0))
+        again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(shown, log.recordings)))
+        for name in names:
+            if name not in again.values:
+                raise MeasurementError(f"{name} of a simulation cannot be estimated: {again.undetermined.get(name, '')}")
+            seen = again.values[name].value
+            if name in ("load", "viscous", "friction"):
+                values[name] += first[name] - seen
+            else:
+                values[name] *= min(max(first[name] / seen, 0.8), 1.25) if seen > 0.0 else 1.0
+        for name in ("viscous", "friction"):
+            values[name] = max(values.get(name, 0.0), 0.0)
+    return values
+
+
+def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Recording]:
+    """Recordings in which the same samples are missing."""
+    return [
+        Recording(one.step, {name: np.where(np.isfinite(there.columns[name]), one.columns[name], np.nan) for name in one.columns})
+        for one, there in zip(shown, like, strict=True)
+    ]
 
 
 def _covariance(jacobian: Floats, residual: Floats, batches: NDArray[np.int64]) -> Floats:
