@@ -41,7 +41,7 @@ MODEL_ERROR: Final[Mapping[str, float]] = {
     "l_q": 0.002,
     "psi_m": 0.002,
     "inertia": 0.004,
-    "friction": 0.01,
+    "friction": 0.02,
     "viscous": 0.02,
     "dead_voltage": 0.003,
 }
@@ -51,7 +51,10 @@ BATCH: Final = 4  # neighbouring samples whose residuals are not independent
 STEP: Final = 0.04
 """Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
 CORRECTIONS: Final = 3
-ITERATIONS: Final = 5
+CURRENT_ERROR: Final = 1e-3
+"""Standard uncertainty of a mean current: a quarter of a step of the converter [A]."""
+
+ITERATIONS: Final = 4
 FARTHEST: Final = 8.0  # a residual counts for no more than about so many times the usual one
 
 _COMPARED: Final[Mapping[str, Sequence[str]]] = {
@@ -321,28 +324,34 @@ def refine(
 
     x = np.zeros(len(names))
     before = difference.rms(show(x))
-    result = None
-    for _ in range(2):  # the second time with weights of what is left
-        difference.weigh(show(x))
-        result = least_squares(
-            lambda y: difference.vector(show(y)),
-            x,
-            jac=jacobian,
-            max_nfev=ITERATIONS,
-            xtol=1e-4,
-            ftol=1e-4,
-            bounds=(-0.6, 1.5),
-        )
-        x = np.asarray(result.x, dtype=np.float64)
-        report(f"refined by simulation: {', '.join(f'{name} {values_of(x)[name]:.4g}' for name in names)}")
-    covariance = _covariance(jacobian(x), difference.vector(show(x)), difference.batches)
+    difference.weigh(show(x))
+    result = least_squares(
+        lambda y: difference.vector(show(y)),
+        x,
+        jac=jacobian,
+        max_nfev=ITERATIONS,
+        xtol=1e-4,
+        ftol=1e-4,
+        bounds=(-0.6, 1.5),
+    )
+    x = np.asarray(result.x, dtype=np.float64)
+    report(f"refined by simulation: {', '.join(f'{name} {values_of(x)[name]:.4g}' for name in names)}")
+    residual = difference.vector(show(x))
+    covariance = _covariance(np.asarray(result.jac), residual, difference.batches)
+    floor = _floor(start, top)
     found = dict(first.values)
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
         sigma = math.sqrt(max(covariance[k, k], 0.0)) * scale[name]
-        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value))
+        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
     after = difference.rms(show(x))
     return Refinement(MotorEstimates(found, first.undetermined), before, after, show(x))
+
+
+def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
+    """Standard uncertainty of torques that the current measurement leaves: rounding of the converter, offsets."""
+    torque = CURRENT_ERROR * 1.5 * values["pole_pairs"] * values["psi_m"]
+    return {"friction": torque, "load": torque, "viscous": torque / top}
 
 
 def _corrected(

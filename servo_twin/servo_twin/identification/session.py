@@ -170,14 +170,13 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
 
 def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
     found = []
-    for column, rms in refinement.after.items():
-        size = max(
-            float(np.nanstd(recording.columns[key]))
-            for recording in log.recordings
-            for key in [f"{axis_name(log.axis)}.{column}"]
-            if key in recording.columns
-        )
-        fixed, part = EXPLAINED[column]
+    for column, (fixed, part) in EXPLAINED.items():
+        key = f"{axis_name(log.axis)}.{column}"
+        runs = [recording.columns[key] for recording in log.labelled("speed") if key in recording.columns]
+        rms = refinement.after.get(column)
+        if rms is None or not runs:
+            continue
+        size = float(np.nanstd(np.concatenate(runs)))
         if rms > fixed + part * size:
             found.append(
                 f"{column}: with the best values the simulation still differs by {rms:.3g}: something acts on this axis"
