@@ -25,6 +25,7 @@ typedef struct {
     double inertia;        /* total inertia [kg m^2] */
     double friction;       /* Coulomb friction [N m] */
     double viscous;        /* viscous friction [N m s] */
+    double load_torque;    /* external, against positive motion; not friction: it keeps its sign [N m] */
     double stop_min, stop_max; /* angles of the end stops [rad] (mechanical) */
     double stop_stiffness; /* [N m/rad]; 0: there are none */
     double stop_damping;   /* [N m s] */
@@ -131,6 +132,10 @@ uint64_t board_serial_next_ns(const board_t *board); /* when the next byte moves
  * status code. */
 uint8_t board_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t board_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size);
+
+/* Other values of the plant from now on: all but those that say how a board is built (servo_twin/plant.py names them), the core,
+ * the seed and the flash. Angles, speeds, currents and temperatures go on from where they are. */
+void board_change_plant(board_t *board, const board_config_t *config);
 
 void board_truth(const board_t *board, int axis, board_truth_t *truth);
 void board_set_load(board_t *board, int axis, double torque); /* external load torque [N m], opposes nothing: signed */

@@ -105,6 +105,8 @@ void board_stats(const board_t *board, board_stats_t *stats)
     };
 }
 
+void board_change_plant(board_t *board, const board_config_t *config) { plant_change(&board->chip.plant, config); }
+
 void board_set_load(board_t *board, int axis, double torque) { plant_set_load(&board->chip.plant, axis, torque); }
 
 void board_set_supply(board_t *board, double volts) { supply_set(&board->chip.plant.bus, volts); }

@@ -414,6 +414,18 @@ void board_stats(const board_t *board, board_stats_t *stats)
     };
 }
 
+void board_change_plant(board_t *board, const board_config_t *config)
+{
+    boot_once(board);
+    switching_change(&board->plant, config);
+    for (int axis = 0; axis < BOARD_AXES; axis++) {
+        plant_pins_change(&board->pins[axis], &config->axis[axis]);
+        switching_set_friction(&board->plant, axis, plant_pins_friction(&board->pins[axis]));
+        show_contacts(board, axis);
+    }
+    board->chip.core.horizon = 0; /* the plant may have something sooner */
+}
+
 void board_set_load(board_t *board, int axis, double torque) { switching_set_load(&board->plant, axis, torque); }
 
 void board_set_supply(board_t *board, double volts) { switching_set_supply(&board->plant, volts); }

@@ -25,7 +25,7 @@ from servo_twin.board_sampler import BoardSampler
 from servo_twin.core_speed import CoreSpeed
 from servo_twin.harm import Harm
 from servo_twin.level import Level, chosen_level
-from servo_twin.plant import PlantConfig
+from servo_twin.plant import BUILT_IN, PlantConfig, PlantError
 
 try:
     import servo_twin._native as _ideal_module
@@ -218,6 +218,7 @@ class Board:
         self.level = chosen_level(level)
         self._ffi, self._lib = firmware or _FIRMWARE[self.level]
         self.plant = plant or PlantConfig.load()
+        self._seed = seed
         self.catalogue = catalogue or Catalogue.load()
         config = _native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud)
         if flash is not None:
@@ -227,6 +228,8 @@ class Board:
         handle = self._lib.board_new(config)
         if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
+        config.flash = self._ffi.NULL
+        self._config = config
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._own_memory = BoardMemory(self._ffi, self._lib, self._handle)
         self._dtype: np.dtype[np.void] | None = None
@@ -557,12 +560,33 @@ class Board:
         kind, *where = harm.raw()
         return self._ffi.new("board_harm_t *", (getattr(self._lib, kind), *where))
 
+    def set_plant(self, name: str, value: float) -> None:
+        """Change a value of the plant from now on, by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.
+
+        Currents, speeds, angles and temperatures go on from where they are; `plant` is the new one.
+
+        Raises
+        ------
+        PlantError
+            If there is no such value, it is one of `servo_twin.plant.BUILT_IN`, or the plant cannot have it.
+        """
+        if name.rpartition(".")[2] in BUILT_IN:
+            raise PlantError(f"{name}: cannot change on a running board; make another one")
+        self.plant = self.plant.with_value(name, value)
+        self._change_plant()
+
+    def _change_plant(self) -> None:
+        self.plant.drawn(self._seed).fill(self._config)
+        self._lib.board_change_plant(self._board, self._config)
+
     def set_load(self, axis: int, torque: float) -> None:
         """External torque that slows positive motion and drives negative motion [N m]."""
-        self._lib.board_set_load(self._board, _axis_index(axis), torque)
+        self.plant = self.plant.with_axis(_axis_index(axis), load_torque=torque)
+        self._lib.board_set_load(self._board, axis, torque)
 
     def set_supply(self, volts: float) -> None:
         """Open-circuit voltage of the supply [V]."""
+        self.plant = self.plant.with_bus(u_source=volts)
         self._lib.board_set_supply(self._board, volts)
 
     def lock_shaft(self, axis: int, locked: bool = True) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import random
 import sys
@@ -10,20 +11,31 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, cast
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-__all__ = ["STIFFEST", "AxisPlant", "BusPlant", "PinsPlant", "PlantConfig", "PlantError"]
+__all__ = ["BUILT_IN", "STIFFEST", "AxisPlant", "BusPlant", "PinsPlant", "PlantConfig", "PlantError"]
 
 STIFFEST: Final = 0.06
 """Of an end stop, over inertia and the square of the PWM frequency: it swings in 25 periods, and its torque is worked
 out once in each."""
 
+BUILT_IN: Final = frozenset(
+    {
+        "ambient", "pwm_frequency", "pole_pairs", "theta_start", "dead_time", "i_settle",
+        "encoder_lines", "encoder_jitter", "encoder_duty_error", "encoder_hysteresis",
+    }
+)  # fmt: skip
+"""What is as it is from power-on, at both levels; all other numbers of a plant can change while a board runs."""
+
 DEFAULT_FILE: Final = Path(__file__).with_name("plant.toml")
+
+
+AXIS_NAMES: Final = ("axis1", "axis2")
 
 
 class PlantError(ValueError):
@@ -46,6 +58,7 @@ _AXIS_RULES: Final[Mapping[str, _Rule]] = {
     "inertia": _POSITIVE,
     "friction": _NOT_NEGATIVE,
     "viscous": _NOT_NEGATIVE,
+    "load_torque": _ANY,
     "stop_min": _ANY,
     "stop_max": _ANY,
     "stop_stiffness": _NOT_NEGATIVE,
@@ -144,6 +157,8 @@ class AxisPlant:
         Total inertia [kg m^2].
     friction, viscous : float
         Coulomb [N m] and viscous [N m s] friction.
+    load_torque : float
+        External torque that slows positive motion and drives negative motion [N m].
     stop_min, stop_max : float
         Mechanical rotor angles of the end stops [rad].
     stop_stiffness, stop_damping : float
@@ -191,6 +206,7 @@ class AxisPlant:
     inertia: float
     friction: float
     viscous: float
+    load_torque: float
     stop_min: float
     stop_max: float
     stop_stiffness: float
@@ -309,7 +325,7 @@ class PlantConfig:
             raise PlantError(
                 f"pwm_frequency: {self.pwm_frequency!r} Hz does not divide into quarter periods of whole nanoseconds"
             )
-        for name, axis in zip(("axis1", "axis2"), self.axes, strict=True):
+        for name, axis in zip(AXIS_NAMES, self.axes, strict=True):
             most = STIFFEST * axis.inertia * self.pwm_frequency**2
             if axis.stop_stiffness > most:
                 raise PlantError(
@@ -372,9 +388,41 @@ class PlantConfig:
         axes[axis] = dataclasses.replace(axes[axis], **changes)
         return dataclasses.replace(self, axes=(axes[0], axes[1]))
 
+    def with_value(self, name: str, value: float) -> PlantConfig:
+        """Copy with one number replaced, by its name in the plant file: ``axis1.r_s``, ``axis2.pins.brake_torque``.
+
+        Raises
+        ------
+        PlantError
+            If there is no such number, or the plant cannot have this value.
+        """
+        part, _, rest = name.partition(".")
+        try:
+            if part in AXIS_NAMES and rest:
+                axes = list(self.axes)
+                axis = AXIS_NAMES.index(part)
+                axes[axis] = _replaced(axes[axis], rest, value)
+                return dataclasses.replace(self, axes=(axes[0], axes[1]))
+            return cast(PlantConfig, _replaced(self, name, value))
+        except PlantError as error:
+            raise PlantError(f"{name}: {error}") from None
+
     def with_bus(self, **changes: Any) -> PlantConfig:
         """Copy with some values of the bus replaced."""
         return dataclasses.replace(self, bus=dataclasses.replace(self.bus, **changes))
+
+
+def _replaced(place: Any, name: str, value: float) -> Any:
+    """Copy of one of the dataclasses with a number replaced, in it or in a part of it."""
+    key, _, rest = name.partition(".")
+    known = [field.name for field in dataclasses.fields(place)]
+    present = getattr(place, key) if key in known else None
+    if dataclasses.is_dataclass(present) and rest:
+        return dataclasses.replace(place, **{key: _replaced(present, rest, value)})
+    if key not in known or rest or not isinstance(present, (int, float, str)):
+        near = difflib.get_close_matches(name, known, n=3)
+        raise PlantError("no number of the plant has this name" + (f"; near are {', '.join(near)}" if near else ""))
+    return dataclasses.replace(place, **{key: value})
 
 
 @lru_cache(maxsize=1)

@@ -28,7 +28,7 @@ PLANT_CDEF = """
 typedef struct { ...; } plant_random_t;
 typedef struct { double alpha, beta; } plant_vector_t;
 typedef struct {
-    double r_s, l_d, l_q, psi_m, pole_pairs, inertia, friction, viscous;
+    double r_s, l_d, l_q, psi_m, pole_pairs, inertia, friction, viscous, load_torque;
     double stop_min, stop_max, stop_stiffness, stop_damping, encoder_lines, theta_start, i_full_scale;
     double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, dead_time_min, i_settle;
     double encoder_jitter, encoder_duty_error, encoder_hysteresis;

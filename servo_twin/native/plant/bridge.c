@@ -24,25 +24,56 @@ void bridge_count_turn(bridge_t *b)
     }
 }
 
+static bool is_open(const bridge_t *b, int k) { return b->reach[k] >= FAR; }
+
+static void set_drop(bridge_t *b, double v_drop)
+{
+    b->v_drop = v_drop;
+    for (int k = 0; k < 3; k++) {
+        b->reach[k] = is_open(b, k) ? FAR : v_drop;
+    }
+    /* without current out of the motor a leg is one drop lower */
+    for (unsigned legs = 0; legs < BRIDGE_LEG_SETS; legs++) {
+        for (int lane = 0; lane < BRIDGE_LANES; lane++) {
+            b->drops[legs][lane] = 2.0 * v_drop * legs_at[legs][lane];
+        }
+        b->drops[legs][LEGS_MEAN] -= v_drop;
+    }
+}
+
+static void set_inductances(bridge_t *b, double l_d, double l_q)
+{
+    b->l_d = l_d;
+    b->l_q = l_q;
+    b->inv_l_mean = 0.5 / l_d + 0.5 / l_q;
+    b->inv_l_half = 0.5 / l_d - 0.5 / l_q;
+    const double inv_l_least = b->inv_l_mean - fabs(b->inv_l_half);
+    b->inv_l_most = b->inv_l_mean + fabs(b->inv_l_half);
+    b->saliency = b->inv_l_most / inv_l_least;
+    const double aside = (0.5 * b->inv_l_mean + fabs(b->inv_l_half)) / inv_l_least;
+    b->coupling = aside + aside * aside; /* straight, or by way of the third phase */
+}
+
+/* All that the configuration says but where the shaft is, and how the amplifiers settle. */
+static void set_parameters(bridge_t *b, const plant_axis_t *config, double r_s)
+{
+    set_drop(b, config->v_drop);
+    set_inductances(b, config->l_d, config->l_q);
+    b->r_on = config->r_on;
+    bridge_set_winding(b, r_s);
+    b->psi_m = config->psi_m;
+    b->pole_pairs = config->pole_pairs;
+    b->k_torque = 1.5 * config->pole_pairs;
+    b->inv_inertia = 1.0 / config->inertia;
+    b->viscous = config->viscous;
+    b->longest = 0.1 * ((config->l_d < config->l_q) ? config->l_d : config->l_q) / (config->r_s + config->r_on);
+    b->load = config->load_torque;
+}
+
 void bridge_init(bridge_t *bridge, const plant_axis_t *config)
 {
     *bridge = (bridge_t){
-        .v_drop = config->v_drop,
-        .reach = {config->v_drop, config->v_drop, config->v_drop},
-        .r_s = config->r_s,
-        .r_on = config->r_on,
-        .r = config->r_s + config->r_on,
-        .l_d = config->l_d,
-        .l_q = config->l_q,
-        .inv_l_mean = 0.5 / config->l_d + 0.5 / config->l_q,
-        .inv_l_half = 0.5 / config->l_d - 0.5 / config->l_q,
-        .psi_m = config->psi_m,
-        .pole_pairs = config->pole_pairs,
-        .k_torque = 1.5 * config->pole_pairs,
-        .inv_inertia = 1.0 / config->inertia,
         .friction = config->friction,
-        .viscous = config->viscous,
-        .longest = 0.1 * ((config->l_d < config->l_q) ? config->l_d : config->l_q) / (config->r_s + config->r_on),
         .tau = config->i_settle,
         .theta = config->theta_start,
         .low = -INFINITY,
@@ -54,22 +85,11 @@ void bridge_init(bridge_t *bridge, const plant_axis_t *config)
         .grounded = -1,
         .alone = -1,
     };
-    const double inv_l_least = bridge->inv_l_mean - fabs(bridge->inv_l_half);
-    bridge->inv_l_most = bridge->inv_l_mean + fabs(bridge->inv_l_half);
-    bridge->saliency = bridge->inv_l_most / inv_l_least;
-    const double aside = (0.5 * bridge->inv_l_mean + fabs(bridge->inv_l_half)) / inv_l_least;
-    bridge->coupling = aside + aside * aside; /* straight, or by way of the third phase */
+    set_parameters(bridge, config, config->r_s);
     const double x = (config->i_settle > 0.0) ? 1.0 / (BRIDGE_CLOCK_HZ * config->i_settle) : 800.0;
     for (int n = 0; n < BRIDGE_DECAY; n++) {
         bridge->decay_fine[n] = plant_decay(n * x);
         bridge->decay_coarse[n] = plant_decay(n * BRIDGE_DECAY * x);
-    }
-    /* without current out of the motor a leg is one drop lower */
-    for (unsigned legs = 0; legs < BRIDGE_LEG_SETS; legs++) {
-        for (int lane = 0; lane < BRIDGE_LANES; lane++) {
-            bridge->drops[legs][lane] = 2.0 * config->v_drop * legs_at[legs][lane];
-        }
-        bridge->drops[legs][LEGS_MEAN] -= config->v_drop;
     }
     face(bridge);
     bridge->psi.alpha = bridge->psi_m * bridge->cosine;
@@ -332,6 +352,14 @@ void bridge_begin_again(bridge_t *b)
     }
 }
 
+void bridge_change(bridge_t *b, const plant_axis_t *config, double r_s)
+{
+    set_parameters(b, config, r_s);
+    b->inverse = inverse_of(b, b->cosine, b->sine);
+    flux_follows(b);
+    b->begun = false;
+}
+
 void bridge_set_winding(bridge_t *b, double r_s)
 {
     b->r_s = r_s;
@@ -346,8 +374,6 @@ void bridge_plug(bridge_t *b, bool plugged)
         bridge_remove_all(b);
     }
 }
-
-static bool is_open(const bridge_t *b, int k) { return b->reach[k] >= FAR; }
 
 /* An open phase is beyond the reach of any short. */
 static void rewire(bridge_t *b)

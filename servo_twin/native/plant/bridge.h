@@ -179,6 +179,9 @@ typedef struct {
 /* All gates off, no current, shaft at rest. */
 void bridge_init(bridge_t *bridge, const plant_axis_t *config);
 
+/* Other parameters from now on, with the winding at `r_s`: the currents go on, and the flux is another one. The friction stays. */
+void bridge_change(bridge_t *bridge, const plant_axis_t *config, double r_s);
+
 /* Bring flux, angle and speed along; currents and sums always are. To be called before anything but gates is changed from
  * outside, or looked at. */
 void bridge_settle(bridge_t *bridge);

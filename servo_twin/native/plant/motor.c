@@ -23,26 +23,32 @@ static void refresh(plant_motor_t *motor)
     plant_motor_count_step(motor);
 }
 
+void plant_motor_change(plant_motor_t *motor, const plant_axis_t *config)
+{
+    motor->r = config->r_s + config->r_on;
+    motor->inv_r = 1.0 / motor->r;
+    motor->l_d = config->l_d;
+    motor->l_q = config->l_q;
+    motor->inv_l_d = 1.0 / config->l_d;
+    motor->inv_l_q = 1.0 / config->l_q;
+    motor->psi_m = config->psi_m;
+    motor->pole_pairs = config->pole_pairs;
+    motor->inv_inertia = 1.0 / config->inertia;
+    motor->viscous = config->viscous;
+    motor->torque_psi = 1.5 * config->pole_pairs * config->psi_m;
+    motor->torque_l = 1.5 * config->pole_pairs * (config->l_d - config->l_q);
+}
+
 void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
 {
     *motor = (plant_motor_t){
-        .r = config->r_s + config->r_on,
-        .inv_r = 1.0 / (config->r_s + config->r_on),
-        .l_d = config->l_d,
-        .l_q = config->l_q,
-        .inv_l_d = 1.0 / config->l_d,
-        .inv_l_q = 1.0 / config->l_q,
-        .psi_m = config->psi_m,
-        .pole_pairs = config->pole_pairs,
-        .inv_inertia = 1.0 / config->inertia,
         .friction = config->friction,
-        .viscous = config->viscous,
-        .torque_psi = 1.5 * config->pole_pairs * config->psi_m,
-        .torque_l = 1.5 * config->pole_pairs * (config->l_d - config->l_q),
+        .load = config->load_torque,
         .theta = config->theta_start,
         .low = -INFINITY,
         .high = INFINITY,
     };
+    plant_motor_change(motor, config);
     plant_motor_refresh(motor);
 }
 

@@ -55,6 +55,9 @@ typedef struct {
 
 void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config);
 
+/* Other parameters from now on, the friction not: that is the shaft's together with its brake. */
+void plant_motor_change(plant_motor_t *motor, const plant_axis_t *config);
+
 /* One Runge-Kutta step of at most `dt` [s] with all windings connected. Ends early where the shaft comes to a stop, so
  * that friction can be decided anew; returns the time that has passed (> 0). */
 double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt);

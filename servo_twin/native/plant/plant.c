@@ -10,27 +10,50 @@ void plant_init(plant_t *plant, const board_config_t *config)
     plant->step = step;
     plant->steps_per_second = 1.0 / step;
     supply_init(&plant->bus, &config->bus, config->ambient);
-    plant->bus_step = supply_step_of(&plant->bus, step);
     plant_random_init(&plant->bus_noise, config->seed, 0);
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
         axis->config = config->axis[i];
         plant_inverter_init(&axis->inverter, &config->axis[i], config->pwm_frequency, step);
         plant_motor_init(&axis->motor, &config->axis[i]);
-        axis->stop = end_stop_of(&config->axis[i], step);
         plant_encoder_init(&axis->encoder, &config->axis[i]);
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
-        axis->codes_per_ampere = 2048.0 / config->axis[i].i_full_scale;
         plant_harm_init(&axis->harm, &config->axis[i], config->seed, (uint64_t)i + 5u);
         plant_pins_init(&axis->pins, &config->axis[i]);
-        axis->motor.friction = plant_pins_friction(&axis->pins);
         thermal_init(&axis->sink, config->axis[i].sink_capacity, config->axis[i].sink_resistance, config->ambient);
         thermal_init(&axis->winding, config->axis[i].winding_capacity, config->axis[i].winding_resistance,
                      config->ambient);
     }
+    plant_change(plant, config);
+}
+
+static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double pwm_frequency, double step)
+{
+    const double noise = plant_harm_noise(&axis->harm.i_whole, axis->config.i_noise, config->i_noise);
+    axis->config = *config;
+    axis->config.i_noise = noise;
+    plant_inverter_change(&axis->inverter, config, pwm_frequency, step);
+    plant_motor_change(&axis->motor, config);
+    plant_pins_change(&axis->pins, config);
+    axis->motor.friction = plant_pins_friction(&axis->pins);
+    axis->stop = end_stop_of(config, step);
+    axis->motor.load = config->load_torque; /* the next step adds what a stop takes */
+    axis->codes_per_ampere = 2048.0 / config->i_full_scale;
+    thermal_change(&axis->sink, config->sink_capacity, config->sink_resistance);
+    thermal_change(&axis->winding, config->winding_capacity, config->winding_resistance);
+}
+
+void plant_change(plant_t *plant, const board_config_t *config)
+{
+    for (int i = 0; i < BOARD_AXES; i++) {
+        change_axis(&plant->axis[i], &config->axis[i], config->pwm_frequency, plant->step);
+    }
+    plant->u_noise = plant_harm_noise(&plant->u_noise_whole, plant->u_noise, config->bus.u_noise);
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
+    supply_change(&plant->bus, &config->bus);
+    plant->bus_step = supply_step_of(&plant->bus, plant->step);
     const plant_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
-    plant_pair_init(&plant->pair, lane, step);
+    plant_pair_init(&plant->pair, lane, plant->step);
 }
 
 /* Returns the charge drawn from the bus [A s]. */

@@ -52,6 +52,9 @@ void plant_init(plant_t *plant, const board_config_t *config);
 /* One step of plant->step_ns, a half cycle of the PWM, that begins at `now_ns`. */
 void plant_step(plant_t *plant, uint64_t now_ns);
 
+/* Other values from now on, as board_change_plant. */
+void plant_change(plant_t *plant, const board_config_t *config);
+
 /* External torque [N m], as board_set_load. */
 void plant_set_load(plant_t *plant, int axis, double torque);
 

@@ -17,14 +17,36 @@
 
 static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to - from) * CLOCK; }
 
+/* What the configuration says of the sensors, the switches and the end stops of an axis. */
+static void set_axis(switching_t *plant, int i, const board_config_t *config)
+{
+    const plant_axis_t *c = &config->axis[i];
+    switching_axis_t *axis = &plant->axis[i];
+    const double l = (c->l_d < c->l_q) ? c->l_d : c->l_q;
+    plant->given[i] = *c;
+    plant->stop[i] = end_stop_of(c, 1.0 / config->pwm_frequency);
+    axis->dead_time_min = (uint64_t)(c->dead_time_min * SWITCHING_CLOCK_HZ + 0.5);
+    axis->i_break = c->i_break;
+    axis->square_break = c->i_break * c->i_break;
+    const double far = c->i_break - 2.0 * config->bus.u_source / l * SWITCHING_HORIZON * CLOCK;
+    axis->square_far = (far > 0.0) ? far * far : 0.0;
+    axis->codes_per_ampere = 2048.0 / c->i_full_scale;
+    memcpy(axis->i_offset, c->i_offset, sizeof axis->i_offset);
+    axis->r_s = c->r_s;
+}
+
+static void set_bus(switching_t *plant, const plant_bus_t *bus)
+{
+    plant->u_noise = plant_harm_noise(&plant->u_noise_whole, plant->u_noise, bus->u_noise);
+    plant->codes_per_volt = 4096.0 / bus->u_full_scale;
+}
+
 void switching_init(switching_t *plant, const board_config_t *config)
 {
     memset(plant, 0, sizeof *plant);
     plant->stale = true;
     supply_init(&plant->supply, &config->bus, config->ambient);
-    plant->u_noise = config->bus.u_noise;
-    plant->u_noise_whole = config->bus.u_noise;
-    plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
+    set_bus(plant, &config->bus);
     plant_random_init(&plant->noise, config->seed, 0);
     plant->window = (uint64_t)(SWITCHING_CLOCK_HZ / config->pwm_frequency + 0.5);
     plant->window_clock = plant->window;
@@ -32,9 +54,8 @@ void switching_init(switching_t *plant, const board_config_t *config)
     for (int i = 0; i < BOARD_AXES; i++) {
         const plant_axis_t *c = &config->axis[i];
         switching_axis_t *axis = &plant->axis[i];
-        const double l = (c->l_d < c->l_q) ? c->l_d : c->l_q;
         bridge_init(&axis->bridge, c);
-        plant->stop[i] = end_stop_of(c, 1.0 / config->pwm_frequency);
+        set_axis(plant, i, config);
         axis->window = bridge_integral(&axis->bridge);
         quadrature_init(&axis->encoder, c, config->seed, (uint64_t)i + 3u);
         thermal_init(&axis->winding, c->winding_capacity, c->winding_resistance, config->ambient);
@@ -46,15 +67,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
         }
         axis->slip_clock = NEVER;
         axis->shown_clock = NEVER;
-        axis->dead_time_min = (uint64_t)(c->dead_time_min * SWITCHING_CLOCK_HZ + 0.5);
-        axis->i_break = c->i_break;
-        axis->square_break = c->i_break * c->i_break;
-        const double far = c->i_break - 2.0 * config->bus.u_source / l * SWITCHING_HORIZON * CLOCK;
-        axis->square_far = (far > 0.0) ? far * far : 0.0;
-        axis->codes_per_ampere = 2048.0 / c->i_full_scale;
         axis->i_noise = c->i_noise;
-        memcpy(axis->i_offset, c->i_offset, sizeof axis->i_offset);
-        axis->r_s = c->r_s;
     }
 }
 
@@ -701,9 +714,39 @@ static bridge_t *touch(switching_t *plant, int i)
     return bridge;
 }
 
+static void change_axis(switching_t *plant, int i, const board_config_t *config)
+{
+    const plant_axis_t *c = &config->axis[i];
+    switching_axis_t *axis = &plant->axis[i];
+    bridge_t *b = touch(plant, i);
+    const bridge_integral_t before = bridge_integral(b);
+    axis->i_noise = plant_harm_noise(&axis->harm.i_whole, axis->i_noise, c->i_noise);
+    thermal_change(&axis->winding, c->winding_capacity, c->winding_resistance);
+    thermal_change(&axis->sink, c->sink_capacity, c->sink_resistance);
+    set_axis(plant, i, config);
+    bridge_change(b, c, c->r_s * thermal_copper(&axis->winding));
+    const bridge_integral_t after = bridge_integral(b);
+    for (int k = 0; k < 3; k++) { /* the flux has changed, which no voltage has done */
+        axis->window.volts[k] += after.volts[k] - before.volts[k];
+    }
+}
+
+void switching_change(switching_t *plant, const board_config_t *config)
+{
+    for (int i = 0; i < BOARD_AXES; i++) {
+        if (memcmp(&plant->given[i], &config->axis[i], sizeof plant->given[i]) != 0) {
+            change_axis(plant, i, config);
+        }
+    }
+    switching_look_around(plant);
+    advance_supply(plant);
+    set_bus(plant, &config->bus);
+    supply_change(&plant->supply, &config->bus);
+}
+
 void switching_set_load(switching_t *plant, int axis, double torque)
 {
-    plant->stop[axis].load = torque;
+    plant->stop[axis].load = plant->given[axis].load_torque = torque;
     touch(plant, axis)->load = torque; /* the next period adds what a stop takes */
 }
 

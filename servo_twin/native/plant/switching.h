@@ -118,6 +118,7 @@ typedef struct {
     uint64_t rare_clock; /* the end of the window, or of a short */
     switching_event_t event[SWITCHING_EVENTS];
     unsigned first, waiting;
+    plant_axis_t given[BOARD_AXES]; /* parameters, as they have been taken over */
 } switching_t;
 
 /* All switches open, shafts at rest, bus charged, clock 0. */
@@ -213,6 +214,8 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus);
 
 /* ---- faults and other hands on the plant ---------------------------------------------------------------------------- */
 
+/* Other values of the plant, as board_change_plant; switching_set_friction has the friction. */
+void switching_change(switching_t *plant, const board_config_t *config);
 void switching_set_load(switching_t *plant, int axis, double torque);
 void switching_set_supply(switching_t *plant, double volts);
 void switching_lock(switching_t *plant, int axis, bool locked);

@@ -7,6 +7,12 @@ void thermal_init(thermal_t *body, double capacity, double resistance, double am
     *body = (thermal_t){capacity, resistance, ambient, ambient};
 }
 
+void thermal_change(thermal_t *body, double capacity, double resistance)
+{
+    body->capacity = capacity;
+    body->resistance = resistance;
+}
+
 void thermal_advance(thermal_t *body, double h, double energy)
 {
     const double end = body->ambient + body->resistance * energy / h; /* where this power leads to */
