@@ -15,7 +15,8 @@ from servo_twin.diagnosis.window import Sums, Window
 __all__ = ["Channel", "Estimate", "Finding", "Kind"]
 
 _INTERVAL: Final = 1.96  # of 95 %
-_SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other
+_SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other,
+_SEPARATE_PART: Final = 0.1  # and by which part of itself
 _PATIENCE: Final = 30  # blocks after which changes that cannot be told apart are named together
 _SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
 _LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
@@ -156,7 +157,7 @@ class Channel:
     def _finding(self, found: Evidence, left: bool, tick: int) -> Finding | None:
         names = self.unknowns.names
         since = self._window.ticks[found.block]
-        half = _INTERVAL * found.deviation
+        half = float(np.hypot(_INTERVAL * found.deviation, self.unknowns.margins[found.change]))
         single = names[found.change]
         known = (found.value, found.value - half, found.value + half, since, tick)
         if left:
@@ -164,7 +165,7 @@ class Channel:
         if found.second_ratio > self._detect + _SEVERAL * found.ratio:
             both = tuple(sorted((single, names[found.second])))
             return Finding(Kind.SEVERAL, both, *known) if self._age > 3 else None
-        if found.ratio - found.rival_ratio > _SEPARATE:
+        if found.ratio - found.rival_ratio > _SEPARATE + _SEPARATE_PART * found.ratio:
             return Finding(Kind.SINGLE, (single,), *known)
         if self._age > _PATIENCE:
             return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)

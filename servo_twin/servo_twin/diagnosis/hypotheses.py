@@ -95,11 +95,12 @@ class Unknowns:
 
     def strongest(self, sums: Sums) -> float:
         """Largest logarithm of a likelihood ratio of any change since any block."""
-        return float(self._ratios(np.einsum("nii->ni", sums.a), sums.b)[1].max())
+        return float(self._ratios(np.einsum("nii->ni", sums.a), sums.b)[1][:-1].max())
 
     def evidence(self, sums: Sums) -> Evidence:
         """The single change, and the block since which it is there, that explain most."""
         values, ratios = self._ratios(np.einsum("nii->ni", sums.a), sums.b)
+        ratios = ratios[: max(len(ratios) - 1, 1)]  # the last block alone is no evidence
         block, change = (int(k) for k in np.unravel_index(int(np.argmax(ratios)), ratios.shape))
         a, b = sums.a[block], sums.b[block]
         value = float(values[block, change])
@@ -133,7 +134,9 @@ class Unknowns:
     def later(self, sums: Sums, vector: _Array, detect: float) -> int | None:
         """Block since which something differs from this vector of changes; None if nothing does."""
         left = sums.b - np.einsum("nij,j->ni", sums.a, vector)
-        ratios = self._ratios(np.einsum("nii->ni", sums.a), left)[1].max(axis=1)
+        ratios = self._ratios(np.einsum("nii->ni", sums.a), left)[1][:-1].max(axis=1, initial=0.0)
+        if not len(ratios):
+            return None
         block = int(np.argmax(ratios))
         return block if float(ratios[block]) > detect else None
 

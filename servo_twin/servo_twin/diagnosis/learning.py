@@ -146,8 +146,8 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
 
 def _by_bin(rest: _Array, bins: NDArray[np.int64]) -> _Array:
     """Standard deviation in every bin; where there are few samples, that of all."""
-    whole = float(rest.std())
-    parts = [rest[bins == k] for k in range(BINS)]
+    whole = float(rest[rest != 0.0].std())
+    parts = [rest[(bins == k) & (rest != 0.0)] for k in range(BINS)]
     return np.array([float(part.std()) if len(part) >= _FEW else whole for part in parts])
 
 

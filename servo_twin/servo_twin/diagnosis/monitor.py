@@ -23,7 +23,7 @@ SUPPLY: Final = "supply"
 MARGINS: Final = (0.02, 0.01, 0.02, 0.02, 5e-5, 0.01)
 """Per change of an axis, see `Unknowns.margins`."""
 
-_BUS_MARGIN: Final = 0.01  # the resistance of the supply is not known well
+_BUS_MARGIN: Final = 0.02  # the resistance of the supply is not known well
 _GAP: Final = 0.05  # longest time that one sample stands for [s]
 
 

@@ -3,7 +3,7 @@
 With ``d`` for board minus twin, values of the twin's plant with index 0 and a filter F of first order:
 
 * torque: ``Kt0 F[d i_q_ref] - J0 s F[d w] - B0 F[d w] = -Kt0 F[i_q] a_psi + J0 s F[w] a_J + C0 F[sign w] a_C + F[1] T``
-* voltage q: ``d u_q - R0 d i_q - p psi0 d w = R0 i_q a_R + p psi0 w a_psi``
+* voltage q: ``d u_q - R0 d i_q - p psi0 d w = R_s i_q a_R + p psi0 w a_psi``
 * voltage d: ``d u_d + p L_q d(w i_q) = p psi0 w e``
 
 Linear in the relative changes a of resistance, flux, inertia and Coulomb friction, the load torque T and the error e of
@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.plant import AxisPlant
@@ -43,7 +43,16 @@ TORQUE, VOLTAGE_Q, VOLTAGE_D = range(len(EQUATIONS))
 _TIME: Final = 0.03  # time constant of F [s]
 _MOVES: Final = 8.0  # slowest speed at which the sign of the friction is known [rad/s]
 _GAP: Final = 0.05  # longest time between two samples over which F is continued [s]
+_CARRIES: Final = 0.036
+"""Part of the full scale above which a current says something of the resistance, and the back-EMF [V] above which it
+does of the flux: below, the errors of the compensated dead time are larger."""
+_INDUCES: Final = 1.0
+_DEAD_TIME: Final = 0.1
+"""Part of a difference of the buses that counts as noise of a voltage: dead time and drops take 3 %, with a sign that
+stays the same over some samples."""
 _SECOND: Final = PERIOD_NS * 1e-9
+_RETURNED_ALIKE: Final = 0.02  # energy by which boards may differ: 0.2 V in 4.7 mF at 24 V [J]
+_RETURNED_MAX: Final = 1.0  # [J]
 
 _Array = NDArray[np.float64]
 
@@ -63,6 +72,8 @@ class AxisEquations(NamedTuple):
         Part of an independent sample that the torque equation is.
     current, speed : float
         Magnitudes at the sample [A], [rad/s].
+    bus : float
+        By how much the voltage equations may be off because the buses differ, and the dead time with them [V].
     """
 
     y: _Array
@@ -71,6 +82,7 @@ class AxisEquations(NamedTuple):
     share: float
     current: float
     speed: float
+    bus: float
 
 
 class _Filter:
@@ -150,21 +162,34 @@ class AxisSignals:
             alias[TORQUE] = f[1] - rate[2]
             phi[TORQUE, FLUX : LOAD + 1] = -k_t * f[3], plant.inertia * rate[4], plant.friction * f[5], f[6]
             share = min(seconds / (2.0 * _TIME), 1.0)
-        y[VOLTAGE_Q] = d["u_q"] - resistance * d["i_q_ref"] - flux * d["speed"]
-        alias[VOLTAGE_Q] = d["i_q_ref"] - d["i_q"]
-        phi[VOLTAGE_Q, RESISTANCE], phi[VOLTAGE_Q, FLUX] = resistance * current, flux * speed
+        carries = abs(current) > _CARRIES * plant.i_full_scale
+        if carries or abs(flux * speed) > _INDUCES:
+            y[VOLTAGE_Q] = d["u_q"] - resistance * d["i_q_ref"] - flux * d["speed"]
+            alias[VOLTAGE_Q] = d["i_q_ref"] - d["i_q"]
+            phi[VOLTAGE_Q, RESISTANCE] = plant.r_s * current if carries else 0.0
+            phi[VOLTAGE_Q, FLUX] = flux * speed
         cross = speed * current - twin[names["speed"]] * twin[names["i_q_ref"]]
         y[VOLTAGE_D] = d["u_d"] + plant.pole_pairs * plant.l_q * cross
         phi[VOLTAGE_D, ANGLE] = flux * speed
-        return AxisEquations(y, phi, alias, share, abs(current), abs(speed))
+        bus = _DEAD_TIME * abs(real["u_dc"] - twin["u_dc"])
+        return AxisEquations(y, phi, alias, share, abs(current), abs(speed), bus)
 
 
 class BusSignal:
-    """Difference of the bus voltages while the supply carries both boards: one that brakes lifts its bus above it."""
+    """Relative difference of the bus voltages while the supply carries both boards alike.
 
-    def __init__(self, plant_voltage: float) -> None:
-        self.voltage = plant_voltage
-        self._returned = [0.0, 0.0]  # energy in the buses of board and twin that the motors have returned, at most [J]
+    A motor that brakes lifts its bus above the supply; where one board returns more energy than the other, what differs
+    is not the supply.
+
+    Parameters
+    ----------
+    supply : float
+        What the twin believes [V].
+    """
+
+    def __init__(self, supply: float) -> None:
+        self._supply = supply
+        self._returned = [0.0, 0.0]  # by the motors of board and twin, and not used up since, at most [J]
         self._tick: int | None = None
 
     def interrupt(self) -> None:
@@ -172,16 +197,14 @@ class BusSignal:
         self._tick = None
 
     def update(self, tick: int, real: Mapping[str, float], twin: Mapping[str, float]) -> float | None:
-        """Relative difference; None while a bus is lifted."""
+        """The difference at a sample; None where it is not that of the supplies."""
         before, self._tick = self._tick, tick
         if before is None:
             return None
         seconds = (tick - before) * _SECOND
         for k, values in enumerate((real, twin)):
-            power = sum(
-                1.5 * values[f"{axis}.u_q"] * values[f"{axis}.i_q"] for axis in (axis_name(0), axis_name(1))
-            )
-            self._returned[k] = min(max(self._returned[k] - power * seconds, 0.0), 5.0)
-        if any(energy > 0.0 for energy in self._returned):
+            power = sum(1.5 * values[f"{name}.u_q"] * values[f"{name}.i_q"] for name in map(axis_name, range(AXES)))
+            self._returned[k] = min(max(self._returned[k] - power * seconds, 0.0), _RETURNED_MAX)
+        if abs(self._returned[0] - self._returned[1]) > _RETURNED_ALIKE:
             return None
-        return (real["u_dc"] - twin["u_dc"]) / self.voltage
+        return (real["u_dc"] - twin["u_dc"]) / self._supply

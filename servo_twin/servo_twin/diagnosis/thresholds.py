@@ -69,8 +69,8 @@ class AxisNoise:
         return np.array(
             [
                 equations.share / self.torque**2,
-                1.0 / self.voltage_q[place] ** 2,
-                1.0 / self.voltage_d[place] ** 2,
+                1.0 / (self.voltage_q[place] ** 2 + equations.bus**2),
+                1.0 / (self.voltage_d[place] ** 2 + equations.bus**2),
             ]
         )
 
