@@ -572,10 +572,11 @@ class Board:
         """
         if name.rpartition(".")[2] in BUILT_IN:
             raise PlantError(f"{name}: cannot change on a running board; make another one")
-        self.plant = self.plant.with_value(name, value)
-        self._change_plant()
+        self.take_plant(self.plant.with_value(name, value))
 
-    def _change_plant(self) -> None:
+    def take_plant(self, plant: PlantConfig) -> None:
+        """As `set_plant`, with all values at once; those of `servo_twin.plant.BUILT_IN` have to stay as they are."""
+        self.plant = plant
         self.plant.drawn(self._seed).fill(self._config)
         self._lib.board_change_plant(self._board, self._config)
 

@@ -11,8 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from servo_twin.diagnosis.monitor import PLANT_VALUES
 from servo_twin.diagnosis.thresholds import Thresholds
-from servo_twin.diagnosis.trials import CHANGED, NOTHING, Answer, Change, Trials, confusion
+from servo_twin.diagnosis.trials import NOTHING, Answer, Change, Trials, confusion
 from servo_twin.experiments.rig import positive
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
@@ -21,7 +22,7 @@ from servo_twin.runner import Runner, run_in_order
 __all__ = ["add_parser", "summary"]
 
 _DEFAULT: Final = tuple(
-    Change(name, size) for name in CHANGED for size in ((1e-3, -1e-3) if name == "load" else (1.15, 0.85))
+    Change(name, size) for name in PLANT_VALUES for size in ((1e-3, -1e-3) if name == "load" else (1.15, 0.85))
 )
 """By 15 %; a load of 1 mN m is 1 % of the rated torque."""
 
@@ -45,7 +46,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         "--change",
         action="append",
         metavar="NAME=FACTOR",
-        help=f"one of {', '.join(CHANGED)}; load=TORQUE in N m; may be repeated; nothing: false alarms only"
+        help=f"one of {', '.join(PLANT_VALUES)}; load=TORQUE in N m; may be repeated; nothing: false alarms only"
         " (default: each by +15 %% and -15 %%, the load by 1 mN m)",
     )
     parser.add_argument(

@@ -14,6 +14,7 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.monitor import MARGINS
+from servo_twin.diagnosis.signal_watch import WATCHED, SignalMeans
 from servo_twin.diagnosis.signals import (
     CHANGES,
     EQUATIONS,
@@ -35,6 +36,8 @@ FALSE_ALARM_HOURS: Final = 48.0
 """Mean time between false alarms that is aimed at [h of motion]."""
 
 _SPAN: Final = 100  # blocks of which one maximum is taken for the tail, and one estimate for the spread
+_MEAN_SPAN: Final = 10.0  # of which one maximum of the running means is taken [s]
+_DETECT_MIN: Final = 10.0
 _FEW: Final = 100  # samples of a bin from which its own noise is used
 _LEAST: Final = 20  # spans from which a tail is worth something
 _INFLATION: Final = 1.5  # of the largest mean square of the residual that was seen
@@ -55,6 +58,9 @@ class Learner:
         self._signals = [AxisSignals(axis, entry) for axis, entry in enumerate(plant.axes)]
         self._bus = BusSignal(plant.bus.u_source)
         self._equations: list[list[tuple[int, AxisEquations]]] = [[] for _ in range(AXES)]
+        self._means = SignalMeans()
+        self._mean_maxima: list[_Array] = [np.zeros((AXES, len(WATCHED)))]
+        self._mean_begin: int | None = None
         self._voltages: list[float] = []
         self._ticks: list[int] = []
 
@@ -64,6 +70,7 @@ class Learner:
             self.interrupt()
             return
         self._ticks.append(pair.tick)
+        self._add_means(pair)
         for axis, signals in enumerate(self._signals):
             equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
             if equations is not None:
@@ -72,8 +79,21 @@ class Learner:
         if voltage is not None:
             self._voltages.append(voltage)
 
+    def _add_means(self, pair: Pair) -> None:
+        means = self._means.update(pair)
+        if means is None:
+            return
+        if self._mean_begin is None:
+            self._mean_begin = pair.tick
+        if pair.tick - self._mean_begin > _MEAN_SPAN / (PERIOD_NS * 1e-9):
+            self._mean_begin = pair.tick
+            self._mean_maxima.append(np.zeros_like(means))
+        np.maximum(self._mean_maxima[-1], np.abs(means), out=self._mean_maxima[-1])
+
     def interrupt(self) -> None:
         """The next pair does not follow on the last one."""
+        self._means.interrupt()
+        self._mean_begin = None
         for signals in self._signals:
             signals.interrupt()
         self._bus.interrupt()
@@ -97,7 +117,9 @@ class Learner:
                 raise ThresholdsError(f"{axis_name(axis)} has hardly moved: move both axes to and fro while calibrating")
             noise = _noise([equations for _, equations in entries])
             spans, spread = _spans(entries, noise)
-            axes.append(replace(noise, spread=spread))
+            of_means = np.array([one[axis] for one in self._mean_maxima])
+            limits = tuple(_tail(of_means[:, k], hours * 3600.0 / _MEAN_SPAN) for k in range(len(WATCHED)))
+            axes.append(replace(noise, spread=spread, means=limits))
             found = _maxima(spans, np.array(spread))
             maxima += found[0]
             squares += found[1]
@@ -112,7 +134,7 @@ class Learner:
             axes=tuple(axes),
             bus_noise=float(voltages.std()),
             bus_baseline=float(voltages.mean()),
-            detect=_tail(np.array(maxima), hours / span_hours * AXES),
+            detect=max(_tail(np.array(maxima), hours / span_hours * AXES), _DETECT_MIN),
             unexplained=_INFLATION * max(squares),
             false_alarm_hours=hours,
             run_hours=run,
@@ -141,6 +163,7 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
         voltage_d=tuple(voltages[VOLTAGE_D].tolist()),
         baseline=tuple(baseline.tolist()),
         spread=(1.0,) * len(CHANGES),
+        means=(1.0,) * len(WATCHED),
     )
 
 
@@ -193,4 +216,4 @@ def _tail(maxima: _Array, count: float) -> float:
     middle = float(np.median(maxima))
     beyond = maxima[maxima > middle] - middle
     slope = float(beyond.mean()) if len(beyond) else 0.0
-    return max(middle + slope * math.log(0.5 * count), 8.0)
+    return middle + slope * math.log(0.5 * count)

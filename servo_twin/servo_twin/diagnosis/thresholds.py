@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
+from servo_twin.diagnosis.signal_watch import WATCHED
 from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, AxisEquations
 
 if sys.version_info >= (3, 11):
@@ -54,6 +55,8 @@ class AxisNoise:
         What the unknowns come to: the error of the twin's model.
     spread : tuple of float
         Standard deviation of an estimate over that of white noise, per unknown.
+    means : tuple of float
+        Largest running mean of every signal of `servo_twin.diagnosis.signal_watch.WATCHED`.
     """
 
     alias: tuple[float, ...]
@@ -62,6 +65,7 @@ class AxisNoise:
     voltage_d: tuple[float, ...]
     baseline: tuple[float, ...]
     spread: tuple[float, ...]
+    means: tuple[float, ...]
 
     def weight(self, equations: AxisEquations) -> NDArray[np.float64]:
         """Independent samples per variance, per equation."""
@@ -92,6 +96,7 @@ _LENGTHS: Final = {
     "voltage_d": BINS,
     "baseline": len(CHANGES),
     "spread": len(CHANGES),
+    "means": len(WATCHED),
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,23 +13,13 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import SimulationError
 from servo_twin.diagnosis.channel import Kind
-from servo_twin.diagnosis.monitor import SUPPLY, DiagnosisMonitor, Located
+from servo_twin.diagnosis.monitor import PLANT_VALUES, SUPPLY, DiagnosisMonitor, Located
 from servo_twin.diagnosis.pair import BoardPair, Motion
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
-__all__ = ["CHANGED", "NOTHING", "Answer", "Change", "Trials", "confusion"]
-
-CHANGED: Final[Mapping[str, str]] = {
-    "resistance": "r_s",
-    "flux": "psi_m",
-    "inertia": "inertia",
-    "friction": "friction",
-    "load": "load_torque",
-    SUPPLY: "bus.u_source",
-}
-"""What a trial may change, and its name in the plant file, of an axis but for the supply."""
+__all__ = ["NOTHING", "Answer", "Change", "Trials", "confusion"]
 
 NOTHING: Final = "nothing"
 
@@ -43,7 +33,7 @@ class Change:
     Attributes
     ----------
     name : str
-        Key of `CHANGED`.
+        Key of `PLANT_VALUES`.
     size : float
         Factor; of a load the torque that is added [N m].
     """
@@ -61,8 +51,8 @@ class Change:
             If it is none.
         """
         name, sign, number = text.partition("=")
-        if name not in CHANGED or not sign:
-            raise ValueError(f"{text!r} is not NAME=FACTOR with one of {', '.join(CHANGED)}; load=TORQUE in N m")
+        if name not in PLANT_VALUES or not sign:
+            raise ValueError(f"{text!r} is not NAME=FACTOR with one of {', '.join(PLANT_VALUES)}; load=TORQUE in N m")
         size = float(number)
         if not math.isfinite(size) or (name != "load" and size <= 0.0):
             raise ValueError(f"{text!r}: {number} is not a factor above 0")
@@ -70,7 +60,7 @@ class Change:
 
     def key(self, axis: int) -> str:
         """Name in the plant file."""
-        return CHANGED[self.name] if self.name == SUPPLY else f"{axis_name(axis)}.{CHANGED[self.name]}"
+        return PLANT_VALUES[self.name] if self.name == SUPPLY else f"{axis_name(axis)}.{PLANT_VALUES[self.name]}"
 
     def place(self, axis: int) -> str:
         """Name as an answer has it."""
