@@ -468,6 +468,7 @@ def _prepared(access: BoardAccess, settings: Settings, enable: bool) -> Iterator
                 it.until(lambda: it.substate != "TEST" and not it.spins, _REST_TIME, "has not switched off")
             it.write("cmd.mode", mode)
             access.write("param.command_timeout", timeout)
+            access.wait(_LOOK)  # until all of it is in force
 
 
 # ---- the measurement -------------------------------------------------------------------------------------------------
