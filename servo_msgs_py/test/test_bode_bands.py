@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -24,7 +25,7 @@ def test_bands_cover_what_was_asked_for(slow: bool, capacity: int, low: float, w
     bands = bands_of(f_min, f_max, capacity, slow)
     assert bands[0].f_min == pytest.approx(f_min)
     assert bands[-1].f_max == pytest.approx(f_max)
-    for below, above in zip(bands[:-1], bands[1:], strict=True):
+    for below, above in pairwise(bands):
         assert below.f_max == above.f_min
     for band in bands:
         assert band.f_min < band.f_max

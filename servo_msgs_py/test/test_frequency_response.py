@@ -80,8 +80,8 @@ def closed(
     return np.tile(d, (repeats, 1)), error, output
 
 
-def measured(*signals: NDArray[np.float64]) -> Response:
-    return estimate(STEP, *signals, F_MIN, F_MAX)
+def measured(d: NDArray[np.float64], error: NDArray[np.float64], output: NDArray[np.float64]) -> Response:
+    return estimate(STEP, d, error, output, F_MIN, F_MAX)
 
 
 def deviation(response: Response, loop: System, top: float = F_MAX) -> float:
@@ -137,7 +137,7 @@ def test_the_feedback_of_noise_does_not_bias_the_loop() -> None:
     response = measured(d, error, output)
     o, e = np.fft.rfft(output, axis=1), np.fft.rfft(error, axis=1)
     naive = (o * e.conj()).sum(axis=0) / (np.abs(e) ** 2).sum(axis=0)
-    f = np.fft.rfftfreq(SAMPLES, STEP)
+    f = np.fft.rfftfreq(SAMPLES, STEP).astype(np.float64)
     high = (f > 250.0) & (f < 500.0)
     truth = loop.response(2.0 * math.pi * f[high])
     assert np.abs(np.mean(naive[high] / truth) - 1.0) > 0.2
@@ -166,7 +166,7 @@ def test_a_signal_in_noise_determines_nothing() -> None:
     found = figures(measured(*closed(integrator(500.0, 1), 1.0, 7, amplitude=0.01)))
     assert (found.crossover, found.phase_margin, found.gain_margin) == (None, None, None)
     assert found.undetermined
-    nothing = figures(measured(*(np.zeros((3, SAMPLES)),) * 3))
+    nothing = figures(measured(*[np.zeros((3, SAMPLES))] * 3))
     assert nothing.crossover is None
 
 

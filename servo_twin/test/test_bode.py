@@ -172,8 +172,8 @@ def test_a_fault_and_an_axis_in_another_state_are_named(access: VirtualBoardAcce
     with pytest.raises(MeasurementError, match="axis1 is in motion"):
         measure(access, Request(0, "speed"))
     access.board.connect_encoder(0, False)
+    access.wait(0.5)
     with pytest.raises(MeasurementError, match="axis1 has a fault"):
-        access.wait(0.5)
         measure(access, Request(0, "speed"))
 
 
