@@ -84,7 +84,7 @@ def test_a_loop_is_measured_and_written(
     rrd = tmp_path / "bode.rrd"
     assert bode("axis1", "speed", "--enable", "--repeat", 3, "--out", tmp_path, "--rrd", rrd, "--json") == 0
     output = capsys.readouterr()
-    assert "axis1 moves" in output.err
+    assert "axis1 turns to and fro" in output.err
     found: dict[str, Any] = json.loads(output.out)
     assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
     assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)

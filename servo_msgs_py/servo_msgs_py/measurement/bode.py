@@ -146,7 +146,15 @@ class Request:
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured; attributes as those of `Request`, without gaps."""
+    """What is measured.
+
+    Attributes
+    ----------
+    swing : float
+        Speed by which the test signal moves the shaft at most, as predicted [rad/s].
+    others
+        As those of `Request`, without gaps.
+    """
 
     axis: int
     loop: Loop
@@ -156,6 +164,7 @@ class Settings:
     speed: float
     way_max: float
     repeats: int
+    swing: float = 0.0
 
     @property
     def names(self) -> list[str]:
@@ -274,6 +283,8 @@ def _completed(access: BoardAccess, request: Request) -> tuple[Settings, Predict
         settings, prediction = replace(settings, speed=speed), replace(prediction, speed=speed)
     if request.amplitude is None:
         settings = replace(settings, amplitude=_default_amplitude(access, settings, prediction))
+    if loop.slow:
+        settings = replace(settings, swing=settings.amplitude * prediction.excursion(f_min, f_max)[0])
     return settings, prediction, bands
 
 
@@ -304,10 +315,10 @@ def _refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ba
     current_limit = access.read("param.i_q_limit")[settings.axis]
     if not settings.amplitude > 0.0:
         raise MeasurementError(f"the amplitude {settings.amplitude:g} {loop.unit} is not above 0")
-    swing = settings.amplitude if loop.name == "position" else 0.0
-    if abs(settings.speed) + swing > speed_limit:
+    fastest = abs(settings.speed) + settings.swing
+    if fastest > speed_limit:
         raise MeasurementError(
-            f"{abs(settings.speed) + swing:.4g} rad/s with the test signal are above the limit of {name}, "
+            f"{fastest:.4g} rad/s with the test signal are above the limit of {name}, "
             f"{speed_limit:.4g} rad/s (param.speed_limit); give a lower speed"
         )
     most = (0.5 if loop.slow else _BASE_PART / _BASE_OVER) * current_limit
@@ -330,9 +341,7 @@ def _way(settings: Settings, band: Band) -> float:
     """How far the shaft turns in one recording at most [rad]."""
     if not settings.loop.slow:
         return math.pi  # the rotor goes to where the current vector points
-    constant = abs(settings.speed) * _time_of(band)
-    swing = settings.amplitude / (2.0 * math.pi * band.f_min) if settings.loop.name == "position" else 0.0
-    return constant + swing
+    return abs(settings.speed) * _time_of(band) + settings.swing / (2.0 * math.pi * band.f_min)
 
 
 def _time_of(band: Band) -> float:
@@ -529,11 +538,11 @@ def _motion_text(settings: Settings, bands: Sequence[Band]) -> str:
     """What the shaft is going to do."""
     name, loop = axis_name(settings.axis), settings.loop
     way = max(_way(settings, band) for band in bands)
-    turn = f"turns to and fro at {abs(settings.speed):.4g} rad/s, " if settings.speed else ""
+    how = f" to and fro at {abs(settings.speed):.4g} rad/s" if settings.speed else ""
     if not loop.slow:
-        turn = "is held by a current in one direction, "
+        how = " to where a current holds it"
     return (
-        f"{name} moves: it {turn}up to {way:.3g} rad to each side, with a test signal of {settings.amplitude:.3g} "
+        f"{name} turns{how}, up to {way:.3g} rad to each side, with a test signal of {settings.amplitude:.3g} "
         f"{loop.unit} from {settings.f_min:.3g} to {settings.f_max:.3g} Hz; Ctrl-C stops it"
     )
 
@@ -544,11 +553,10 @@ def _notes(settings: Settings, prediction: Prediction) -> list[str]:
         return []
     if settings.speed == 0.0:
         return ["measured about standstill: friction and rare encoder edges change what is measured; give --speed"]
-    excursion = settings.amplitude * prediction.excursion(settings.f_min, settings.f_max)[0]
     board = prediction.it.board
     resolution = abs(settings.speed) / (board("timer_clock") * board.tick)
-    if settings.loop.name == "speed" and not prediction.observed and excursion < _RESOLUTIONS * resolution:
-        steps = f"the speed swings by {excursion:.3g} rad/s, the M/T method has steps of {resolution:.2g} rad/s"
+    if settings.loop.name == "speed" and not prediction.observed and settings.swing < _RESOLUTIONS * resolution:
+        steps = f"the speed swings by {settings.swing:.3g} rad/s, the M/T method has steps of {resolution:.2g} rad/s"
         return [f"{steps}: the gain may be off by some percent; give a larger amplitude or a lower speed"]
     return []
 
