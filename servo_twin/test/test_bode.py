@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -16,6 +17,7 @@ from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.level import Level
 from servo_twin.lockstep.blocks import blocks_of_file
+from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
 
 CONFIG: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
@@ -187,3 +189,26 @@ def test_too_small_a_signal_is_noted_or_not_determined(access: VirtualBoardAcces
     assert as_dict(tiny)["measured"]["crossover"] is None
     with pytest.raises(MeasurementError, match="not_a_format"):
         draw(bode, tmp_path / "bode.not_a_format")
+
+
+def test_the_resonance_of_a_shaft_that_twists_is_found(level: Level) -> None:
+    """Two masses: the load rests at 150 Hz, both swing against each other at 190 Hz."""
+    rotor, load, frequency, damping = 5e-6, 3e-6, 150.0, 0.05
+    stiffness = (2.0 * math.pi * frequency) ** 2 * load
+    both = frequency * math.sqrt(1.0 + load / rotor)
+    plant = PlantConfig.load().with_axis(
+        0,
+        inertia=rotor,
+        load_inertia=load,
+        shaft_stiffness=stiffness,
+        shaft_damping=2.0 * damping * math.sqrt(stiffness * load),
+    )
+    with Board(plant, level=level, seed=3) as board:
+        board.run(0.1)
+        bode = measure(VirtualBoardAccess(board), Request(0, "speed", amplitude=0.5), enable=True)
+    low, high = bode.figures.resonances
+    assert low.frequency == pytest.approx(frequency, rel=0.05)
+    assert high.frequency == pytest.approx(both, rel=0.05)
+    assert low.height < -6.0
+    assert high.height > 6.0
+    assert "antiresonance" in text(bode)

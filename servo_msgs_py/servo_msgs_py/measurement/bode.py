@@ -28,7 +28,7 @@ from servo_msgs_py.measurement.access import (
     refuse_faults,
     step_of,
 )
-from servo_msgs_py.measurement.frequency_response import Figures, Response, estimate, figures, joined
+from servo_msgs_py.measurement.frequency_response import Figures, Measured, Response, estimate, figures, joined
 from servo_msgs_py.measurement.prediction import Prediction, predict
 from servo_msgs_py.measurement.test_signal import (
     SweptSine,
@@ -47,13 +47,15 @@ _TURNS_MIN: Final = 4.0  # of the lowest frequency within a sweep of its own
 _STRETCH: Final = 1.3  # by which a sweep may begin lower, with fewer turns, before another one is spent on the rest
 _NYQUIST_PART: Final = 0.8
 _BELOW, _ABOVE = 5.0, 10.0  # default band around the predicted crossover
-_SLOW_PART: Final = 0.25  # of the current limit, that the default amplitude of a slow loop asks for
+_SLOW_PART: Final = 0.4  # of the current limit, that the default amplitude of a slow loop asks for
 _FAST_PART: Final = 0.15  # the same as amplitude of a current loop
 _BASE_PART: Final = 0.5  # of the current limit: i_d that holds the rotor while a current loop is measured
 _BASE_OVER: Final = 2.5  # and over the amplitude: no phase current passes zero, where the dead time is not linear
 _EXCURSION: Final = 0.7  # of the constant speed: the shaft shall not turn round
 _DEFAULT_EXCURSION: Final = 30.0  # without a constant speed [rad/s]
 _SPEED_PART: Final = {"speed": 0.15, "position": 0.1}  # of the speed limit: default speed
+_CHECKS: Final = 2  # recordings with half the amplitude
+_LINEAR, _LINEAR_DEGREES = 0.05, 3.0  # what they may change
 _RESOLUTIONS: Final = 20.0  # of the M/T method; below them its steps change the gain by percents
 _LIMIT_PART: Final = 0.98
 _SETTLE: Final = 0.3  # at the constant speed [s]
@@ -514,24 +516,58 @@ def measure(
         If there is no prediction: no configuration gives what the board has.
     """
     settings, prediction, bands = _completed(access, request)
-    loop = settings.loop
     _refuse_settings(access, settings, bands)
     say(_motion_text(settings, bands))
-    total = len(bands) * settings.repeats
-    responses, notes = [], _notes(settings, prediction)
+    total = len(bands) * settings.repeats + _CHECKS
     with _prepared(access, settings, enable) as axis:
-        for number, band in enumerate(bands):
-            signal = SweptSine(loop.point, settings.amplitude, band.f_min, band.f_max, band.sweep_seconds)
+
+        def swept(band: Band, amplitude: float, repeats: int, done: int) -> Response:
+            signal = SweptSine(settings.loop.point, amplitude, band.f_min, band.f_max, band.sweep_seconds)
             prepare_test_signal(access, settings.axis, signal)
             taken = []
-            for repeat in range(settings.repeats):
-                progress(f"{band.f_min:.3g} .. {band.f_max:.3g} Hz", number * settings.repeats + repeat, total)
+            for repeat in range(repeats):
+                progress(f"{band.f_min:.3g} .. {band.f_max:.3g} Hz", done + repeat, total)
                 speed = -settings.speed if repeat % 2 else settings.speed
                 taken.append(_recorded(axis, settings, band, speed))
-            progress("done", (number + 1) * settings.repeats, total)
-            responses.append(_estimated(access, settings, band, taken))
-    response = joined(responses)
-    return Bode(settings, bands, response, figures(response), prediction, tuple(notes))
+            return _estimated(access, settings, band, taken)
+
+        response = joined(
+            [swept(band, settings.amplitude, settings.repeats, k * settings.repeats) for k, band in enumerate(bands)]
+        )
+        found, notes = figures(response), _notes(settings, prediction)
+        if found.crossover is not None:
+            crossover = found.crossover.value
+            (band, *_) = [band for band in bands if band.f_min <= crossover <= band.f_max] or bands
+            half = figures(swept(band, 0.5 * settings.amplitude, _CHECKS, total - _CHECKS))
+            found, note = _compared(found, half)
+            notes += note
+        progress("done", total, total)
+    return Bode(settings, bands, response, found, prediction, tuple(notes))
+
+
+def _compared(found: Figures, half: Figures) -> tuple[Figures, list[str]]:
+    """Figures whose uncertainty holds what half the amplitude changes.
+
+    Steps of a sensor and friction change the figures the more the smaller the test signal is: what half of it changes
+    is about what is still wrong with the whole.
+    """
+    if None in (found.crossover, found.phase_margin, half.crossover, half.phase_margin):
+        return found, ["half the amplitude determines nothing: this one is hardly enough; give a larger amplitude"]
+    assert found.crossover is not None
+    assert found.phase_margin is not None
+    assert half.crossover is not None
+    assert half.phase_margin is not None
+    crossover, margin = (
+        Measured(one.value, max(one.sigma, 0.5 * abs(other.value - one.value)))
+        for one, other in ((found.crossover, half.crossover), (found.phase_margin, half.phase_margin))
+    )
+    notes = []
+    if 2.0 * crossover.sigma > _LINEAR * crossover.value or 2.0 * margin.sigma > _LINEAR_DEGREES:
+        notes.append(
+            f"half the amplitude gives a crossover of {half.crossover.value:.4g} Hz and a phase margin of "
+            f"{half.phase_margin.value:.4g} degrees: friction or the steps of a sensor matter; give a larger amplitude"
+        )
+    return replace(found, crossover=crossover, phase_margin=margin), notes
 
 
 def _motion_text(settings: Settings, bands: Sequence[Band]) -> str:
