@@ -138,10 +138,15 @@ def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> Non
         (Request(0, "current", amplitude=2.0), "too much for the limit of axis1"),
         (Request(0, "current", speed=10.0), "without a speed"),
         (Request(0, "speed", speed=50.0, way_max=5.0), "give a lower speed"),
+        (Request(0, "position", f_min=0.05), "give a higher lowest frequency"),
         (Request(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
     ):
         with pytest.raises(MeasurementError, match=why):
             measure(access, request, enable=True)
+    access.write("param.feedback", [1.0], 0)
+    with pytest.raises(MeasurementError, match="without its encoder"):
+        measure(access, Request(0, "speed"), enable=True)
+    access.write("param.feedback", [0.0], 0)
     with pytest.raises(MeasurementError, match="axis1 is not enabled"):
         measure(access, Request(0, "speed"))
     assert access.read("axis1.position") == place

@@ -60,6 +60,7 @@ _RESOLUTIONS: Final = 20.0  # of the M/T method; below them its steps change the
 _LIMIT_PART: Final = 0.98
 _SETTLE: Final = 0.3  # at the constant speed [s]
 _START: Final = 0.7  # for the recorder to be armed and started [s]
+_TIME_MAX: Final = 30.0  # longest param.command_timeout [s]
 _RAMP: Final = 0.3  # longest way to the constant speed in a trajectory [s]
 _REST_TIME: Final = 5.0
 _STILL_LOOKS: Final = 10
@@ -311,8 +312,16 @@ def _room(access: BoardAccess, axis: int) -> float:
 
 
 def _refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Band]) -> None:
-    """Refuse what the limits of the axis or the user forbid."""
+    """Refuse what the axis cannot do, or what its limits or the user forbid."""
     name, loop = axis_name(settings.axis), settings.loop
+    if access.catalogue.label("feedback_kind_t", int(access.read("param.feedback")[settings.axis])) != "ENCODER":
+        raise MeasurementError(f"{name} runs without its encoder (param.feedback); only loops with one are measured")
+    longest = max(map(_time_of, bands))
+    if longest > _TIME_MAX:
+        raise MeasurementError(
+            f"from {settings.f_min:.3g} Hz on a recording would take {longest:.3g} s, more than the {_TIME_MAX:g} s that a "
+            "set-point can hold; give a higher lowest frequency"
+        )
     speed_limit = access.read("param.speed_limit")[settings.axis]
     current_limit = access.read("param.i_q_limit")[settings.axis]
     if not settings.amplitude > 0.0:
@@ -422,7 +431,7 @@ class _Axis:
 
     def expire(self, seconds: float) -> None:
         """Let the board end set-points of speed and current that are not written again within this time [s]."""
-        self.access.write("param.command_timeout", [min(seconds, 30.0)])
+        self.access.write("param.command_timeout", [seconds])
 
     def travel(self, speed: float, seconds: float) -> None:
         """Turn at a constant speed under position control for a time [s], then hold."""
