@@ -319,8 +319,8 @@ def _refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ba
     longest = max(map(_time_of, bands))
     if longest > _TIME_MAX:
         raise MeasurementError(
-            f"from {settings.f_min:.3g} Hz on a recording would take {longest:.3g} s, more than the {_TIME_MAX:g} s that a "
-            "set-point can hold; give a higher lowest frequency"
+            f"from {settings.f_min:.3g} Hz on a recording would take {longest:.3g} s, more than the {_TIME_MAX:g} s "
+            "that a set-point can hold; give a higher lowest frequency"
         )
     speed_limit = access.read("param.speed_limit")[settings.axis]
     current_limit = access.read("param.i_q_limit")[settings.axis]
