@@ -99,7 +99,7 @@ PLANT_INLINE adc_pair_t codes_of(const hal_t *chip, int i, const plant_samples_t
 
 static bool awake(const hal_t *chip) { return chip->now_ns >= chip->stalled_ns; }
 
-/* Nobody has served it: the board starts anew. What is outside of the chip goes on. */
+/* It was not served: the board starts anew. What is outside of the chip goes on. */
 static void watch_dog(hal_t *chip)
 {
     if (chip->now_ns - chip->served_ns <= WATCHDOG_NS) {
