@@ -1,5 +1,7 @@
 #include "plant/plant.h"
 
+#include "plant/inline.h"
+
 static inline plant_lane_t lane_of(plant_drive_t *axis) { return (plant_lane_t){&axis->inverter, &axis->motor}; }
 
 static void pair_up(plant_t *plant)
@@ -70,7 +72,7 @@ static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double 
     axis->motor.friction = plant_pins_friction(&axis->pins);
     const double part = step / PLANT_SHAFT_STEPS;
     shaft_change(&axis->shaft, config, axis->motor.theta, axis->motor.omega);
-    axis->motor.apart = axis->shaft.fine;
+    plant_motor_part(&axis->motor, axis->shaft.fine);
     axis->stop = end_stop_of(config, axis->shaft.fine ? part : step);
     set_load(axis, config->load_torque);
     plant_encoder_change(&axis->encoder, config);
@@ -115,7 +117,7 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, doubl
 }
 
 /* The same for all of a step in parts, each with the torque that shaft, cogging and end stops have in its middle. */
-static double fine_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
+static PLANT_RARE double fine_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
 {
     const double part = step / PLANT_SHAFT_STEPS;
     double charge = 0.0;
