@@ -91,13 +91,13 @@ static inline unsigned line_pin(const board_t *board, int axis, int line)
 }
 
 /* Edges that only count are kept back by the plant, which has less to do for each then. */
-void world_patience(void *world)
+void world_deferrable_edges(void *world)
 {
     board_t *board = (board_t *)world;
     board->chip.core.horizon = 0; /* the plant may have something sooner */
     for (int axis = 0; axis < BOARD_AXES; axis++) {
-        const unsigned a = chip_patience(&board->chip, encoder_pin[axis][0]);
-        const unsigned b = chip_patience(&board->chip, encoder_pin[axis][1]);
+        const unsigned a = chip_deferrable_edges(&board->chip, encoder_pin[axis][0]);
+        const unsigned b = chip_deferrable_edges(&board->chip, encoder_pin[axis][1]);
         const unsigned edges = (a < b) ? a : b;
         if (edges != board->plant.axis[axis].patience) {
             switching_keep_back(&board->plant, axis, edges);
@@ -454,7 +454,7 @@ void board_reverse_encoder(board_t *board, int axis)
     for (int line = 0; line < 2; line++) {
         chip_pin(&board->chip, line_pin(board, axis, line), switching_line(&board->plant, axis, line));
     }
-    world_patience(board); /* these changes have used some */
+    world_deferrable_edges(board); /* these changes have used some */
 }
 
 void board_obstruct_shaft(board_t *board, int axis, double below, double above)

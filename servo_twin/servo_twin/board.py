@@ -599,7 +599,11 @@ class Board:
         """
         if name.rpartition(".")[2] in BUILT_IN:
             raise PlantError(f"{name}: cannot change on a running board; make another one")
-        self.plant = self.plant.with_value(name, value)
+        self.take_plant(self.plant.with_value(name, value))
+
+    def take_plant(self, plant: PlantConfig) -> None:
+        """As `set_plant`, with all values at once; those of `servo_twin.plant.BUILT_IN` have to stay as they are."""
+        self.plant = plant
         self._change_plant()
 
     def _change_plant(self) -> None:
