@@ -164,8 +164,8 @@ static inline void move_quickly(plant_encoder_t *encoder, const plant_movement_t
     encoder->edge += edges;
 }
 
-static inline void move_to(plant_encoder_t *encoder, int64_t target, const plant_movement_t *movement,
-                           uint64_t reference_ns)
+static PLANT_ONCE void move_to(plant_encoder_t *encoder, int64_t target, const plant_movement_t *movement,
+                               uint64_t reference_ns)
 {
     const int64_t edges = target - encoder->edge;
     if (edges == 0) {

@@ -79,6 +79,7 @@ static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double 
     axis->codes_per_ampere = 2048.0 / config->i_full_scale;
     thermal_change(&axis->sink, config->sink_capacity, config->sink_resistance);
     thermal_change(&axis->winding, config->winding_capacity, config->winding_resistance);
+    axis->magnet_follows = thermal_magnet(step * PLANT_STEPS_PER_WARMTH, config->magnet_time);
     follow_heat(axis);
 }
 
@@ -155,7 +156,7 @@ static void warm_up(plant_t *plant)
         const double loss =
             1.5 * axis->config.r_s * thermal_copper(&axis->winding) * (m->i_d * m->i_d + m->i_q * m->i_q);
         thermal_advance(&axis->winding, h, loss * h);
-        axis->t_magnet = thermal_magnet(axis->t_magnet, axis->winding.t, h, axis->config.magnet_time);
+        axis->t_magnet += axis->magnet_follows * (axis->winding.t - axis->t_magnet);
         warmer = follow_heat(axis) || warmer;
     }
     if (warmer) {
@@ -164,7 +165,7 @@ static void warm_up(plant_t *plant)
     supply_warm(&plant->bus, h);
 }
 
-void plant_step(plant_t *plant, uint64_t now_ns)
+PLANT_ONCE void plant_step(plant_t *plant, uint64_t now_ns)
 {
     plant_drive_t *drive = plant->axis;
     const plant_lane_t lane[2] = {lane_of(&drive[0]), lane_of(&drive[1])};

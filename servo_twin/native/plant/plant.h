@@ -35,6 +35,7 @@ typedef struct {
     plant_pins_t pins;
     shaft_t shaft;
     double t_magnet; /* [deg C] */
+    double magnet_follows; /* part of its way to the winding's temperature, in a step of the temperatures */
 } plant_drive_t;
 
 typedef struct {
