@@ -85,7 +85,7 @@ def stator_frame_reference(
 
 
 @pytest.mark.parametrize("iron", [{}, {"i_saturation_d": 3.0, "i_saturation_q": 2.0}], ids=["linear", "saturated"])
-def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native, iron: dict[str, float]) -> None:
+def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native, iron: dict[str, Any]) -> None:
     plant = plain(viscous=2e-5, theta_start=0.4, **iron)
     axis = plant.axes[0]
     # a voltage vector that accelerates the shaft and pulls the motor out of step: everything is excited
