@@ -233,13 +233,25 @@ def test_every_import_is_declared(package: str) -> None:
     assert not undeclared
 
 
+def _anchors(document: Path) -> set[str]:
+    """Of its headings, as code hosts make them."""
+    text = re.sub(r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r"^#+ +(.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings}
+
+
 def test_every_relative_link_of_the_documents_leads_somewhere() -> None:
     broken = []
     for document in (ROOT / name for name in git_files() if name.endswith(".md")):
-        for target in re.findall(r"\]\(([^)#:]+)\)", document.read_text(encoding="utf-8")):
-            if not (document.parent / target).exists():
-                broken.append(f"{document.relative_to(ROOT)}: {target}")
+        for target, anchor in re.findall(r"\]\(([^)#:]*)#?([^):]*)\)", document.read_text(encoding="utf-8")):
+            path = document.parent / target if target else document
+            if not path.exists() or (anchor and anchor not in _anchors(path)):
+                broken.append(f"{document.relative_to(ROOT)}: {target}#{anchor}")
     assert not broken
+
+
+def test_the_first_page_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
 
 
 # ---- versions of others ---------------------------------------------------------------------------------------------

@@ -87,7 +87,7 @@ COMMAND_VARIABLES: Final = (
     "cmd.home_position",
     "cmd.home",
 )
-"""Command variables in the order that numbers them in `COMMANDS_APPLIED`."""
+"""Command variables in the order that numbers them in `COMMANDS_APPLIED`; the bridge writes no ``cmd.test_*``."""
 
 COMMAND_COLUMNS: Final = ("variable", "applied_tick", "axes_mask", "raw_axis1", "raw_axis2")
 """Columns of `COMMANDS_APPLIED`: index into `COMMAND_VARIABLES`, tick, bit per written axis, raw numbers. The words of
