@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -160,8 +161,7 @@ def estimates_of(log: MeasurementLog) -> MotorEstimates:
     values: dict[str, Estimate] = {}
     undetermined: dict[str, str] = {}
 
-    def attempt(names: str, make: object) -> bool:
-        assert callable(make)
+    def attempt(names: str, make: Callable[[], Mapping[str, Estimate]]) -> bool:
         try:
             values.update(make())
         except MeasurementError as error:
@@ -174,13 +174,17 @@ def estimates_of(log: MeasurementLog) -> MotorEstimates:
         winding = Estimate(found.resistance.value - r_on, found.resistance.sigma)
         return {"r_s": winding, "dead_voltage": found.lost}
 
-    total = lambda: Estimate(values["r_s"].value + r_on, values["r_s"].sigma)  # noqa: E731
     if not attempt("r_s dead_voltage", standstill):
         return MotorEstimates(values, undetermined)
-    attempt("l_d l_q delay", lambda: inductances_of(log, total().value))
+    total = values["r_s"].value + r_on
+    attempt("l_d l_q delay", lambda: inductances_of(log, total))
     if "l_d" not in values:
         return MotorEstimates(values, undetermined)
-    if attempt("pole_pairs gain_ratio", lambda: turning_of(log, total().value)):
+    if attempt("pole_pairs gain_ratio", lambda: turning_of(log, total)):
         attempt("psi_m", lambda: flux_of(log, values["l_d"].value, values["pole_pairs"].value))
         attempt("psi_m friction viscous load inertia", lambda: running_of(log, values, resistance_of(log)))
+    else:  # a rotor that is held has not come to the vector either
+        for name in ("l_d", "l_q"):
+            values.pop(name)
+            undetermined[name] = "the rotor does not follow a current vector: it may lie at any angle to it"
     return MotorEstimates(values, undetermined)

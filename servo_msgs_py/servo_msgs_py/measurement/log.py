@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording
+from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, step_of
 
 __all__ = ["Call", "LoggedAccess", "MeasurementLog", "repeat"]
 
@@ -129,7 +129,7 @@ def _seconds(call: Call) -> float:
     inner = sum(map(_seconds, call.inner))
     if call.kind == "record":
         _, samples, every, slow, _ = call.arguments
-        return max(inner, samples * every * (0.5e-3 if slow else 62.5e-6))
+        return max(inner, float(samples * step_of(every, slow)))
     return inner
 
 
@@ -205,7 +205,8 @@ class LoggedAccess(BoardAccess):
         trigger: str | None = None,
     ) -> Recording:
         """As `record`, with a purpose."""
-        outer, inner = self._calls, []
+        outer = self._calls
+        inner: list[Call] = []
 
         def logged_start() -> None:
             self._calls = inner

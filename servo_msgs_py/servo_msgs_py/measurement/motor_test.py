@@ -1,7 +1,8 @@
 """The tests that find out the values of a motor of which only voltage and current limit are known. Pure.
 
-The order is one of growing knowledge. A current vector at a fixed angle holds the rotor: resistance and lost voltage, then
-inductances, with current controllers that get better with every estimate. The vector turns: pole pairs, direction, flux.
+The order is one of growing knowledge. A current vector at a fixed angle holds the rotor: resistance and lost voltage,
+then inductances, with current controllers that get better with every estimate. The vector turns: pole pairs, direction,
+flux.
 Then the rotor search of the firmware can work, and torque pulses give a first inertia; at last the axis runs at several
 speeds under control: friction, load, inertia, and flux again. Sub-states, limits and faults are the board's own.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +20,7 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults, send_configuration
-from servo_msgs_py.measurement.estimation import BAND, HOLD, inductances_of, resistance_of, turning_of, flux_of, follows
+from servo_msgs_py.measurement.estimation import BAND, HOLD, flux_of, follows, inductances_of, resistance_of, turning_of
 from servo_msgs_py.measurement.log import LoggedAccess, MeasurementLog
 from servo_msgs_py.measurement.motor_config import configured, fitted, tuned_axis
 from servo_msgs_py.measurement.motor_values import Estimate, Limits
@@ -127,7 +129,9 @@ class MotorTest:
         timeout = self.access.read_words("param.command_timeout")
         self._check()
         self.access.write("param.command_timeout", [0.0])
-        self.log.notes["limits"] = {name: getattr(self.limits, name) for name in ("voltage", "current", "speed", "turns", "energy", "r_on")}
+        self.log.notes["limits"] = {
+            name: getattr(self.limits, name) for name in ("voltage", "current", "speed", "turns", "energy", "r_on")
+        }
         monitors = saved["param.faults_enabled"]
         try:
             # they judge voltages by a resistance and current controllers that are not known yet
@@ -330,7 +334,7 @@ class MotorTest:
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / self.access.capacity(self._columns_of(self._SPIN)))
                 samples = int(seconds / TICK / every)
-                self._slow("speed", self._SPIN, samples, every, lambda speed=speed: self._write("cmd.speed", speed))
+                self._slow("speed", self._SPIN, samples, every, partial(self._write, "cmd.speed", speed))
                 # a current along the flux, without torque: the phase currents hardly come near zero, where dead time
                 # takes a voltage that is not known well; a slow sine does not step
                 self._signal(along, ALONG_FREQUENCY * PERIOD, 0.0, round(ALONG_TIME / PERIOD))

@@ -104,7 +104,10 @@ def friction(points: list[Steady], torque: Floats, torque_sigma: Floats) -> dict
 
 
 def balance(
-    recordings: list[Recording], axis: str, motor: tuple[int, float, float, float], parts: tuple[float, float, float] | None
+    recordings: list[Recording],
+    axis: str,
+    motor: tuple[int, float, float, float],
+    parts: tuple[float, float, float] | None,
 ) -> tuple[Estimate, Estimate]:
     """Inertia and Coulomb friction from momentum: what the torque has given until a moment is in the shaft's speed.
 
@@ -143,5 +146,5 @@ def balance(
         values.append(total)
     x, covariance, _ = fit_linear(np.vstack(rows), np.concatenate(values))
     errors = np.sqrt(np.diag(covariance)) * 5.0  # the sums are not independent of each other
-    coulomb = Estimate(float(x[1]), float(errors[1])) if parts is None else Estimate(parts[0], 0.0)
-    return Estimate(float(x[0]), float(errors[0])), coulomb
+    dry = Estimate(float(x[1]), float(errors[1])) if parts is None else Estimate(parts[0], 0.0)
+    return Estimate(float(x[0]), float(errors[0])), dry

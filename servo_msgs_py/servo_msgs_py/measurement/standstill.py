@@ -176,11 +176,11 @@ def spectra(
     i, u, d = (np.fft.rfft(column - column[-max(size // 16, 4) :].mean()) for column in columns)
     frequency = np.fft.rfftfreq(size, recording.step)
     inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
-    inside = inside[: inside.size // SMOOTHED * SMOOTHED].reshape(-1, SMOOTHED)
-    weight = np.abs(d[inside] ** 2).sum(axis=1)
-    i_d = (i[inside] * d[inside].conj()).sum(axis=1) / np.sqrt(weight)
-    u_d = (u[inside] * d[inside].conj()).sum(axis=1) / np.sqrt(weight)
-    return 2.0 * np.pi * frequency[inside].mean(axis=1), i_d, u_d
+    rows = inside[: inside.size // SMOOTHED * SMOOTHED].reshape(-1, SMOOTHED)
+    weight = np.sqrt((np.abs(d[rows]) ** 2).sum(axis=1))
+    i_d = (i[rows] * d[rows].conj()).sum(axis=1) / weight
+    u_d = (u[rows] * d[rows].conj()).sum(axis=1) / weight
+    return 2.0 * np.pi * frequency[rows].mean(axis=1), i_d, u_d
 
 
 def _bridged(column: Floats) -> Floats:

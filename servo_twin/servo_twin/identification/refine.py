@@ -1,7 +1,7 @@
 """All values together, by simulation: what was done to the board is done to virtual boards until they answer the same.
 
-The plant is that of the twin, the firmware the same C with the same configuration blocks, written at the same times. The
-differences of currents, voltages and speeds are minimised over the values of the motor (output error).
+The plant is that of the twin, the firmware the same C with the same configuration blocks, written at the same times.
+The differences of currents, voltages and speeds are minimised over the values of the motor (output error).
 """
 
 from __future__ import annotations
@@ -104,11 +104,14 @@ class Refinement:
 def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits: Mapping[str, float]) -> PlantConfig:
     """A plant file's values with those of a motor.
 
-    The lost voltage of a leg is dead time and drop together: the dead time stays that of `plant`, the drop takes the rest.
+    The lost voltage of a leg is dead time and drop together: the dead time stays that of `plant`, the drop takes the
+    rest.
     """
     own = plant.axes[axis]
     changes: dict[str, Any] = {
-        name: values[name] for name in ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous") if name in values
+        name: values[name]
+        for name in ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous")
+        if name in values
     }
     if "pole_pairs" in values:
         changes["pole_pairs"] = float(round(values["pole_pairs"]))
@@ -203,7 +206,8 @@ class _Difference:
             names = (f"{self._name}.i_{point}", f"{self._name}.u_{point}", f"{self._name}.test_signal")
             numbers = [k for k, label in enumerate(self._log.labels) if label == f"sweep_{point}"]
             there, here = (
-                [spectra(recordings[k], names, BAND[point]) for k in numbers] for recordings in (self._log.recordings, shown)
+                [spectra(recordings[k], names, BAND[point]) for k in numbers]
+                for recordings in (self._log.recordings, shown)
             )
             for quantity in (1, 2):
                 difference = sum(one[quantity] for one in here) - sum(one[quantity] for one in there)
@@ -231,6 +235,7 @@ class _Difference:
 
     def depends(self, names: Sequence[str]) -> NDArray[np.bool_]:
         """Whether a residual of `vector` depends on a parameter, shape (residuals, parameters)."""
+
         def row(label: str) -> list[bool]:
             return [name in _DEPENDS[label] for name in names]
 
@@ -287,7 +292,7 @@ def refine(
     names = [name for name in REFINED if name in first.values]
     start = {name: estimate.value for name, estimate in first.values.items()}
     torque = 1.5 * start["pole_pairs"] * start["psi_m"] * limits["current"]
-    top = max((float(np.nanmax(np.abs(r.columns[f"{axis_name(log.axis)}.speed"]))) for r in log.labelled("speed")))
+    top = max(float(np.nanmax(np.abs(r.columns[f"{axis_name(log.axis)}.speed"]))) for r in log.labelled("speed"))
     scale = {name: abs(start[name]) for name in names}
     scale["friction"] = max(scale.get("friction", 0.0), 0.003 * torque)
     scale["viscous"] = max(scale.get("viscous", 0.0), 0.5 * scale["friction"] / top)
@@ -365,7 +370,9 @@ def _corrected(
         again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(shown, log.recordings)))
         for name in names:
             if name not in again.values:
-                raise MeasurementError(f"{name} of a simulation cannot be estimated: {again.undetermined.get(name, '')}")
+                raise MeasurementError(
+                    f"{name} of a simulation cannot be estimated: {again.undetermined.get(name, '')}"
+                )
             seen = again.values[name].value
             if name in ("load", "viscous", "friction"):
                 values[name] += first[name] - seen
@@ -379,7 +386,10 @@ def _corrected(
 def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Recording]:
     """Recordings in which the same samples are missing."""
     return [
-        Recording(one.step, {name: np.where(np.isfinite(there.columns[name]), one.columns[name], np.nan) for name in one.columns})
+        Recording(
+            one.step,
+            {name: np.where(np.isfinite(there.columns[name]), one.columns[name], np.nan) for name in one.columns},
+        )
         for one, there in zip(shown, like, strict=True)
     ]
 
