@@ -20,7 +20,15 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults, send_configuration
-from servo_msgs_py.measurement.estimation import BAND, HOLD, flux_of, follows, inductances_of, resistance_of, turning_of
+from servo_msgs_py.measurement.estimation import (
+    BAND,
+    PLAIN,
+    flux_of,
+    follows,
+    inductances_of,
+    resistance_of,
+    turning_of,
+)
 from servo_msgs_py.measurement.log import LoggedAccess, MeasurementLog
 from servo_msgs_py.measurement.motor_config import configured, fitted, tuned_axis
 from servo_msgs_py.measurement.motor_values import Estimate, Limits
@@ -57,8 +65,8 @@ SEARCHED: Final = 0.5
 ALONG: Final = 0.4  # current along the flux at constant speed, part of the limit
 ALONG_VOLTAGE: Final = 0.3  # part of the voltage that it may take
 ALONG_FREQUENCY: Final = 0.4  # [Hz]
-ALONG_SETTLE: Final = 0.35  # until it is large [s]
-ALONG_TIME: Final = 0.8
+ALONG_TIME: Final = 0.8  # [s]
+HOLD_SAMPLES: Final = 640  # of every second slow tick, from the beginning of that current
 SETTLE: Final = 0.3  # s, at a new speed
 NOMINAL: Final[Mapping[str, float]] = {
     "r_s": 0.5,
@@ -323,7 +331,7 @@ class MotorTest:
         most = min(most, math.sqrt(2.0 * self.limits.energy / inertia))
         # a run from standstill to one side stays within the turns
         room = 2.0 * math.pi * self.limits.turns
-        while most * (ALONG_TIME + SETTLE) + most**2 / (2.0 * acceleration) > room:
+        while most * (PLAIN + ALONG_TIME + SETTLE) + most**2 / (2.0 * acceleration) > room:
             most *= 0.8
         r = self.values["r_s"].value + self.limits.r_on
         along = min(ALONG * self.limits.current, ALONG_VOLTAGE * self.limits.voltage / math.sqrt(3.0) / r)
@@ -335,20 +343,20 @@ class MotorTest:
                 every = math.ceil(seconds / TICK / self.access.capacity(self._columns_of(self._SPIN)))
                 samples = int(seconds / TICK / every)
                 self._slow("speed", self._SPIN, samples, every, partial(self._write, "cmd.speed", speed))
-                # a current along the flux, without torque: the phase currents hardly come near zero, where dead time
-                # takes a voltage that is not known well; a slow sine does not step
+                self._slow("plain", self._PLAIN, round(PLAIN / TICK), 1)
+                # a current along the flux: the phase currents hardly come near zero, where dead time takes a voltage that
+                # is not known well; a slow sine does not step
                 self._signal(along, ALONG_FREQUENCY * PERIOD, 0.0, round(ALONG_TIME / PERIOD))
-                self._start_signal("d")
-                self.access.wait(ALONG_SETTLE)
-                self._slow("hold", self._HELD, round(HOLD / TICK), 1)
-                self.access.wait(ALONG_TIME - ALONG_SETTLE - HOLD)
+                self._slow("hold", self._HELD, HOLD_SAMPLES, 2, partial(self._start_signal, "d"), trigger="test_point")
+                self.access.wait(max(ALONG_TIME - 2.0 * HOLD_SAMPLES * TICK, 0.0) + TICK)
                 before = speed
         self._write("cmd.speed", 0.0)
         self.access.wait(abs(before) / acceleration + 0.1)
 
     # ---- parts of them -----------------------------------------------------------------------------------------------
 
-    _SPIN: Final = ("position", "speed", "i_q", "i_d", "u_q", "u_d")
+    _SPIN: Final = ("position", "speed", "speed_ref", "i_q", "i_d")
+    _PLAIN: Final = ("position", "i_q", "i_d")
     _HELD: Final = ("position", "i_q", "i_d", "u_q", "u_d")
 
     def _speed_max(self) -> float:
@@ -390,9 +398,17 @@ class MotorTest:
         return recording
 
     def _slow(
-        self, label: str, names: Sequence[str], samples: int, every: int, start: Callable[[], None] | None = None
+        self,
+        label: str,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        start: Callable[[], None] | None = None,
+        trigger: str | None = None,
     ) -> Recording:
-        recording = self.access.labelled(label, self._columns_of(names), samples, every, True, start)
+        trigger = None if trigger is None else f"{self.name}.{trigger}"
+        columns = self._columns_of(names)
+        recording = self.access.labelled(label, columns, samples, every, True, start, trigger=trigger)
         refuse_faults(self.access, self.axis)
         return recording
 
