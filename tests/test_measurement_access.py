@@ -63,7 +63,6 @@ def test_an_enabled_axis_does_not_miss_its_host(board: Board, access: SessionAcc
 
 def test_a_recording_begins_at_its_trigger(access: SessionAccess) -> None:
     def start() -> None:
-        access.wait(0.2)
         access.write("cmd.enable", [1.0], 0)
 
     names = ("tick", "axis1.event_state", "axis1.i_d")

@@ -292,7 +292,7 @@ static void follow_model(axis_t *axis)
 
 static frac32_t position_controller(axis_t *axis)
 {
-    motion_state_t *m = &axis->motion;
+    const motion_state_t *m = &axis->motion;
     confine_target(axis);
     follow_path(axis);
     if (rests(axis)) {

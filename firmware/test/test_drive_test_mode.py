@@ -156,7 +156,7 @@ def test_the_brake_opens_first(core: Core) -> None:
     assert bench.view(0).inputs & BRAKE_OPEN_INPUT
 
 
-# ---- test signals -----------------------------------------------------------------------------------------------------
+# ---- test signals -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("at", [I_D, I_Q])

@@ -29,6 +29,7 @@ from servo_bridge.wire.take_over import kept_alive
 __all__ = ["SessionAccess", "measurement_access"]
 
 _FAST, _SLOW = 0, 1
+_LEAD: Final = 0.2  # longer than it takes to notice that a recording is over, and to stop it [s]
 _PAUSE: Final = 0.02  # between two looks whether a keep-alive is due [s]
 
 
@@ -39,12 +40,12 @@ class SessionAccess(BoardAccess):
     ----------
     session : Session
         With a board of this contract.
-    keep_alive : callable
-        Sends a keep-alive if it is due.
+    meanwhile : callable
+        Called again and again during a wait; sends a keep-alive if it is due.
     """
 
-    def __init__(self, session: Session, keep_alive: Callable[[], None]) -> None:
-        self._session, self._keep_alive = session, keep_alive
+    def __init__(self, session: Session, meanwhile: Callable[[], None]) -> None:
+        self._session, self._meanwhile = session, meanwhile
         self._line = session.client.line
 
     def _clock(self) -> float:
@@ -70,10 +71,10 @@ class SessionAccess(BoardAccess):
         return True
 
     def wait(self, seconds: float) -> None:
-        end = self._clock() + seconds
-        while (left := end - self._clock()) > 0.0:
-            self._keep_alive()
-            self._line.rest(min(left, _PAUSE))
+        end = self._line.clock() + round(seconds * 1e9)
+        while (left := end - self._line.clock()) > 0:
+            self._meanwhile()
+            self._line.rest(min(left * 1e-9, _PAUSE))
 
     def capacity(self, names: Sequence[str]) -> int:
         memory = self._session.client.recorder(_FAST).limits().memory
@@ -91,10 +92,16 @@ class SessionAccess(BoardAccess):
         *,
         trigger: str | None = None,
     ) -> Recording:
-        condition = "tick >= 0" if trigger is None else f"{trigger} >= 1"
+        condition = None if trigger is None else f"{trigger} >= 1"
         step = step_of(every, slow)
         request = BurstRequest(
-            tuple(names), _SLOW if slow else _FAST, condition, True, Before(points=0), samples, 1.0 / step
+            tuple(names),
+            _SLOW if slow else _FAST,
+            condition,
+            trigger is not None,
+            None if trigger is None else Before(points=0),
+            samples,
+            1.0 / step,
         )
         recording = BurstRecording(request, self.catalogue, clock=self._clock)
         try:
@@ -109,20 +116,29 @@ class SessionAccess(BoardAccess):
     def _recorded(self, recording: BurstRecording, start: Callable[[], None] | None, seconds: float) -> Burst:
         while recording.phase in (Phase.SET_UP, Phase.READY):
             recording.step(self._session)
+        # Nothing triggers before the memory was full once; without a trigger the last samples before the stop are kept.
+        self.wait(_LEAD if recording.request.trigger is None else seconds + _LEAD)
         if start is not None:
             start()
         due = self._clock() + TRIGGER_TIMEOUT + seconds
         while (burst := recording.step(self._session)) is None:
             if recording.phase is Phase.WAITING and self._clock() > due:
                 raise RecorderError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")
-            if recording.pause:
-                self.wait(recording.pause)
+            self._meanwhile()
+            self.wait(recording.pause)
         return burst
 
 
 @contextmanager
-def measurement_access(session: Session) -> Iterator[SessionAccess]:
+def measurement_access(session: Session, check: Callable[[], None] = lambda: None) -> Iterator[SessionAccess]:
     """Access to the board of a session, which is kept from missing its host until the end of the block.
+
+    Parameters
+    ----------
+    session : Session
+        The board.
+    check : callable
+        Called again and again while the access waits; may raise to end a measurement.
 
     Raises
     ------
@@ -132,4 +148,9 @@ def measurement_access(session: Session) -> Iterator[SessionAccess]:
     if session.mismatch is not None:
         raise session.mismatch
     with kept_alive(session.client, session.catalogue) as keep_alive:
-        yield SessionAccess(session, keep_alive)
+
+        def meanwhile() -> None:
+            check()
+            keep_alive()
+
+        yield SessionAccess(session, meanwhile)

@@ -59,7 +59,11 @@ _SETTINGS: Mapping[str, Spec] = {
     "telemetry": Spec(
         [
             "u_dc",
-            *(f"axis{k}.{name}" for k in (1, 2) for name in ("position_ref", "speed_ref", "i_q_ref", "limits")),
+            *(
+                f"axis{k}.{name}"
+                for k in (1, 2)
+                for name in ("position_ref", "speed_ref", "i_q_ref", "limits", "u_d", "u_q")
+            ),
         ],
         "variables read with every sample and published on snapshot, besides those that the bridge itself needs; "
         "every byte more costs sample rate",

@@ -47,6 +47,8 @@ RESIDUAL_RECORDING: Final = "residual/recording"
 """std_msgs/Float64MultiArray, latched: a burst of the board minus that of the twin, in the form of `RECORDING`; NaN
 where the two cannot be compared."""
 HEALTHY: Final = "healthy"
+DIAGNOSIS: Final = "diagnosis"
+"""diagnostic_msgs/DiagnosticArray, latched: what has changed on the board against the twin, and the estimates."""
 
 # ---- commands
 JOINT_COMMANDS: Final = "joint_commands"

@@ -23,9 +23,9 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board_memory import BoardError, BoardMemory
 from servo_twin.board_sampler import BoardSampler
 from servo_twin.core_speed import CoreSpeed
-from servo_twin.harm import Harm
+from servo_twin.harm import ChangedValue, Harm, NativeHarm
 from servo_twin.level import Level, chosen_level
-from servo_twin.plant import PlantConfig
+from servo_twin.plant import BUILT_IN, PlantConfig, PlantError
 
 try:
     import servo_twin._native as _ideal_module
@@ -109,6 +109,16 @@ class Truth:
         Temperature of the brake resistor [deg C].
     brake_holds : float
         1: the holding brake is closed, 0: it is open.
+    theta_load, omega_load : float
+        Angle [rad] and speed [rad/s] of the second mass; without one, of the rotor.
+    torque_shaft : float
+        Between the two, mean of the step of the plant that contains the instant [N m].
+    t_magnet : float
+        Temperature of the magnet [deg C].
+    r_s, psi_m : float
+        Resistance [ohm] and magnet's flux linkage [V s] at these temperatures.
+    l_d, l_q : float
+        Inductances for small changes of `i_d` and `i_q` [H].
     """
 
     theta_m: float
@@ -125,6 +135,14 @@ class Truth:
     e_brake: float
     t_brake: float
     brake_holds: float
+    theta_load: float
+    omega_load: float
+    torque_shaft: float
+    t_magnet: float
+    r_s: float
+    psi_m: float
+    l_d: float
+    l_q: float
 
 
 @dataclass(frozen=True)
@@ -218,6 +236,7 @@ class Board:
         self.level = chosen_level(level)
         self._ffi, self._lib = firmware or _FIRMWARE[self.level]
         self.plant = plant or PlantConfig.load()
+        self._seed = seed
         self.catalogue = catalogue or Catalogue.load()
         config = _native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud)
         if flash is not None:
@@ -227,6 +246,8 @@ class Board:
         handle = self._lib.board_new(config)
         if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
+        config.flash = self._ffi.NULL
+        self._config = config
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._own_memory = BoardMemory(self._ffi, self._lib, self._handle)
         self._dtype: np.dtype[np.void] | None = None
@@ -542,7 +563,12 @@ class Board:
         return BoardStats(**{name: getattr(stats, name) for name in BoardStats.__dataclass_fields__})
 
     def inject(self, harm: Harm) -> None:
-        """Break something, from this moment on (`servo_twin.harm`)."""
+        """Break something, from this moment on (`servo_twin.harm`); `plant` stays what it is without the damage."""
+        if isinstance(harm, ChangedValue):
+            harm.applied(self.plant)  # what cannot be is refused before anything changes
+            self._harms.append(harm)
+            self._change_plant()
+            return
         self._lib.board_inject(self._board, self._raw(harm))
         self._harms.append(harm)
 
@@ -550,19 +576,51 @@ class Board:
         """Make whole again what `inject` has broken; everything by default."""
         harms = self._harms if harm is None else [harm]
         for one in reversed(harms):
-            self._lib.board_heal(self._board, self._raw(one))
+            if not isinstance(one, ChangedValue):
+                self._lib.board_heal(self._board, self._raw(one))
+        changed = any(isinstance(one, ChangedValue) for one in harms)
         self._harms = [one for one in self._harms if one not in harms]
+        if changed:
+            self._change_plant()
 
-    def _raw(self, harm: Harm) -> Any:
+    def _raw(self, harm: NativeHarm) -> Any:
         kind, *where = harm.raw()
         return self._ffi.new("board_harm_t *", (getattr(self._lib, kind), *where))
 
+    def set_plant(self, name: str, value: float) -> None:
+        """Change a value of the plant from now on, by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.
+
+        Currents, speeds, angles and temperatures go on from where they are; `plant` is the new one.
+
+        Raises
+        ------
+        PlantError
+            If there is no such value, it is one of `servo_twin.plant.BUILT_IN`, or the plant cannot have it.
+        """
+        if name.rpartition(".")[2] in BUILT_IN:
+            raise PlantError(f"{name}: cannot change on a running board; make another one")
+        self.take_plant(self.plant.with_value(name, value))
+
+    def take_plant(self, plant: PlantConfig) -> None:
+        """As `set_plant`, with all values at once; those of `servo_twin.plant.BUILT_IN` have to stay as they are."""
+        self.plant = plant
+        self._change_plant()
+
+    def _change_plant(self) -> None:
+        plant = self.plant
+        for harm in self._harms:
+            plant = harm.applied(plant) if isinstance(harm, ChangedValue) else plant
+        plant.drawn(self._seed).fill(self._config)
+        self._lib.board_change_plant(self._board, self._config)
+
     def set_load(self, axis: int, torque: float) -> None:
         """External torque that slows positive motion and drives negative motion [N m]."""
-        self._lib.board_set_load(self._board, _axis_index(axis), torque)
+        self.plant = self.plant.with_axis(_axis_index(axis), load_torque=torque)
+        self._lib.board_set_load(self._board, axis, torque)
 
     def set_supply(self, volts: float) -> None:
         """Open-circuit voltage of the supply [V]."""
+        self.plant = self.plant.with_bus(u_source=volts)
         self._lib.board_set_supply(self._board, volts)
 
     def lock_shaft(self, axis: int, locked: bool = True) -> None:
@@ -595,6 +653,10 @@ class Board:
         """
         self._check_winding(axis, celsius)
         self._lib.board_set_winding(self._board, _axis_index(axis), celsius)
+
+    def set_magnet(self, axis: int, celsius: float) -> None:
+        """Temperature of a magnet from now on; it follows the winding's with `magnet_time` [deg C]."""
+        self._lib.board_set_magnet(self._board, _axis_index(axis), celsius)
 
     def set_winding_estimate(self, axis: int, celsius: float) -> None:
         """The firmware's estimate of it alone: the motor keeps its temperature. Errors as in `set_winding`."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
+from servo_twin.diagnosis import command as diagnose
 from servo_twin.experiments import command as experiment
 from servo_twin.identification import command as identify
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_option
@@ -55,6 +56,7 @@ def parser() -> argparse.ArgumentParser:
     sweep.add_parser(verbs, common, _levelled(FAST_LEVEL))
     robust_command.add_parser(verbs, common, _levelled(FAST_LEVEL))
     identify.add_parser(verbs, common, _levelled(FAST_LEVEL))
+    diagnose.add_parser(verbs, common, _levelled(FAST_LEVEL))
     timing.add_parser(verbs, common)
     core_measured.add_parser(verbs, common)
     return result

@@ -38,6 +38,10 @@ from std_srvs.srv import Trigger
 
 from servo_msgs_py import topics
 from servo_twin.board import Board
+from servo_twin.diagnosis.monitor import SUPPLY, DiagnosisMonitor
+from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_text, finding_text, located_text
+from servo_twin.diagnosis.thresholds import Thresholds as Learned
+from servo_twin.diagnosis.thresholds import ThresholdsError
 from servo_twin.lockstep.blocks import blocks_of_file
 from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
@@ -66,6 +70,10 @@ PARAMETERS: Final = {
         0.05, "how much newer telemetry may be before a late report of a command counts as lost [s]", 0.0, 1.0
     ),
     "variable_rate": Spec(20.0, "rate of the residual/<variable> topics [Hz]", 0.1, 1000.0),
+    "thresholds": Spec(
+        "", "file of `servo_twin calibrate`: what a healthy pair shows; empty: what two virtual boards show"
+    ),
+    "adapt": Spec(False, "take over what the diagnosis finds to have changed, and follow on"),
 }
 """Every parameter of the node. ``config/servo_twin.yaml`` lists the same defaults."""
 
@@ -103,7 +111,10 @@ class ServoTwin(Node):
         self._values = declare(self, PARAMETERS)
         self._board_namespace = topics.within(self.get_namespace().rpartition("/")[0], self._values["board_namespace"])
         self._catalogue = Catalogue.load()
-        self._twin = Twin(self._board_factory(), TwinSettings(patience=self._values["patience"]), self._catalogue)
+        self._plant, learned = self._files()
+        self._diagnosis = DiagnosisMonitor(self._plant, learned)
+        self._adaptations = 0
+        self._twin = Twin(self._new_board, TwinSettings(patience=self._values["patience"]), self._catalogue)
         self._monitor = HealthMonitor(
             Thresholds(
                 position=self._values["position_tolerance"],
@@ -124,6 +135,8 @@ class ServoTwin(Node):
         self._synchronisation = 0
         self._worst: Residual | None = None
         self._next_variables = 0
+        self._located = ""  # what has changed; empty: nothing
+        self._statuses: list[DiagnosticStatus] = []
         self._said: dict[str, object] = {}
         self._advertise()
         self._worker = TwinWorker(self._twin, self._publish, self._worker_failed)
@@ -134,13 +147,19 @@ class ServoTwin(Node):
         self._say()
 
     # ---- construction
-    def _board_factory(self) -> Any:
+    def _files(self) -> tuple[PlantConfig, Learned]:
+        """Plant and thresholds that the parameters name."""
         try:
             plant = PlantConfig.load(self._values["plant"] or None)
         except (PlantError, OSError) as error:
             raise ParameterError(f"parameter plant: {error}") from None
-        seed = self._values["seed"]
-        return lambda: Board(plant, seed=seed)
+        try:
+            return plant, Learned.load(self._values["thresholds"] or None)
+        except (ThresholdsError, OSError) as error:
+            raise ParameterError(f"parameter thresholds: {error}") from None
+
+    def _new_board(self) -> Board:
+        return Board(self._plant, seed=self._values["seed"])
 
     def _advertise(self) -> None:
         deep, latched = topics.telemetry_qos(), topics.latched_qos()
@@ -152,6 +171,7 @@ class ServoTwin(Node):
         self._state = self.create_publisher(String, topics.STATE, latched)
         self._healthy = self.create_publisher(Bool, topics.HEALTHY, latched)
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, 10)
+        self._diagnosed = self.create_publisher(DiagnosticArray, topics.DIAGNOSIS, latched)
 
     def _subscribe(self) -> None:
         board, deep = self._board_namespace, topics.telemetry_qos(200)
@@ -273,6 +293,8 @@ class ServoTwin(Node):
     def _publish(self, pairs: list[Pair]) -> None:
         if self._twin.synchronisations != self._synchronisation:
             self._synchronisation = self._twin.synchronisations
+            with self._lock:
+                self._diagnosis.interrupt()
             text = f"following {self._board_namespace}, synchronisation {self._synchronisation}"
             self._log.info(text, throttle_duration_sec=1.0)
         if pairs:
@@ -280,6 +302,7 @@ class ServoTwin(Node):
                 self._compared = True
             self._publish_table(pairs)
             for pair in pairs:
+                self._diagnose(pair)
                 self._publish_joints(pair, self._compare(pair))
         elif self._twin.status:
             with self._lock:
@@ -289,6 +312,53 @@ class ServoTwin(Node):
         for answer in self._twin.burst_answers():
             self._publish_burst(answer)
         self._say()
+
+    def _diagnose(self, pair: Pair) -> None:
+        with self._lock:
+            if not self._diagnosis.update(pair):
+                return
+            findings = self._diagnosis.findings()
+            self._located = located_text(findings, self._names(), pair.tick, pair.stamp_ns) if findings else ""
+            self._statuses = self._diagnosis_statuses(pair)
+            plant = self._diagnosis.adapted(pair.tick) if self._values["adapt"] else None
+            if plant is None:
+                return
+            self._log.info(f"the twin takes over: {self._located}")
+            self._plant = plant
+            self._adaptations += 1
+            self._diagnosis.believe(plant)
+            self._located = ""
+        self._twin.take_plant(plant)
+
+    def _names(self) -> list[str]:
+        return joint_names(self._joints) or [axis_name(axis) for axis in range(AXES)]
+
+    def _diagnosis_statuses(self, pair: Pair) -> list[DiagnosticStatus]:
+        """One status per joint and one of the bus: what has changed, and the estimates."""
+        findings = {one.axis: one.finding for one in self._diagnosis.findings()}
+        estimates = self._diagnosis.estimates()
+        statuses = []
+        for axis, name in [*enumerate(self._names()), (None, "bus")]:
+            finding = findings.get(axis)
+            text = self._nothing() if finding is None else finding_text(finding, pair.tick, pair.stamp_ns)
+            prefix = "" if axis is None else f"{axis_name(axis)}."
+            mine = {
+                key.removeprefix(prefix): estimate_text(one)
+                for key, one in estimates.items()
+                if (key == SUPPLY) == (axis is None) and key.startswith(prefix)
+            }
+            level = DiagnosticStatus.OK if finding is None else DiagnosticStatus.WARN
+            statuses.append(self._status(f"diagnosis {name}", level, text, mine))
+        return statuses
+
+    def _nothing(self) -> str:
+        missing = self._diagnosis.missing
+        return f"no diagnosis: the telemetry has no {missing}" if missing else NOTHING_CHANGED
+
+    def _complaint(self) -> str:
+        """What the diagnosis or a running mean says against the twin; empty if nothing does."""
+        wrong = self._diagnosis.watch.complaint
+        return self._located or ("" if wrong is None else f"{self._names()[wrong[0]]}: {wrong[1]}")
 
     def _compare(self, pair: Pair) -> Residual | None:
         with self._lock:
@@ -301,7 +371,7 @@ class ServoTwin(Node):
                 return None
             result = residual(pair.tick, pair.real, pair.twin, self._twin.torque_constants, self._joints)
             if not (self._board_trouble or pair.fault):
-                self._monitor.update(result, pair.stopping)
+                self._monitor.update(result, pair.stopping, self._complaint())
             self._worst = result if self._worst is None else _larger(self._worst, result)
             return result
 
@@ -357,6 +427,7 @@ class ServoTwin(Node):
             else:
                 names = joint_names(self._joints)
                 text = " ".join(f"{joint}={label}" for joint, label in zip(names, labels, strict=True))
+            self._say_diagnosis()
             healthy, fault = self._monitor.healthy, self._fault
             if self._said.get(topics.STATE) != text:
                 self._said[topics.STATE] = text
@@ -373,6 +444,22 @@ class ServoTwin(Node):
                 if fault:
                     self._log.warning(f"not healthy: {self._reason()}")
 
+    def _say_diagnosis(self) -> None:
+        """Publish the diagnosis, and log it, where another thing has changed."""
+        found = tuple((one.axis, one.finding.kind, one.finding.changes) for one in self._diagnosis.findings())
+        if self._said.get(topics.DIAGNOSIS) == found:
+            return
+        if found:
+            self._log.warning(f"diagnosis: {self._located}")
+        elif self._said.get(topics.DIAGNOSIS):
+            self._log.info(f"diagnosis: {NOTHING_CHANGED}")
+        self._said[topics.DIAGNOSIS] = found
+        self._publish_diagnosis()
+
+    def _publish_diagnosis(self) -> None:
+        now = self.get_clock().now().nanoseconds
+        self._diagnosed.publish(diagnostic_array(now, self._statuses))
+
     def _every_second(self) -> None:
         figures = self._worker.figures()
         with self._lock:
@@ -382,6 +469,7 @@ class ServoTwin(Node):
             self._samples_before, self._compared = figures.samples, False
             worst, self._worst = self._worst, None
             healthy, reason = self._monitor.healthy, self._reason()
+            self._publish_diagnosis()
         self._say()
         slow = figures.backlog > _SLOW
         residuals = {} if worst is None else {f"largest {name}": f"{value:.4g}" for name, value in worst.values.items()}

@@ -23,9 +23,9 @@ from servo_msgs_py import topics
 CATALOGUE = Catalogue.load()
 AXIS_VARIABLES = (
     *("position", "speed", "i_q", "state", "substate", "faults", "limits", "home_state"),
-    *("position_ref", "speed_ref", "i_q_ref"),
+    *("position_ref", "speed_ref", "i_q_ref", "u_d", "u_q"),
 )
-VARIABLES = ("tick", "applied_tick", "applied_count", *(f"axis{n}.{v}" for n in (1, 2) for v in AXIS_VARIABLES))
+VARIABLES = ("tick", "applied_tick", "applied_count", "u_dc", *(f"axis{n}.{v}" for n in (1, 2) for v in AXIS_VARIABLES))
 COLUMNS = (*VARIABLES, *topics.STAMP_COLUMNS)
 EPOCH_NS = 1_700_000_000_000_000_123  # ROS time of tick zero
 EVERY = 96  # ticks between two samples: 6 ms, as at 115200 baud

@@ -45,7 +45,7 @@ RUN_TRANSITIONS: Final = frozenset(
         ("TEST", "FREEWHEEL"),
     }
 )
-"""Transitions between the sub-states of RUN (DRM F37, STARTUP and TEST). Besides, each entry into RUN starts with CALIB."""
+"""Transitions between the sub-states of RUN (DRM F37, STARTUP, TEST); each entry into RUN starts with CALIB."""
 
 Transition = tuple[str, str]
 

@@ -132,8 +132,9 @@ class BoardAccess(BlockMemory, Protocol):
         start : callable, optional
             Called when the recorder is armed; it writes what is to be recorded.
         trigger : str, optional
-            Variable: the first sample is the one at which it is above zero. By default the recording begins before
-            `start` is called, on a serial line by as much as a few exchanges.
+            Variable: the first sample is the one at which it is above zero; on a serial line it takes as long as the
+            recording until `start` is called, because the memory has to be full once. By default the recording begins
+            before `start` is called, on a serial line by up to 0.3 s.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Open-loop frequency response from recordings of a closed loop with a test signal; margins with their uncertainty. Pure.
+"""Open-loop frequency response and margins, with uncertainty, from recordings of a closed loop. Pure.
 
 The loop is closed while it is measured, so error and output both hold the disturbances, and output over error would be
 biased towards the inverse of the controller. The test signal d knows nothing of the disturbances: as an instrument

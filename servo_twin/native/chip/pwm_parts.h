@@ -77,7 +77,7 @@ static inline void pwm_show(chip_t *chip, pwm_submodule_t *s)
     if (levels != s->levels) {
         s->levels = levels;
         chip_note(chip, TRACE_GATES, s->id, levels);
-        chip_meet_world(chip);
+        sync_plant(chip);
         world_gates(chip->world, s->module, s->number, levels);
     }
 }

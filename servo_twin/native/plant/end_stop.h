@@ -18,7 +18,7 @@ typedef struct {
 static inline end_stop_t end_stop_of(const plant_axis_t *config, double step)
 {
     return (end_stop_t){config->stop_min, config->stop_max, config->stop_stiffness,
-                        config->stop_damping + 0.5 * step * config->stop_stiffness, 0.0};
+                        config->stop_damping + 0.5 * step * config->stop_stiffness, config->load_torque};
 }
 
 /* Against positive motion, the external load included [N m]. */

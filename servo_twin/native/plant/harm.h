@@ -24,6 +24,14 @@ static inline void plant_harm_init(plant_harm_t *harm, const plant_axis_t *confi
     plant_random_init(&harm->random, seed, stream);
 }
 
+/* Standard deviation of a sample from now on, where it is `present` and was meant to be *whole: damage stays [A], [V]. */
+static inline double plant_harm_noise(double *whole, double present, double noise)
+{
+    const bool harmed = present != *whole;
+    *whole = noise;
+    return harmed ? present : noise;
+}
+
 /* Uniform in 0..1, never 0. */
 static inline double plant_harm_chance(plant_harm_t *harm)
 {

@@ -16,23 +16,25 @@
 
 static inline double larger(double x, double y) { return (x > y) ? x : y; }
 
-void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step)
+void plant_inverter_change(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step)
 {
     const double l = (config->l_d < config->l_q) ? config->l_d : config->l_q;
     /* s(i) has the slope 1.5 / i_w at zero. Held constant over a step it must not carry a current past zero to more
      * than a quarter of its mirror image: 1.5 E step / (L i_w) <= 1.25 with the error voltage E. */
     const double reach = 1.2 * step / l;
-    *inverter = (plant_inverter_t){
-        .dead = config->dead_time * pwm_frequency,
-        .v_drop = config->v_drop,
-        .r_on = config->r_on,
-        .band_dead = config->dead_time / l,
-        .band_ripple = 1.0 / (6.0 * pwm_frequency * l),
-        .floor_dead = reach * config->dead_time * pwm_frequency,
-        .floor_drop = reach * config->v_drop + 1e-6,
-        .inv_i_w = 1.0,
-        .short_from = PLANT_WHOLE,
-    };
+    inverter->dead = config->dead_time * pwm_frequency;
+    inverter->v_drop = config->v_drop;
+    inverter->r_on = config->r_on;
+    inverter->band_dead = config->dead_time / l;
+    inverter->band_ripple = 1.0 / (6.0 * pwm_frequency * l);
+    inverter->floor_dead = reach * config->dead_time * pwm_frequency;
+    inverter->floor_drop = reach * config->v_drop + 1e-6;
+}
+
+void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step)
+{
+    *inverter = (plant_inverter_t){.inv_i_w = 1.0, .short_from = PLANT_WHOLE};
+    plant_inverter_change(inverter, config, pwm_frequency, step);
 }
 
 void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc)

@@ -57,6 +57,9 @@ typedef struct {
 /* `step` is the longest step taken [s]. */
 void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
 
+/* Other parameters from now on. */
+void plant_inverter_change(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
+
 /* Plug in the motor's cable, or pull it: the currents are gone at once. */
 void plant_inverter_plug(plant_inverter_t *inverter, plant_motor_t *motor, bool plugged);
 

@@ -2,21 +2,23 @@
 
 #include <math.h>
 
+void plant_pins_change(plant_pins_t *pins, const plant_axis_t *config)
+{
+    pins->home_from = config->home_from;
+    pins->home_to = config->home_to;
+    pins->limit_min = config->limit_min;
+    pins->limit_max = config->limit_max;
+    pins->enabled = config->enable_closed != 0.0;
+    pins->friction = config->friction;
+    pins->torque = config->brake_torque;
+    pins->open_time = config->brake_open_time;
+    pins->close_time = config->brake_close_time;
+}
+
 void plant_pins_init(plant_pins_t *pins, const plant_axis_t *config)
 {
-    *pins = (plant_pins_t){
-        .home_from = config->home_from,
-        .home_to = config->home_to,
-        .limit_min = config->limit_min,
-        .limit_max = config->limit_max,
-        .enabled = config->enable_closed != 0.0,
-        .friction = config->friction,
-        .torque = config->brake_torque,
-        .open_time = config->brake_open_time,
-        .close_time = config->brake_close_time,
-        .holds = true,
-        .due = INFINITY,
-    };
+    *pins = (plant_pins_t){.holds = true, .due = INFINITY};
+    plant_pins_change(pins, config);
 }
 
 unsigned plant_pins_closed(const plant_pins_t *pins, double theta)

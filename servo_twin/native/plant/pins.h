@@ -22,6 +22,9 @@ typedef struct {
 
 void plant_pins_init(plant_pins_t *pins, const plant_axis_t *config);
 
+/* Other switches, another friction and brake from now on. */
+void plant_pins_change(plant_pins_t *pins, const plant_axis_t *config);
+
 /* Contacts that are closed with the shaft at `theta`, a bit per board_pin_t. */
 unsigned plant_pins_closed(const plant_pins_t *pins, double theta);
 

@@ -6,20 +6,23 @@
 
 static void find_regular(supply_t *s) { s->regular = (s->braking || s->dip > 0.0) ? 0.0 : SERIES; }
 
+void supply_change(supply_t *supply, const plant_bus_t *config)
+{
+    supply->g_source = 1.0 / config->r_source;
+    supply->g_brake = (config->r_brake > 0.0) ? 1.0 / config->r_brake : 0.0;
+    supply->c = config->capacitance;
+    supply->inv_c = 1.0 / config->capacitance;
+    supply->per_rc = 1.0 / (config->r_source * config->capacitance);
+    supply_set(supply, config->u_source);
+    thermal_change(&supply->brake, config->brake_capacity, config->brake_resistance);
+}
+
 void supply_init(supply_t *supply, const plant_bus_t *config, double ambient)
 {
-    *supply = (supply_t){
-        .u_source = config->u_source,
-        .u_whole = config->u_source,
-        .g_source = 1.0 / config->r_source,
-        .g_brake = (config->r_brake > 0.0) ? 1.0 / config->r_brake : 0.0,
-        .c = config->capacitance,
-        .inv_c = 1.0 / config->capacitance,
-        .per_rc = 1.0 / (config->r_source * config->capacitance),
-        .u = config->u_source,
-    };
-    find_regular(supply);
+    *supply = (supply_t){.u = config->u_source};
     thermal_init(&supply->brake, config->brake_capacity, config->brake_resistance, ambient);
+    supply_change(supply, config);
+    find_regular(supply);
 }
 
 void supply_switch(supply_t *supply, bool braking)

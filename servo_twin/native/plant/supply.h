@@ -71,6 +71,9 @@ static inline double supply_take_step(supply_t *s, const supply_step_t *step, do
 
 double supply_advance(supply_t *supply, double h, double i_load);
 
+/* Other parameters from now on. */
+void supply_change(supply_t *supply, const plant_bus_t *config);
+
 /* Another source from now on. */
 void supply_set(supply_t *supply, double volts);
 

@@ -7,6 +7,17 @@ void thermal_init(thermal_t *body, double capacity, double resistance, double am
     *body = (thermal_t){capacity, resistance, ambient, ambient};
 }
 
+void thermal_change(thermal_t *body, double capacity, double resistance)
+{
+    body->capacity = capacity;
+    body->resistance = resistance;
+}
+
+double thermal_magnet(double t, double winding, double h, double time)
+{
+    return (time > 0.0) ? t + (winding - t) * plant_approach(h / time) : winding;
+}
+
 void thermal_advance(thermal_t *body, double h, double energy)
 {
     const double end = body->ambient + body->resistance * energy / h; /* where this power leads to */

@@ -17,6 +17,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.samples import expired_mask
+from servo_twin.plant import PlantConfig
 
 __all__ = ["ReplayBoard", "Replica", "slow_tick"]
 
@@ -38,6 +39,7 @@ class ReplayBoard(Protocol):
     def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], room: int) -> None: ...
     def sampled(self) -> NDArray[np.void]: ...
     def end_sampling(self) -> None: ...
+    def take_plant(self, plant: PlantConfig) -> None: ...
 
 
 def slow_tick(tick: int) -> int:
@@ -123,6 +125,10 @@ class Replica:
     def set_winding_estimate(self, axis: int, celsius: float) -> None:
         """What the firmware takes for the temperature of a winding from now on [deg C]."""
         self._board.set_winding_estimate(axis, celsius)
+
+    def take_plant(self, plant: PlantConfig) -> None:
+        """Have another plant from now on; see `servo_twin.board.Board.take_plant`."""
+        self._board.take_plant(plant)
 
     def write(self, variable: str, raw: Sequence[int], mask: int) -> None:
         """Write the masked axes of a command variable; takes effect with the next slow tick.

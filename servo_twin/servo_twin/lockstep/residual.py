@@ -15,6 +15,9 @@ __all__ = ["COMPARED", "HealthMonitor", "Residual", "Thresholds", "residual"]
 COMPARED: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in ("position", "speed", "i_q"))
 """Variables whose difference is a residual; those of position and speed are compared in joint units."""
 
+_BEFORE: Final = 0.005  # for which a residual that is large has been so before, at most, if it was not at the last sample [s]
+_FORGIVEN: Final = 0.25  # time in which the residual was large that is made up for by so much in which it is small
+
 
 @dataclass(frozen=True)
 class Residual:
@@ -94,7 +97,7 @@ class Thresholds:
     hold : float
         How long the residual has to stay small before the twin is healthy [s].
     grace : float
-        How long it may be large before the twin is not [s].
+        How long it may be large before the twin is not [s]; four times as much in which it is small make up for it.
     """
 
     position: float = 0.05
@@ -125,20 +128,25 @@ class HealthMonitor:
         self.healthy = False
         self.reason = "nothing compared yet"
         self._small_since: int | None = None
-        self._large_since: int | None = None
+        self._large = 0.0  # time for which it was large, less a quarter of that for which it was small since [s]
+        self._tick: int | None = None
+        self._was_large = self._differs = False
 
     @property
     def differs(self) -> bool:
-        """Whether it is a residual that keeps it from being healthy."""
-        return not self.healthy and self._large_since is not None
+        """Whether it is a difference that keeps it from being healthy."""
+        return not self.healthy and self._differs
 
     def interrupt(self, reason: str) -> None:
         """There is nothing to compare, for this reason."""
         self.healthy = False
         self.reason = reason
-        self._small_since = self._large_since = None
+        self._small_since = self._tick = None
+        self._large, self._was_large, self._differs = 0.0, False, False
 
-    def update(self, residual: Residual, stopping: Sequence[bool] = (False,) * AXES) -> bool:
+    def update(
+        self, residual: Residual, stopping: Sequence[bool] = (False,) * AXES, complaint: str = ""
+    ) -> bool:
         """Take a residual; returns `healthy`.
 
         Parameters
@@ -147,16 +155,22 @@ class HealthMonitor:
             Real minus twin.
         stopping : sequence of bool
             Axes that stop by themselves: their positions are not judged, their speeds are.
+        complaint : str
+            What somebody else has found who has looked for longer: no grace. Empty: nothing.
         """
+        seconds = 0.0 if self._tick is None else _seconds(residual.tick - self._tick)
+        self._tick = residual.tick
         problem = self._problem(residual, stopping)
         if problem:
-            self._small_since = None
-            if self._large_since is None:
-                self._large_since = residual.tick
-            if not self.healthy or _seconds(residual.tick - self._large_since) >= self.thresholds.grace:
-                self.healthy, self.reason = False, problem
+            self._large += seconds if self._was_large else min(seconds, _BEFORE)
         else:
-            self._large_since = None
+            self._large = max(self._large - _FORGIVEN * seconds, 0.0)
+        self._was_large, self._differs = bool(problem), bool(problem or complaint)
+        if problem or complaint:
+            self._small_since = None
+            if complaint or not self.healthy or self._large >= self.thresholds.grace:
+                self.healthy, self.reason = False, complaint or problem
+        else:
             if self._small_since is None:
                 self._small_since = residual.tick
             if _seconds(residual.tick - self._small_since) >= self.thresholds.hold:

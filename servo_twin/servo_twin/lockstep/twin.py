@@ -37,6 +37,7 @@ from servo_twin.lockstep.bursts import BurstAnswer, BurstFollower, Frame
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
 from servo_twin.lockstep.samples import OWN, Activity, RestWatch, Sample, SampleReader, activity
+from servo_twin.plant import PlantConfig
 
 __all__ = ["Pair", "Twin", "TwinSettings"]
 
@@ -232,6 +233,11 @@ class Twin:
             If a column is missing that the twin needs.
         """
         self._queue.extend(self._reader.rows(columns, table))
+
+    def take_plant(self, plant: PlantConfig) -> None:
+        """Have the present board be on another plant from here on, and go on following."""
+        if self._replica is not None:
+            self._replica.take_plant(plant)
 
     def resync(self, reason: str) -> None:
         """Throw the twin's board away and begin anew as soon as the real one is at rest."""

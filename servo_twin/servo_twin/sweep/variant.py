@@ -9,7 +9,6 @@ computes the blocks that the board takes.
 from __future__ import annotations
 
 import copy
-import dataclasses
 import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -86,7 +85,7 @@ class Base:
         parameters: dict[str, float] = {}
         for name, value in point.items():
             if name.startswith(_PLANT):
-                plant = _plant_with(plant, name, value)
+                plant = plant.with_value(name.removeprefix(_PLANT), value)
             elif name.startswith(_SERVO):
                 servo = servo or copy.deepcopy(dict(self.servo))
                 _put(servo, name, value)
@@ -159,16 +158,6 @@ def _number(name: str, root: object) -> float:
     if isinstance(place, bool) or not isinstance(place, (int, float)):
         raise SpaceError(f"{name} is no number that could be varied")
     return float(place)
-
-
-def _plant_with(plant: PlantConfig, name: str, value: float) -> PlantConfig:
-    _, *path = name.split(".")
-    if path[0] == "bus":
-        return plant.with_bus(**{path[1]: value})
-    if len(path) == 1:
-        changes: dict[str, Any] = {path[0]: value}
-        return dataclasses.replace(plant, **changes)
-    return plant.with_axis([axis_name(k) for k in range(len(plant.axes))].index(path[0]), **{path[1]: value})
 
 
 def _with_defaults(servo: Mapping[str, Any]) -> dict[str, Any]:

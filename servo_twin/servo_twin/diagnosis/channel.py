@@ -1,0 +1,201 @@
+"""From the evidence of one set of equations to a finding that stays until the board speaks against it. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_twin.diagnosis.hypotheses import Evidence, Unknowns
+from servo_twin.diagnosis.window import Sums, Window
+
+__all__ = ["Channel", "Estimate", "Finding", "Kind"]
+
+_INTERVAL: Final = 1.96  # of 95 %
+_SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other,
+_SEPARATE_PART: Final = 0.1  # and by which part of itself
+_PATIENCE: Final = 30  # blocks after which changes that cannot be told apart are named together
+_SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
+_LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
+_SETTLED: Final = 10  # blocks after which the time of a change is final
+
+_Array = NDArray[np.float64]
+
+
+class Kind(Enum):
+    """What is known of a change."""
+
+    SINGLE = "single"
+    ONE_OF = "one of"
+    SEVERAL = "several"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something has changed.
+
+    Attributes
+    ----------
+    kind : Kind
+    changes : tuple of str
+        Names of the changes; empty if it is unknown.
+    value, low, high : float
+        Of the first one, with its 95 % interval: relative change, torque [N m] or electrical angle [rad].
+    since, detected : int
+        Ticks of its beginning and of its detection.
+    """
+
+    kind: Kind
+    changes: tuple[str, ...]
+    value: float
+    low: float
+    high: float
+    since: int
+    detected: int
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One value, with its 95 % interval.
+
+    Attributes
+    ----------
+    name : str
+    value, half_width : float
+        Relative change, torque [N m] or electrical angle [rad]; infinitely wide where nothing excites it.
+    """
+
+    name: str
+    value: float
+    half_width: float
+
+
+class Channel:
+    """One set of equations: those of an axis, or that of the bus.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+        What may change.
+    detect : float
+        Logarithm of the likelihood ratio from which a change is one.
+    unexplained : float
+        Mean square over its variance from which something is left to explain.
+
+    Attributes
+    ----------
+    finding : Finding or None
+        None: nothing has changed.
+    """
+
+    def __init__(self, unknowns: Unknowns, detect: float, unexplained: float) -> None:
+        self.unknowns = unknowns
+        self._detect = detect
+        self._unexplained = unexplained
+        self._window = Window(len(unknowns.names))
+        self._age = 0  # blocks since the first sign of a change
+        self.finding: Finding | None = None
+
+    def clear(self) -> None:
+        """Begin anew: the twin has another plant."""
+        self._window.clear()
+        self._age = 0
+        self.finding = None
+
+    def add(self, tick: int, seconds: float, y: _Array, phi: _Array, weight: _Array) -> bool:
+        """Add a sample; returns whether there is something new to say. Arguments as of `Window.add`."""
+        if not self._window.add(tick, seconds, y, phi, weight):
+            return False
+        self._judge(tick)
+        return True
+
+    def _judge(self, tick: int) -> None:
+        sums = self._window.sums()
+        found = self.unknowns.evidence(sums)
+        left = self._left(sums, found)
+        if found.ratio <= self._detect and not left:
+            self._calm(sums)
+            return
+        self._age += 1
+        finding = self._finding(found, left, tick)
+        if finding is None:
+            return
+        if self.finding is not None:
+            same = finding.changes == self.finding.changes and finding.kind == self.finding.kind
+            settled = same and self._age > _SETTLED
+            finding = replace(
+                finding,
+                detected=self.finding.detected if same else tick,
+                since=self.finding.since if settled else finding.since,
+            )
+        self.finding = finding
+        self._forget(sums, found)
+
+    def _left(self, sums: Sums, found: Evidence) -> bool:
+        """Whether the residual is larger than changes of the plant explain."""
+        enough = len(sums.count) - found.block >= 3
+        return enough and found.left > self._unexplained and (found.ratio <= self._detect or found.part_left > _LEFT)
+
+    def _calm(self, sums: Sums) -> None:
+        """No sign of a change in the window: whether the last finding is over."""
+        if self.finding is None:
+            self._age = 0
+            return
+        if self.finding.kind is Kind.SINGLE:
+            change = self.unknowns.names.index(self.finding.changes[0])
+            if not self.unknowns.rejects(sums, self.unknowns.vector(change, self.finding.value), self._detect):
+                return
+        elif len(sums.count) < _SETTLED:
+            return
+        self._age = 0
+        self.finding = None
+
+    def _finding(self, found: Evidence, left: bool, tick: int) -> Finding | None:
+        names = self.unknowns.names
+        since = self._window.ticks[found.block]
+        half = float(np.hypot(_INTERVAL * found.deviation, self.unknowns.margins[found.change]))
+        single = names[found.change]
+        known = (found.value, found.value - half, found.value + half, since, tick)
+        if left:
+            return Finding(Kind.UNKNOWN, (), 0.0, 0.0, 0.0, since, tick) if self._age > 3 else None
+        if found.second_ratio > self._detect + _SEVERAL * found.ratio:
+            both = tuple(sorted((single, names[found.second])))
+            return Finding(Kind.SEVERAL, both, *known) if self._age > 3 else None
+        if found.ratio - found.rival_ratio > _SEPARATE + _SEPARATE_PART * found.ratio:
+            return Finding(Kind.SINGLE, (single,), *known)
+        if self._age > _PATIENCE:
+            return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)
+        return None
+
+    def _forget(self, sums: Sums, found: Evidence) -> None:
+        """Keep only what has come since the change, and since it has become another one."""
+        block = found.block
+        if self.finding is not None and self.finding.kind is Kind.SINGLE:
+            vector = self.unknowns.vector(found.change, found.value)
+            later = self.unknowns.later(sums, vector, self._detect + _SEVERAL * found.ratio)
+            if later is not None and later > block:
+                block = later
+        if block and len(sums.count) - block >= _SETTLED:
+            self._window.forget_before(block)
+
+    def estimates(self) -> list[Estimate]:
+        """Of everything together, since the last change or over the window."""
+        names = self.unknowns.names
+        if not self._window.ticks:
+            return [Estimate(name, 0.0, float("inf")) for name in names]
+        sums = self._window.sums()
+        a, b = sums.a[0], sums.b[0]
+        seen = np.diag(a) > 0.0
+        scale = np.where(seen, 1.0 / np.sqrt(np.where(seen, np.diag(a), 1.0)), 0.0)
+        unit = a * np.outer(scale, scale) + np.diag(1e-6 + (~seen).astype(float))
+        inverse = np.linalg.inv(unit) * np.outer(scale, scale)
+        value = inverse @ b
+        half = _INTERVAL * self.unknowns.spread * np.sqrt(np.diag(inverse))
+        return [
+            Estimate(name, float(v), float(h) if s else float("inf"))
+            for name, v, h, s in zip(names, value, half, seen, strict=True)
+        ]

@@ -1,0 +1,104 @@
+"""``servo-sim diagnose``: how well the twin finds what has changed, over many virtual pairs."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from servo_twin.diagnosis.monitor import PLANT_VALUES
+from servo_twin.diagnosis.thresholds import Thresholds
+from servo_twin.diagnosis.trials import NOTHING, Answer, Change, Trials, confusion
+from servo_twin.experiments.rig import positive
+from servo_twin.level import FAST_LEVEL, chosen_level
+from servo_twin.plant import PlantConfig
+from servo_twin.runner import Runner, run_in_order
+
+__all__ = ["add_parser", "summary"]
+
+_DEFAULT: Final = tuple(
+    Change(name, size) for name in PLANT_VALUES for size in ((1e-3, -1e-3) if name == "load" else (1.15, 0.85))
+)
+"""By 15 %; a load of 1 mN m is 1 % of the rated torque."""
+
+
+def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
+    """Add the command to ``servo-sim``.
+
+    Parameters
+    ----------
+    verbs : argparse subparsers
+    common, levelled : ArgumentParser
+        Parents with ``--seed``, ``--plant`` and ``--json``, and with ``--level``.
+    """
+    parser = verbs.add_parser(
+        "diagnose",
+        parents=[common, levelled],
+        help="does the twin find what has changed? Many pairs of board and twin in ordinary motion",
+    )
+    parser.add_argument("--trials", type=positive, default=60, metavar="N", help="default: %(default)s")
+    parser.add_argument(
+        "--change",
+        action="append",
+        metavar="NAME=FACTOR",
+        help=f"one of {', '.join(PLANT_VALUES)}; load=TORQUE in N m; may be repeated; nothing: false alarms only"
+        " (default: each by +15 %% and -15 %%, the load by 1 mN m)",
+    )
+    parser.add_argument(
+        "--time", type=float, default=10.0, metavar="S", help="after the change, or of a trial without (default: 10)"
+    )
+    parser.add_argument("--loss", type=float, default=0.0, metavar="PART", help="samples that do not arrive, 0 .. 0.9")
+    parser.add_argument("--thresholds", type=Path, metavar="FILE", help="of `servo_twin calibrate` (default: packaged)")
+    Runner.add_options(parser)
+    parser.set_defaults(run=_run)
+
+
+def _changes(texts: Sequence[str] | None) -> tuple[Change, ...]:
+    if texts is None:
+        return _DEFAULT
+    return () if list(texts) == [NOTHING] else tuple(Change.parse(text) for text in texts)
+
+
+def _run(args: argparse.Namespace) -> int:
+    if not 0.0 <= args.loss <= 0.9 or not args.time > 0.0:
+        raise ValueError("--loss is a part from 0 to 0.9, --time is above 0")
+    trials = Trials(
+        PlantConfig.load(args.plant),
+        Thresholds.load(args.thresholds),
+        _changes(args.change),
+        args.seed,
+        args.time,
+        args.loss,
+        chosen_level(args.level, default=FAST_LEVEL),
+    )
+    answers = run_in_order(Runner.of(args), trials, range(args.trials), "diagnose")
+    if args.json:
+        print(json.dumps([dataclasses.asdict(answer) for answer in answers], indent=2))
+    else:
+        print(summary(answers))
+    right = all(answer.said == answer.truth and not answer.false_alarms for answer in answers)
+    return 0 if right else 1
+
+
+def summary(answers: Sequence[Answer]) -> str:
+    """Table of confusion, times and errors, and the false alarms."""
+    lines = [f"{'changed':12}{'trials':>7}{'right':>7}{'delay [s]: median, 95 %, most':>32}{'interval holds':>16}  else"]
+    for name, said in confusion(answers).items():
+        mine = [answer for answer in answers if answer.truth.rpartition(" ")[2] == name and not answer.problem]
+        right = [answer for answer in mine if answer.said == answer.truth]
+        delays = [answer.delay for answer in right if answer.delay is not None]
+        times = "{:.2f} {:.2f} {:.2f}".format(*np.percentile(delays, (50, 95, 100))) if delays else ""
+        held = f"{sum(answer.covered for answer in right)}/{len(right)}" if delays else ""
+        other = ", ".join(f"{text or 'not run'} {count}" for text, count in said.items() if text != name)
+        lines.append(f"{name:12}{sum(said.values()):7}{len(right):7}{times:>32}{held:>16}  {other}")
+    hours = sum(answer.seconds for answer in answers) / 3600.0
+    alarms = [f"trial {a.number}: {text}" for a in answers for text in a.false_alarms]
+    lines.append(f"false alarms: {len(alarms)} in {hours:.2f} simulated hours without a change")
+    lines += [f"  {alarm}" for alarm in alarms]
+    lines += [f"  trial {a.number} was not run: {a.problem}" for a in answers if a.problem]
+    return "\n".join(lines)

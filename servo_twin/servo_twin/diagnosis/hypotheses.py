@@ -1,0 +1,146 @@
+"""Which single change explains the residual best: likelihood ratios over all changes and all times since. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_twin.diagnosis.window import Sums
+
+__all__ = ["Evidence", "Unknowns"]
+
+_Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a window says.
+
+    Attributes
+    ----------
+    block : int
+        Since which block.
+    change : int
+        Index into `CHANGES` of the change that explains most.
+    value, deviation : float
+        Its estimate and standard deviation.
+    ratio : float
+        Logarithm of its likelihood ratio against no change.
+    rival : int
+        The change that explains most after it, alone.
+    rival_ratio : float
+        Of that one, since the same block.
+    second : int
+        The change that explains most of what is left.
+    second_ratio : float
+        How much that is.
+    left : float
+        Mean square over its variance of what both together leave.
+    part_left : float
+        Part of the energy that the first change leaves.
+    """
+
+    block: int
+    change: int
+    value: float
+    deviation: float
+    ratio: float
+    rival: int
+    rival_ratio: float
+    second: int
+    second_ratio: float
+    left: float
+    part_left: float
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """What may change in one set of equations.
+
+    Attributes
+    ----------
+    names : tuple of str
+    margins : ndarray, shape (unknowns,)
+        Within which the model may be wrong without anything having changed: so much explains nothing.
+    spread : ndarray, shape (unknowns,)
+        Standard deviation of an estimate over that of white noise.
+    """
+
+    names: tuple[str, ...]
+    margins: _Array
+    spread: _Array
+
+    def vector(self, change: int, value: float) -> _Array:
+        """All unknowns at a single change; an encoder that has slipped also takes flux from the q axis."""
+        vector = np.zeros(len(self.names))
+        vector[change] = value
+        if self.names[change] == "encoder_angle":
+            vector[change], vector[self.names.index("flux")] = np.sin(value), np.cos(value) - 1.0
+        return vector
+
+    def _ratios(self, a: _Array, b: _Array) -> tuple[_Array, _Array]:
+        """Estimates of single changes and logarithms of their likelihood ratios.
+
+        Parameters
+        ----------
+        a, b : ndarray, shape (..., unknowns)
+            Diagonal of the information, and right sides.
+        """
+        known = a > 0.0
+        value = np.where(known, b / np.where(known, a, 1.0), 0.0)
+        beyond = np.maximum(np.abs(value) - self.margins, 0.0)
+        return value, 0.5 * beyond**2 * a / self.spread**2
+
+    def strongest(self, sums: Sums) -> float:
+        """Largest logarithm of a likelihood ratio of any change since any block."""
+        return float(self._ratios(np.einsum("nii->ni", sums.a), sums.b)[1][:-1].max())
+
+    def evidence(self, sums: Sums) -> Evidence:
+        """The single change, and the block since which it is there, that explain most."""
+        values, ratios = self._ratios(np.einsum("nii->ni", sums.a), sums.b)
+        ratios = ratios[: max(len(ratios) - 1, 1)]  # the last block alone is no evidence
+        block, change = (int(k) for k in np.unravel_index(int(np.argmax(ratios)), ratios.shape))
+        a, b = sums.a[block], sums.b[block]
+        value = float(values[block, change])
+        vector = self.vector(change, value)
+        left = b - a @ vector
+        gain = 0.5 * float(vector @ (b + left))
+        diagonal = np.diag(a)
+        reduced = diagonal - a[change] ** 2 / a[change, change]
+        reduced = np.where(reduced > 1e-6 * diagonal, reduced, 0.0)
+        reduced[change] = 0.0
+        seconds, second_ratios = self._ratios(reduced, left)
+        second = int(np.argmax(second_ratios))
+        rivals = np.where(np.arange(len(self.names)) == change, -1.0, ratios[block])
+        rival = int(np.argmax(rivals))
+        energy = float(sums.energy[block])
+        both = gain + 0.5 * float(seconds[second]) ** 2 * float(reduced[second])
+        return Evidence(
+            block,
+            change,
+            value,
+            float(self.spread[change] / np.sqrt(a[change, change])),
+            float(ratios[block, change]),
+            rival,
+            float(max(rivals[rival], 0.0)),
+            second,
+            float(second_ratios[second]),
+            (energy - 2.0 * both) / max(float(sums.count[block]), 1.0),
+            (energy - 2.0 * gain) / max(energy, 1e-300),
+        )
+
+    def later(self, sums: Sums, vector: _Array, detect: float) -> int | None:
+        """Block since which something differs from this vector of changes; None if nothing does."""
+        left = sums.b - np.einsum("nij,j->ni", sums.a, vector)
+        ratios = self._ratios(np.einsum("nii->ni", sums.a), left)[1][:-1].max(axis=1, initial=0.0)
+        if not len(ratios):
+            return None
+        block = int(np.argmax(ratios))
+        return block if float(ratios[block]) > detect else None
+
+    def rejects(self, sums: Sums, vector: _Array, strength: float) -> bool:
+        """Whether the window speaks against this vector of changes, and for none."""
+        a, b = sums.a[0], sums.b[0]
+        return float(vector @ b - 0.5 * vector @ a @ vector) / float(self.spread.max()) ** 2 < -strength

@@ -1,0 +1,219 @@
+"""Thresholds from a healthy run: noise and model error of every signal, and the tail of what they imitate. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.diagnosis.hypotheses import Unknowns
+from servo_twin.diagnosis.monitor import MARGINS
+from servo_twin.diagnosis.signal_watch import WATCHED, SignalMeans
+from servo_twin.diagnosis.signals import (
+    CHANGES,
+    EQUATIONS,
+    TORQUE,
+    VOLTAGE_D,
+    VOLTAGE_Q,
+    AxisEquations,
+    AxisSignals,
+    BusSignal,
+)
+from servo_twin.diagnosis.thresholds import BINS, AxisNoise, Thresholds, ThresholdsError, bin_of
+from servo_twin.diagnosis.window import BLOCK, Window
+from servo_twin.lockstep.twin import Pair
+from servo_twin.plant import PlantConfig
+
+__all__ = ["FALSE_ALARM_HOURS", "Learner"]
+
+FALSE_ALARM_HOURS: Final = 48.0
+"""Mean time between false alarms that is aimed at [h of motion]."""
+
+_SPAN: Final = 100  # blocks of which one maximum is taken for the tail, and one estimate for the spread
+_MEAN_SPAN: Final = 10.0  # of which one maximum of the running means is taken [s]
+_DETECT_MIN: Final = 10.0
+_FEW: Final = 100  # samples of a bin from which its own noise is used
+_LEAST: Final = 20  # spans from which a tail is worth something
+_INFLATION: Final = 1.5  # of the largest mean square of the residual that was seen
+
+_Array = NDArray[np.float64]
+
+
+class Learner:
+    """Takes the pairs of a healthy run.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+        What the twin believes.
+    """
+
+    def __init__(self, plant: PlantConfig) -> None:
+        self._signals = [AxisSignals(axis, entry) for axis, entry in enumerate(plant.axes)]
+        self._bus = BusSignal(plant.bus.u_source)
+        self._equations: list[list[tuple[int, AxisEquations]]] = [[] for _ in range(AXES)]
+        self._means = SignalMeans()
+        self._mean_maxima: list[_Array] = [np.zeros((AXES, len(WATCHED)))]
+        self._mean_begin: int | None = None
+        self._voltages: list[float] = []
+        self._ticks: list[int] = []
+
+    def add(self, pair: Pair) -> None:
+        """Take a pair."""
+        if pair.difference or pair.fault:
+            self.interrupt()
+            return
+        self._ticks.append(pair.tick)
+        self._add_means(pair)
+        for axis, signals in enumerate(self._signals):
+            equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
+            if equations is not None:
+                self._equations[axis].append((pair.tick, equations))
+        voltage = self._bus.update(pair.tick, pair.real, pair.twin)
+        if voltage is not None:
+            self._voltages.append(voltage)
+
+    def _add_means(self, pair: Pair) -> None:
+        means = self._means.update(pair)
+        if means is None:
+            return
+        if self._mean_begin is None:
+            self._mean_begin = pair.tick
+        if pair.tick - self._mean_begin > _MEAN_SPAN / (PERIOD_NS * 1e-9):
+            self._mean_begin = pair.tick
+            self._mean_maxima.append(np.zeros_like(means))
+        np.maximum(self._mean_maxima[-1], np.abs(means), out=self._mean_maxima[-1])
+
+    def interrupt(self) -> None:
+        """The next pair does not follow on the last one."""
+        self._means.interrupt()
+        self._mean_begin = None
+        for signals in self._signals:
+            signals.interrupt()
+        self._bus.interrupt()
+
+    def thresholds(self, hours: float = FALSE_ALARM_HOURS) -> Thresholds:
+        """What follows from the run.
+
+        Parameters
+        ----------
+        hours : float
+            Mean time between false alarms [h of motion].
+
+        Raises
+        ------
+        ThresholdsError
+            If an axis has not moved enough.
+        """
+        axes, maxima, squares = [], [], []
+        for axis, entries in enumerate(self._equations):
+            if len(entries) < 2 * _FEW:
+                raise ThresholdsError(f"{axis_name(axis)} has hardly moved: move both axes to and fro while calibrating")
+            noise = _noise([equations for _, equations in entries])
+            spans, spread = _spans(entries, noise)
+            of_means = np.array([one[axis] for one in self._mean_maxima])
+            limits = tuple(_tail(of_means[:, k], hours * 3600.0 / _MEAN_SPAN) for k in range(len(WATCHED)))
+            axes.append(replace(noise, spread=spread, means=limits))
+            found = _maxima(spans, np.array(spread))
+            maxima += found[0]
+            squares += found[1]
+        if len(maxima) < _LEAST:
+            raise ThresholdsError(
+                f"{len(maxima) * _SPAN * BLOCK:.0f} s of motion are not enough, {_LEAST * _SPAN * BLOCK:.0f} s are"
+            )
+        span_hours = _SPAN * BLOCK / 3600.0
+        run = (self._ticks[-1] - self._ticks[0]) * PERIOD_NS * 1e-9 / 3600.0
+        voltages = np.array(self._voltages)
+        return Thresholds(
+            axes=tuple(axes),
+            bus_noise=float(voltages.std()),
+            bus_baseline=float(voltages.mean()),
+            detect=max(_tail(np.array(maxima), hours / span_hours * AXES), _DETECT_MIN),
+            unexplained=_INFLATION * max(squares),
+            false_alarm_hours=hours,
+            run_hours=run,
+        )
+
+
+def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
+    """Alias, noise and baseline of an axis."""
+    y, phi, z = (np.array(part) for part in zip(*((e.y, e.phi, e.alias) for e in entries), strict=True))
+    share = np.array([e.share for e in entries])
+    bins = np.array([bin_of(e.current, e.speed) for e in entries])
+    alias = [float(y[:, k] @ z[:, k] / (z[:, k] @ z[:, k])) if z[:, k].any() else 0.0 for k in range(len(EQUATIONS))]
+    left = y - z * alias
+    baseline = np.zeros(len(CHANGES))
+    for _ in range(3):
+        rest = left - phi @ baseline
+        torque = float(rest[share > 0.0, TORQUE].std())
+        voltages = {k: _by_bin(rest[:, k], bins) for k in (VOLTAGE_Q, VOLTAGE_D)}
+        weight = np.stack([share / torque**2, *(voltages[k][bins] ** -2 for k in (VOLTAGE_Q, VOLTAGE_D))], axis=1)
+        information = np.einsum("nei,ne,nej->ij", phi, weight, phi)
+        baseline = np.linalg.solve(information, np.einsum("nei,ne,ne->i", phi, weight, left))
+    return AxisNoise(
+        alias=tuple(alias),
+        torque=torque,
+        voltage_q=tuple(voltages[VOLTAGE_Q].tolist()),
+        voltage_d=tuple(voltages[VOLTAGE_D].tolist()),
+        baseline=tuple(baseline.tolist()),
+        spread=(1.0,) * len(CHANGES),
+        means=(1.0,) * len(WATCHED),
+    )
+
+
+def _by_bin(rest: _Array, bins: NDArray[np.int64]) -> _Array:
+    """Standard deviation in every bin; where there are few samples, that of all."""
+    whole = float(rest[rest != 0.0].std())
+    parts = [rest[(bins == k) & (rest != 0.0)] for k in range(BINS)]
+    return np.array([float(part.std()) if len(part) >= _FEW else whole for part in parts])
+
+
+def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tuple[list[Window], tuple[float, ...]]:
+    """Windows of `_SPAN` blocks one after the other, and the spread of their estimates."""
+    spans: list[Window] = []
+    window = Window(len(CHANGES))
+    before: int | None = None
+    for tick, equations in entries:
+        seconds = 0.0 if before is None else min(max(tick - before, 0) * PERIOD_NS * 1e-9, 0.05)
+        before = tick
+        full = window.add(tick, seconds, noise.residual(equations), equations.phi, noise.weight(equations))
+        if full and len(window.ticks) == _SPAN:
+            spans.append(window)
+            window = Window(len(CHANGES))
+    if len(spans) < 2:
+        return spans, (1.0,) * len(CHANGES)
+    units: list[_Array] = []  # estimates of tenths of a span over their deviations for white noise
+    for span in spans:
+        sums = span.sums()
+        a = -np.diff(sums.a[::10], axis=0)
+        b = -np.diff(sums.b[::10], axis=0)
+        diagonal = np.einsum("nii->ni", a)
+        units.append(b / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
+    spread = np.concatenate(units).std(axis=0)
+    return spans, tuple(float(max(x, 1.0)) for x in spread)
+
+
+def _maxima(spans: Sequence[Window], spread: _Array) -> tuple[list[float], list[float]]:
+    """Per span the strongest likelihood ratio and the largest mean square, of every beginning in it."""
+    unknowns = Unknowns(CHANGES, np.array(MARGINS), spread)
+    ratios: list[float] = []
+    squares: list[float] = []
+    for span in spans:
+        sums = span.sums()
+        ratios.append(unknowns.strongest(sums))
+        squares.append(float((sums.energy / sums.count)[:-3].max()))
+    return ratios, squares
+
+
+def _tail(maxima: _Array, count: float) -> float:
+    """Level that the largest of `count` maxima passes once on average, by an exponential tail of their upper half."""
+    middle = float(np.median(maxima))
+    beyond = maxima[maxima > middle] - middle
+    slope = float(beyond.mean()) if len(beyond) else 0.0
+    return middle + slope * math.log(0.5 * count)

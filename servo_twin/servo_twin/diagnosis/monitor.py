@@ -1,0 +1,176 @@
+"""The diagnosis of a twin: pairs in, findings and estimates out. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.diagnosis.channel import Channel, Estimate, Finding, Kind
+from servo_twin.diagnosis.hypotheses import Unknowns
+from servo_twin.diagnosis.signal_watch import SignalWatch
+from servo_twin.diagnosis.signals import CHANGES, NEEDED, AxisSignals, BusSignal
+from servo_twin.diagnosis.thresholds import Thresholds
+from servo_twin.lockstep.twin import Pair
+from servo_twin.plant import PlantConfig
+
+__all__ = ["MARGINS", "PLANT_VALUES", "SUPPLY", "DiagnosisMonitor", "Located"]
+
+SUPPLY: Final = "supply"
+
+PLANT_VALUES: Final[Mapping[str, str]] = {
+    "resistance": "r_s",
+    "flux": "psi_m",
+    "inertia": "inertia",
+    "friction": "friction",
+    "load": "load_torque",
+    SUPPLY: "bus.u_source",
+}
+"""Name in the plant file of what can change, of an axis but for the supply."""
+
+MARGINS: Final = (0.02, 0.01, 0.02, 0.02, 5e-5, 0.01)
+"""Per change of an axis, see `Unknowns.margins`."""
+
+_BUS_MARGIN: Final = 0.02  # the resistance of the supply is not known well
+_SURE: Final = 1.5  # for which something has been found before the twin takes it over [s]
+_LEAST: Final = 0.05  # part of a value that is left at least
+_GAP: Final = 0.05  # longest time that one sample stands for [s]
+
+
+@dataclass(frozen=True)
+class Located:
+    """A finding and where it is.
+
+    Attributes
+    ----------
+    axis : int or None
+        Index; None: the bus.
+    finding : Finding
+    """
+
+    axis: int | None
+    finding: Finding
+
+
+class DiagnosisMonitor:
+    """Follows the pairs of a twin.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+        What the twin believes.
+    thresholds : Thresholds
+        What a healthy pair shows.
+
+    Attributes
+    ----------
+    plant : PlantConfig
+        What the twin believes.
+    watch : SignalWatch
+        Of what no equation describes.
+    missing : str
+        Variables that the telemetry lacks, so that nothing can be said; empty if there are none.
+    """
+
+    def __init__(self, plant: PlantConfig, thresholds: Thresholds) -> None:
+        self.thresholds = thresholds
+        self.missing = ""
+        self.axes = [
+            Channel(Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread)), thresholds.detect, thresholds.unexplained)
+            for noise in thresholds.axes
+        ]
+        self.bus = Channel(
+            Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1)), thresholds.detect, float("inf")
+        )
+        self.watch = SignalWatch([noise.means for noise in thresholds.axes])
+        self.believe(plant)
+
+    def believe(self, plant: PlantConfig) -> None:
+        """The twin has another plant from now on."""
+        self.plant = plant
+        self.watch.interrupt()
+        self._signals = [AxisSignals(axis, entry) for axis, entry in enumerate(plant.axes)]
+        self._bus_signal = BusSignal(plant.bus.u_source)
+        self._tick: int | None = None
+        for channel in (*self.axes, self.bus):
+            channel.clear()
+
+    def interrupt(self) -> None:
+        """The next pair does not follow on the last one; what is known stays."""
+        self._tick = None
+        self.watch.interrupt()
+        for signals in self._signals:
+            signals.interrupt()
+        self._bus_signal.interrupt()
+
+    def update(self, pair: Pair) -> bool:
+        """Take a pair; returns whether findings or estimates may have changed."""
+        if pair.difference or pair.fault:
+            self.interrupt()
+            return False
+        self.watch.update(pair)
+        needed = ("u_dc", *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in NEEDED))
+        missing = [name for name in needed if name not in pair.real]
+        self.missing = ", ".join(missing)
+        if missing:
+            return False
+        before, self._tick = self._tick, pair.tick
+        seconds = 0.0 if before is None else min((pair.tick - before) * PERIOD_NS * 1e-9, _GAP)
+        changed = False
+        for axis, signals in enumerate(self._signals):
+            equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
+            if equations is None:
+                continue
+            noise = self.thresholds.axes[axis]
+            changed |= self.axes[axis].add(
+                pair.tick, seconds, noise.residual(equations), equations.phi, noise.weight(equations)
+            )
+        voltage = self._bus_signal.update(pair.tick, pair.real, pair.twin)
+        if voltage is not None:
+            y = np.array([voltage - self.thresholds.bus_baseline])
+            weight = np.array([self.thresholds.bus_noise**-2])
+            changed |= self.bus.add(pair.tick, seconds, y, np.ones((1, 1)), weight)
+        return changed
+
+    def findings(self) -> list[Located]:
+        """What has changed; empty if nothing has."""
+        places: list[tuple[int | None, Channel]] = [*enumerate(self.axes), (None, self.bus)]
+        return [Located(axis, channel.finding) for axis, channel in places if channel.finding is not None]
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Every estimate by its name, such as ``axis1.inertia`` or ``supply``."""
+        named = {
+            f"{axis_name(axis)}.{one.name}": one for axis, channel in enumerate(self.axes) for one in channel.estimates()
+        }
+        return named | {SUPPLY: self.bus.estimates()[0]}
+
+    def adapted(self, tick: int) -> PlantConfig | None:
+        """The plant with what has been found for some time; None if there is nothing to take over."""
+        plant = self.plant
+        for one in self.findings():
+            finding = one.finding
+            if finding.kind not in (Kind.SINGLE, Kind.SEVERAL) or tick - finding.detected < _SURE / (PERIOD_NS * 1e-9):
+                continue
+            channel = self.bus if one.axis is None else self.axes[one.axis]
+            values = {finding.changes[0]: finding.value}
+            if finding.kind is Kind.SEVERAL:
+                values = {e.name: e.value for e in channel.estimates() if abs(e.value) > e.half_width}
+            for name, value in values.items():
+                plant = _with_change(plant, one.axis, name, value)
+        return None if plant == self.plant else plant
+
+
+def _with_change(plant: PlantConfig, axis: int | None, name: str, value: float) -> PlantConfig:
+    """The plant after a change that a finding has; one that is no value of a plant leaves it as it is."""
+    if name not in PLANT_VALUES:
+        return plant
+    if axis is None:
+        return plant.with_bus(u_source=plant.bus.u_source * (1.0 + value))
+    entry = PLANT_VALUES[name]
+    old = getattr(plant.axes[axis], entry)
+    new = old + value if name == "load" else old * max(1.0 + value, _LEAST)
+    return plant.with_axis(axis, **{entry: new})

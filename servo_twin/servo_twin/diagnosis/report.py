@@ -1,0 +1,85 @@
+"""Findings and estimates in words. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Final
+
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.diagnosis.channel import Estimate, Finding, Kind
+from servo_twin.diagnosis.monitor import SUPPLY, Located
+
+__all__ = ["NOTHING_CHANGED", "estimate_text", "finding_text", "located_text"]
+
+NOTHING_CHANGED: Final = "nothing has changed"
+
+_WORDS: Final = {
+    "resistance": "resistance",
+    "flux": "magnet flux",
+    "inertia": "inertia",
+    "friction": "friction",
+    "load": "load",
+    "encoder_angle": "encoder angle",
+    SUPPLY: "supply voltage",
+}
+_ABSOLUTE: Final = {"load": (1e3, "mN m"), "encoder_angle": (180.0 / math.pi, "deg electrical")}
+"""Changes that are no factors: scale and unit."""
+
+
+def _size(name: str, value: float, low: float, high: float) -> str:
+    if name in _ABSOLUTE:
+        scale, unit = _ABSOLUTE[name]
+        value, low, high = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
+        return f"{value} {unit} ({low}..{high})"
+    value, low, high = (_rounded(max(1.0 + x, 0.0), high - low, sign=False) for x in (value, low, high))
+    return f"{value} times ({low}..{high})"
+
+
+def _rounded(value: float, width: float, *, sign: bool = True) -> str:
+    """With the digits that an interval of this width leaves."""
+    digits = min(max(1 - math.floor(math.log10(max(width, 1e-9))), 0), 4)
+    return f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
+
+
+def finding_text(finding: Finding, tick: int, stamp_ns: int) -> str:
+    """A finding in words.
+
+    Parameters
+    ----------
+    finding : Finding
+    tick, stamp_ns : int
+        Of any sample, to give ticks a time of day.
+    """
+    since = datetime.fromtimestamp((stamp_ns - (tick - finding.since) * PERIOD_NS) * 1e-9)
+    delay = (finding.detected - finding.since) * PERIOD_NS * 1e-9
+    when = f"since {since:%H:%M:%S}, detected after {delay:.1f} s"
+    names = [_WORDS[name] for name in finding.changes]
+    if finding.kind is Kind.UNKNOWN:
+        return f"nothing known explains the residual, {when}"
+    if finding.kind is Kind.SEVERAL:
+        return f"several things have changed, {' and '.join(names)} among them, {when}"
+    size = _size(finding.changes[0], finding.value, finding.low, finding.high)
+    if finding.kind is Kind.ONE_OF:
+        return f"{' or '.join(names)}: this motion does not tell them apart; as {names[0]} {size}, {when}"
+    return f"{names[0]} {size} {when}"
+
+
+def located_text(findings: Sequence[Located], joints: Sequence[str], tick: int, stamp_ns: int) -> str:
+    """All findings in one line."""
+    if not findings:
+        return NOTHING_CHANGED
+    return "; ".join(
+        f"{'bus' if one.axis is None else joints[one.axis]}: {finding_text(one.finding, tick, stamp_ns)}"
+        for one in findings
+    )
+
+
+def estimate_text(estimate: Estimate) -> str:
+    """A value and its interval; or that nothing has shown it yet."""
+    if not math.isfinite(estimate.half_width):
+        return "not excited yet"
+    value, half = estimate.value, estimate.half_width
+    return _size(estimate.name, value, value - half, value + half)

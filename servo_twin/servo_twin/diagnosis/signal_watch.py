@@ -1,0 +1,95 @@
+"""Whether the mean difference of each signal is that of a healthy pair: what no equation describes shows here. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.lockstep.twin import Pair
+
+__all__ = ["WATCHED", "SignalMeans", "SignalWatch"]
+
+WATCHED: Final = {"position": "rad", "speed": "rad/s", "i_q": "A", "u_q": "V", "u_d": "V"}
+"""Variables of an axis, in the motor's units."""
+
+_TIME: Final = 0.2  # over which a mean is taken [s]
+_AFTER: Final = 2.0  # of it, after which a mean is one
+
+_Array = NDArray[np.float64]
+
+
+class SignalMeans:
+    """Running means of the differences of both axes."""
+
+    def __init__(self) -> None:
+        self._means = np.zeros((AXES, len(WATCHED)))
+        self.interrupt()
+
+    def interrupt(self) -> None:
+        """The next pair does not follow on the last one."""
+        self._means[:] = 0.0
+        self._age = 0.0
+        self._tick: int | None = None
+
+    def update(self, pair: Pair) -> _Array | None:
+        """Means [units of `WATCHED`], shape (axes, signals); None while they are too young. Missing signals are 0."""
+        if pair.difference or pair.fault:
+            self.interrupt()
+            return None
+        before, self._tick = self._tick, pair.tick
+        if before is None:
+            return None
+        seconds = (pair.tick - before) * PERIOD_NS * 1e-9
+        self._age += seconds
+        share = 1.0 - math.exp(-seconds / _TIME)
+        for axis in range(AXES):
+            names = [f"{axis_name(axis)}.{name}" for name in WATCHED]
+            difference = np.array([pair.real[n] - pair.twin[n] if n in pair.twin else 0.0 for n in names])
+            if pair.stopping[axis]:
+                difference[0] = 0.0  # each comes to rest elsewhere
+            self._means[axis] += share * (difference - self._means[axis])
+        return self._means if self._age > _AFTER * _TIME else None
+
+
+class SignalWatch:
+    """Compares the means with those of a healthy pair.
+
+    Parameters
+    ----------
+    limits : ndarray, shape (axes, signals)
+        Largest mean of a healthy pair.
+
+    Attributes
+    ----------
+    complaint : tuple of (int, str) or None
+        Axis, and what is wrong with it in words; None if nothing is.
+    """
+
+    def __init__(self, limits: Sequence[Sequence[float]]) -> None:
+        self._limits = np.array(limits)
+        self._means = SignalMeans()
+        self.complaint: tuple[int, str] | None = None
+
+    def interrupt(self) -> None:
+        """The next pair does not follow on the last one."""
+        self._means.interrupt()
+        self.complaint = None
+
+    def update(self, pair: Pair) -> None:
+        """Take a pair."""
+        means = self._means.update(pair)
+        self.complaint = None
+        if means is None:
+            return
+        excess = np.abs(means) / self._limits
+        axis, signal = (int(k) for k in np.unravel_index(int(np.argmax(excess)), excess.shape))
+        if excess[axis, signal] > 1.0:
+            name, unit = list(WATCHED.items())[signal]
+            text = f"{name} differs by {means[axis, signal]:+.3g} {unit} on average, allowed are "
+            self.complaint = axis, f"{text}{self._limits[axis, signal]:.3g}"

@@ -1,0 +1,210 @@
+"""Balance equations of one axis: what the difference of board and twin says of the plant, sample by sample. Pure.
+
+With ``d`` for board minus twin, values of the twin's plant with index 0 and a filter F of first order:
+
+* torque: ``Kt0 F[d i_q_ref] - J0 s F[d w] - B0 F[d w] = -Kt0 F[i_q] a_psi + J0 s F[w] a_J + C0 F[sign w] a_C + F[1] T``
+* voltage q: ``d u_q - R0 d i_q - p psi0 d w = R_s i_q a_R + p psi0 w a_psi``
+* voltage d: ``d u_d + p L_q d(w i_q) = p psi0 w e``
+
+Linear in the relative changes a of resistance, flux, inertia and Coulomb friction, the load torque T and the error e of
+the encoder's angle, however large they are. What both boards do alike (dead time, ripple, delays) cancels.
+
+Samples are 8 ms apart and alias what the loops do to noise in between. Two differences of the same sample know the
+alias: that of the sampled speed against the shaft's position for the torque, that of the current against its set-point
+for the voltage. `AxisNoise.alias` times these is subtracted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_twin.plant import AxisPlant
+
+__all__ = ["CHANGES", "EQUATIONS", "NEEDED", "AxisEquations", "AxisSignals", "BusSignal"]
+
+CHANGES: Final = ("resistance", "flux", "inertia", "friction", "load", "encoder_angle")
+"""Unknowns of an axis: relative changes, a torque [N m] and an electrical angle [rad]."""
+
+EQUATIONS: Final = ("torque", "voltage_q", "voltage_d")
+
+NEEDED: Final = ("position", "speed", "speed_ref", "i_q", "i_q_ref", "u_d", "u_q")
+"""Variables of an axis that a sample has to carry."""
+
+RESISTANCE, FLUX, INERTIA, FRICTION, LOAD, ANGLE = range(len(CHANGES))
+TORQUE, VOLTAGE_Q, VOLTAGE_D = range(len(EQUATIONS))
+
+_TIME: Final = 0.03  # time constant of F [s]
+_MOVES: Final = 8.0  # slowest speed at which the sign of the friction is known [rad/s]
+_GAP: Final = 0.05  # longest time between two samples over which F is continued [s]
+_CARRIES: Final = 0.036
+"""Part of the full scale above which a current says something of the resistance, and the back-EMF [V] above which it
+does of the flux: below, the errors of the compensated dead time are larger."""
+_INDUCES: Final = 1.0
+_DEAD_TIME: Final = 0.1
+"""Part of a difference of the buses that counts as noise of a voltage: dead time and drops take 3 %, with a sign that
+stays the same over some samples."""
+_SECOND: Final = PERIOD_NS * 1e-9
+_RETURNED_ALIKE: Final = 0.02  # energy by which boards may differ: 0.2 V in 4.7 mF at 24 V [J]
+_RETURNED_MAX: Final = 1.0  # [J]
+
+_Array = NDArray[np.float64]
+
+
+class AxisEquations(NamedTuple):
+    """What one sample says.
+
+    Attributes
+    ----------
+    y : ndarray, shape (3,)
+        Left sides, per equation [N m], [V], [V].
+    phi : ndarray, shape (3, 6)
+        Right sides, per equation and unknown.
+    alias : ndarray, shape (3,)
+        What the alias is proportional to [rad/s], [A], 0.
+    share : float
+        Part of an independent sample that the torque equation is.
+    current, speed : float
+        Magnitudes at the sample [A], [rad/s].
+    bus : float
+        By how much the voltage equations may be off because the buses differ, and the dead time with them [V].
+    """
+
+    y: _Array
+    phi: _Array
+    alias: _Array
+    share: float
+    current: float
+    speed: float
+    bus: float
+
+
+class _Filter:
+    """``F = 1 / (1 + s T)`` of some inputs at once, over samples at any times; inputs run straight between them."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._started = False
+
+    def reset(self) -> None:
+        """Begin with the next sample: F starts from zero there."""
+        self._started = False
+
+    def update(self, x: _Array, seconds: float) -> tuple[_Array, _Array] | None:
+        """F and ``s F`` of the inputs; None at the first sample."""
+        if not self._started:
+            self._started = True
+            self._x0, self._x, self._f, self._rest = x, x, np.zeros(self._size), 1.0
+            return None
+        ratio = seconds / _TIME
+        decay = float(np.exp(-ratio))
+        new = 1.0 - (1.0 - decay) / ratio
+        self._f = decay * self._f + (1.0 - decay - new) * self._x + new * x
+        self._x = x
+        self._rest *= decay
+        return self._f, (x - self._f - self._rest * self._x0) / _TIME
+
+
+class AxisSignals:
+    """Equations of one axis from its samples.
+
+    Parameters
+    ----------
+    axis : int
+        Index.
+    plant : AxisPlant
+        What the twin believes.
+    """
+
+    def __init__(self, axis: int, plant: AxisPlant) -> None:
+        self._names = {name: f"{axis_name(axis)}.{name}" for name in NEEDED}
+        self.plant = plant
+        self._filter = _Filter(8)
+        self._tick: int | None = None
+        self._sign = 0.0
+
+    def interrupt(self) -> None:
+        """The next sample has nothing to do with the last one."""
+        self._tick = None
+
+    def update(self, tick: int, real: Mapping[str, float], twin: Mapping[str, float]) -> AxisEquations | None:
+        """Equations of a sample; None unless both shafts move the same way, as they did at the sample before."""
+        names, plant = self._names, self.plant
+        speed = real[names["speed"]]
+        sign = float(np.sign(speed)) if min(speed * twin[names["speed"]], speed * speed) > 0.0 else 0.0
+        if min(abs(speed), abs(twin[names["speed"]])) < _MOVES:
+            sign = 0.0
+        before, self._tick = self._tick, tick
+        seconds = 0.0 if before is None else (tick - before) * _SECOND
+        if sign == 0.0 or sign != self._sign or not 0.0 < seconds < _GAP:
+            self._filter.reset()
+        self._sign = sign
+        if sign == 0.0:
+            return None
+        d = {name: real[key] - twin[key] for name, key in names.items()}
+        current = real[names["i_q_ref"]]
+        inputs = np.array([d["i_q_ref"], d["speed"], d["position"], current, speed, sign, 1.0, 0.0])
+        filtered = self._filter.update(inputs, seconds)
+        k_t, flux = plant.torque_constant, plant.pole_pairs * plant.psi_m
+        resistance = plant.r_s + plant.r_on
+        y, alias = np.zeros(len(EQUATIONS)), np.zeros(len(EQUATIONS))
+        phi = np.zeros((len(EQUATIONS), len(CHANGES)))
+        share = 0.0
+        if filtered is not None:
+            f, rate = filtered
+            y[TORQUE] = k_t * f[0] - plant.inertia * rate[1] - plant.viscous * f[1]
+            alias[TORQUE] = f[1] - rate[2]
+            phi[TORQUE, FLUX : LOAD + 1] = -k_t * f[3], plant.inertia * rate[4], plant.friction * f[5], f[6]
+            share = min(seconds / (2.0 * _TIME), 1.0)
+        carries = abs(current) > _CARRIES * plant.i_full_scale
+        if carries or abs(flux * speed) > _INDUCES:
+            y[VOLTAGE_Q] = d["u_q"] - resistance * d["i_q_ref"] - flux * d["speed"]
+            alias[VOLTAGE_Q] = d["i_q_ref"] - d["i_q"]
+            phi[VOLTAGE_Q, RESISTANCE] = plant.r_s * current if carries else 0.0
+            phi[VOLTAGE_Q, FLUX] = flux * speed
+        cross = speed * current - twin[names["speed"]] * twin[names["i_q_ref"]]
+        y[VOLTAGE_D] = d["u_d"] + plant.pole_pairs * plant.l_q * cross
+        phi[VOLTAGE_D, ANGLE] = flux * speed
+        bus = _DEAD_TIME * abs(real["u_dc"] - twin["u_dc"])
+        return AxisEquations(y, phi, alias, share, abs(current), abs(speed), bus)
+
+
+class BusSignal:
+    """Relative difference of the bus voltages while the supply carries both boards alike.
+
+    A motor that brakes lifts its bus above the supply; where one board returns more energy than the other, what differs
+    is not the supply.
+
+    Parameters
+    ----------
+    supply : float
+        What the twin believes [V].
+    """
+
+    def __init__(self, supply: float) -> None:
+        self._supply = supply
+        self._returned = [0.0, 0.0]  # by the motors of board and twin, and not used up since, at most [J]
+        self._tick: int | None = None
+
+    def interrupt(self) -> None:
+        """The next sample has nothing to do with the last one."""
+        self._tick = None
+
+    def update(self, tick: int, real: Mapping[str, float], twin: Mapping[str, float]) -> float | None:
+        """The difference at a sample; None where it is not that of the supplies."""
+        before, self._tick = self._tick, tick
+        if before is None:
+            return None
+        seconds = (tick - before) * _SECOND
+        for k, values in enumerate((real, twin)):
+            power = sum(1.5 * values[f"{name}.u_q"] * values[f"{name}.i_q"] for name in map(axis_name, range(AXES)))
+            self._returned[k] = min(max(self._returned[k] - power * seconds, 0.0), _RETURNED_MAX)
+        if abs(self._returned[0] - self._returned[1]) > _RETURNED_ALIKE:
+            return None
+        return (real["u_dc"] - twin["u_dc"]) / self._supply

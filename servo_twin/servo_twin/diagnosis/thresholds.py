@@ -1,0 +1,193 @@
+"""What a healthy pair shows: noise and model error of every signal, and the thresholds that follow. Pure.
+
+`servo_twin calibrate` learns them from a healthy run and writes a file (``thresholds.toml``); the packaged one was
+learned from a virtual pair.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.diagnosis.signal_watch import WATCHED
+from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, AxisEquations
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["AxisNoise", "Thresholds", "ThresholdsError"]
+
+DEFAULT_FILE: Final = Path(__file__).with_name("thresholds.toml")
+
+CURRENTS: Final = (0.1, 0.3, 0.6)
+SPEEDS: Final = (30.0, 60.0, 100.0, 150.0)
+"""Limits of the bins of the noise of a voltage [A], [rad/s]: dead time and switch drops are compensated badly at a
+current near zero, and the ripple that is left of them grows with the speed."""
+
+
+class ThresholdsError(ValueError):
+    """A file of thresholds is not usable; the message names the value."""
+
+
+@dataclass(frozen=True)
+class AxisNoise:
+    """Of the equations of one axis (`servo_twin.diagnosis.signals`), with a healthy board.
+
+    Attributes
+    ----------
+    alias : tuple of float
+        Coefficient of the alias, per equation [N m s/rad], [V/A], 0.
+    torque : float
+        Standard deviation of the torque equation [N m].
+    voltage_q, voltage_d : tuple of float
+        Of the voltage equations, bin by bin of `CURRENTS`, within it of `SPEEDS` [V].
+    baseline : tuple of float
+        What the unknowns come to: the error of the twin's model.
+    spread : tuple of float
+        Standard deviation of an estimate over that of white noise, per unknown.
+    means : tuple of float
+        Largest running mean of every signal of `servo_twin.diagnosis.signal_watch.WATCHED`.
+    """
+
+    alias: tuple[float, ...]
+    torque: float
+    voltage_q: tuple[float, ...]
+    voltage_d: tuple[float, ...]
+    baseline: tuple[float, ...]
+    spread: tuple[float, ...]
+    means: tuple[float, ...]
+
+    def weight(self, equations: AxisEquations) -> NDArray[np.float64]:
+        """Independent samples per variance, per equation."""
+        place = bin_of(equations.current, equations.speed)
+        return np.array(
+            [
+                equations.share / self.torque**2,
+                1.0 / (self.voltage_q[place] ** 2 + equations.bus**2),
+                1.0 / (self.voltage_d[place] ** 2 + equations.bus**2),
+            ]
+        )
+
+    def residual(self, equations: AxisEquations) -> NDArray[np.float64]:
+        """Left sides without alias and without the error of the model."""
+        return equations.y - np.asarray(self.alias) * equations.alias - equations.phi @ np.asarray(self.baseline)
+
+
+def bin_of(current: float, speed: float) -> int:
+    """Index of the bin of a voltage's noise."""
+    return int(np.searchsorted(CURRENTS, current)) * (len(SPEEDS) + 1) + int(np.searchsorted(SPEEDS, speed))
+
+
+BINS: Final = (len(CURRENTS) + 1) * (len(SPEEDS) + 1)
+
+_LENGTHS: Final = {
+    "alias": len(EQUATIONS),
+    "voltage_q": BINS,
+    "voltage_d": BINS,
+    "baseline": len(CHANGES),
+    "spread": len(CHANGES),
+    "means": len(WATCHED),
+}
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Everything that was learned.
+
+    Attributes
+    ----------
+    axes : tuple of AxisNoise
+    bus_noise, bus_baseline : float
+        Of the bus voltage in a block of motion: relative standard deviation and mean.
+    detect : float
+        Logarithm of the likelihood ratio from which a change is one.
+    unexplained : float
+        Largest mean square of the residual over its variance, after all known changes.
+    false_alarm_hours : float
+        Mean time between two false alarms that `detect` stands for, by the tail of the run [h of motion].
+    run_hours : float
+        How long the run was [h].
+    """
+
+    axes: tuple[AxisNoise, ...]
+    bus_noise: float
+    bus_baseline: float
+    detect: float
+    unexplained: float
+    false_alarm_hours: float
+    run_hours: float
+
+    @classmethod
+    def load(cls, path: Path | str | None = None) -> Thresholds:
+        """Read a file; the packaged one by default.
+
+        Raises
+        ------
+        ThresholdsError
+            If something is missing or no number.
+        OSError
+            If it cannot be read.
+        """
+        return _packaged() if not path else _load(Path(path))
+
+    def text(self) -> str:
+        """As the text of a file."""
+        lines = ["# Learned by `servo_twin calibrate` from a healthy run; units in servo_twin/diagnosis/thresholds.py.", ""]
+        lines += _lines({k: v for k, v in asdict(self).items() if k != "axes"})
+        for number, axis in enumerate(self.axes):
+            lines += ["", f"[{axis_name(number)}]", *_lines(asdict(axis))]
+        return "\n".join(lines) + "\n"
+
+
+def _lines(entries: Mapping[str, Any]) -> list[str]:
+    def number(value: float) -> str:
+        return f"{value:.6g}" if value != int(value) else f"{value:.1f}"
+
+    return [
+        f"{name} = [{', '.join(map(number, value))}]" if isinstance(value, Sequence) else f"{name} = {number(value)}"
+        for name, value in entries.items()
+    ]
+
+
+@cache
+def _packaged() -> Thresholds:
+    return _load(DEFAULT_FILE)
+
+
+def _load(path: Path) -> Thresholds:
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        axes = tuple(_axis(table.pop(axis_name(number))) for number in range(AXES))
+        names = [field.name for field in fields(Thresholds) if field.name != "axes"]
+        return Thresholds(axes, **{name: _number(name, table[name]) for name in names})
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, TypeError) as error:
+        raise ThresholdsError(f"{path}: {error}") from None
+    except KeyError as error:
+        raise ThresholdsError(f"{path}: {error.args[0]} is missing; write it anew with `servo_twin calibrate`") from None
+    except ThresholdsError as error:
+        raise ThresholdsError(f"{path}: {error}") from None
+
+
+def _axis(table: Mapping[str, Any]) -> AxisNoise:
+    values: dict[str, Any] = {"torque": _number("torque", table["torque"])}
+    for name, length in _LENGTHS.items():
+        if not isinstance(table[name], list) or len(table[name]) != length:
+            raise ThresholdsError(f"{name} is not a list of {length} numbers")
+        values[name] = tuple(_number(name, value) for value in table[name])
+    return AxisNoise(**values)
+
+
+def _number(name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise ThresholdsError(f"{name}: {value!r} is not a number")
+    return float(value)

@@ -1,0 +1,207 @@
+"""Trials of the diagnosis: ordinary motion of a virtual pair, a change of the real plant, what is said of it."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, axis_name
+
+from servo_twin.board import SimulationError
+from servo_twin.diagnosis.channel import Kind
+from servo_twin.diagnosis.monitor import PLANT_VALUES, SUPPLY, DiagnosisMonitor, Located
+from servo_twin.diagnosis.pair import BoardPair, Motion
+from servo_twin.diagnosis.thresholds import Thresholds
+from servo_twin.level import Level
+from servo_twin.plant import PlantConfig
+
+__all__ = ["NOTHING", "Answer", "Change", "Trials", "confusion"]
+
+NOTHING: Final = "nothing"
+
+_BEFORE: Final = (3.0, 6.0)  # of motion, until the change comes [s]
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the real plant.
+
+    Attributes
+    ----------
+    name : str
+        Key of `PLANT_VALUES`.
+    size : float
+        Factor; of a load the torque that is added [N m].
+    """
+
+    name: str
+    size: float
+
+    @classmethod
+    def parse(cls, text: str) -> Change:
+        """From ``NAME=FACTOR``, such as ``friction=1.15``; a load is a torque [N m].
+
+        Raises
+        ------
+        ValueError
+            If it is none.
+        """
+        name, sign, number = text.partition("=")
+        if name not in PLANT_VALUES or not sign:
+            raise ValueError(f"{text!r} is not NAME=FACTOR with one of {', '.join(PLANT_VALUES)}; load=TORQUE in N m")
+        size = float(number)
+        if not math.isfinite(size) or (name != "load" and size <= 0.0):
+            raise ValueError(f"{text!r}: {number} is not a factor above 0")
+        return cls(name, size)
+
+    def key(self, axis: int) -> str:
+        """Name in the plant file."""
+        return PLANT_VALUES[self.name] if self.name == SUPPLY else f"{axis_name(axis)}.{PLANT_VALUES[self.name]}"
+
+    def place(self, axis: int) -> str:
+        """Name as an answer has it."""
+        return SUPPLY if self.name == SUPPLY else f"{axis_name(axis)} {self.name}"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a trial has shown.
+
+    Attributes
+    ----------
+    number : int
+    truth : str
+        What was changed, such as ``axis1 friction``; `NOTHING` if nothing was.
+    said : str
+        What the diagnosis said at the end.
+    delay : float or None
+        From the change until it was named, to stay [s]; None: it was not.
+    value : float
+        Estimate of the change, relative or [N m].
+    covered : bool
+        Whether its interval holds the truth.
+    false_alarms : tuple of str
+        What was said before the change.
+    seconds : float
+        Time without a change [s].
+    problem : str
+        Why the trial could not be run; empty if it could.
+    """
+
+    number: int
+    truth: str
+    said: str
+    delay: float | None
+    value: float
+    covered: bool
+    false_alarms: tuple[str, ...]
+    seconds: float
+    problem: str = ""
+
+
+def _said(findings: Sequence[Located]) -> str:
+    if not findings:
+        return NOTHING
+    if len(findings) > 1:
+        return "several places"
+    axis, finding = findings[0].axis, findings[0].finding
+    if finding.kind is Kind.SINGLE:
+        return finding.changes[0] if axis is None else f"{axis_name(axis)} {finding.changes[0]}"
+    return finding.kind.value
+
+
+@dataclass(frozen=True)
+class Trials:
+    """All trials of a run, to be run anywhere.
+
+    Attributes
+    ----------
+    plant : PlantConfig
+        Of the twin, and of the board before the change.
+    thresholds : Thresholds
+    changes : tuple of Change
+        One after the other, trial by trial; empty: nothing changes.
+    seed : int
+    seconds : float
+        After the change; without one of the whole trial [s].
+    loss : float
+        Part of the samples that do not arrive.
+    level : {"registers", "ideal"}
+    """
+
+    plant: PlantConfig
+    thresholds: Thresholds
+    changes: tuple[Change, ...]
+    seed: int
+    seconds: float
+    loss: float
+    level: Level
+
+    def run(self, number: int) -> Answer:
+        """One trial."""
+        seed = self.seed * 1_000_003 + number
+        draw = random.Random(f"trial {seed}")
+        change = self.changes[number % len(self.changes)] if self.changes else None
+        axis = draw.randrange(AXES)
+        truth = NOTHING if change is None else change.place(axis)
+        monitor = DiagnosisMonitor(self.plant, self.thresholds)
+        try:
+            with BoardPair(self.plant, self.plant, seed=seed, level=self.level, loss=self.loss) as pair:
+                pair.enable()
+                motion = Motion(pair, seed)
+                before = draw.uniform(*_BEFORE) if change is not None else self.seconds
+                _, alarms, _ = _follow(monitor, motion, before, pair)
+                if change is None:
+                    return Answer(number, truth, _said(monitor.findings()), None, 0.0, False, alarms, before)
+                key, old = change.key(axis), 0.0
+                if change.name != "load":
+                    part, _, entry = key.rpartition(".")
+                    old = getattr(self.plant.bus if part == "bus" else self.plant.axes[axis], entry)
+                pair.board.set_plant(key, old * change.size if old else change.size)
+                begin = pair.time
+                since, _, said = _follow(monitor, motion, self.seconds, pair)
+                right = said == truth
+                findings = monitor.findings()
+                true_value = change.size if change.name == "load" else change.size - 1.0
+                finding = findings[0].finding if right else None
+                return Answer(
+                    number,
+                    truth,
+                    said,
+                    since - begin if right else None,
+                    finding.value if finding else 0.0,
+                    finding is not None and finding.low <= true_value <= finding.high,
+                    alarms,
+                    before,
+                )
+        except SimulationError as error:
+            return Answer(number, truth, "", None, 0.0, False, (), 0.0, str(error))
+
+
+def _follow(
+    monitor: DiagnosisMonitor, motion: Motion, seconds: float, pair: BoardPair
+) -> tuple[float, tuple[str, ...], str]:
+    """Since when the last thing is said [s], all that was said on the way, and that last thing."""
+    said, since, all_said = _said(monitor.findings()), pair.time, []
+    for one in motion.run(seconds):
+        if monitor.update(one):
+            now = _said(monitor.findings())
+            if now != said:
+                said, since = now, pair.time
+                if now != NOTHING:
+                    all_said.append(f"{pair.time:.1f} s: {now}")
+    return since, tuple(all_said), said
+
+
+def confusion(answers: Sequence[Answer]) -> dict[str, Counter[str]]:
+    """How often what was said of each change, without the number of the axis where that is right."""
+    table: dict[str, Counter[str]] = {}
+    for answer in answers:
+        name = answer.truth.rpartition(" ")[2]
+        said = name if answer.said == answer.truth else answer.said
+        table.setdefault(name, Counter())[said] += 1
+    return table

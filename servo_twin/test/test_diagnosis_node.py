@@ -1,0 +1,72 @@
+"""What the twin's node says of a board that has changed, under real rclpy."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from test_twin_node import Rig
+
+from servo_msgs_py import topics
+
+pytestmark = pytest.mark.realtime
+
+TOPIC = "/twin/diagnosis"
+
+
+class DiagnosisRig(Rig):
+    """The same, listening to the diagnosis."""
+
+    def __init__(self, **parameters: object) -> None:
+        super().__init__(**parameters)
+        self._listen(TOPIC, DiagnosticArray, topics.latched_qos())
+        self._draw = random.Random(4)
+        self.board.up()
+
+    def moves(self, condition: Callable[[], bool], times: int = 40) -> bool:
+        """Move to and fro until a condition holds; False if it does not after so many moves."""
+        for _ in range(times):
+            self.board.move([self._draw.uniform(-8.0, 8.0), self._draw.uniform(-8.0, 8.0)], 0.5)
+            self.caught_up()
+            if condition():
+                return True
+        return False
+
+    def said(self, place: str) -> str:
+        """What was said last of a joint, or of the bus; empty if nothing was."""
+        statuses = [s for m in self.messages[TOPIC][-1:] for s in m.status if s.name.endswith(f"diagnosis {place}")]
+        return statuses[0].message if statuses else ""
+
+    def found(self, place: str, text: str) -> Callable[[], bool]:
+        """Condition that something is said."""
+        return lambda: text in self.said(place)
+
+
+def test_a_changed_friction_is_named(capfd: pytest.CaptureFixture[str]) -> None:
+    with DiagnosisRig() as rig:
+        assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
+        friction = rig.board.board.plant.axes[1].friction
+        rig.board.board.set_plant("axis2.friction", 2.0 * friction)
+        assert rig.moves(rig.found("axis2", "friction 2."))
+        assert rig.last("/twin/healthy") is False
+        assert "diagnosis: axis2: friction" in capfd.readouterr().err
+        assert rig.said("axis1") == rig.said("bus") == "nothing has changed"
+        levels = {s.name.rpartition(" ")[2]: s.level for s in rig.messages[TOPIC][-1].status}
+        assert levels == {"axis1": DiagnosticStatus.OK, "axis2": DiagnosticStatus.WARN, "bus": DiagnosticStatus.OK}
+        rig.board.board.set_plant("axis2.friction", friction)
+        assert rig.moves(rig.found("axis2", "nothing has changed"))
+        assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
+
+
+def test_the_twin_takes_over_what_has_changed() -> None:
+    with DiagnosisRig(adapt=True) as rig:
+        assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
+        before = rig.node._twin.synchronisations  # noqa: SLF001
+        rig.board.board.set_plant("axis1.inertia", 1.5 * rig.board.board.plant.axes[0].inertia)
+        assert rig.moves(lambda: rig.node._plant.axes[0].inertia > 1.1e-5)  # noqa: SLF001
+        assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
+        assert rig.said("axis1") == "nothing has changed"
+        assert rig.node._plant.axes[0].inertia == pytest.approx(1.2e-5, rel=0.03)  # noqa: SLF001
+        assert rig.node._twin.synchronisations == before  # noqa: SLF001

@@ -1,0 +1,217 @@
+"""Values of the plant that change while a board runs, at both levels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments.rig import TICK, choose_mode, command_speed
+from servo_twin.harm import BadContact, CurrentNoise, DryBearing, ShiftedDisc, WeakMagnet, WornShaft
+from servo_twin.level import Level
+from servo_twin.plant import PlantConfig, PlantError
+from servo_twin.simulation import enable
+
+LEVELS: list[Level] = ["ideal", "registers"]
+LOAD = 0.02  # [N m]: enough current for a resistance to show
+SPEED = 100.0  # [rad/s]
+CHANGES = {
+    "axis1.r_s": 1.2,
+    "axis1.psi_m": 0.0123,
+    "axis1.inertia": 2.0e-5,
+    "axis1.friction": 8.0e-3,
+    "axis1.load_torque": 0.01,
+    "bus.u_source": 21.0,
+}
+
+
+def seen(board: Board) -> dict[str, float]:
+    """What the firmware's signals say of the plant, each by its textbook equation, where the others are known."""
+    plant = board.plant.axes[0]
+    board.run(0.1)
+    held = board.si(board.record(board.time_ns + 100_000_000))
+    u_q, i_q = float(np.mean(held["axis1.u_q"])), float(np.mean(held["axis1.i_q"]))
+    command_speed(board, 0, SPEED + 60.0)
+    step = board.si(board.record(board.time_ns + 30_000_000))
+    command_speed(board, 0, SPEED)
+    torque = plant.torque_constant * (step["axis1.i_q"] - i_q)
+    speed = step["axis1.speed"]
+    emf = plant.pole_pairs * SPEED * plant.psi_m
+    return {
+        "axis1.r_s": (u_q - emf) / i_q,
+        "axis1.psi_m": (u_q - plant.r_s * i_q) / (plant.pole_pairs * SPEED),
+        "axis1.inertia": float(np.trapezoid(torque, dx=TICK) / (speed[-1] - speed[0])),
+        "axis1.friction": plant.torque_constant * i_q - board.plant.axes[0].load_torque,
+        "axis1.load_torque": plant.torque_constant * i_q - board.plant.axes[0].friction,
+        "bus.u_source": float(np.mean(held["u_dc"])),
+    }
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_is_what_the_drive_sees(name: str, level: Level) -> None:
+    plant = PlantConfig.load().with_value("axis1.load_torque", LOAD)
+    with Board(level=level, seed=3) as board:
+        enable(board)
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, SPEED)
+        board.set_plant("axis1.load_torque", LOAD)
+        before = seen(board)
+        board.set_plant(name, CHANGES[name])
+        assert board.plant == plant.with_value(name, CHANGES[name])
+        after = seen(board)
+    table = {"axis1": plant.axes[0], "bus": plant.bus}
+    part, _, value = name.partition(".")
+    change = CHANGES[name] - getattr(table[part], value)
+    # what the inverter loses to dead times and drops is in both
+    assert after[name] - before[name] == pytest.approx(change, rel=0.1)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_what_is_set_by_other_hands_stays_when_something_else_changes(level: Level) -> None:
+    with Board(level=level) as board:
+        board.set_load(0, 0.011)
+        board.set_supply(25.0)
+        board.set_plant("axis2.r_s", 0.5)
+        assert board.plant.axes[0].load_torque == 0.011
+        assert board.plant.bus.u_source == 25.0
+        board.lock_shaft(0)
+        board.run(0.3)
+        assert board.truth(0).u_dc == pytest.approx(25.0, abs=0.1)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_no_change_changes_no_bit(level: Level) -> None:
+    logs = []
+    for again in (False, True):
+        with Board(level=level, seed=5) as board:
+            enable(board)
+            choose_mode(board, 0, "SPEED")
+            command_speed(board, 0, 60.0)
+            board.run(0.05)
+            if again:
+                board.set_plant("axis1.r_s", board.plant.axes[0].r_s)
+            logs.append(board.record(board.time_ns + 50_000_000).tobytes())
+    assert logs[0] == logs[1]
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_noisy_sensor_outlives_a_change_and_heals_to_the_present_value(level: Level) -> None:
+    harm = CurrentNoise(0, 0.04)
+    spread = []
+    with Board(level=level) as board:
+        enable(board)
+        for step in ("whole", "harmed", "changed", "healed"):
+            if step == "harmed":
+                board.inject(harm)
+            elif step == "changed":
+                board.set_plant("axis1.i_noise", 0.0)
+            elif step == "healed":
+                board.heal(harm)
+            spread.append(float(np.std(board.si(board.record(board.time_ns + 30_000_000))["axis1.i_d"])))
+    whole, harmed, changed, healed = spread
+    assert harmed > 1.5 * whole
+    assert changed > 1.5 * whole
+    assert healed < 0.7 * whole
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("axis1.r_q", 1.0, "axis1.r_q: no number of the plant has this name; near are r_s"),
+        ("axis3.r_s", 1.0, "axis3.r_s: no number"),
+        ("axis1.r_s", 0.0, "axis1.r_s: r_s: 0.0 is not above 0"),
+        ("axis1.i_offset", 0.0, "axis1.i_offset: no number"),
+        ("axis1.pins", 0.0, "axis1.pins: no number"),
+        ("axis1.pole_pairs", 3.0, "axis1.pole_pairs: cannot change on a running board"),
+        ("pwm_frequency", 8000.0, "pwm_frequency: cannot change on a running board"),
+    ],
+)
+def test_what_cannot_change_says_so(name: str, value: float, text: str) -> None:
+    with Board(level="ideal") as board, pytest.raises(PlantError, match=text):
+        board.set_plant(name, value)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_damages_that_are_other_values(level: Level) -> None:
+    """Each is seen in the truth, several of one value add up, and healing leaves what there was."""
+    plant = PlantConfig.load().with_axis(0, load_inertia=1e-5, shaft_stiffness=50.0, backlash=1e-3)
+    axis = plant.axes[0]
+    with Board(plant, level=level) as board:
+        board.run(0.001)
+        whole = board.truth(0)
+        board.inject(WeakMagnet(0, 0.8))
+        board.inject(BadContact(0, 0.3))
+        board.inject(BadContact(0, 0.2))
+        assert board.truth(0).psi_m == pytest.approx(0.8 * axis.psi_m)
+        assert board.truth(0).r_s == pytest.approx(axis.r_s + 0.5)
+        board.set_plant("axis1.r_s", 0.7)  # the damage is on top of whatever there is
+        assert board.truth(0).r_s == pytest.approx(0.7 + 0.5)
+        assert board.plant == plant.with_value("axis1.r_s", 0.7)
+        board.heal(BadContact(0, 0.3))
+        assert board.truth(0).r_s == pytest.approx(0.7 + 0.2)
+        board.set_plant("axis1.r_s", axis.r_s)
+        board.heal()
+        assert (board.truth(0).r_s, board.truth(0).psi_m) == (whole.r_s, whole.psi_m)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_worn_shaft_has_more_play(level: Level) -> None:
+    plant = PlantConfig.load().with_axis(0, load_inertia=1e-5, shaft_stiffness=5.0, shaft_damping=0.01, backlash=0.01)
+    rest = []
+    with Board(plant, level=level) as board:
+        board.lock_shaft(0)
+        board.inject(WornShaft(0, 0.02))
+        for torque in (0.01, -0.01):
+            board.set_load(0, torque)
+            board.run(0.3)
+            rest.append(board.truth(0).theta_load)
+    assert rest[1] - rest[0] == pytest.approx(0.03 + 2.0 * 0.01 / 5.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_dry_bearing_takes_more_current(level: Level) -> None:
+    with Board(level=level, seed=1) as board:
+        enable(board)
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, SPEED)
+        before = seen(board)["axis1.friction"]
+        board.inject(DryBearing(0, 4.0))
+        after = seen(board)["axis1.friction"]
+        axis = board.plant.axes[0]
+    assert after - before == pytest.approx(3.0 * (axis.friction + axis.viscous * SPEED), rel=0.1)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
+    """A running shaft is shown up to the new error, without losing a count for good."""
+    with Board(PlantConfig.load().with_axis(0, theta_start=0.0), level=level) as board:
+        enable(board)
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, 20.0)
+        board.run(0.2)
+
+        def error() -> float:
+            board.run(0.001)
+            return board.read_raw("axis1.position")[0] * 2.0 * np.pi / 4000.0 - board.truth(0).theta_m
+
+        before = np.array([error() for _ in range(400)])
+        harm = ShiftedDisc(0, 0.02, 1.0)
+        board.inject(harm)
+        during = np.array([error() for _ in range(400)])
+        board.heal(harm)
+        after = np.array([error() for _ in range(400)])
+    assert np.ptp(during) == pytest.approx(0.04, rel=0.2)
+    assert np.mean(after) == pytest.approx(np.mean(before), abs=2.0 * np.pi / 4000.0)
+
+
+def test_damages_that_cannot_be_say_so() -> None:
+    with Board(level="ideal") as board:
+        for harm, text in (
+            (WornShaft(0, 0.01), "axis 0 has no second mass"),
+            (WeakMagnet(0, 1.5), "part 1.5 is not within 0 .. 1"),
+            (BadContact(0, -0.1), "resistance -0.1 is not"),
+            (ShiftedDisc(0, 0.5), "disc_eccentricity: 0.5 is not"),
+            (DryBearing(2, 1.0), "axis 2: a board has the axes 0 .. 1"),
+        ):
+            with pytest.raises((ValueError, IndexError), match=text):
+                board.inject(harm)
