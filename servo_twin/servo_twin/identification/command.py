@@ -108,7 +108,8 @@ def _run(args: argparse.Namespace) -> int:
     limits, axis = _limits(args, plant), args.axis - 1
     if args.recording is not None:
         try:
-            log, problem = MeasurementLog.load(args.recording), ""
+            log = MeasurementLog.load(args.recording)
+            problem = str(log.notes.get("problem", ""))
         except MeasurementError as error:
             raise SimulationError(str(error)) from None
         limits = Limits(**log.notes["limits"])
@@ -124,6 +125,7 @@ def _run(args: argparse.Namespace) -> int:
             prepare=functools.partial(_prepare, axis, args.load, args.locked),
             report=_say,
         )
+        log.notes["problem"] = problem
         log.save(args.out / "measurement.npz")
     result = identified(log, plant, problem, refined=not args.no_refinement, report=_say)
     return _write(args, result, plant, base, limits)
