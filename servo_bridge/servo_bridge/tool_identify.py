@@ -19,6 +19,7 @@ from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import UNITS, Limits
 from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.units import PERIOD_NS
 
 from servo_bridge.measurement_access import measurement_access
 from servo_bridge.tuning.block_session import BlockSession
@@ -86,20 +87,22 @@ def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str]:
             problem = ""
         except (MeasurementError, BlockRefusedError, AxisConfigError) as error:
             problem = str(error)
-        test.log.notes["seconds"] = access.read("tick")[0] - begin
+        test.log.notes["seconds"] = (access.read("tick")[0] - begin) * PERIOD_NS * 1e-9
     return test.log, problem
 
 
 def _base(context: Context) -> dict[str, Any]:
     """Parsed configuration that the rest is taken from."""
     if context.args.config is not None:
-        return tomllib.loads(context.args.config.read_text(encoding="utf-8"))
+        given: dict[str, Any] = tomllib.loads(context.args.config.read_text(encoding="utf-8"))
+        return given
     blocks = list(read_blocks(BlockSession(context.session)).values())
     variables = context.session.variables
     host, command = (
         numbers(context.session.read(variables[name]))[0] for name in ("param.host_timeout", "param.command_timeout")
     )
-    return tomllib.loads(file_of(blocks, (host, command), context.catalogue))
+    table: dict[str, Any] = tomllib.loads(file_of(blocks, (host, command), context.catalogue))
+    return table
 
 
 def _twin_installed() -> bool:

@@ -52,6 +52,9 @@ def configured(
     table = copy.deepcopy(dict(base))
     board, own = table["board"], table.setdefault(axis_name(axis), {})
     board["nominal_voltage"] = limits.voltage
+    own.pop("exact", None)  # raw numbers, of another motor
+    for group in (own, table.get("defaults", {})):
+        group.get("winding", {}).pop("thermal_resistance", None)  # follows from the rated current
     current = limits.current
     pairs, psi, inertia = motor["pole_pairs"], motor["psi_m"], motor["inertia"]
     reach = limits.voltage / math.sqrt(3.0) * board.get("voltage_use", 1.0)

@@ -38,7 +38,7 @@ from servo_msgs_py.tuning.configuration import Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import GAIN
 
-__all__ = ["MotorTest"]
+__all__ = ["PULSES", "TURN", "MotorTest"]
 
 TICK: Final = 0.5e-3  # [s]
 SAMPLES: Final = 1280
@@ -52,6 +52,9 @@ SWEEP: Final[Mapping[str, float]] = {"d": 0.28, "q": 0.2}
 """Amplitudes, parts of the current limit: the currents of all phases keep their signs."""
 SWEEPS: Final = 3
 VOLTAGE_USE: Final = 0.6  # part of the voltage that the resistance may take; the rest turns the rotor
+TURN: Final = "turn"
+PULSES: Final = "pulses"
+"""Stages that a simulation of the measurement may leave out: they begin and end at rest."""
 ROUNDS: Final = 7
 LOOP: Final = 400.0  # Hz, of the current loop once the inductance is known
 TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
@@ -151,6 +154,7 @@ class MotorTest:
             self._write_raw("param.faults_enabled", monitors & ~self._faults("PHASE_LOST", "CURRENT_SENSE"))
             self._spin()
         finally:
+            self.access.stage = ""
             self._off()
             send_configuration(self.access, {self.axis: block})
             for name, raw in saved.items():
@@ -226,6 +230,7 @@ class MotorTest:
 
     def _turn(self) -> None:
         self.report("turning the rotor: pole pairs, direction, flux")
+        self.access.stage = TURN
         self._write("cmd.i_q", self._current)
         self.access.wait(0.1)
         names = ("position", "test_angle", "u_d", "u_q", "i_d", "i_q")
@@ -245,12 +250,14 @@ class MotorTest:
         self._turn_at(0.0)
         self.access.wait(0.3)
         self.values.update(flux_of(self.log, self.values["l_d"].value, self.values["pole_pairs"].value))
+        self.access.stage = ""
         self._write("cmd.i_q", 0.0)
         self.access.wait(0.05)
         self._off()
 
     def _spin(self) -> None:
         self.report("torque pulses: first inertia")
+        self.access.stage = PULSES
         pairs, psi = round(self.values["pole_pairs"].value), self.values["psi_m"].value
         torque = 1.5 * pairs * psi * self.limits.current
         motor = {
@@ -267,6 +274,7 @@ class MotorTest:
         self._enable("SPIN", 8.0)
         inertia, coulomb = self._pulses(motor)
         self._off()
+        self.access.stage = ""
         motor |= {"inertia": inertia, "friction": min(max(coulomb, 0.0), 0.5 * torque)}
         self.report("running at several speeds")
         table = self._fitted(motor)
@@ -344,8 +352,8 @@ class MotorTest:
                 samples = int(seconds / TICK / every)
                 self._slow("speed", self._SPIN, samples, every, partial(self._write, "cmd.speed", speed))
                 self._slow("plain", self._PLAIN, round(PLAIN / TICK), 1)
-                # a current along the flux: the phase currents hardly come near zero, where dead time takes a voltage that
-                # is not known well; a slow sine does not step
+                # a current along the flux: the phase currents hardly come near zero, where dead time takes a voltage
+                # that is not known well; a slow sine does not step
                 self._signal(along, ALONG_FREQUENCY * PERIOD, 0.0, round(ALONG_TIME / PERIOD))
                 self._slow("hold", self._HELD, HOLD_SAMPLES, 2, partial(self._start_signal, "d"), trigger="test_point")
                 self.access.wait(max(ALONG_TIME - 2.0 * HOLD_SAMPLES * TICK, 0.0) + TICK)

@@ -9,7 +9,7 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import MeasurementError
@@ -21,9 +21,10 @@ from servo_twin.experiments.rig import positive
 from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.identification.files import draw, report_lines, write_estimates, write_plant, write_servo
 from servo_twin.identification.motors import random_motor
+from servo_twin.identification.refine import CLOSE
 from servo_twin.identification.session import Identified, identified, measure_virtual, tuned_table
 from servo_twin.identification.trials import Trials, summary
-from servo_twin.level import FAST_LEVEL, chosen_level
+from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
 from servo_twin.simulation import SimulationError
@@ -74,6 +75,11 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml for the rest (default: the firmware's)")
     parser.add_argument("--recording", type=Path, metavar="FILE", help="estimate from this measurement; nothing moves")
+    parser.add_argument(
+        "--model",
+        choices=get_args(Level),
+        help="how closely the refinement imitates the board (default: as the virtual board; of a recording registers)",
+    )
     parser.add_argument("--no-refinement", action="store_true", help="only the closed-form estimates")
     parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
     real = parser.add_argument_group("what is really there, on a virtual board")
@@ -127,7 +133,8 @@ def _run(args: argparse.Namespace) -> int:
         )
         log.notes["problem"] = problem
         log.save(args.out / "measurement.npz")
-    result = identified(log, plant, problem, refined=not args.no_refinement, report=_say)
+    model = args.model or (CLOSE if args.recording is not None else chosen_level(args.level, default=FAST_LEVEL))
+    result = identified(log, plant, problem, refined=not args.no_refinement, level=model, report=_say)
     return _write(args, result, plant, base, limits)
 
 

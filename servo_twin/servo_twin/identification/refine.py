@@ -20,6 +20,7 @@ from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.estimation import BAND, estimates_of
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog, repeat
+from servo_msgs_py.measurement.motor_test import PULSES, TURN
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
 from servo_msgs_py.measurement.standstill import spectra
 
@@ -50,7 +51,14 @@ MODEL_ERROR: Final[Mapping[str, float]] = {
 BATCH: Final = 4  # neighbouring samples whose residuals are not independent
 STEP: Final = 0.04
 """Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
-CORRECTIONS: Final = 3
+FRICTION_MIN: Final = 0.002  # of simulations, part of the torque of the current limit
+BIAS_ERROR: Final = 0.1
+"""Part of a bias that its correction may miss."""
+
+QUICK: Final[Level] = "ideal"
+CLOSE: Final[Level] = "registers"
+"""A board whose switching is simulated, too: its current converters sample the ripple, not the mean."""
+
 CURRENT_ERROR: Final = 1e-3
 """Standard uncertainty of a mean current: a quarter of a step of the converter [A]."""
 
@@ -144,12 +152,14 @@ def simulated(
     MeasurementError
         If it cannot be done.
     """
-    quiet = plant.with_axis(log.axis, i_noise=0.0, theta_start=0.0).with_bus(u_noise=0.0)
+    plant = plant.with_axis(log.axis, theta_start=0.0)
+    if level == QUICK:
+        plant = plant.with_axis(log.axis, i_noise=0.0).with_bus(u_noise=0.0)
     try:
-        with Board(quiet, seed=seed, level=level) as board:
+        with Board(plant, seed=seed, level=level) as board:
             board.set_load(log.axis, load)
             board.run(float(log.notes.get("boot", 0.05)))
-            return repeat(log, VirtualBoardAccess(board))
+            return repeat(log, VirtualBoardAccess(board), (TURN, PULSES))
     except BoardError as error:
         raise MeasurementError(f"the simulation has failed: {error}") from None
 
@@ -208,16 +218,16 @@ class _Difference:
             key = f"{self._name}.{part.column}"
             there, here = self._log.recordings[part.number].columns[key], shown[part.number].columns[key]
             if part.label == "speed":
-                here = self._aligned(part.number, shown[part.number], here)
+                here = self._aligned(part.number, shown[part.number], here, there)
             result.append((part, part.means((here - there)[part.usable])))
         return result
 
-    def _aligned(self, number: int, shown: Recording, column: Floats) -> Floats:
-        """A simulated column, moved to where the set-point has changed in the measured recording."""
+    def _aligned(self, number: int, shown: Recording, column: Floats, measured: Floats) -> Floats:
+        """A simulated column, moved to where the measured set-point changes; before that the measured one."""
         key = f"{self._name}.speed_ref"
         late = _half_way(self._log.recordings[number].columns[key]) - _half_way(shown.columns[key])
         at = np.arange(column.size, dtype=np.float64)
-        moved: Floats = np.interp(at - late, at, column)
+        moved: Floats = np.where(at < late, measured, np.interp(at - late, at, column))
         return moved
 
     def _sweeps(self, shown: Sequence[Recording]) -> list[tuple[str, Floats]]:
@@ -243,14 +253,14 @@ class _Difference:
                 sigma = _usual(np.diff(values)) / math.sqrt(2.0)
             else:
                 # of the difference: what both do alike is no noise
-                key = f"{self._name}.{part.column}"
-                there, here = self._log.recordings[part.number].columns[key], shown[part.number].columns[key]
+                column = f"{self._name}.{part.column}"
+                there, here = self._log.recordings[part.number].columns[column], shown[part.number].columns[column]
                 _, sigma = mean_of((here - there)[part.usable])
             noise.setdefault((part.label, part.column), []).append(sigma)
         for key, sigmas in noise.items():
             self._sigma[key] = max(float(np.median(sigmas)), _LEAST[key])
-        for key_, values in self._sweeps(shown):
-            self._sigma["sweep", key_] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
+        for name, values in self._sweeps(shown):
+            self._sigma["sweep", name] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
 
     def vector(self, shown: Sequence[Recording]) -> Floats:
         plain = [values / self._sigma[part.label, part.column] for part, values in self._raw(shown)]
@@ -300,7 +310,11 @@ def _usual(differences: Floats) -> float:
 
 
 def refine(
-    log: MeasurementLog, first: MotorEstimates, plant: PlantConfig, report: Callable[[str], None] = lambda text: None
+    log: MeasurementLog,
+    first: MotorEstimates,
+    plant: PlantConfig,
+    level: Level = CLOSE,
+    report: Callable[[str], None] = lambda text: None,
 ) -> Refinement:
     """Values of the motor from all recordings together.
 
@@ -312,8 +326,10 @@ def refine(
         Closed-form estimates.
     plant : PlantConfig
         For all that is not estimated: bus, sensors.
+    level : {"registers", "ideal"}
+        The close model: how the measured board is to be imitated. Derivatives come from the quick one.
     report : callable, optional
-        Gets a line for each iteration.
+        Gets a line.
 
     Raises
     ------
@@ -330,7 +346,8 @@ def refine(
     scale["viscous"] = max(scale.get("viscous", 0.0), 0.5 * scale["friction"] / top)
     scale["load"] = scale["friction"]
     base = plant.with_bus(u_source=limits["voltage"])
-    start = _corrected(log, start, base, names)
+    corrected = _corrected(log, start, base, names, level)
+    start = corrected.values
     difference = _Difference(log)
     shown: dict[bytes, list[Recording]] = {}
 
@@ -360,10 +377,17 @@ def refine(
         return np.where(depends, np.column_stack(columns), 0.0)
 
     x = np.zeros(len(names))
-    before = difference.rms(show(x))
+    before = difference.rms(corrected.close)
     difference.weigh(show(x))
+    # what the close model shows beyond the quick one
+    beyond = difference.vector(corrected.close) - difference.vector(corrected.quick)
+
+    def vector(y: Floats) -> Floats:
+        result: Floats = difference.vector(show(y)) + beyond
+        return result
+
     result = least_squares(
-        lambda y: difference.vector(show(y)),
+        vector,
         x,
         jac=jacobian,
         max_nfev=ITERATIONS,
@@ -373,16 +397,24 @@ def refine(
     )
     x = np.asarray(result.x, dtype=np.float64)
     report(f"refined by simulation: {', '.join(f'{name} {values_of(x)[name]:.4g}' for name in names)}")
-    residual = difference.vector(show(x))
-    covariance = _covariance(np.asarray(result.jac), residual, difference.batches)
+    covariance = _covariance(np.asarray(result.jac), vector(x), difference.batches)
     floor = _floor(start, top)
     found = dict(first.values)
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
         sigma = math.sqrt(max(covariance[k, k], 0.0)) * scale[name]
-        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
-    after = difference.rms(show(x))
-    return Refinement(MotorEstimates(found, first.undetermined), before, after, show(x))
+        found[name] = Estimate(
+            value,
+            math.hypot(
+                sigma,
+                MODEL_ERROR.get(name, 0.0) * value,
+                floor.get(name, 0.0),
+                BIAS_ERROR * (start[name] - first.values[name].value),
+            ),
+        )
+    final = values_of(x)
+    shown_close = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
+    return Refinement(MotorEstimates(found, first.undetermined), before, difference.rms(shown_close), shown_close)
 
 
 def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
@@ -391,28 +423,56 @@ def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
     return {"friction": torque, "load": torque, "viscous": torque / top}
 
 
+@dataclass(frozen=True)
+class _Start:
+    """Where the minimisation begins.
+
+    Attributes
+    ----------
+    values : dict
+        Estimates without their bias.
+    close, quick : list of Recording
+        What the close and the quick model show at about these values; what they differ by is added to the quick one.
+    """
+
+    values: dict[str, float]
+    close: list[Recording]
+    quick: list[Recording]
+
+
 def _corrected(
-    log: MeasurementLog, first: Mapping[str, float], plant: PlantConfig, names: Sequence[str]
-) -> dict[str, float]:
+    log: MeasurementLog, first: Mapping[str, float], plant: PlantConfig, names: Sequence[str], level: Level
+) -> _Start:
     """Estimates without their bias: what the same estimators make of a simulation with them shows it."""
-    values = dict(first)
-    limits = log.notes["limits"]
-    for _ in range(CORRECTIONS):
-        shown = simulated(log, plant_of(plant, log.axis, values, limits), values.get("load", 0.0))
-        again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(shown, log.recordings)))
+    values, limits = dict(first), log.notes["limits"]
+
+    def show(at: Level) -> list[Recording]:
+        return simulated(log, plant_of(plant, log.axis, values, limits), values.get("load", 0.0), at)
+
+    close: list[Recording] = []
+    # without friction a simulated shaft would swing about the vector for ever
+    least = FRICTION_MIN * 1.5 * first["pole_pairs"] * first["psi_m"] * limits["current"]
+    values["friction"], values["viscous"] = max(values["friction"], least), max(values["viscous"], 0.0)
+    begun = dict(values)
+    for at in (QUICK, level, level, level):
+        begun = dict(values)
+        close = show(at)
+        again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(close, log.recordings)))
         for name in names:
             if name not in again.values:
-                raise MeasurementError(
-                    f"{name} of a simulation cannot be estimated: {again.undetermined.get(name, '')}"
-                )
+                reason = again.undetermined.get(name, "")
+                raise MeasurementError(f"{name} of a simulation cannot be estimated: {reason}")
             seen = again.values[name].value
             if name in ("load", "viscous", "friction"):
                 values[name] += first[name] - seen
             else:
                 values[name] *= min(max(first[name] / seen, 0.8), 1.25) if seen > 0.0 else 1.0
-        for name in ("viscous", "friction"):
-            values[name] = max(values.get(name, 0.0), 0.0)
-    return values
+        values["friction"], values["viscous"] = max(values["friction"], least), max(values["viscous"], 0.0)
+    if level == QUICK:
+        return _Start(values, close, close)
+    values, refined = begun, values
+    quick = show(QUICK)
+    return _Start(refined, close, quick)
 
 
 def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Recording]:

@@ -21,7 +21,7 @@ from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_twin.board import Board, SimulationError
 from servo_twin.board_access import VirtualBoardAccess
-from servo_twin.identification.refine import Refinement, refine
+from servo_twin.identification.refine import CLOSE, Refinement, refine
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
@@ -121,6 +121,7 @@ def identified(
     problem: str = "",
     *,
     refined: bool = True,
+    level: Level = CLOSE,
     report: Report = lambda text: None,
 ) -> Identified:
     """Estimates from a measurement, and whether they can be believed.
@@ -131,13 +132,15 @@ def identified(
         Why the measurement has ended early.
     refined : bool
         Whether they are refined by simulation.
+    level : {"registers", "ideal"}
+        Of the boards that are simulated for that.
     """
     first = estimates_of(log)
     problems = [problem] if problem else []
     refinement = None
     if refined and not problem and not first.undetermined:
         try:
-            refinement = refine(log, first, plant, report)
+            refinement = refine(log, first, plant, level, report)
         except (MeasurementError, np.linalg.LinAlgError) as error:
             problems.append(f"the refinement has failed: {error}")
     estimates = refinement.estimates if refinement is not None else first

@@ -88,7 +88,7 @@ class Trials:
         plant = random_motor(self.plant, self.axis, seed)
         truth = plant.axes[self.axis]
         log, problem = measure_virtual(plant, self.axis, self.limits, self.base, level=self.level, seed=seed)
-        result = identified(log, self.plant, problem)
+        result = identified(log, self.plant, problem, level=self.level)
         errors, covered = {}, {}
         for name in (*AIMS, "viscous", "pole_pairs"):
             if name in result.estimates.values:
