@@ -9,6 +9,8 @@ speeds under control: friction, load, inertia, and flux again. Sub-states, limit
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -17,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults, send_configuration
 from servo_msgs_py.measurement.estimation import (
@@ -61,6 +63,7 @@ TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
 TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
 """Tried in this order until the rotor follows."""
 TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
+REST_MAX: Final = 6.0  # until a shaft without current stands [s]
 PULSE: Final = 0.5  # part of the current limit
 SPEEDS: Final = (0.3, 0.6, 1.0)
 SEARCHED: Final = 0.5
@@ -118,6 +121,7 @@ class MotorTest:
         self.access = LoggedAccess(access, self.log)
         self.axis, self.limits, self.base, self.report = axis, limits, base, report
         self.name = axis_name(axis)
+        self.log.notes["limits"] = dataclasses.asdict(limits)
         self.values: dict[str, Estimate] = {}
         self._current = limits.current  # largest, less where the resistance takes too much voltage [A]
         self._turns_at = 0.0  # electrical speed of the vector [rad/s]
@@ -140,9 +144,6 @@ class MotorTest:
         timeout = self.access.read_words("param.command_timeout")
         self._check()
         self.access.write("param.command_timeout", [0.0])
-        self.log.notes["limits"] = {
-            name: getattr(self.limits, name) for name in ("voltage", "current", "speed", "turns", "energy", "r_on")
-        }
         monitors = saved["param.faults_enabled"]
         try:
             # they judge voltages by a resistance and current controllers that are not known yet
@@ -155,8 +156,9 @@ class MotorTest:
             self._spin()
         finally:
             self.access.stage = ""
-            self._off()
-            send_configuration(self.access, {self.axis: block})
+            with contextlib.suppress(MeasurementError, BlockRefusedError):  # what has gone wrong before is the reason
+                self._off()
+                send_configuration(self.access, {self.axis: block})
             for name, raw in saved.items():
                 self.access.write_words(name, [raw], self.axis)
             self.access.write_words("param.command_timeout", timeout)
@@ -171,6 +173,8 @@ class MotorTest:
                 f"the bus has {volts:.3g} V, and {self.limits.voltage:g} V were named: correct --voltage, or the supply"
             )
         refuse_faults(self.access, self.axis)
+        if abs(self._read("speed")) > 0.5:
+            raise MeasurementError("the shaft turns before the test begins: take the load off, or balance it")
 
     def _standstill(self) -> None:
         current = self._current
@@ -492,15 +496,25 @@ class MotorTest:
         raise MeasurementError(f"{self.name} did not come to {substate} within {seconds:g} s: is the board in order?")
 
     def _off(self) -> None:
-        """Outputs off, and the shaft at rest."""
+        """Outputs off, and the shaft at rest.
+
+        Raises
+        ------
+        MeasurementError
+            If it does not come to rest.
+        """
         self._write_raw("cmd.enable", 0)
         stop = self.access.catalogue.enums["state_t"]["STOP"]
         fault = self.access.catalogue.enums["state_t"]["FAULT"]
-        for _ in range(400):
+        for _ in range(round(REST_MAX / 0.02)):
             self.access.wait(0.02)
             if self._read("state") in (stop, fault) and abs(self._read("speed")) < 0.5:
-                break
-        self.access.wait(0.1)
+                self.access.wait(0.1)
+                return
+        raise MeasurementError(
+            f"with its outputs off the shaft does not come to rest within {REST_MAX:g} s: something turns it; take the"
+            " load off, or balance it"
+        )
 
     def _stand(self, seconds: float) -> None:
         for _ in range(round(seconds / 0.02)):

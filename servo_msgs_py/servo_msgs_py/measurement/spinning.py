@@ -117,7 +117,7 @@ def _bridged(column: Floats) -> Floats:
     if not missing.any() or missing.all():
         return column
     at = np.arange(column.size)
-    result = column.copy()
+    result: Floats = column.copy()
     result[missing] = np.interp(at[missing], at[~missing], column[~missing])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
     for first, end in zip(edges[::2], edges[1::2], strict=True):

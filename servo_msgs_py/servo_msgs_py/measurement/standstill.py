@@ -201,4 +201,5 @@ def _mean_of_repetitions(columns: Sequence[Floats]) -> Floats:
     if not there.any():
         raise MeasurementError("all samples of a test signal are missing: measure again")
     means = np.where(usable, table, 0.0).sum(axis=0)[there] / counts[there]
-    return np.interp(at, at[there], means)
+    bridged: Floats = np.interp(at, at[there], means)
+    return bridged
