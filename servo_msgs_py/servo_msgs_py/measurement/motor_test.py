@@ -451,16 +451,16 @@ class MotorTest:
         to = scales.i / scales.u_s
         raw = {"kp": round(math.ldexp(kp * to, 24)), "ki": max(round(math.ldexp(ki * PERIOD * to, 24)), 1)}
         most = GAIN.high // 4
-        exact = {f"current_loop.{axis}.{gain}": min(value, most) for axis in "dq" for gain, value in raw.items()}
-        control = {"speed_bandwidth": 5.0, "position_gain": 3.0, "observer_bandwidth": 5.0}  # not used here
-        self._send(configured(self.base, self.axis, self.limits, NOMINAL, exact=exact, control=control))
+        gains = {f"current_loop.{axis}.{gain}": min(value, most) for axis in "dq" for gain, value in raw.items()}
+        self._send(configured(self.base, self.axis, self.limits, NOMINAL), gains)
         if not live:
             self._features()
             self._write("param.i_q_limit", self.limits.current)
 
-    def _send(self, table: Mapping[str, Any]) -> None:
+    def _send(self, table: Mapping[str, Any], members: Mapping[str, int] | None = None) -> None:
+        """Let the board take a configuration, with some members of the block replaced."""
         try:
-            block = tuned_axis(table, self.axis).block
+            block = {**tuned_axis(table, self.axis).block, **(members or {})}
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
         AxisConfigTable.load().check(block)
