@@ -22,7 +22,7 @@ TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeou
 REALTIME := -n 1 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout 120 -o faulthandler_timeout=180
 # The pytest of Ubuntu 24.04, which `colcon test` has to do with there.
 UBUNTU_PYTEST := $(VENV)/pytest-7.4
-# Tests publish commands: they keep away from the nodes of whoever runs them.
+# Tests publish commands: a domain of their own keeps them away from other nodes.
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 90 + 10 )))
 
 NATIVE := $(shell find firmware servo_twin/native -name '*.[ch]') servo_twin/setup.py \

@@ -116,7 +116,7 @@ def test_casts_are_found_in_code_only(tmp_path: Path) -> None:
             r"period \d+ \(\d+\.\d\d ms\), m[12]: axis[12] duty \d+ \d+ \d+, recorded axis[12] duty \d+ \d+ \d+",
         ),
         (
-            "drive/watch.h",
+            "drive/monitors.h",
             " || hal_break_active(axis->hal, axis->index)",
             "",
             r"period \d+ \(\d+\.\d\d ms\), m[12]: left 1 inputs than were recorded",
@@ -162,7 +162,7 @@ def test_a_compiler_that_refuses_is_reported(c_sources: Sources, recordings: lis
 
 
 def test_recorder_knows_every_function_of_the_board(c_sources: Sources, tmp_path: Path) -> None:
-    """A function of the board that nobody records could not be replayed."""
+    """A function of the board that is not recorded could not be replayed."""
     sources = edited(
         c_sources,
         tmp_path / "copy",

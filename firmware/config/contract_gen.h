@@ -177,7 +177,7 @@ typedef enum {
 #define FAULT_ENABLE_INPUT UINT32_C(0x00800000) /* the enable input has opened while the axis was enabled; the hardware has opened the switches */
 #define FAULT_LIMIT_SWITCH UINT32_C(0x01000000) /* a limit switch was reached in motion, or its wire is cut */
 
-#define FAULTS_ALWAYS UINT32_C(0x00D8701F) /* nobody can switch them off */
+#define FAULTS_ALWAYS UINT32_C(0x00D8701F) /* cannot be switched off */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */

@@ -100,7 +100,7 @@ class Bench:
         core.lib.servo_init(self.servo, self.hal)
         self.servo.parameter.command_timeout = 0  # set-points stand until the next one
         for axis in range(2):
-            # No current flows on this board, whatever the voltage: a lost phase, if anybody looked.
+            # No current flows on this board, whatever the voltage: a lost phase, if it were monitored.
             self.servo.parameter.faults_enabled[axis] = ALL_FAULTS & ~PHASE_LOST
 
     # ---- time ----------------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->left_out = 0;
     chip->stalled_ns = 0;
     chip->served_ns = 0;
-    for (int i = 0; i < HAL_MONITORS; i++) {
+    for (int i = 0; i < HAL_ANALOG_OUTS; i++) {
         chip->monitor[i] = 0;
     }
 }
@@ -99,7 +99,7 @@ PLANT_INLINE adc_pair_t codes_of(const hal_t *chip, int i, const plant_samples_t
 
 static bool awake(const hal_t *chip) { return chip->now_ns >= chip->stalled_ns; }
 
-/* Nobody has served it: the board starts anew. What is outside of the chip goes on. */
+/* It was not served: the board starts anew. What is outside of the chip goes on. */
 static void watch_dog(hal_t *chip)
 {
     if (chip->now_ns - chip->served_ns <= WATCHDOG_NS) {
@@ -304,7 +304,7 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
     plant_pins_power(&hal->plant.axis[axis].pins, release, seconds(hal));
 }
 
-void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
 void hal_duties_done(hal_t *hal, uint16_t axis)
 {

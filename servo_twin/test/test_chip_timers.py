@@ -346,7 +346,7 @@ WATCHED = ("TMRA0_CNTR", "TMRA0_CAPT", "TMRA0_SCTRL", "TMRA0_CSCTRL", "TMRA1_CAP
 
 
 class TestPatience:
-    """Edges that only count may be handed over late, and nobody sees a difference."""
+    """Edges that only count may be handed over late, without a visible difference."""
 
     @staticmethod
     def edges(chance: random.Random, start: int, count: int) -> list[tuple[int, str, bool]]:

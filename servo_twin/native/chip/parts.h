@@ -217,7 +217,7 @@ void adc_sync(chip_t *chip, unsigned converter);
 void qtmr_gates_changed(chip_t *chip);
 void qtmr_input(chip_t *chip, unsigned module, unsigned input, bool level, uint64_t clock); /* past, if it is patient */
 void qtmr_pulse(chip_t *chip, unsigned module, unsigned input);
-void qtmr_catch_up(chip_t *chip); /* with all edges up to the present clock, before anybody looks at them */
+void qtmr_catch_up(chip_t *chip); /* with all edges up to the present clock, before they are read */
 
 /* ---- pins and gates --------------------------------------------------------------------------------------------------- */
 

@@ -1,4 +1,4 @@
-/* pwm_parts.h - what the parts of the PWM share; nobody else includes it. */
+/* pwm_parts.h - what the parts of the PWM share; included there only. */
 #ifndef CHIP_PWM_PARTS_H
 #define CHIP_PWM_PARTS_H
 

@@ -216,14 +216,14 @@ static void settle_all(chip_t *chip, qtmr_t *timer)
     FOR_EACH(n, timer->on_bus) { settle(chip, timer, n); }
 }
 
-/* A channel on the bus clock whose compares nobody hears of has no events. */
+/* A channel on the bus clock whose compares have no consequence has no events. */
 static bool has_events(const qtmr_channel_t *c)
 {
     return (c->sctrl & (SCTRL_TCFIE | SCTRL_TOFIE)) != 0 || (c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0 ||
            CTRL_OUTMODE(c->ctrl) != OUT_ACTIVE || (c->ctrl & CTRL_ONCE) != 0;
 }
 
-/* The next event of the channels whose events somebody hears of. */
+/* The next event of the channels whose events have a consequence. */
 NOINLINE static uint64_t next_heard(chip_t *chip, qtmr_t *timer)
 {
     FOR_EACH(n, timer->heard) { settle(chip, timer, n); }

@@ -1,6 +1,6 @@
 /* qtmr.h - quad timers A and B: four channels each, which share four inputs.
  *
- * Channels that count the bus clock are functions of time, brought up to date when somebody looks or when one of their
+ * Channels that count the bus clock are functions of time, brought up to date when they are read or when one of their
  * events has a consequence. Channels that count edges are stepped by them. While a module has deferrable edges these only
  * count: it may hear of them late, and what waits behind its filters is no event.
  */

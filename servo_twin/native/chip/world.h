@@ -1,6 +1,6 @@
 /* world.h - what the chip's pins are soldered to, and the software that its core runs.
  *
- * The chip calls these functions and includes nothing of plant and firmware. Whoever links the chip defines them, the
+ * The chip calls these functions and includes nothing of plant and firmware. The program that links the chip defines them, the
  * board or a test; `world` is what it has given to chip_init.
  */
 #ifndef CHIP_WORLD_H
