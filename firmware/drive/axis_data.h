@@ -66,9 +66,10 @@ typedef struct {
 /* A set-point of the mode has just been written. */
 static inline bool axis_set_point_fresh(const axis_command_t *command)
 {
-    const uint16_t own =
-        (command->mode == CONTROL_MODE_TEST) ? (FRESH_SPEED | FRESH_I_Q) : (uint16_t)(FRESH_POSITION << command->mode);
-    return (command->fresh & own) != 0U;
+    if (command->mode == CONTROL_MODE_TEST) {
+        return (command->fresh & (FRESH_SPEED | FRESH_I_Q)) != 0U;
+    }
+    return (command->fresh & (FRESH_POSITION << command->mode)) != 0U;
 }
 
 typedef struct {
