@@ -38,10 +38,10 @@ REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous"
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
     "r_s": 0.004,
-    "l_d": 0.002,
+    "l_d": 0.0015,
     "l_q": 0.002,
     "psi_m": 0.004,
-    "inertia": 0.006,
+    "inertia": 0.005,
     "friction": 0.02,
     "viscous": 0.02,
     "dead_voltage": 0.003,
