@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -12,13 +13,13 @@ from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
-from servo_msgs_py.measurement.spinning import balance, flux, friction, steady_of, torque_of
+from servo_msgs_py.measurement.spinning import balance, flux, friction, second_half, steady_of, torque_of
 from servo_msgs_py.measurement.standstill import Ohmic, impedance, ohmic
 from servo_msgs_py.measurement.turning import sensor_errors, turning
 
 __all__ = [
     "BAND",
-    "HOLD",
+    "PLAIN",
     "estimates_of",
     "flux_of",
     "follows",
@@ -31,8 +32,8 @@ __all__ = [
 BAND: Final = {"d": (400.0, 2500.0), "q": (700.0, 2500.0)}
 """Frequencies that inductances are taken from [Hz]; below, the rotor gives way to a current across the vector."""
 
-HOLD: Final = 0.31
-"""Time at each speed [s]."""
+PLAIN: Final = 0.45
+"""Time at each speed without a current along the flux [s]."""
 
 FLUX_FIRST: Final = 0.1
 """Relative uncertainty of the flux of a turning vector: what dead time and drops do to it is not known."""
@@ -131,18 +132,19 @@ def running_of(log: MeasurementLog, known: dict[str, Estimate], direct: Ohmic) -
     """``psi_m``, friction, ``load`` and ``inertia`` from runs at several speeds."""
     name = axis_name(log.axis)
     runs = log.labelled("speed")
-    points = [steady_of(run, name) for run in log.labelled("hold")]
-    if len(points) < 4:
-        raise MeasurementError(f"{len(points)} runs do not determine flux and friction: measure again")
+    held = [steady_of(second_half(run), name) for run in log.labelled("hold")]
+    plain = [steady_of(run, name) for run in log.labelled("plain")]
+    if len(held) < 4 or len(plain) < 4:
+        raise MeasurementError(f"{len(held)} runs do not determine flux and friction: measure again")
     pairs, l_d, l_q = round(known["pole_pairs"].value), known["l_d"].value, known["l_q"].value
-    psi = flux(points, pairs, direct, float(log.notes["limits"]["voltage"]), l_d, l_q, known["delay"].value)
-    i_d, i_q = (np.array([getattr(point, key).value for point in points]) for key in ("i_d", "i_q"))
+    psi = flux(held, pairs, direct, float(log.notes["limits"]["voltage"]), l_d, l_q, known["delay"].value)
+    i_d, i_q = (np.array([getattr(point, key).value for point in plain]) for key in ("i_d", "i_q"))
     torque = torque_of(i_d, i_q, pairs, psi.value, l_d, l_q)
-    sigma = 1.5 * pairs * psi.value * np.array([point.i_q.sigma for point in points])
-    acceleration = np.array([point.acceleration for point in points])
+    sigma = 1.5 * pairs * psi.value * np.array([point.i_q.sigma for point in plain])
+    acceleration = np.array([point.acceleration for point in plain])
     inertia = Estimate(0.0, 0.0)
     for _ in range(3):  # each needs a little of the other
-        parts = friction(points, torque - inertia.value * acceleration, sigma)
+        parts = friction(plain, torque - inertia.value * acceleration, sigma)
         taken = parts["friction"].value, parts["viscous"].value, parts["load"].value
         inertia, _ = balance(runs, name, (pairs, psi.value, l_d, l_q), taken)
     # torque is measured in terms of the flux
@@ -160,8 +162,7 @@ def estimates_of(log: MeasurementLog) -> MotorEstimates:
     values: dict[str, Estimate] = {}
     undetermined: dict[str, str] = {}
 
-    def attempt(names: str, make: object) -> bool:
-        assert callable(make)
+    def attempt(names: str, make: Callable[[], Mapping[str, Estimate]]) -> bool:
         try:
             values.update(make())
         except MeasurementError as error:
@@ -174,13 +175,17 @@ def estimates_of(log: MeasurementLog) -> MotorEstimates:
         winding = Estimate(found.resistance.value - r_on, found.resistance.sigma)
         return {"r_s": winding, "dead_voltage": found.lost}
 
-    total = lambda: Estimate(values["r_s"].value + r_on, values["r_s"].sigma)  # noqa: E731
     if not attempt("r_s dead_voltage", standstill):
         return MotorEstimates(values, undetermined)
-    attempt("l_d l_q delay", lambda: inductances_of(log, total().value))
+    total = values["r_s"].value + r_on
+    attempt("l_d l_q delay", lambda: inductances_of(log, total))
     if "l_d" not in values:
         return MotorEstimates(values, undetermined)
-    if attempt("pole_pairs gain_ratio", lambda: turning_of(log, total().value)):
+    if attempt("pole_pairs gain_ratio", lambda: turning_of(log, total)):
         attempt("psi_m", lambda: flux_of(log, values["l_d"].value, values["pole_pairs"].value))
         attempt("psi_m friction viscous load inertia", lambda: running_of(log, values, resistance_of(log)))
+    else:  # a rotor that is held has not come to the vector either
+        for name in ("l_d", "l_q"):
+            values.pop(name)
+            undetermined[name] = "the rotor does not follow a current vector: it may lie at any angle to it"
     return MotorEstimates(values, undetermined)

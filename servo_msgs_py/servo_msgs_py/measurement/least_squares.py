@@ -47,7 +47,7 @@ def fit_linear(columns: Floats, y: Floats, sigma: Floats | None = None) -> tuple
     """
     weight = np.ones_like(y) if sigma is None else 1.0 / sigma
     a, b = columns * weight[:, None], y * weight
-    x, *_ = np.linalg.lstsq(a, b, rcond=None)
+    x: Floats = np.linalg.lstsq(a, b, rcond=None)[0].astype(np.float64)
     free = max(y.size - x.size, 1)
     variance = float(((b - a @ x) ** 2).sum()) / free
     scale = variance if sigma is None else max(variance, 1.0)
@@ -85,7 +85,7 @@ def fit_nonlinear(residual: Callable[[Floats], Floats], start: Floats, scale: Fl
             trial = x + step * scale
             r_trial = residual(trial)
             if np.isfinite(r_trial).all() and r_trial @ r_trial <= r @ r:
-                improved = (r @ r - r_trial @ r_trial) > 1e-10 * (r @ r)
+                improved = bool((r @ r - r_trial @ r_trial) > 1e-10 * (r @ r))
                 x, r, damping = trial, r_trial, damping / 5.0
                 break
             damping *= 5.0

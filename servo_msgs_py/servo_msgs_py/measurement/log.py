@@ -7,7 +7,7 @@ column per variable. A missing sample is NaN.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording
+from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, step_of
 
 __all__ = ["Call", "LoggedAccess", "MeasurementLog", "repeat"]
 
@@ -36,12 +36,15 @@ class Call:
         What ``start`` of a recording has called.
     label : str
         What a recording is for.
+    stage : str
+        Part of the measurement.
     """
 
     kind: str
     arguments: tuple[Any, ...]
     inner: tuple[Call, ...] = ()
     label: str = ""
+    stage: str = ""
 
 
 @dataclass
@@ -129,7 +132,7 @@ def _seconds(call: Call) -> float:
     inner = sum(map(_seconds, call.inner))
     if call.kind == "record":
         _, samples, every, slow, _ = call.arguments
-        return max(inner, samples * every * (0.5e-3 if slow else 62.5e-6))
+        return max(inner, float(samples * step_of(every, slow)))
     return inner
 
 
@@ -139,12 +142,14 @@ def _as_json(call: Call) -> dict[str, Any]:
         result["inner"] = [_as_json(one) for one in call.inner]
     if call.label:
         result["label"] = call.label
+    if call.stage:
+        result["stage"] = call.stage
     return result
 
 
 def _of_json(entry: Mapping[str, Any]) -> Call:
     inner = tuple(_of_json(one) for one in entry.get("inner", ()))
-    return Call(entry["kind"], tuple(entry["arguments"]), inner, entry.get("label", ""))
+    return Call(entry["kind"], tuple(entry["arguments"]), inner, entry.get("label", ""), entry.get("stage", ""))
 
 
 class LoggedAccess(BoardAccess):
@@ -156,11 +161,17 @@ class LoggedAccess(BoardAccess):
         The board.
     log : MeasurementLog
         Where to write it.
+
+    Attributes
+    ----------
+    stage : str
+        Part of the measurement that is made now.
     """
 
     def __init__(self, access: BoardAccess, log: MeasurementLog) -> None:
         self._access = access
         self.log = log
+        self.stage = ""
         self._calls = log.calls
 
     @property
@@ -171,11 +182,11 @@ class LoggedAccess(BoardAccess):
         return self._access.read_words(name)
 
     def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        self._calls.append(Call("write", (name, [int(word) for word in words], first)))
+        self._calls.append(Call("write", (name, [int(word) for word in words], first), stage=self.stage))
         return self._access.write_words(name, words, first)
 
     def wait(self, seconds: float) -> None:
-        self._calls.append(Call("wait", (seconds,)))
+        self._calls.append(Call("wait", (seconds,), stage=self.stage))
         self._access.wait(seconds)
 
     def capacity(self, names: Sequence[str]) -> int:
@@ -205,7 +216,8 @@ class LoggedAccess(BoardAccess):
         trigger: str | None = None,
     ) -> Recording:
         """As `record`, with a purpose."""
-        outer, inner = self._calls, []
+        outer = self._calls
+        inner: list[Call] = []
 
         def logged_start() -> None:
             self._calls = inner
@@ -216,13 +228,18 @@ class LoggedAccess(BoardAccess):
                 self._calls = outer
 
         recording = self._access.record(names, samples, every, slow, logged_start, trigger=trigger)
-        outer.append(Call("record", (list(names), samples, every, slow, trigger), tuple(inner), label))
+        outer.append(Call("record", (list(names), samples, every, slow, trigger), tuple(inner), label, self.stage))
         self.log.recordings.append(recording)
         return recording
 
 
-def repeat(log: MeasurementLog, access: BoardAccess) -> list[Recording]:
+def repeat(log: MeasurementLog, access: BoardAccess, skipped: Collection[str] = ()) -> list[Recording]:
     """Do the same to another board.
+
+    Parameters
+    ----------
+    skipped : collection of str
+        Stages that are left out; their recordings are those of the log.
 
     Returns
     -------
@@ -236,7 +253,10 @@ def repeat(log: MeasurementLog, access: BoardAccess) -> list[Recording]:
     """
     recordings: list[Recording] = []
     for call in log.calls:
-        _repeat(call, access, recordings)
+        if call.stage not in skipped:
+            _repeat(call, access, recordings)
+        elif call.kind == "record":
+            recordings.append(log.recordings[len(recordings)])
     return recordings
 
 

@@ -21,6 +21,9 @@ SPEED_USE: Final = 0.8
 SPEED_RATIO: Final = 1.3
 """Over-speed, over the largest set-point."""
 
+SALIENT_USE: Final = 0.5
+"""Part of the current at which reluctance turns a rotor away from the vector."""
+
 ACCELERATION_USE: Final = 0.5
 """Part of the current limit for the ramp of the speed."""
 
@@ -52,6 +55,9 @@ def configured(
     table = copy.deepcopy(dict(base))
     board, own = table["board"], table.setdefault(axis_name(axis), {})
     board["nominal_voltage"] = limits.voltage
+    own.pop("exact", None)  # raw numbers, of another motor
+    for group in (own, table.get("defaults", {})):
+        group.get("winding", {}).pop("thermal_resistance", None)  # follows from the rated current
     current = limits.current
     pairs, psi, inertia = motor["pole_pairs"], motor["psi_m"], motor["inertia"]
     reach = limits.voltage / math.sqrt(3.0) * board.get("voltage_use", 1.0)
@@ -83,7 +89,13 @@ def configured(
     }
     defaults = table.get("defaults", {})
     search = {**defaults.get("rotor_search", {}), **own.get("rotor_search", {})}
-    own["rotor_search"] = {**own.get("rotor_search", {}), "current": min(search.get("current", current), current)}
+    saliency = motor["l_q"] - motor["l_d"]
+    # beyond psi / (L_q - L_d) a rotor does not lie along a vector any more, but across it
+    along = SALIENT_USE * psi / saliency if saliency > 0.0 else math.inf
+    own["rotor_search"] = {
+        **own.get("rotor_search", {}),
+        "current": min(search.get("current", current), current, along),
+    }
     counts = 4.0 * {**defaults.get("encoder", {}), **own.get("encoder", {})}["lines"]
     interval = math.degrees(2.0 * math.pi * pairs / counts)
     if interval > search.get("interval", 1.41):

@@ -1,24 +1,36 @@
 """The tests that find out the values of a motor of which only voltage and current limit are known. Pure.
 
-The order is one of growing knowledge. A current vector at a fixed angle holds the rotor: resistance and lost voltage, then
-inductances, with current controllers that get better with every estimate. The vector turns: pole pairs, direction, flux.
+The order is one of growing knowledge. A current vector at a fixed angle holds the rotor: resistance and lost voltage,
+then inductances, with current controllers that get better with every estimate. The vector turns: pole pairs, direction,
+flux.
 Then the rotor search of the firmware can work, and torque pulses give a first inertia; at last the axis runs at several
 speeds under control: friction, load, inertia, and flux again. Sub-states, limits and faults are the board's own.
 """
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults, send_configuration
-from servo_msgs_py.measurement.estimation import BAND, HOLD, inductances_of, resistance_of, turning_of, flux_of, follows
+from servo_msgs_py.measurement.estimation import (
+    BAND,
+    PLAIN,
+    flux_of,
+    follows,
+    inductances_of,
+    resistance_of,
+    turning_of,
+)
 from servo_msgs_py.measurement.log import LoggedAccess, MeasurementLog
 from servo_msgs_py.measurement.motor_config import configured, fitted, tuned_axis
 from servo_msgs_py.measurement.motor_values import Estimate, Limits
@@ -28,7 +40,7 @@ from servo_msgs_py.tuning.configuration import Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import GAIN
 
-__all__ = ["MotorTest"]
+__all__ = ["PULSES", "TURN", "MotorTest"]
 
 TICK: Final = 0.5e-3  # [s]
 SAMPLES: Final = 1280
@@ -42,12 +54,16 @@ SWEEP: Final[Mapping[str, float]] = {"d": 0.28, "q": 0.2}
 """Amplitudes, parts of the current limit: the currents of all phases keep their signs."""
 SWEEPS: Final = 3
 VOLTAGE_USE: Final = 0.6  # part of the voltage that the resistance may take; the rest turns the rotor
+TURN: Final = "turn"
+PULSES: Final = "pulses"
+"""Stages that a simulation of the measurement may leave out: they begin and end at rest."""
 ROUNDS: Final = 7
 LOOP: Final = 400.0  # Hz, of the current loop once the inductance is known
 TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
 TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
 """Tried in this order until the rotor follows."""
 TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
+REST_MAX: Final = 6.0  # until a shaft without current stands [s]
 PULSE: Final = 0.5  # part of the current limit
 SPEEDS: Final = (0.3, 0.6, 1.0)
 SEARCHED: Final = 0.5
@@ -55,8 +71,8 @@ SEARCHED: Final = 0.5
 ALONG: Final = 0.4  # current along the flux at constant speed, part of the limit
 ALONG_VOLTAGE: Final = 0.3  # part of the voltage that it may take
 ALONG_FREQUENCY: Final = 0.4  # [Hz]
-ALONG_SETTLE: Final = 0.35  # until it is large [s]
-ALONG_TIME: Final = 0.8
+ALONG_TIME: Final = 0.8  # [s]
+HOLD_SAMPLES: Final = 640  # of every second slow tick, from the beginning of that current
 SETTLE: Final = 0.3  # s, at a new speed
 NOMINAL: Final[Mapping[str, float]] = {
     "r_s": 0.5,
@@ -105,6 +121,7 @@ class MotorTest:
         self.access = LoggedAccess(access, self.log)
         self.axis, self.limits, self.base, self.report = axis, limits, base, report
         self.name = axis_name(axis)
+        self.log.notes["limits"] = dataclasses.asdict(limits)
         self.values: dict[str, Estimate] = {}
         self._current = limits.current  # largest, less where the resistance takes too much voltage [A]
         self._turns_at = 0.0  # electrical speed of the vector [rad/s]
@@ -127,7 +144,6 @@ class MotorTest:
         timeout = self.access.read_words("param.command_timeout")
         self._check()
         self.access.write("param.command_timeout", [0.0])
-        self.log.notes["limits"] = {name: getattr(self.limits, name) for name in ("voltage", "current", "speed", "turns", "energy", "r_on")}
         monitors = saved["param.faults_enabled"]
         try:
             # they judge voltages by a resistance and current controllers that are not known yet
@@ -139,8 +155,10 @@ class MotorTest:
             self._write_raw("param.faults_enabled", monitors & ~self._faults("PHASE_LOST", "CURRENT_SENSE"))
             self._spin()
         finally:
-            self._off()
-            send_configuration(self.access, {self.axis: block})
+            self.access.stage = ""
+            with contextlib.suppress(MeasurementError, BlockRefusedError):  # what has gone wrong before is the reason
+                self._off()
+                send_configuration(self.access, {self.axis: block})
             for name, raw in saved.items():
                 self.access.write_words(name, [raw], self.axis)
             self.access.write_words("param.command_timeout", timeout)
@@ -155,6 +173,8 @@ class MotorTest:
                 f"the bus has {volts:.3g} V, and {self.limits.voltage:g} V were named: correct --voltage, or the supply"
             )
         refuse_faults(self.access, self.axis)
+        if abs(self._read("speed")) > 0.5:
+            raise MeasurementError("the shaft turns before the test begins: take the load off, or balance it")
 
     def _standstill(self) -> None:
         current = self._current
@@ -214,6 +234,7 @@ class MotorTest:
 
     def _turn(self) -> None:
         self.report("turning the rotor: pole pairs, direction, flux")
+        self.access.stage = TURN
         self._write("cmd.i_q", self._current)
         self.access.wait(0.1)
         names = ("position", "test_angle", "u_d", "u_q", "i_d", "i_q")
@@ -233,12 +254,14 @@ class MotorTest:
         self._turn_at(0.0)
         self.access.wait(0.3)
         self.values.update(flux_of(self.log, self.values["l_d"].value, self.values["pole_pairs"].value))
+        self.access.stage = ""
         self._write("cmd.i_q", 0.0)
         self.access.wait(0.05)
         self._off()
 
     def _spin(self) -> None:
         self.report("torque pulses: first inertia")
+        self.access.stage = PULSES
         pairs, psi = round(self.values["pole_pairs"].value), self.values["psi_m"].value
         torque = 1.5 * pairs * psi * self.limits.current
         motor = {
@@ -255,6 +278,7 @@ class MotorTest:
         self._enable("SPIN", 8.0)
         inertia, coulomb = self._pulses(motor)
         self._off()
+        self.access.stage = ""
         motor |= {"inertia": inertia, "friction": min(max(coulomb, 0.0), 0.5 * torque)}
         self.report("running at several speeds")
         table = self._fitted(motor)
@@ -319,7 +343,7 @@ class MotorTest:
         most = min(most, math.sqrt(2.0 * self.limits.energy / inertia))
         # a run from standstill to one side stays within the turns
         room = 2.0 * math.pi * self.limits.turns
-        while most * (ALONG_TIME + SETTLE) + most**2 / (2.0 * acceleration) > room:
+        while most * (PLAIN + ALONG_TIME + SETTLE) + most**2 / (2.0 * acceleration) > room:
             most *= 0.8
         r = self.values["r_s"].value + self.limits.r_on
         along = min(ALONG * self.limits.current, ALONG_VOLTAGE * self.limits.voltage / math.sqrt(3.0) / r)
@@ -330,21 +354,21 @@ class MotorTest:
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / self.access.capacity(self._columns_of(self._SPIN)))
                 samples = int(seconds / TICK / every)
-                self._slow("speed", self._SPIN, samples, every, lambda speed=speed: self._write("cmd.speed", speed))
-                # a current along the flux, without torque: the phase currents hardly come near zero, where dead time
-                # takes a voltage that is not known well; a slow sine does not step
+                self._slow("speed", self._SPIN, samples, every, partial(self._write, "cmd.speed", speed))
+                self._slow("plain", self._PLAIN, round(PLAIN / TICK), 1)
+                # a current along the flux: the phase currents hardly come near zero, where dead time takes a voltage
+                # that is not known well; a slow sine does not step
                 self._signal(along, ALONG_FREQUENCY * PERIOD, 0.0, round(ALONG_TIME / PERIOD))
-                self._start_signal("d")
-                self.access.wait(ALONG_SETTLE)
-                self._slow("hold", self._HELD, round(HOLD / TICK), 1)
-                self.access.wait(ALONG_TIME - ALONG_SETTLE - HOLD)
+                self._slow("hold", self._HELD, HOLD_SAMPLES, 2, partial(self._start_signal, "d"), trigger="test_point")
+                self.access.wait(max(ALONG_TIME - 2.0 * HOLD_SAMPLES * TICK, 0.0) + TICK)
                 before = speed
         self._write("cmd.speed", 0.0)
         self.access.wait(abs(before) / acceleration + 0.1)
 
     # ---- parts of them -----------------------------------------------------------------------------------------------
 
-    _SPIN: Final = ("position", "speed", "i_q", "i_d", "u_q", "u_d")
+    _SPIN: Final = ("position", "speed", "speed_ref", "i_q", "i_d")
+    _PLAIN: Final = ("position", "i_q", "i_d")
     _HELD: Final = ("position", "i_q", "i_d", "u_q", "u_d")
 
     def _speed_max(self) -> float:
@@ -386,9 +410,17 @@ class MotorTest:
         return recording
 
     def _slow(
-        self, label: str, names: Sequence[str], samples: int, every: int, start: Callable[[], None] | None = None
+        self,
+        label: str,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        start: Callable[[], None] | None = None,
+        trigger: str | None = None,
     ) -> Recording:
-        recording = self.access.labelled(label, self._columns_of(names), samples, every, True, start)
+        trigger = None if trigger is None else f"{self.name}.{trigger}"
+        columns = self._columns_of(names)
+        recording = self.access.labelled(label, columns, samples, every, True, start, trigger=trigger)
         refuse_faults(self.access, self.axis)
         return recording
 
@@ -419,16 +451,16 @@ class MotorTest:
         to = scales.i / scales.u_s
         raw = {"kp": round(math.ldexp(kp * to, 24)), "ki": max(round(math.ldexp(ki * PERIOD * to, 24)), 1)}
         most = GAIN.high // 4
-        exact = {f"current_loop.{axis}.{gain}": min(value, most) for axis in "dq" for gain, value in raw.items()}
-        control = {"speed_bandwidth": 5.0, "position_gain": 3.0, "observer_bandwidth": 5.0}  # not used here
-        self._send(configured(self.base, self.axis, self.limits, NOMINAL, exact=exact, control=control))
+        gains = {f"current_loop.{axis}.{gain}": min(value, most) for axis in "dq" for gain, value in raw.items()}
+        self._send(configured(self.base, self.axis, self.limits, NOMINAL), gains)
         if not live:
             self._features()
             self._write("param.i_q_limit", self.limits.current)
 
-    def _send(self, table: Mapping[str, Any]) -> None:
+    def _send(self, table: Mapping[str, Any], members: Mapping[str, int] | None = None) -> None:
+        """Let the board take a configuration, with some members of the block replaced."""
         try:
-            block = tuned_axis(table, self.axis).block
+            block = {**tuned_axis(table, self.axis).block, **(members or {})}
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
         AxisConfigTable.load().check(block)
@@ -464,15 +496,25 @@ class MotorTest:
         raise MeasurementError(f"{self.name} did not come to {substate} within {seconds:g} s: is the board in order?")
 
     def _off(self) -> None:
-        """Outputs off, and the shaft at rest."""
+        """Outputs off, and the shaft at rest.
+
+        Raises
+        ------
+        MeasurementError
+            If it does not come to rest.
+        """
         self._write_raw("cmd.enable", 0)
         stop = self.access.catalogue.enums["state_t"]["STOP"]
         fault = self.access.catalogue.enums["state_t"]["FAULT"]
-        for _ in range(400):
+        for _ in range(round(REST_MAX / 0.02)):
             self.access.wait(0.02)
             if self._read("state") in (stop, fault) and abs(self._read("speed")) < 0.5:
-                break
-        self.access.wait(0.1)
+                self.access.wait(0.1)
+                return
+        raise MeasurementError(
+            f"with its outputs off the shaft does not come to rest within {REST_MAX:g} s: something turns it; take the"
+            " load off, or balance it"
+        )
 
     def _stand(self, seconds: float) -> None:
         for _ in range(round(seconds / 0.02)):

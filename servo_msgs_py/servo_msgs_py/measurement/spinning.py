@@ -13,8 +13,9 @@ from servo_msgs_py.measurement.least_squares import Floats, fit_linear, mean_of
 from servo_msgs_py.measurement.motor_values import Estimate
 from servo_msgs_py.measurement.standstill import PERIOD, Ohmic, switching_share
 
-__all__ = ["Steady", "balance", "flux", "friction", "steady_of", "torque_of"]
+__all__ = ["Steady", "balance", "flux", "friction", "second_half", "steady_of", "torque_of"]
 
+BRIDGED: Final = 3  # samples that may be missing in a row
 LOST_OFF: Final = 0.3
 """Part by which a lost voltage may be off that changes within the band of small currents."""
 
@@ -29,25 +30,33 @@ class Steady:
         Of the shaft, from its way [rad/s].
     acceleration : float
         What is left of it [rad/s^2].
-    i_d, i_q, u_q, u_d : Estimate
-        [A], [V].
+    i_d, i_q : Estimate
+        [A].
+    u_q, u_d : Estimate or None
+        If they were recorded [V].
     """
 
     speed: float
     acceleration: float
     i_d: Estimate
     i_q: Estimate
-    u_q: Estimate
-    u_d: Estimate
+    u_q: Estimate | None = None
+    u_d: Estimate | None = None
+
+
+def second_half(recording: Recording) -> Recording:
+    """Of a recording during which something settles."""
+    return Recording(recording.step, {name: column[column.size // 2 :] for name, column in recording.columns.items()})
 
 
 def steady_of(recording: Recording, axis: str) -> Steady:
     """Of a recording at constant speed."""
-    part = {name: recording.columns[f"{axis}.{name}"] for name in ("position", "i_d", "i_q", "u_q", "u_d")}
+    names = [name for name in ("i_d", "i_q", "u_q", "u_d") if f"{axis}.{name}" in recording.columns]
+    part = {name: recording.columns[f"{axis}.{name}"] for name in ("position", *names)}
     usable = np.isfinite(part["position"])
     time = recording.time[usable]
     bend, slope, _ = np.polyfit(time - time.mean(), part["position"][usable], 2)
-    means = {name: Estimate(*mean_of(part[name])) for name in ("i_d", "i_q", "u_q", "u_d")}
+    means = {name: Estimate(*mean_of(part[name])) for name in names}
     return Steady(float(slope), 2.0 * float(bend), **means)
 
 
@@ -81,15 +90,14 @@ def flux(
     turned = speed * (delay + 0.5 * PERIOD)
     u_q, u_d = (np.array([getattr(point, name).value for point in points]) for name in ("u_q", "u_d"))
     u_q = u_q * np.cos(turned) - u_d * np.sin(turned)
-    sigma = np.array([max(point.u_q.sigma, 1e-3) for point in points])
     size = np.hypot(i_d, i_q) + 1e-9
     lost = _lost_fundamental(size, u_q, u_dc, direct, 0.5 * (l_d + l_q)) * i_q / size
-    columns = np.column_stack([speed, np.sign(speed), np.ones_like(speed)])
+    columns = np.column_stack([speed, np.sign(speed)])
     induced = u_q - direct.resistance.value * i_q - speed * l_d * i_d - lost
-    (psi, _, _), covariance, _ = fit_linear(columns, induced, sigma)
+    (psi, _), covariance, _ = fit_linear(columns, induced)
     # errors of resistance and lost voltage count as far as both grow with the speed
-    (grown, _, _), _, _ = fit_linear(columns, i_q)
-    (lost_grown, _, _), _, _ = fit_linear(columns, lost)
+    (grown, _), _, _ = fit_linear(columns, i_q)
+    (lost_grown, _), _, _ = fit_linear(columns, lost)
     parts = (float(np.sqrt(covariance[0, 0])), float(grown) * direct.resistance.sigma, LOST_OFF * float(lost_grown))
     return Estimate(float(psi), math.hypot(*parts))
 
@@ -103,8 +111,26 @@ def friction(points: list[Steady], torque: Floats, torque_sigma: Floats) -> dict
     return {name: Estimate(float(x[k]), float(errors[k])) for k, name in enumerate(("friction", "viscous", "load"))}
 
 
+def _bridged(column: Floats) -> Floats:
+    """Samples with straight lines over short gaps; long ones stay."""
+    missing = ~np.isfinite(column)
+    if not missing.any() or missing.all():
+        return column
+    at = np.arange(column.size)
+    result: Floats = column.copy()
+    result[missing] = np.interp(at[missing], at[~missing], column[~missing])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - first > BRIDGED:
+            result[first:end] = np.nan
+    return result
+
+
 def balance(
-    recordings: list[Recording], axis: str, motor: tuple[int, float, float, float], parts: tuple[float, float, float] | None
+    recordings: list[Recording],
+    axis: str,
+    motor: tuple[int, float, float, float],
+    parts: tuple[float, float, float] | None,
 ) -> tuple[Estimate, Estimate]:
     """Inertia and Coulomb friction from momentum: what the torque has given until a moment is in the shaft's speed.
 
@@ -122,8 +148,8 @@ def balance(
     rows: list[Floats] = []
     values: list[Floats] = []
     for k, recording in enumerate(recordings):
-        position = recording.columns[f"{axis}.position"]
-        torque = torque_of(recording.columns[f"{axis}.i_d"], recording.columns[f"{axis}.i_q"], *motor)
+        position, i_d, i_q = (_bridged(recording.columns[f"{axis}.{name}"]) for name in ("position", "i_d", "i_q"))
+        torque = torque_of(i_d, i_q, *motor)
         speed = np.diff(position) / recording.step
         middle = torque[1:-1]  # between the middles of two intervals
         change = np.diff(speed)
@@ -143,5 +169,5 @@ def balance(
         values.append(total)
     x, covariance, _ = fit_linear(np.vstack(rows), np.concatenate(values))
     errors = np.sqrt(np.diag(covariance)) * 5.0  # the sums are not independent of each other
-    coulomb = Estimate(float(x[1]), float(errors[1])) if parts is None else Estimate(parts[0], 0.0)
-    return Estimate(float(x[0]), float(errors[0])), coulomb
+    dry = Estimate(float(x[1]), float(errors[1])) if parts is None else Estimate(parts[0], 0.0)
+    return Estimate(float(x[0]), float(errors[0])), dry

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_msgs_py.measurement.access import Recording
+from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.least_squares import Floats, fit_linear, fit_nonlinear
 from servo_msgs_py.measurement.motor_values import Estimate
 from servo_msgs_py.units import PERIOD_NS
@@ -134,10 +135,9 @@ def impedance(
     delay : float, optional
         Known delay [s].
     """
-    shown = [spectra(recording, names, band) for recording in recordings]
-    omega = shown[0][0]
-    i_d = sum(item[1] for item in shown)
-    u_d = sum(item[2] for item in shown)
+    if not recordings:
+        raise MeasurementError("there is no recording of a test signal: measure again")
+    omega, i_d, u_d = spectra(recordings, names, band)
     known = None if delay is None else delay / PERIOD
     size = float(np.abs(u_d).mean() / np.abs(i_d).mean() / omega.mean())
 
@@ -167,26 +167,39 @@ def impedance(
 
 
 def spectra(
-    recording: Recording, names: tuple[str, str, str], band: tuple[float, float]
+    recordings: Sequence[Recording], names: tuple[str, str, str], band: tuple[float, float]
 ) -> tuple[Floats, Complex, Complex]:
-    """Frequencies [rad/s], and current and voltage in terms of the instrument; missing samples are bridged."""
-    columns = [_bridged(recording.columns[name]) for name in names]
+    """What repetitions of one test signal show.
+
+    Returns
+    -------
+    omega : ndarray, shape (n,)
+        Frequencies [rad/s].
+    current, voltage : ndarray of complex, shape (n,)
+        In terms of the signal, which is no noise.
+    """
+    columns = [_mean_of_repetitions([recording.columns[name] for recording in recordings]) for name in names]
     size = columns[0].size
     # what the signal leaves behind has decayed in the last samples: their mean is the direct part
     i, u, d = (np.fft.rfft(column - column[-max(size // 16, 4) :].mean()) for column in columns)
-    frequency = np.fft.rfftfreq(size, recording.step)
+    frequency = np.fft.rfftfreq(size, recordings[0].step)
     inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
-    inside = inside[: inside.size // SMOOTHED * SMOOTHED].reshape(-1, SMOOTHED)
-    weight = np.abs(d[inside] ** 2).sum(axis=1)
-    i_d = (i[inside] * d[inside].conj()).sum(axis=1) / np.sqrt(weight)
-    u_d = (u[inside] * d[inside].conj()).sum(axis=1) / np.sqrt(weight)
-    return 2.0 * np.pi * frequency[inside].mean(axis=1), i_d, u_d
+    rows = inside[: inside.size // SMOOTHED * SMOOTHED].reshape(-1, SMOOTHED)
+    weight = np.sqrt((np.abs(d[rows]) ** 2).sum(axis=1))
+    i_d = (i[rows] * d[rows].conj()).sum(axis=1) / weight
+    u_d = (u[rows] * d[rows].conj()).sum(axis=1) / weight
+    return 2.0 * np.pi * frequency[rows].mean(axis=1), i_d, u_d
 
 
-def _bridged(column: Floats) -> Floats:
-    """Samples with straight lines over those that are missing."""
-    usable = np.isfinite(column)
-    if usable.all():
-        return column
-    at = np.arange(column.size)
-    return np.interp(at, at[usable], column[usable])
+def _mean_of_repetitions(columns: Sequence[Floats]) -> Floats:
+    """Mean of each sample, without those that are missing; a straight line where all are."""
+    table = np.stack(columns)
+    usable = np.isfinite(table)
+    counts = usable.sum(axis=0)
+    at = np.arange(counts.size)
+    there = counts > 0
+    if not there.any():
+        raise MeasurementError("all samples of a test signal are missing: measure again")
+    means = np.where(usable, table, 0.0).sum(axis=0)[there] / counts[there]
+    bridged: Floats = np.interp(at, at[there], means)
+    return bridged

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -100,9 +99,9 @@ def sensor_errors(recordings: list[Recording], axis: str, r: float) -> dict[str,
         values.append(u_d - r * (i_d - float(i_d.mean())))
     x, covariance, _ = fit_linear(np.vstack(rows), np.concatenate(values))
     errors = np.sqrt(np.diag(covariance)) * 3.0  # neighbouring samples are not independent
-    level = float(x[0])
+    mean = float(x[0])
     return {
         "offset_alpha": Estimate(-float(x[1]) / r, float(errors[1]) / r),
         "offset_beta": Estimate(-float(x[2]) / r, float(errors[2]) / r),
-        "gain_ratio": Estimate(1.0 - 2.0 * float(x[3]) / level, 2.0 * float(errors[3]) / level),
+        "gain_ratio": Estimate(1.0 - 2.0 * float(x[3]) / mean, 2.0 * float(errors[3]) / mean),
     }

@@ -9,7 +9,7 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import MeasurementError
@@ -21,9 +21,10 @@ from servo_twin.experiments.rig import positive
 from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.identification.files import draw, report_lines, write_estimates, write_plant, write_servo
 from servo_twin.identification.motors import random_motor
+from servo_twin.identification.refine import CLOSE
 from servo_twin.identification.session import Identified, identified, measure_virtual, tuned_table
 from servo_twin.identification.trials import Trials, summary
-from servo_twin.level import FAST_LEVEL, chosen_level
+from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
 from servo_twin.simulation import SimulationError
@@ -58,7 +59,9 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     defaults = {field.name: field.default for field in dataclasses.fields(Limits)}
     parser.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
     parser.add_argument("--voltage", type=float, default=24.0, help="of the bus [V] (default: %(default)s)")
-    parser.add_argument("--current", type=float, default=4.0, help="that the motor bears [A, peak] (default: %(default)s)")
+    parser.add_argument(
+        "--current", type=float, default=4.0, help="that the motor bears [A, peak] (default: %(default)s)"
+    )
     for name, text in (
         ("speed", "largest speed [rad/s]"),
         ("turns", "turns to both sides within which the shaft stays"),
@@ -72,6 +75,11 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml for the rest (default: the firmware's)")
     parser.add_argument("--recording", type=Path, metavar="FILE", help="estimate from this measurement; nothing moves")
+    parser.add_argument(
+        "--model",
+        choices=get_args(Level),
+        help="how closely the refinement imitates the board (default: as the virtual board; of a recording registers)",
+    )
     parser.add_argument("--no-refinement", action="store_true", help="only the closed-form estimates")
     parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
     real = parser.add_argument_group("what is really there, on a virtual board")
@@ -106,7 +114,8 @@ def _run(args: argparse.Namespace) -> int:
     limits, axis = _limits(args, plant), args.axis - 1
     if args.recording is not None:
         try:
-            log, problem = MeasurementLog.load(args.recording), ""
+            log = MeasurementLog.load(args.recording)
+            problem = str(log.notes.get("problem", ""))
         except MeasurementError as error:
             raise SimulationError(str(error)) from None
         limits = Limits(**log.notes["limits"])
@@ -122,8 +131,10 @@ def _run(args: argparse.Namespace) -> int:
             prepare=functools.partial(_prepare, axis, args.load, args.locked),
             report=_say,
         )
+        log.notes["problem"] = problem
         log.save(args.out / "measurement.npz")
-    result = identified(log, plant, problem, refined=not args.no_refinement, report=_say)
+    model = args.model or (CLOSE if args.recording is not None else chosen_level(args.level, default=FAST_LEVEL))
+    result = identified(log, plant, problem, refined=not args.no_refinement, level=model, report=_say)
     return _write(args, result, plant, base, limits)
 
 

@@ -101,7 +101,7 @@ def draw(path: Path, result: Identified) -> None:
                 begin = float(time[-1])
                 plots[0, 2].plot(time, one.columns[f"{name}.speed"], color=colour, lw=1.0)
                 plots[1, 0].plot(time, one.columns[f"{name}.i_q"], color=colour, lw=0.8)
-        held = [one for kind, one in chosen if kind == "hold"]
+        held = [one for kind, one in chosen if kind == "plain"]
         speeds = [float(np.polyfit(one.time, np.nan_to_num(one.columns[f"{name}.position"]), 1)[0]) for one in held]
         plots[1, 1].plot(speeds, [mean_of(one.columns[f"{name}.i_q"])[0] for one in held], mark, color=colour)
     for plot, title, x, y in (

@@ -1,7 +1,7 @@
 """All values together, by simulation: what was done to the board is done to virtual boards until they answer the same.
 
-The plant is that of the twin, the firmware the same C with the same configuration blocks, written at the same times. The
-differences of currents, voltages and speeds are minimised over the values of the motor (output error).
+The plant is that of the twin, the firmware the same C with the same configuration blocks, written at the same times.
+The differences of currents, voltages and speeds are minimised over the values of the motor (output error).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.estimation import BAND, estimates_of
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog, repeat
+from servo_msgs_py.measurement.motor_test import PULSES, TURN
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
 from servo_msgs_py.measurement.standstill import spectra
 
@@ -36,11 +37,11 @@ REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous"
 """What is refined, in the order of the parameters."""
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
-    "r_s": 0.002,
-    "l_d": 0.002,
+    "r_s": 0.004,
+    "l_d": 0.0015,
     "l_q": 0.002,
-    "psi_m": 0.002,
-    "inertia": 0.004,
+    "psi_m": 0.004,
+    "inertia": 0.005,
     "friction": 0.02,
     "viscous": 0.02,
     "dead_voltage": 0.003,
@@ -50,7 +51,14 @@ MODEL_ERROR: Final[Mapping[str, float]] = {
 BATCH: Final = 4  # neighbouring samples whose residuals are not independent
 STEP: Final = 0.04
 """Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
-CORRECTIONS: Final = 3
+FRICTION_MIN: Final = 0.002  # of simulations, part of the torque of the current limit
+BIAS_ERROR: Final = 0.1
+"""Part of a bias that its correction may miss."""
+
+QUICK: Final[Level] = "ideal"
+CLOSE: Final[Level] = "registers"
+"""A board whose switching is simulated, too: its current converters sample the ripple, not the mean."""
+
 CURRENT_ERROR: Final = 1e-3
 """Standard uncertainty of a mean current: a quarter of a step of the converter [A]."""
 
@@ -60,11 +68,12 @@ FARTHEST: Final = 8.0  # a residual counts for no more than about so many times 
 _COMPARED: Final[Mapping[str, Sequence[str]]] = {
     "level": ("u_d",),
     "speed": ("i_q", "speed"),
-    "hold": ("i_q", "u_q"),
+    "plain": ("i_q",),
+    "hold": ("u_q",),
 }
 """Columns that are compared, by the purpose of a recording; of swept sines the spectra are."""
 
-_AVERAGED: Final[Mapping[str, float]] = {"level": 1e3, "speed": 0.02, "hold": 1e3}
+_AVERAGED: Final[Mapping[str, float]] = {"level": 1e3, "speed": 0.02, "plain": 1e3, "hold": 1e3}
 """Means over so many seconds count [s]: dead time makes a ripple of six periods per electrical turn, whose phase says
 nothing about the motor."""
 
@@ -73,12 +82,20 @@ _DEPENDS: Final[Mapping[str, Sequence[str]]] = {
     "sweep d": ("r_s", "l_d"),
     "sweep q": ("r_s", "l_q", "psi_m", "inertia"),
     "speed": ("psi_m", "inertia", "friction", "viscous", "load"),
-    "hold": REFINED,
+    "plain": ("psi_m", "friction", "viscous", "load"),
+    "hold": ("r_s", "l_d", "l_q", "psi_m", "friction", "viscous", "load", "dead_voltage"),
 }
 """What a signal depends on; all else in a numerical derivative is roughness."""
 
-_LEAST: Final[Mapping[str, float]] = {"i_q": 1e-3, "u_d": 1e-3, "u_q": 3e-3, "speed": 0.01}
-"""Noise that is assumed at least [SI]."""
+_LEAST: Final[Mapping[tuple[str, str], float]] = {
+    ("level", "u_d"): 1e-3,
+    ("speed", "i_q"): 4e-3,
+    ("speed", "speed"): 0.2,
+    ("plain", "i_q"): 0.5e-3,
+    ("hold", "u_q"): 2e-3,
+}
+"""Noise that is assumed at least [SI]: while the speed changes, controllers that hunt by a count do so at other moments
+in the simulation."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +121,14 @@ class Refinement:
 def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits: Mapping[str, float]) -> PlantConfig:
     """A plant file's values with those of a motor.
 
-    The lost voltage of a leg is dead time and drop together: the dead time stays that of `plant`, the drop takes the rest.
+    The lost voltage of a leg is dead time and drop together: the dead time stays that of `plant`, the drop takes the
+    rest.
     """
     own = plant.axes[axis]
     changes: dict[str, Any] = {
-        name: values[name] for name in ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous") if name in values
+        name: values[name]
+        for name in ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous")
+        if name in values
     }
     if "pole_pairs" in values:
         changes["pole_pairs"] = float(round(values["pole_pairs"]))
@@ -132,12 +152,14 @@ def simulated(
     MeasurementError
         If it cannot be done.
     """
-    quiet = plant.with_axis(log.axis, i_noise=0.0, theta_start=0.0).with_bus(u_noise=0.0)
+    plant = plant.with_axis(log.axis, theta_start=0.0)
+    if level == QUICK:
+        plant = plant.with_axis(log.axis, i_noise=0.0).with_bus(u_noise=0.0)
     try:
-        with Board(quiet, seed=seed, level=level) as board:
+        with Board(plant, seed=seed, level=level) as board:
             board.set_load(log.axis, load)
             board.run(float(log.notes.get("boot", 0.05)))
-            return repeat(log, VirtualBoardAccess(board))
+            return repeat(log, VirtualBoardAccess(board), (TURN, PULSES))
     except BoardError as error:
         raise MeasurementError(f"the simulation has failed: {error}") from None
 
@@ -183,6 +205,8 @@ class _Difference:
                 continue
             for column in _COMPARED.get(label, ()):
                 usable = np.isfinite(recording.columns[f"{self._name}.{column}"])
+                if label == "hold":  # the current along the flux has to grow first
+                    usable[: usable.size // 2] = False
                 every = max(round(_AVERAGED[label] / recording.step), 1)
                 if usable.any():
                     self._parts.append(_Part(k, label, column, usable, np.arange(usable.size)[usable] // every))
@@ -192,9 +216,19 @@ class _Difference:
         result = []
         for part in self._parts:
             key = f"{self._name}.{part.column}"
-            there, here = (recordings[part.number].columns[key] for recordings in (self._log.recordings, shown))
+            there, here = self._log.recordings[part.number].columns[key], shown[part.number].columns[key]
+            if part.label == "speed":
+                here = self._aligned(part.number, shown[part.number], here, there)
             result.append((part, part.means((here - there)[part.usable])))
         return result
+
+    def _aligned(self, number: int, shown: Recording, column: Floats, measured: Floats) -> Floats:
+        """A simulated column, moved to where the measured set-point changes; before that the measured one."""
+        key = f"{self._name}.speed_ref"
+        late = _half_way(self._log.recordings[number].columns[key]) - _half_way(shown.columns[key])
+        at = np.arange(column.size, dtype=np.float64)
+        moved: Floats = np.where(at < late, measured, np.interp(at - late, at, column))
+        return moved
 
     def _sweeps(self, shown: Sequence[Recording]) -> list[tuple[str, Floats]]:
         """Spectra in terms of the test signal, all sweeps of one kind together."""
@@ -203,11 +237,11 @@ class _Difference:
             names = (f"{self._name}.i_{point}", f"{self._name}.u_{point}", f"{self._name}.test_signal")
             numbers = [k for k, label in enumerate(self._log.labels) if label == f"sweep_{point}"]
             there, here = (
-                [spectra(recordings[k], names, BAND[point]) for k in numbers] for recordings in (self._log.recordings, shown)
+                spectra([recordings[k] for k in numbers], names, BAND[point])
+                for recordings in (self._log.recordings, shown)
             )
             for quantity in (1, 2):
-                difference = sum(one[quantity] for one in here) - sum(one[quantity] for one in there)
-                difference = np.asarray(difference)
+                difference = here[quantity] - there[quantity]
                 result.append((f"{point}{quantity}", np.concatenate([difference.real, difference.imag])))
         return result
 
@@ -218,12 +252,15 @@ class _Difference:
             if values.size > 4:
                 sigma = _usual(np.diff(values)) / math.sqrt(2.0)
             else:
-                _, sigma = mean_of(self._log.recordings[part.number].columns[f"{self._name}.{part.column}"])
+                # of the difference: what both do alike is no noise
+                column = f"{self._name}.{part.column}"
+                there, here = self._log.recordings[part.number].columns[column], shown[part.number].columns[column]
+                _, sigma = mean_of((here - there)[part.usable])
             noise.setdefault((part.label, part.column), []).append(sigma)
         for key, sigmas in noise.items():
-            self._sigma[key] = max(float(np.median(sigmas)), _LEAST[key[1]])
-        for key_, values in self._sweeps(shown):
-            self._sigma["sweep", key_] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
+            self._sigma[key] = max(float(np.median(sigmas)), _LEAST[key])
+        for name, values in self._sweeps(shown):
+            self._sigma["sweep", name] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
 
     def vector(self, shown: Sequence[Recording]) -> Floats:
         plain = [values / self._sigma[part.label, part.column] for part, values in self._raw(shown)]
@@ -231,6 +268,7 @@ class _Difference:
 
     def depends(self, names: Sequence[str]) -> NDArray[np.bool_]:
         """Whether a residual of `vector` depends on a parameter, shape (residuals, parameters)."""
+
         def row(label: str) -> list[bool]:
             return [name in _DEPENDS[label] for name in names]
 
@@ -257,13 +295,26 @@ class _Difference:
         return {column: float(np.sqrt((np.concatenate(parts) ** 2).mean())) for column, parts in found.items()}
 
 
+def _half_way(set_point: Floats) -> float:
+    """Sample at which a ramp is half over."""
+    usable = np.isfinite(set_point)
+    at = np.arange(set_point.size, dtype=np.float64)[usable]
+    values = set_point[usable]
+    part = (values - values[0]) / (values[-1] - values[0] or 1.0)
+    return float(np.interp(0.5, np.maximum.accumulate(part), at))
+
+
 def _usual(differences: Floats) -> float:
     """Robust standard deviation."""
     return 1.4826 * float(np.median(np.abs(differences)))
 
 
 def refine(
-    log: MeasurementLog, first: MotorEstimates, plant: PlantConfig, report: Callable[[str], None] = lambda text: None
+    log: MeasurementLog,
+    first: MotorEstimates,
+    plant: PlantConfig,
+    level: Level = CLOSE,
+    report: Callable[[str], None] = lambda text: None,
 ) -> Refinement:
     """Values of the motor from all recordings together.
 
@@ -275,8 +326,10 @@ def refine(
         Closed-form estimates.
     plant : PlantConfig
         For all that is not estimated: bus, sensors.
+    level : {"registers", "ideal"}
+        The close model: how the measured board is to be imitated. Derivatives come from the quick one.
     report : callable, optional
-        Gets a line for each iteration.
+        Gets a line.
 
     Raises
     ------
@@ -287,13 +340,14 @@ def refine(
     names = [name for name in REFINED if name in first.values]
     start = {name: estimate.value for name, estimate in first.values.items()}
     torque = 1.5 * start["pole_pairs"] * start["psi_m"] * limits["current"]
-    top = max((float(np.nanmax(np.abs(r.columns[f"{axis_name(log.axis)}.speed"]))) for r in log.labelled("speed")))
+    top = max(float(np.nanmax(np.abs(r.columns[f"{axis_name(log.axis)}.speed"]))) for r in log.labelled("speed"))
     scale = {name: abs(start[name]) for name in names}
     scale["friction"] = max(scale.get("friction", 0.0), 0.003 * torque)
     scale["viscous"] = max(scale.get("viscous", 0.0), 0.5 * scale["friction"] / top)
     scale["load"] = scale["friction"]
     base = plant.with_bus(u_source=limits["voltage"])
-    start = _corrected(log, start, base, names)
+    corrected = _corrected(log, start, base, names, level)
+    start = corrected.values
     difference = _Difference(log)
     shown: dict[bytes, list[Recording]] = {}
 
@@ -323,10 +377,17 @@ def refine(
         return np.where(depends, np.column_stack(columns), 0.0)
 
     x = np.zeros(len(names))
-    before = difference.rms(show(x))
+    before = difference.rms(corrected.close)
     difference.weigh(show(x))
+    # what the close model shows beyond the quick one
+    beyond = difference.vector(corrected.close) - difference.vector(corrected.quick)
+
+    def vector(y: Floats) -> Floats:
+        result: Floats = difference.vector(show(y)) + beyond
+        return result
+
     result = least_squares(
-        lambda y: difference.vector(show(y)),
+        vector,
         x,
         jac=jacobian,
         max_nfev=ITERATIONS,
@@ -336,16 +397,24 @@ def refine(
     )
     x = np.asarray(result.x, dtype=np.float64)
     report(f"refined by simulation: {', '.join(f'{name} {values_of(x)[name]:.4g}' for name in names)}")
-    residual = difference.vector(show(x))
-    covariance = _covariance(np.asarray(result.jac), residual, difference.batches)
+    covariance = _covariance(np.asarray(result.jac), vector(x), difference.batches)
     floor = _floor(start, top)
     found = dict(first.values)
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
         sigma = math.sqrt(max(covariance[k, k], 0.0)) * scale[name]
-        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
-    after = difference.rms(show(x))
-    return Refinement(MotorEstimates(found, first.undetermined), before, after, show(x))
+        found[name] = Estimate(
+            value,
+            math.hypot(
+                sigma,
+                MODEL_ERROR.get(name, 0.0) * value,
+                floor.get(name, 0.0),
+                BIAS_ERROR * (start[name] - first.values[name].value),
+            ),
+        )
+    final = values_of(x)
+    shown_close = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
+    return Refinement(MotorEstimates(found, first.undetermined), before, difference.rms(shown_close), shown_close)
 
 
 def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
@@ -354,32 +423,65 @@ def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
     return {"friction": torque, "load": torque, "viscous": torque / top}
 
 
+@dataclass(frozen=True)
+class _Start:
+    """Where the minimisation begins.
+
+    Attributes
+    ----------
+    values : dict
+        Estimates without their bias.
+    close, quick : list of Recording
+        What the close and the quick model show at about these values; what they differ by is added to the quick one.
+    """
+
+    values: dict[str, float]
+    close: list[Recording]
+    quick: list[Recording]
+
+
 def _corrected(
-    log: MeasurementLog, first: Mapping[str, float], plant: PlantConfig, names: Sequence[str]
-) -> dict[str, float]:
+    log: MeasurementLog, first: Mapping[str, float], plant: PlantConfig, names: Sequence[str], level: Level
+) -> _Start:
     """Estimates without their bias: what the same estimators make of a simulation with them shows it."""
-    values = dict(first)
-    limits = log.notes["limits"]
-    for _ in range(CORRECTIONS):
-        shown = simulated(log, plant_of(plant, log.axis, values, limits), values.get("load", 0.0))
-        again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(shown, log.recordings)))
+    values, limits = dict(first), log.notes["limits"]
+
+    def show(at: Level) -> list[Recording]:
+        return simulated(log, plant_of(plant, log.axis, values, limits), values.get("load", 0.0), at)
+
+    close: list[Recording] = []
+    # without friction a simulated shaft would swing about the vector for ever
+    least = FRICTION_MIN * 1.5 * first["pole_pairs"] * first["psi_m"] * limits["current"]
+    values["friction"], values["viscous"] = max(values["friction"], least), max(values["viscous"], 0.0)
+    begun = dict(values)
+    for at in (QUICK, level, level, level):
+        begun = dict(values)
+        close = show(at)
+        again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(close, log.recordings)))
         for name in names:
             if name not in again.values:
-                raise MeasurementError(f"{name} of a simulation cannot be estimated: {again.undetermined.get(name, '')}")
+                reason = again.undetermined.get(name, "")
+                raise MeasurementError(f"{name} of a simulation cannot be estimated: {reason}")
             seen = again.values[name].value
             if name in ("load", "viscous", "friction"):
                 values[name] += first[name] - seen
             else:
                 values[name] *= min(max(first[name] / seen, 0.8), 1.25) if seen > 0.0 else 1.0
-        for name in ("viscous", "friction"):
-            values[name] = max(values.get(name, 0.0), 0.0)
-    return values
+        values["friction"], values["viscous"] = max(values["friction"], least), max(values["viscous"], 0.0)
+    if level == QUICK:
+        return _Start(values, close, close)
+    values, refined = begun, values
+    quick = show(QUICK)
+    return _Start(refined, close, quick)
 
 
 def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Recording]:
     """Recordings in which the same samples are missing."""
     return [
-        Recording(one.step, {name: np.where(np.isfinite(there.columns[name]), one.columns[name], np.nan) for name in one.columns})
+        Recording(
+            one.step,
+            {name: np.where(np.isfinite(there.columns[name]), one.columns[name], np.nan) for name in one.columns},
+        )
         for one, there in zip(shown, like, strict=True)
     ]
 

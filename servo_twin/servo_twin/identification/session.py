@@ -21,11 +21,11 @@ from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_twin.board import Board, SimulationError
 from servo_twin.board_access import VirtualBoardAccess
-from servo_twin.identification.refine import Refinement, refine
+from servo_twin.identification.refine import CLOSE, Refinement, refine
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
-__all__ = ["BOOT", "Identified", "NEEDED", "identified", "measure_virtual", "tuned_table"]
+__all__ = ["BOOT", "NEEDED", "Identified", "identified", "measure_virtual", "tuned_table"]
 
 BOOT: Final = 0.05  # power-on to STOP [s]
 
@@ -116,7 +116,13 @@ def measure_virtual(
 
 
 def identified(
-    log: MeasurementLog, plant: PlantConfig, problem: str = "", *, refined: bool = True, report: Report = lambda text: None
+    log: MeasurementLog,
+    plant: PlantConfig,
+    problem: str = "",
+    *,
+    refined: bool = True,
+    level: Level = CLOSE,
+    report: Report = lambda text: None,
 ) -> Identified:
     """Estimates from a measurement, and whether they can be believed.
 
@@ -126,13 +132,15 @@ def identified(
         Why the measurement has ended early.
     refined : bool
         Whether they are refined by simulation.
+    level : {"registers", "ideal"}
+        Of the boards that are simulated for that.
     """
     first = estimates_of(log)
     problems = [problem] if problem else []
     refinement = None
     if refined and not problem and not first.undetermined:
         try:
-            refinement = refine(log, first, plant, report)
+            refinement = refine(log, first, plant, level, report)
         except (MeasurementError, np.linalg.LinAlgError) as error:
             problems.append(f"the refinement has failed: {error}")
     estimates = refinement.estimates if refinement is not None else first
@@ -157,7 +165,7 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
             small = FRICTION_SMALL * 1.5 * values["pole_pairs"].value * values["psi_m"].value
             if estimate.interval[1] < small * float(log.notes["limits"]["current"]):
                 continue
-        if not math.isfinite(estimate.value) or estimate.value <= 0.0 and name != "friction":
+        if not math.isfinite(estimate.value) or (estimate.value <= 0.0 and name != "friction"):
             found.append(f"{name}: {estimate.value:.3g} {UNITS[name]} cannot be: the data do not determine it")
         elif estimate.part > part > 0.0:
             low, high = estimate.interval
@@ -188,7 +196,7 @@ def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
 def tuned_table(
     base: Mapping[str, Any], result: Identified, limits: Limits
 ) -> tuple[dict[str, Any] | None, Sequence[str]]:
-    """``servo.toml`` with the motor, bandwidths that it bears, and lines that show the margins; None: with the reason."""
+    """``servo.toml`` with the motor, bandwidths that it bears, and lines that show the margins; None: with a reason."""
     values = {name: estimate.value for name, estimate in result.estimates.values.items()}
     motor = {name: values[name] for name in ("l_d", "l_q", "psi_m", "pole_pairs", "inertia")}
     # what the controller drives is winding and switches

@@ -88,7 +88,7 @@ class Trials:
         plant = random_motor(self.plant, self.axis, seed)
         truth = plant.axes[self.axis]
         log, problem = measure_virtual(plant, self.axis, self.limits, self.base, level=self.level, seed=seed)
-        result = identified(log, self.plant, problem)
+        result = identified(log, self.plant, problem, level=self.level)
         errors, covered = {}, {}
         for name in (*AIMS, "viscous", "pole_pairs"):
             if name in result.estimates.values:
@@ -116,9 +116,8 @@ def summary(trials: Sequence[tuple[int, Trial]]) -> list[str]:
         aim = AIMS.get(name)
         within = "" if aim is None else f"{100 * np.mean(errors <= aim):.1f} % < {100 * aim:g} %"
         half, most = np.percentile(errors, (50, 95))
-        lines.append(
-            f"{name:10} {within:>15}  {100 * half:12.2f} % {100 * most:7.2f} % {100 * errors.max():7.2f} % {100 * covered:10.1f} %"
-        )
+        figures = f"{100 * half:12.2f} % {100 * most:7.2f} % {100 * errors.max():7.2f} % {100 * covered:10.1f} %"
+        lines.append(f"{name:10} {within:>15}  {figures}")
     seconds = np.array([trial.seconds for _, trial in trials])
     lines.append(
         f"time of the board: median {np.median(seconds):.1f} s, longest {seconds.max():.1f} s (at most {TIME_MAX:g} s)"

@@ -1,0 +1,135 @@
+"""``servo-tool identify``: find out what motor a board drives; the axis moves by itself."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from dataclasses import fields
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from servo_msgs_py.axis_config import AxisConfigError
+from servo_msgs_py.axis_config_transfer import BlockRefusedError
+from servo_msgs_py.catalogue import AXES, numbers
+from servo_msgs_py.measurement.access import MeasurementError
+from servo_msgs_py.measurement.estimation import estimates_of
+from servo_msgs_py.measurement.log import MeasurementLog
+from servo_msgs_py.measurement.motor_test import MotorTest
+from servo_msgs_py.measurement.motor_values import UNITS, Limits
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.units import PERIOD_NS
+
+from servo_bridge.measurement_access import measurement_access
+from servo_bridge.tuning.block_session import BlockSession
+from servo_bridge.tuning.plan import file_of, read_blocks
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+if TYPE_CHECKING:
+    from servo_bridge.tool_commands import Context
+
+__all__ = ["add_arguments", "identify"]
+
+_OUT: Final = Path("out/identify")
+_RECORDING: Final = "measurement.npz"
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    command.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
+    command.add_argument("--voltage", type=float, required=True, help="of the bus [V]")
+    command.add_argument("--current", type=float, required=True, help="that the motor bears [A, peak]")
+    defaults = {field.name: field.default for field in fields(Limits)}
+    for name, text in (
+        ("speed", "largest speed [rad/s]"),
+        ("turns", "turns to both sides within which the shaft stays"),
+        ("energy", "that the bus takes from a braking shaft [J]"),
+    ):
+        command.add_argument(f"--{name}-max", type=float, default=defaults[name], help=f"{text} (default: %(default)s)")
+    command.add_argument(
+        "--r-on", type=float, default=0.0, help="resistance of a switch [ohm], which counts to the winding otherwise"
+    )
+    command.add_argument("--config", type=Path, metavar="FILE", help="servo.toml for the rest (default: the board's)")
+    command.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
+
+
+def identify(context: Context) -> int:
+    """Test the motor, keep the measurement, and have it evaluated."""
+    args = context.args
+    try:
+        limits = Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, args.r_on)
+        log, problem = _measured(context, limits)
+    except (MeasurementError, ConfigError, ValueError) as error:
+        print(f"servo-tool: {error}", file=sys.stderr)
+        return 1
+    log.notes["problem"] = problem
+    path = args.out / _RECORDING
+    log.save(path)
+    print(f"wrote {path}", file=sys.stderr)
+    if _twin_installed():
+        return _evaluated(args, path)
+    return _shown(log, problem)
+
+
+def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str]:
+    """The measurement as far as it goes, and why it does not go further."""
+    base = _base(context)
+    with measurement_access(context.session) as access:
+        test = MotorTest(access, context.args.axis - 1, limits, base, lambda text: print(text, file=sys.stderr))
+        begin = access.read("tick")[0]
+        try:
+            test.run()
+            problem = ""
+        except (MeasurementError, BlockRefusedError, AxisConfigError) as error:
+            problem = str(error)
+        test.log.notes["seconds"] = (access.read("tick")[0] - begin) * PERIOD_NS * 1e-9
+    return test.log, problem
+
+
+def _base(context: Context) -> dict[str, Any]:
+    """Parsed configuration that the rest is taken from."""
+    if context.args.config is not None:
+        given: dict[str, Any] = tomllib.loads(context.args.config.read_text(encoding="utf-8"))
+        return given
+    blocks = list(read_blocks(BlockSession(context.session)).values())
+    variables = context.session.variables
+    host, command = (
+        numbers(context.session.read(variables[name]))[0] for name in ("param.host_timeout", "param.command_timeout")
+    )
+    table: dict[str, Any] = tomllib.loads(file_of(blocks, (host, command), context.catalogue))
+    return table
+
+
+def _twin_installed() -> bool:
+    try:
+        metadata.distribution("servo_twin")
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def _evaluated(args: argparse.Namespace, path: Path) -> int:
+    """Refinement and files are made by the twin, in a process of its own."""
+    command = [sys.executable, "-m", "servo_twin.cli", "identify", "--recording", str(path), "--out", str(args.out)]
+    if args.config is not None:
+        command += ["--config", str(args.config)]
+    return subprocess.run(command, check=False).returncode
+
+
+def _shown(log: MeasurementLog, problem: str) -> int:
+    """Closed-form estimates only."""
+    found = estimates_of(log)
+    for name, unit in UNITS.items():
+        if name in found.values:
+            low, high = found.values[name].interval
+            print(f"{name:13} {found.values[name].value:12.5g}   {low:.4g} .. {high:.4g} {unit}".rstrip())
+    reasons = [problem] if problem else [f"{name}: {reason}" for name, reason in found.undetermined.items()]
+    for reason in reasons:
+        print(f"servo-tool: {reason}", file=sys.stderr)
+    print("servo-tool: install servo_twin for the refinement, a plant file and servo.toml", file=sys.stderr)
+    return 1 if reasons else 0
