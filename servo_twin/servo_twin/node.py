@@ -42,6 +42,7 @@ from servo_twin.diagnosis.monitor import SUPPLY, DiagnosisMonitor
 from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_text, finding_text, located_text
 from servo_twin.diagnosis.thresholds import Thresholds as Learned
 from servo_twin.diagnosis.thresholds import ThresholdsError
+from servo_twin.level import chosen_level
 from servo_twin.lockstep.blocks import blocks_of_file
 from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
@@ -98,9 +99,11 @@ class ServoTwin(Node):
     """
 
     finished = False  # goes on until it is told to end
+    NAMESPACE = "twin"
+    PARAMETERS = PARAMETERS
 
     def __init__(self, **node_arguments: Any) -> None:
-        super().__init__("servo_twin", namespace="twin", **node_arguments)
+        super().__init__("servo_twin", namespace=self.NAMESPACE, **node_arguments)
         with setting_up(self):
             self._set_up()
 
@@ -108,7 +111,7 @@ class ServoTwin(Node):
         self.failure = ""
         self._log = Node.get_logger(self)
         claim_name(self)
-        self._values = declare(self, PARAMETERS)
+        self._values = declare(self, self.PARAMETERS)
         self._board_namespace = topics.within(self.get_namespace().rpartition("/")[0], self._values["board_namespace"])
         self._catalogue = Catalogue.load()
         self._plant, learned = self._files()
@@ -154,7 +157,7 @@ class ServoTwin(Node):
         except (PlantError, OSError) as error:
             raise ParameterError(f"parameter plant: {error}") from None
         try:
-            return plant, Learned.load(self._values["thresholds"] or None)
+            return plant, Learned.load(self._values.get("thresholds") or None, chosen_level())
         except (ThresholdsError, OSError) as error:
             raise ParameterError(f"parameter thresholds: {error}") from None
 
@@ -342,7 +345,7 @@ class ServoTwin(Node):
             finding = findings.get(axis)
             text = self._nothing() if finding is None else finding_text(finding, pair.tick, pair.stamp_ns)
             prefix = "" if axis is None else f"{axis_name(axis)}."
-            mine = {
+            mine: dict[str, object] = {
                 key.removeprefix(prefix): estimate_text(one)
                 for key, one in estimates.items()
                 if (key == SUPPLY) == (axis is None) and key.startswith(prefix)

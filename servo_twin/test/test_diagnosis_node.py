@@ -63,10 +63,10 @@ def test_a_changed_friction_is_named(capfd: pytest.CaptureFixture[str]) -> None:
 def test_the_twin_takes_over_what_has_changed() -> None:
     with DiagnosisRig(adapt=True) as rig:
         assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
-        before = rig.node._twin.synchronisations  # noqa: SLF001
+        before = rig.node._twin.synchronisations
         rig.board.board.set_plant("axis1.inertia", 1.5 * rig.board.board.plant.axes[0].inertia)
-        assert rig.moves(lambda: rig.node._plant.axes[0].inertia > 1.1e-5)  # noqa: SLF001
+        assert rig.moves(lambda: rig.node._plant.axes[0].inertia > 1.1e-5)
         assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
         assert rig.said("axis1") == "nothing has changed"
-        assert rig.node._plant.axes[0].inertia == pytest.approx(1.2e-5, rel=0.03)  # noqa: SLF001
-        assert rig.node._twin.synchronisations == before  # noqa: SLF001
+        assert rig.node._plant.axes[0].inertia == pytest.approx(1.2e-5, rel=0.03)
+        assert rig.node._twin.synchronisations == before

@@ -137,7 +137,7 @@ class Channel:
 
     def _left(self, sums: Sums, found: Evidence) -> bool:
         """Whether the residual is larger than changes of the plant explain."""
-        enough = len(sums.count) - found.block >= 3
+        enough = len(sums.samples) - found.block >= 3
         return enough and found.left > self._unexplained and (found.ratio <= self._detect or found.part_left > _LEFT)
 
     def _calm(self, sums: Sums) -> None:
@@ -149,7 +149,7 @@ class Channel:
             change = self.unknowns.names.index(self.finding.changes[0])
             if not self.unknowns.rejects(sums, self.unknowns.vector(change, self.finding.value), self._detect):
                 return
-        elif len(sums.count) < _SETTLED:
+        elif len(sums.samples) < _SETTLED:
             return
         self._age = 0
         self.finding = None
@@ -179,7 +179,7 @@ class Channel:
             later = self.unknowns.later(sums, vector, self._detect + _SEVERAL * found.ratio)
             if later is not None and later > block:
                 block = later
-        if block and len(sums.count) - block >= _SETTLED:
+        if block and len(sums.samples) - block >= _SETTLED:
             self._window.forget_before(block)
 
     def estimates(self) -> list[Estimate]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from servo_twin.diagnosis.window import Sums
 
 __all__ = ["Evidence", "Unknowns"]
+
+_TRANSIENT: Final = 3  # blocks after a change in which the loops may still settle: what they show does not count later
 
 _Array = NDArray[np.float64]
 
@@ -102,7 +105,13 @@ class Unknowns:
         values, ratios = self._ratios(np.einsum("nii->ni", sums.a), sums.b)
         ratios = ratios[: max(len(ratios) - 1, 1)]  # the last block alone is no evidence
         block, change = (int(k) for k in np.unravel_index(int(np.argmax(ratios)), ratios.shape))
+        since = block
+        if len(sums.samples) - block > 2 * _TRANSIENT:
+            block += _TRANSIENT
+            change = int(np.argmax(ratios[block]))
         a, b = sums.a[block], sums.b[block]
+        if not a[change, change] > 0.0:
+            return Evidence(since, change, 0.0, float("inf"), 0.0, change, 0.0, change, 0.0, 0.0, 1.0)
         value = float(values[block, change])
         vector = self.vector(change, value)
         left = b - a @ vector
@@ -118,7 +127,7 @@ class Unknowns:
         energy = float(sums.energy[block])
         both = gain + 0.5 * float(seconds[second]) ** 2 * float(reduced[second])
         return Evidence(
-            block,
+            since,
             change,
             value,
             float(self.spread[change] / np.sqrt(a[change, change])),
@@ -127,7 +136,7 @@ class Unknowns:
             float(max(rivals[rival], 0.0)),
             second,
             float(second_ratios[second]),
-            (energy - 2.0 * both) / max(float(sums.count[block]), 1.0),
+            (energy - 2.0 * both) / max(float(sums.samples[block]), 1.0),
             (energy - 2.0 * gain) / max(energy, 1e-300),
         )
 

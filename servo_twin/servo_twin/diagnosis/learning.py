@@ -59,17 +59,20 @@ class Learner:
         self._bus = BusSignal(plant.bus.u_source)
         self._equations: list[list[tuple[int, AxisEquations]]] = [[] for _ in range(AXES)]
         self._means = SignalMeans()
-        self._mean_maxima: list[_Array] = [np.zeros((AXES, len(WATCHED)))]
+        self._mean_maxima: list[_Array] = []
         self._mean_begin: int | None = None
         self._voltages: list[float] = []
-        self._ticks: list[int] = []
+        self._seconds = 0.0
+        self._tick: int | None = None
 
     def add(self, pair: Pair) -> None:
         """Take a pair."""
         if pair.difference or pair.fault:
             self.interrupt()
             return
-        self._ticks.append(pair.tick)
+        if self._tick is not None:
+            self._seconds += (pair.tick - self._tick) * PERIOD_NS * 1e-9
+        self._tick = pair.tick
         self._add_means(pair)
         for axis, signals in enumerate(self._signals):
             equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
@@ -83,9 +86,7 @@ class Learner:
         means = self._means.update(pair)
         if means is None:
             return
-        if self._mean_begin is None:
-            self._mean_begin = pair.tick
-        if pair.tick - self._mean_begin > _MEAN_SPAN / (PERIOD_NS * 1e-9):
+        if self._mean_begin is None or pair.tick - self._mean_begin > _MEAN_SPAN / (PERIOD_NS * 1e-9):
             self._mean_begin = pair.tick
             self._mean_maxima.append(np.zeros_like(means))
         np.maximum(self._mean_maxima[-1], np.abs(means), out=self._mean_maxima[-1])
@@ -93,10 +94,18 @@ class Learner:
     def interrupt(self) -> None:
         """The next pair does not follow on the last one."""
         self._means.interrupt()
-        self._mean_begin = None
+        self._mean_begin = self._tick = None
         for signals in self._signals:
             signals.interrupt()
         self._bus.interrupt()
+
+    def join(self, other: Learner) -> None:
+        """Take what another one has learned, from another run."""
+        for mine, theirs in zip(self._equations, other._equations, strict=True):
+            mine += theirs
+        self._voltages += other._voltages
+        self._mean_maxima += other._mean_maxima
+        self._seconds += other._seconds
 
     def thresholds(self, hours: float = FALSE_ALARM_HOURS) -> Thresholds:
         """What follows from the run.
@@ -114,7 +123,9 @@ class Learner:
         axes, maxima, squares = [], [], []
         for axis, entries in enumerate(self._equations):
             if len(entries) < 2 * _FEW:
-                raise ThresholdsError(f"{axis_name(axis)} has hardly moved: move both axes to and fro while calibrating")
+                raise ThresholdsError(
+                    f"{axis_name(axis)} has hardly moved: move both axes to and fro while calibrating"
+                )
             noise = _noise([equations for _, equations in entries])
             spans, spread = _spans(entries, noise)
             of_means = np.array([one[axis] for one in self._mean_maxima])
@@ -128,7 +139,6 @@ class Learner:
                 f"{len(maxima) * _SPAN * BLOCK:.0f} s of motion are not enough, {_LEAST * _SPAN * BLOCK:.0f} s are"
             )
         span_hours = _SPAN * BLOCK / 3600.0
-        run = (self._ticks[-1] - self._ticks[0]) * PERIOD_NS * 1e-9 / 3600.0
         voltages = np.array(self._voltages)
         return Thresholds(
             axes=tuple(axes),
@@ -137,7 +147,7 @@ class Learner:
             detect=max(_tail(np.array(maxima), hours / span_hours * AXES), _DETECT_MIN),
             unexplained=_INFLATION * max(squares),
             false_alarm_hours=hours,
-            run_hours=run,
+            run_hours=self._seconds / 3600.0,
         )
 
 
@@ -207,7 +217,7 @@ def _maxima(spans: Sequence[Window], spread: _Array) -> tuple[list[float], list[
     for span in spans:
         sums = span.sums()
         ratios.append(unknowns.strongest(sums))
-        squares.append(float((sums.energy / sums.count)[:-3].max()))
+        squares.append(float((sums.energy / sums.samples)[:-3].max()))
     return ratios, squares
 
 

@@ -80,12 +80,12 @@ class DiagnosisMonitor:
         self.thresholds = thresholds
         self.missing = ""
         self.axes = [
-            Channel(Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread)), thresholds.detect, thresholds.unexplained)
+            Channel(
+                Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread)), thresholds.detect, thresholds.unexplained
+            )
             for noise in thresholds.axes
         ]
-        self.bus = Channel(
-            Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1)), thresholds.detect, float("inf")
-        )
+        self.bus = Channel(Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1)), thresholds.detect, float("inf"))
         self.watch = SignalWatch([noise.means for noise in thresholds.axes])
         self.believe(plant)
 
@@ -144,7 +144,9 @@ class DiagnosisMonitor:
     def estimates(self) -> dict[str, Estimate]:
         """Every estimate by its name, such as ``axis1.inertia`` or ``supply``."""
         named = {
-            f"{axis_name(axis)}.{one.name}": one for axis, channel in enumerate(self.axes) for one in channel.estimates()
+            f"{axis_name(axis)}.{one.name}": one
+            for axis, channel in enumerate(self.axes)
+            for one in channel.estimates()
         }
         return named | {SUPPLY: self.bus.estimates()[0]}
 

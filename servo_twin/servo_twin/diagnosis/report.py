@@ -32,15 +32,15 @@ _ABSOLUTE: Final = {"load": (1e3, "mN m"), "encoder_angle": (180.0 / math.pi, "d
 def _size(name: str, value: float, low: float, high: float) -> str:
     if name in _ABSOLUTE:
         scale, unit = _ABSOLUTE[name]
-        value, low, high = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
-        return f"{value} {unit} ({low}..{high})"
-    value, low, high = (_rounded(max(1.0 + x, 0.0), high - low, sign=False) for x in (value, low, high))
-    return f"{value} times ({low}..{high})"
+        middle, least, most = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
+        return f"{middle} {unit} ({least}..{most})"
+    middle, least, most = (_rounded(max(1.0 + x, 0.0), high - low, sign=False) for x in (value, low, high))
+    return f"{middle} times ({least}..{most})"
 
 
 def _rounded(value: float, width: float, *, sign: bool = True) -> str:
     """With the digits that an interval of this width leaves."""
-    digits = min(max(1 - math.floor(math.log10(max(width, 1e-9))), 0), 4)
+    digits = min(max(-math.floor(math.log10(max(width, 1e-9))), 0), 4)
     return f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
 
 

@@ -17,7 +17,6 @@ for the voltage. `AxisNoise.alias` times these is subtracted.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np

@@ -1,7 +1,7 @@
 """What a healthy pair shows: noise and model error of every signal, and the thresholds that follow. Pure.
 
-`servo_twin calibrate` learns them from a healthy run and writes a file (``thresholds.toml``); the packaged one was
-learned from a virtual pair.
+`servo_twin calibrate` learns them from a healthy board and writes a file; ``servo-sim calibrate`` has made the packaged
+ones from virtual pairs, ``thresholds.toml`` at register level and ``thresholds_ideal.toml`` at the level ideal.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.diagnosis.signal_watch import WATCHED
 from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, AxisEquations
+from servo_twin.level import DEFAULT_LEVEL, Level
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -27,7 +28,10 @@ else:
 
 __all__ = ["AxisNoise", "Thresholds", "ThresholdsError"]
 
-DEFAULT_FILE: Final = Path(__file__).with_name("thresholds.toml")
+_PACKAGED: Final[Mapping[Level, Path]] = {
+    "registers": Path(__file__).with_name("thresholds.toml"),
+    "ideal": Path(__file__).with_name("thresholds_ideal.toml"),
+}
 
 CURRENTS: Final = (0.1, 0.3, 0.6)
 SPEEDS: Final = (30.0, 60.0, 100.0, 150.0)
@@ -80,7 +84,8 @@ class AxisNoise:
 
     def residual(self, equations: AxisEquations) -> NDArray[np.float64]:
         """Left sides without alias and without the error of the model."""
-        return equations.y - np.asarray(self.alias) * equations.alias - equations.phi @ np.asarray(self.baseline)
+        left = equations.y - np.asarray(self.alias) * equations.alias
+        return np.asarray(left - equations.phi @ np.asarray(self.baseline))
 
 
 def bin_of(current: float, speed: float) -> int:
@@ -128,8 +133,8 @@ class Thresholds:
     run_hours: float
 
     @classmethod
-    def load(cls, path: Path | str | None = None) -> Thresholds:
-        """Read a file; the packaged one by default.
+    def load(cls, path: Path | str | None = None, level: Level = DEFAULT_LEVEL) -> Thresholds:
+        """Read a file; by default the packaged one of a virtual pair at this level.
 
         Raises
         ------
@@ -138,11 +143,14 @@ class Thresholds:
         OSError
             If it cannot be read.
         """
-        return _packaged() if not path else _load(Path(path))
+        return _packaged(level) if not path else _load(Path(path))
 
     def text(self) -> str:
         """As the text of a file."""
-        lines = ["# Learned by `servo_twin calibrate` from a healthy run; units in servo_twin/diagnosis/thresholds.py.", ""]
+        lines = [
+            "# From a healthy run, by `servo_twin calibrate` or `servo-sim calibrate`; units: diagnosis/thresholds.py",
+            "",
+        ]
         lines += _lines({k: v for k, v in asdict(self).items() if k != "axes"})
         for number, axis in enumerate(self.axes):
             lines += ["", f"[{axis_name(number)}]", *_lines(asdict(axis))]
@@ -160,8 +168,8 @@ def _lines(entries: Mapping[str, Any]) -> list[str]:
 
 
 @cache
-def _packaged() -> Thresholds:
-    return _load(DEFAULT_FILE)
+def _packaged(level: Level) -> Thresholds:
+    return _load(_PACKAGED[level])
 
 
 def _load(path: Path) -> Thresholds:
@@ -173,7 +181,9 @@ def _load(path: Path) -> Thresholds:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, TypeError) as error:
         raise ThresholdsError(f"{path}: {error}") from None
     except KeyError as error:
-        raise ThresholdsError(f"{path}: {error.args[0]} is missing; write it anew with `servo_twin calibrate`") from None
+        raise ThresholdsError(
+            f"{path}: {error.args[0]} is missing; write it anew with `servo_twin calibrate`"
+        ) from None
     except ThresholdsError as error:
         raise ThresholdsError(f"{path}: {error}") from None
 

@@ -27,14 +27,14 @@ class Sums(NamedTuple):
     b : ndarray, shape (blocks, unknowns)
     energy : ndarray, shape (blocks,)
         Weighted squares of the left sides.
-    count : ndarray, shape (blocks,)
+    samples : ndarray, shape (blocks,)
         Independent samples.
     """
 
     a: _Array
     b: _Array
     energy: _Array
-    count: _Array
+    samples: _Array
 
 
 class Window:
