@@ -39,7 +39,7 @@ from std_srvs.srv import Trigger
 from servo_msgs_py import topics
 from servo_twin.board import Board
 from servo_twin.diagnosis.monitor import SUPPLY, DiagnosisMonitor
-from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_text, finding_text, located_text
+from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, estimate_text, finding_text, located_text
 from servo_twin.diagnosis.thresholds import Thresholds as Learned
 from servo_twin.diagnosis.thresholds import ThresholdsError
 from servo_twin.level import chosen_level
@@ -52,6 +52,7 @@ from servo_twin.plant import PlantConfig, PlantError
 
 __all__ = ["PARAMETERS", "ServoTwin", "main"]
 
+_DIAGNOSIS_NS: Final = 250_000_000  # between two messages of new estimates, for their curves [ns]
 _SLOW: Final = 0.5  # backlog that is worth a warning [s]
 
 PARAMETERS: Final = {
@@ -138,6 +139,7 @@ class ServoTwin(Node):
         self._synchronisation = 0
         self._worst: Residual | None = None
         self._next_variables = 0
+        self._diagnosed_ns = 0
         self._located = ""  # what has changed; empty: nothing
         self._statuses: list[DiagnosticStatus] = []
         self._said: dict[str, object] = {}
@@ -323,6 +325,9 @@ class ServoTwin(Node):
             findings = self._diagnosis.findings()
             self._located = located_text(findings, self._names(), pair.tick, pair.stamp_ns) if findings else ""
             self._statuses = self._diagnosis_statuses(pair)
+            if not 0 <= pair.stamp_ns - self._diagnosed_ns < _DIAGNOSIS_NS:
+                self._diagnosed_ns = pair.stamp_ns
+                self._publish_diagnosis()
             plant = self._diagnosis.adapted(pair.tick) if self._values["adapt"] else None
             if plant is None:
                 return
@@ -345,11 +350,11 @@ class ServoTwin(Node):
             finding = findings.get(axis)
             text = self._nothing() if finding is None else finding_text(finding, pair.tick, pair.stamp_ns)
             prefix = "" if axis is None else f"{axis_name(axis)}."
-            mine: dict[str, object] = {
-                key.removeprefix(prefix): estimate_text(one)
-                for key, one in estimates.items()
-                if (key == SUPPLY) == (axis is None) and key.startswith(prefix)
-            }
+            mine: dict[str, object] = {}
+            for key, one in estimates.items():
+                if (key == SUPPLY) == (axis is None) and key.startswith(prefix):
+                    mine[one.name] = estimate_text(one)
+                    mine |= {f"{one.name}.{part}": f"{number:.6g}" for part, number in estimate_numbers(one).items()}
             level = DiagnosticStatus.OK if finding is None else DiagnosticStatus.WARN
             statuses.append(self._status(f"diagnosis {name}", level, text, mine))
         return statuses

@@ -12,7 +12,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.diagnosis.channel import Estimate, Finding, Kind
 from servo_twin.diagnosis.monitor import SUPPLY, Located
 
-__all__ = ["NOTHING_CHANGED", "estimate_text", "finding_text", "located_text"]
+__all__ = ["NOTHING_CHANGED", "estimate_numbers", "estimate_text", "finding_text", "located_text"]
 
 NOTHING_CHANGED: Final = "nothing has changed"
 
@@ -83,3 +83,11 @@ def estimate_text(estimate: Estimate) -> str:
         return "not excited yet"
     value, half = estimate.value, estimate.half_width
     return _size(estimate.name, value, value - half, value + half)
+
+
+def estimate_numbers(estimate: Estimate) -> dict[str, float]:
+    """Value, low and high: a factor, or [N m], or [rad]; empty where nothing has shown it yet."""
+    if not math.isfinite(estimate.half_width):
+        return {}
+    value = estimate.value + (0.0 if estimate.name in _ABSOLUTE else 1.0)
+    return {"value": value, "low": value - estimate.half_width, "high": value + estimate.half_width}
