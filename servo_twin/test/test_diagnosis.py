@@ -12,6 +12,7 @@ from servo_twin.diagnosis.report import NOTHING_CHANGED, finding_text, located_t
 from servo_twin.diagnosis.signal_watch import WATCHED, SignalWatch
 from servo_twin.diagnosis.thresholds import Thresholds, ThresholdsError
 from servo_twin.diagnosis.trials import NOTHING, Change, HealthyRuns, Trials
+from servo_twin.diagnosis.window import Rows
 from servo_twin.harm import SlippedEncoder
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
@@ -104,11 +105,11 @@ def test_a_slipped_encoder_is_an_angle() -> None:
 def test_what_no_equation_has_is_unknown() -> None:
     """Noise three times as large as that of a healthy pair."""
     unknowns = Unknowns(("one", "two"), np.array([0.01, 0.01]), np.ones(2))
-    channel = Channel(unknowns, 10.0, 2.0)
+    channel = Channel(unknowns, 10.0, np.array([2.0]), np.empty(0))
     draw = np.random.default_rng(1)
     for tick in range(0, 400_000, 136):
         phi = draw.normal(size=(1, 2))
-        channel.add(tick, 0.0085, draw.normal(size=1) * 3.0, phi, np.ones(1))
+        channel.add(tick, 0.0085, Rows(draw.normal(size=1) * 3.0, phi, np.ones(1), np.ones(1)))
     assert channel.finding is not None
     assert channel.finding.kind is Kind.UNKNOWN
 
@@ -116,10 +117,10 @@ def test_what_no_equation_has_is_unknown() -> None:
 def test_what_the_motion_does_not_tell_apart_is_said_to_be_one_of_two() -> None:
     """Friction and load are the same while the shaft turns one way only."""
     unknowns = Unknowns(("friction", "load"), np.array([0.01, 0.01]), np.ones(2))
-    channel = Channel(unknowns, 10.0, 5.0)
+    channel = Channel(unknowns, 10.0, np.array([5.0]), np.empty(0))
     draw = np.random.default_rng(2)
     for tick in range(0, 1_000_000, 136):
-        channel.add(tick, 0.0085, draw.normal(size=1) + 1.0, np.ones((1, 2)), np.ones(1))
+        channel.add(tick, 0.0085, Rows(draw.normal(size=1) + 1.0, np.ones((1, 2)), np.ones(1), np.ones(1)))
     assert channel.finding is not None
     assert (channel.finding.kind, set(channel.finding.changes)) == (Kind.ONE_OF, {"friction", "load"})
 

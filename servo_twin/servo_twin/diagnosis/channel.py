@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_twin.diagnosis.hypotheses import Evidence, Unknowns
-from servo_twin.diagnosis.window import Sums, Window
+from servo_twin.diagnosis.window import Rows, Sums, Window
 
 __all__ = ["Channel", "Estimate", "Finding", "Kind"]
 
@@ -20,6 +20,7 @@ _SEPARATE_PART: Final = 0.1  # and by which part of itself
 _PATIENCE: Final = 30  # blocks after which changes that cannot be told apart are named together
 _SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
 _LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
+_ENOUGH: Final = 5  # blocks from which a mean square is one
 _SETTLED: Final = 10  # blocks after which the time of a change is final
 
 _Array = NDArray[np.float64]
@@ -83,8 +84,10 @@ class Channel:
         What may change.
     detect : float
         Logarithm of the likelihood ratio from which a change is one.
-    unexplained : float
+    unexplained : ndarray, shape (equations,)
         Mean square over its variance from which something is left to explain.
+    prior : ndarray, shape (nuisances,)
+        See `Window`.
 
     Attributes
     ----------
@@ -92,11 +95,11 @@ class Channel:
         None: nothing has changed.
     """
 
-    def __init__(self, unknowns: Unknowns, detect: float, unexplained: float) -> None:
+    def __init__(self, unknowns: Unknowns, detect: float, unexplained: _Array, prior: _Array) -> None:
         self.unknowns = unknowns
         self._detect = detect
         self._unexplained = unexplained
-        self._window = Window(len(unknowns.names))
+        self._window = Window(len(unknowns.names), len(unexplained), prior)
         self._age = 0  # blocks since the first sign of a change
         self.finding: Finding | None = None
 
@@ -106,9 +109,9 @@ class Channel:
         self._age = 0
         self.finding = None
 
-    def add(self, tick: int, seconds: float, y: _Array, phi: _Array, weight: _Array) -> bool:
+    def add(self, tick: int, seconds: float, rows: Rows) -> bool:
         """Add a sample; returns whether there is something new to say. Arguments as of `Window.add`."""
-        if not self._window.add(tick, seconds, y, phi, weight):
+        if not self._window.add(tick, seconds, rows):
             return False
         self._judge(tick)
         return True
@@ -116,11 +119,15 @@ class Channel:
     def _judge(self, tick: int) -> None:
         sums = self._window.sums()
         found = self.unknowns.evidence(sums)
-        left = self._left(sums, found)
+        misfit = self._misfit(sums, found)
+        enough = len(sums.samples) - found.block >= _ENOUGH
+        left = misfit and enough
         if found.ratio <= self._detect and not left:
             self._calm(sums)
             return
         self._age += 1
+        if misfit and not enough:
+            return
         finding = self._finding(found, left, tick)
         if finding is None:
             return
@@ -135,10 +142,14 @@ class Channel:
         self.finding = finding
         self._forget(sums, found)
 
-    def _left(self, sums: Sums, found: Evidence) -> bool:
+    def _misfit(self, sums: Sums, found: Evidence) -> bool:
         """Whether the residual is larger than changes of the plant explain."""
-        enough = len(sums.samples) - found.block >= 3
-        return enough and found.left > self._unexplained and (found.ratio <= self._detect or found.part_left > _LEFT)
+        samples = np.maximum(sums.samples[found.block], 1.0)
+        beyond = self._window.left(sums, found.block, found.joint) > self._unexplained * samples
+        if found.ratio <= self._detect:
+            return bool(beyond.any())
+        part = self._window.left(sums, found.block, found.vector) > _LEFT * sums.energy[found.block]
+        return bool((beyond & part).any())
 
     def _calm(self, sums: Sums) -> None:
         """No sign of a change in the window: whether the last finding is over."""
@@ -156,7 +167,7 @@ class Channel:
 
     def _finding(self, found: Evidence, left: bool, tick: int) -> Finding | None:
         names = self.unknowns.names
-        since = self._window.ticks[found.block]
+        since = self._window.ticks[found.since]
         half = float(np.hypot(_INTERVAL * found.deviation, self.unknowns.margins[found.change]))
         single = names[found.change]
         known = (found.value, found.value - half, found.value + half, since, tick)
@@ -173,7 +184,7 @@ class Channel:
 
     def _forget(self, sums: Sums, found: Evidence) -> None:
         """Keep only what has come since the change, and since it has become another one."""
-        block = found.block
+        block = found.since
         if self.finding is not None and self.finding.kind is Kind.SINGLE:
             vector = self.unknowns.vector(found.change, found.value)
             later = self.unknowns.later(sums, vector, self._detect + _SEVERAL * found.ratio)

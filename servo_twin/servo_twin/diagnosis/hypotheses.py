@@ -23,8 +23,8 @@ class Evidence:
 
     Attributes
     ----------
-    block : int
-        Since which block.
+    since, block : int
+        Since which block, and from which on it was judged.
     change : int
         Index into `CHANGES` of the change that explains most.
     value, deviation : float
@@ -39,12 +39,11 @@ class Evidence:
         The change that explains most of what is left.
     second_ratio : float
         How much that is.
-    left : float
-        Mean square over its variance of what both together leave.
-    part_left : float
-        Part of the energy that the first change leaves.
+    vector, joint : ndarray, shape (unknowns,)
+        All unknowns at that change, and at both.
     """
 
+    since: int
     block: int
     change: int
     value: float
@@ -54,8 +53,8 @@ class Evidence:
     rival_ratio: float
     second: int
     second_ratio: float
-    left: float
-    part_left: float
+    vector: _Array
+    joint: _Array
 
 
 @dataclass(frozen=True)
@@ -111,11 +110,11 @@ class Unknowns:
             change = int(np.argmax(ratios[block]))
         a, b = sums.a[block], sums.b[block]
         if not a[change, change] > 0.0:
-            return Evidence(since, change, 0.0, float("inf"), 0.0, change, 0.0, change, 0.0, 0.0, 1.0)
+            none = np.zeros(len(self.names))
+            return Evidence(since, block, change, 0.0, float("inf"), 0.0, change, 0.0, change, 0.0, none, none)
         value = float(values[block, change])
         vector = self.vector(change, value)
         left = b - a @ vector
-        gain = 0.5 * float(vector @ (b + left))
         diagonal = np.diag(a)
         reduced = diagonal - a[change] ** 2 / a[change, change]
         reduced = np.where(reduced > 1e-6 * diagonal, reduced, 0.0)
@@ -124,10 +123,12 @@ class Unknowns:
         second = int(np.argmax(second_ratios))
         rivals = np.where(np.arange(len(self.names)) == change, -1.0, ratios[block])
         rival = int(np.argmax(rivals))
-        energy = float(sums.energy[block])
-        both = gain + 0.5 * float(seconds[second]) ** 2 * float(reduced[second])
+        joint = vector.copy()  # of both changes together
+        joint[second] += seconds[second]
+        joint[change] -= seconds[second] * a[change, second] / a[change, change]
         return Evidence(
             since,
+            block,
             change,
             value,
             float(self.spread[change] / np.sqrt(a[change, change])),
@@ -136,8 +137,8 @@ class Unknowns:
             float(max(rivals[rival], 0.0)),
             second,
             float(second_ratios[second]),
-            (energy - 2.0 * both) / max(float(sums.samples[block]), 1.0),
-            (energy - 2.0 * gain) / max(energy, 1e-300),
+            vector,
+            joint,
         )
 
     def later(self, sums: Sums, vector: _Array, detect: float) -> int | None:

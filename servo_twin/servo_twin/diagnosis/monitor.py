@@ -15,6 +15,7 @@ from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.signal_watch import SignalWatch
 from servo_twin.diagnosis.signals import CHANGES, NEEDED, AxisSignals, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds
+from servo_twin.diagnosis.window import Rows
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 
@@ -81,11 +82,15 @@ class DiagnosisMonitor:
         self.missing = ""
         self.axes = [
             Channel(
-                Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread)), thresholds.detect, thresholds.unexplained
+                Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread)),
+                thresholds.detect,
+                np.array(noise.unexplained),
+                noise.prior,
             )
             for noise in thresholds.axes
         ]
-        self.bus = Channel(Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1)), thresholds.detect, float("inf"))
+        bus = Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1))
+        self.bus = Channel(bus, thresholds.detect, np.array([np.inf]), np.empty(0))
         self.watch = SignalWatch([noise.means for noise in thresholds.axes])
         self.believe(plant)
 
@@ -125,15 +130,12 @@ class DiagnosisMonitor:
             equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
             if equations is None:
                 continue
-            noise = self.thresholds.axes[axis]
-            changed |= self.axes[axis].add(
-                pair.tick, seconds, noise.residual(equations), equations.phi, noise.weight(equations)
-            )
+            changed |= self.axes[axis].add(pair.tick, seconds, self.thresholds.axes[axis].rows(equations))
         voltage = self._bus_signal.update(pair.tick, pair.real, pair.twin)
         if voltage is not None:
             y = np.array([voltage - self.thresholds.bus_baseline])
-            weight = np.array([self.thresholds.bus_noise**-2])
-            changed |= self.bus.add(pair.tick, seconds, y, np.ones((1, 1)), weight)
+            rows = Rows(y, np.ones((1, 1)), np.array([self.thresholds.bus_noise**-2]), np.ones(1))
+            changed |= self.bus.add(pair.tick, seconds, rows)
         return changed
 
     def findings(self) -> list[Located]:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.diagnosis.signal_watch import WATCHED
-from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, AxisEquations
+from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, VOLTAGE_Q, AxisEquations
+from servo_twin.diagnosis.window import Rows
 from servo_twin.level import DEFAULT_LEVEL, Level
 
 if sys.version_info >= (3, 11):
@@ -50,7 +51,7 @@ class AxisNoise:
     Attributes
     ----------
     alias : tuple of float
-        Coefficient of the alias, per equation [N m s/rad], [V/A], 0.
+        Its coefficients, of the torque [N m s/rad] and of the voltage [V/A].
     torque : float
         Standard deviation of the torque equation [N m].
     voltage_q, voltage_d : tuple of float
@@ -59,6 +60,8 @@ class AxisNoise:
         What the unknowns come to: the error of the twin's model.
     spread : tuple of float
         Standard deviation of an estimate over that of white noise, per unknown.
+    unexplained : tuple of float
+        Largest mean square of the residual over its variance, per equation, after all known changes.
     means : tuple of float
         Largest running mean of every signal of `servo_twin.diagnosis.signal_watch.WATCHED`.
     """
@@ -69,23 +72,23 @@ class AxisNoise:
     voltage_d: tuple[float, ...]
     baseline: tuple[float, ...]
     spread: tuple[float, ...]
+    unexplained: tuple[float, ...]
     means: tuple[float, ...]
 
-    def weight(self, equations: AxisEquations) -> NDArray[np.float64]:
-        """Independent samples per variance, per equation."""
-        place = bin_of(equations.current, equations.speed)
-        return np.array(
-            [
-                equations.share / self.torque**2,
-                1.0 / (self.voltage_q[place] ** 2 + equations.bus**2),
-                1.0 / (self.voltage_d[place] ** 2 + equations.bus**2),
-            ]
-        )
+    @property
+    def prior(self) -> NDArray[np.float64]:
+        """What is known of the coefficients of the alias: they are right to once their own size."""
+        size = np.maximum(np.abs(np.array(self.alias)), 1e-9)
+        return np.asarray(1.0 / size**2)
 
-    def residual(self, equations: AxisEquations) -> NDArray[np.float64]:
-        """Left sides without alias and without the error of the model."""
-        left = equations.y - np.asarray(self.alias) * equations.alias
-        return np.asarray(left - equations.phi @ np.asarray(self.baseline))
+    def rows(self, equations: AxisEquations) -> Rows:
+        """Equations without alias and without the error of the model, with their weights; the alias is a nuisance."""
+        place = bin_of(equations.current, equations.speed)
+        voltages = np.array([self.voltage_q[place], self.voltage_d[place]])
+        samples = np.array([equations.share, float(equations.phi[VOLTAGE_Q].any()), 1.0])
+        variance = np.array([self.torque**2, *(voltages**2 + equations.error**2)])
+        y = equations.y - equations.alias @ np.array(self.alias) - equations.phi @ np.array(self.baseline)
+        return Rows(y, np.concatenate([equations.phi, equations.alias], axis=1), samples / variance, samples)
 
 
 def bin_of(current: float, speed: float) -> int:
@@ -96,11 +99,12 @@ def bin_of(current: float, speed: float) -> int:
 BINS: Final = (len(CURRENTS) + 1) * (len(SPEEDS) + 1)
 
 _LENGTHS: Final = {
-    "alias": len(EQUATIONS),
+    "alias": 2,
     "voltage_q": BINS,
     "voltage_d": BINS,
     "baseline": len(CHANGES),
     "spread": len(CHANGES),
+    "unexplained": len(EQUATIONS),
     "means": len(WATCHED),
 }
 
@@ -116,8 +120,6 @@ class Thresholds:
         Of the bus voltage in a block of motion: relative standard deviation and mean.
     detect : float
         Logarithm of the likelihood ratio from which a change is one.
-    unexplained : float
-        Largest mean square of the residual over its variance, after all known changes.
     false_alarm_hours : float
         Mean time between two false alarms that `detect` stands for, by the tail of the run [h of motion].
     run_hours : float
@@ -128,7 +130,6 @@ class Thresholds:
     bus_noise: float
     bus_baseline: float
     detect: float
-    unexplained: float
     false_alarm_hours: float
     run_hours: float
 
